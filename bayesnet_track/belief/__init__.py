@@ -1,0 +1,1 @@
+"""Beliefs: representations of where a target is, motion models, estimates."""

@@ -1,0 +1,154 @@
+"""The cue contract: what a visual cue declares, what it computes, and how cues are found.
+
+A cue comes in two halves. Its *declaration* (`CueDeclaration`) says its name, its typed parameters and its
+price; it is read by `validate`, so importing it must stay cheap (no Numba, no OpenCV at the top of the file).
+Its *implementation* (`Cue`) is made from the parameters when tracking starts.
+
+Cues are found through the entry-point group ``bayesnet_track.cues``; the built-in ones use it too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import entry_points
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from bayesnet_track.planes import Plane, Planes
+
+ENTRY_POINT_GROUP = "bayesnet_track.cues"
+
+Floats = NDArray[np.float64]
+Reference = Mapping[str, NDArray[Any]]
+"""What a cue remembers of its target: arrays by name, so that it can be stored and compared."""
+
+
+class CueParameters(BaseModel):
+    """Base of a cue's parameters: unknown keys refused, values immutable."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False, allow_inf_nan=False)
+
+    floor: float = Field(
+        default=0.02,
+        gt=0,
+        lt=1,
+        description="Likelihood of an outlier as a share of the best possible likelihood.",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Hypotheses:
+    """Where the target might be.
+
+    Attributes:
+        boxes: (N, 4) float64 centre boxes x, y, w, h in pixels.
+        fields: further fields by name, (N,) each (rotation, depth, ...).
+    """
+
+    boxes: Floats
+    fields: Mapping[str, Floats] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return int(self.boxes.shape[0])
+
+
+@runtime_checkable
+class Cue(Protocol):
+    """A cue at work: pure functions of planes, hypotheses and reference. Holds no state of its own."""
+
+    @property
+    def needs(self) -> tuple[Plane, ...]:
+        """The planes that `learn` and `log_likelihood` read."""
+        ...
+
+    def learn(self, planes: Planes, box: Floats) -> Reference:
+        """The reference for the target inside the centre box (4,).
+
+        `planes` covers the box grown by its own size on every side, cut to the frame.
+        """
+        ...
+
+    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+        """A reference between `old` (rate 0) and `new` (rate 1): eq. 2.15 of the thesis."""
+        ...
+
+    def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
+        """(N,) log-likelihood of every hypothesis.
+
+        At most 0, the value of a perfect match, and at least ``log(floor)``. `planes` covers every
+        hypothesis' box as far as it lies inside the frame. The part of a box outside the frame counts
+        as not matching.
+        """
+        ...
+
+
+@runtime_checkable
+class LocallyAdaptable(Protocol):
+    """A cue that can act on its own uncertainty before it stops itself."""
+
+    def adapt(self, reference: Reference, attempt: int) -> Reference | None:
+        """A reference (or parameters stored in it) tuned to be sharper; None when nothing is left to try.
+
+        `attempt` counts from 1 within one episode of high uncertainty.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class CueDeclaration:
+    """What the engine knows of a cue without loading it.
+
+    Attributes:
+        name: the word used in graph files.
+        summary: one line of what it sees.
+        parameters: model of its parameters (a subclass of `CueParameters`), each with a description and unit.
+        make: parameters -> implementation; imports what is heavy.
+        needs_color: True when it is blind on a gray source.
+        cost_ms: declared price of 1000 hypotheses of 60x60 px, planes included (rules weigh with it, so that
+            a run never depends on a clock).
+        rate_max: learning rate this cue wants instead of the graph's `learn.rate_max`, or None.
+    """
+
+    name: str
+    summary: str
+    parameters: type[CueParameters]
+    make: Callable[[Any], Cue]
+    needs_color: bool = False
+    cost_ms: float = 1.0
+    rate_max: float | None = None
+
+
+def floored(log_likelihood: Floats, floor: float) -> Floats:
+    """log(floor + (1 - floor) L): a mixture with an outlier of likelihood `floor` (L at most 1)."""
+    return np.logaddexp(np.log(floor), np.log1p(-floor) + log_likelihood)
+
+
+def log_size_penalty(boxes: Floats, reference_size: Floats, sd_log_area: float, sd_log_aspect: float) -> Floats:
+    """(N,) Gaussian penalty in the logs of the area ratio and of the aspect ratio (0 when they agree).
+
+    Thesis 3.1.1 names a Gaussian in area and aspect ratio; here in their logarithms, so that half and twice
+    the size cost the same.
+    """
+    width = np.log(boxes[:, 2] / reference_size[0])
+    height = np.log(boxes[:, 3] / reference_size[1])
+    return -0.5 * (((width + height) / sd_log_area) ** 2 + ((width - height) / sd_log_aspect) ** 2)
+
+
+def blend_arrays(old: Reference, new: Reference, rate: float) -> dict[str, NDArray[Any]]:
+    """Name by name ``rate * new + (1 - rate) * old`` (eq. 2.15): the usual `blend` of a cue."""
+    return {name: np.asarray(rate * new[name] + (1.0 - rate) * old[name]) for name in old}
+
+
+@cache
+def installed_cues() -> Mapping[str, CueDeclaration]:
+    """Every cue installed in this environment, by name, sorted."""
+    found = {}
+    for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda p: p.name):
+        declaration = point.load()
+        found[declaration.name] = declaration
+    return found

@@ -1,0 +1,66 @@
+"""A graph that has passed every law: what compilation starts from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from bayesnet_track.cue import CueParameters
+from bayesnet_track.graph.spec import AgentNode, GraphSpec, InferenceNode, Target
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedTarget:
+    """One plate, its tree resolved.
+
+    Attributes:
+        name: the plate's name.
+        spec: its specification.
+        root: the inference node without a parent.
+        order: every node, parents before children, siblings in file order.
+        parent: node -> its parent (None for the root).
+        children: inference node -> its children in file order.
+        parameters: agent -> its cue's typed parameters.
+        governor: agent -> the nearest inference node above it that has `adapt` rules, or None.
+    """
+
+    name: str
+    spec: Target
+    root: str
+    order: tuple[str, ...]
+    parent: Mapping[str, str | None]
+    children: Mapping[str, tuple[str, ...]]
+    parameters: Mapping[str, CueParameters]
+    governor: Mapping[str, str | None]
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """The agent nodes, in `order`."""
+        return tuple(name for name in self.order if isinstance(self.spec.nodes[name], AgentNode))
+
+    def agent(self, name: str) -> AgentNode:
+        """The specification of an agent node."""
+        node = self.spec.nodes[name]
+        assert isinstance(node, AgentNode)
+        return node
+
+    def inference(self, name: str) -> InferenceNode:
+        """The specification of an inference node."""
+        node = self.spec.nodes[name]
+        assert isinstance(node, InferenceNode)
+        return node
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedGraph:
+    """A lawful graph.
+
+    Attributes:
+        spec: the specification as written.
+        targets: plate name -> checked plate.
+        text: the canonical YAML of `spec` (what a run directory stores).
+    """
+
+    spec: GraphSpec
+    targets: Mapping[str, CheckedTarget]
+    text: str

@@ -1,0 +1,251 @@
+"""The live net and the decisions that change it. Decisions are the journal's entries.
+
+`apply` is pure; folding it over the decisions of a journal rebuilds the net of any frame. A decision made
+while frame n is processed takes effect on frame n + 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+
+@dataclass(frozen=True)
+class Cause:
+    """The numbers that made a threshold rule fire.
+
+    Attributes:
+        unit: the level's unit: ud_px2, ud_box or ud_quiet.
+        level: the level in that unit.
+        value: UD at this frame in that unit.
+        frames: how many consecutive frames it had to hold.
+        turning: the level, in that unit, at which the rule would not have fired.
+        ud_px2: UD at this frame in px^2.
+        scale_px2: px^2 per unit (1, the estimate's area, or the quiet level).
+    """
+
+    unit: str
+    level: float
+    value: float
+    frames: int
+    turning: float
+    ud_px2: float
+    scale_px2: float
+
+
+@dataclass(frozen=True)
+class TargetStarted:
+    """A net is born: a copy of the plate `template` for the target inside `box`.
+
+    Attributes:
+        frame: frame at which it starts.
+        target: the new target's id.
+        template: name of the plate.
+        box: centre box x, y, w, h in px.
+        active: agents that are switched on.
+    """
+
+    frame: int
+    target: str
+    template: str
+    box: tuple[float, float, float, float]
+    active: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Activated:
+    """An inference node switched an agent on.
+
+    Attributes:
+        frame: frame whose numbers caused it; it works from the next frame on.
+        target: target id.
+        node: the agent.
+        governor: the inference node whose rule fired.
+        cause: the numbers.
+        helpfulness: mean contribution (nats) when it was last active; None when never measured or when the
+            rule switches on all agents.
+    """
+
+    frame: int
+    target: str
+    node: str
+    governor: str
+    cause: Cause
+    helpfulness: float | None = None
+
+
+@dataclass(frozen=True)
+class Deactivated:
+    """An inference node switched an agent off.
+
+    Attributes:
+        frame: frame whose numbers caused it.
+        target: target id.
+        node: the agent.
+        governor: the inference node whose rule fired.
+        cause: the numbers.
+        drop: which index chose it: largest_kl or least_contribution_per_ms.
+        index: agent -> that index, for every active agent it was chosen among.
+    """
+
+    frame: int
+    target: str
+    node: str
+    governor: str
+    cause: Cause
+    drop: str
+    index: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class LocallyAdapted:
+    """An agent uncertain of itself tuned its own reference before stopping.
+
+    Attributes:
+        frame: frame whose numbers caused it.
+        target: target id.
+        node: the agent.
+        attempt: how often it has tried in this episode, from 1.
+        cause: the numbers (the agent's own UD).
+    """
+
+    frame: int
+    target: str
+    node: str
+    attempt: int
+    cause: Cause
+
+
+@dataclass(frozen=True)
+class SelfStopped:
+    """An agent that stayed uncertain of itself stopped.
+
+    Attributes:
+        frame: frame whose numbers caused it.
+        target: target id.
+        node: the agent.
+        cause: the numbers (the agent's own UD).
+        rests_until: first frame at which it may be switched on again.
+    """
+
+    frame: int
+    target: str
+    node: str
+    cause: Cause
+    rests_until: int
+
+
+@dataclass(frozen=True)
+class Quarantined:
+    """An agent failed and is out for the rest of the run.
+
+    Attributes:
+        frame: frame at which it failed (its evidence is not used in this frame either).
+        target: target id.
+        node: the agent.
+        reason: what it returned or raised.
+    """
+
+    frame: int
+    target: str
+    node: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class StatusChanged:
+    """A target was lost or found again (the net stays as it is).
+
+    Attributes:
+        frame: frame whose numbers caused it.
+        target: target id.
+        status: tracking or lost, from now on.
+        cause: the numbers; None when every agent is off or the evidence is degenerate.
+        reason: one sentence when there is no cause.
+    """
+
+    frame: int
+    target: str
+    status: str
+    cause: Cause | None = None
+    reason: str = ""
+
+
+Decision = (
+    TargetStarted | Activated | Deactivated | LocallyAdapted | SelfStopped | Quarantined | StatusChanged
+)
+
+
+@dataclass(frozen=True)
+class TargetNet:
+    """The live net of one target.
+
+    Attributes:
+        template: the plate it was copied from.
+        active: agents that are switched on.
+        rests_until: self-stopped agent -> first frame at which it may be switched on again.
+        rest_count: agent -> how many times it stopped itself.
+        quarantined: agents that failed.
+        status: tracking or lost.
+    """
+
+    template: str
+    active: frozenset[str]
+    rests_until: Mapping[str, int] = field(default_factory=dict)
+    rest_count: Mapping[str, int] = field(default_factory=dict)
+    quarantined: frozenset[str] = frozenset()
+    status: str = "tracking"
+
+
+@dataclass(frozen=True)
+class Net:
+    """The live nets of all targets, by target id."""
+
+    targets: Mapping[str, TargetNet] = field(default_factory=dict)
+
+
+def apply(net: Net, decision: Decision) -> Net:
+    """The net after one decision.
+
+    Raises:
+        KeyError: the decision names a target that is not alive.
+    """
+    if isinstance(decision, TargetStarted):
+        changed = TargetNet(decision.template, frozenset(decision.active))
+    else:
+        changed = _change(net.targets[decision.target], decision)
+    return Net(MappingProxyType({**net.targets, decision.target: changed}))
+
+
+def replay(decisions: Iterable[Decision], until_frame: int | None = None) -> Net:
+    """The net after all decisions made before `until_frame` (all when None): the net that frame ran with."""
+    net = Net()
+    for decision in decisions:
+        if until_frame is not None and decision.frame >= until_frame and not isinstance(decision, TargetStarted):
+            break
+        net = apply(net, decision)
+    return net
+
+
+def _change(net: TargetNet, decision: Decision) -> TargetNet:
+    match decision:
+        case Activated():
+            return replace(net, active=net.active | {decision.node})
+        case Deactivated():
+            return replace(net, active=net.active - {decision.node})
+        case SelfStopped():
+            return replace(
+                net,
+                active=net.active - {decision.node},
+                rests_until={**net.rests_until, decision.node: decision.rests_until},
+                rest_count={**net.rest_count, decision.node: net.rest_count.get(decision.node, 0) + 1},
+            )
+        case Quarantined():
+            return replace(
+                net, active=net.active - {decision.node}, quarantined=net.quarantined | {decision.node}
+            )
+        case StatusChanged():
+            return replace(net, status=decision.status)
+        case _:
+            return net

@@ -1,0 +1,182 @@
+"""The journal's events besides decisions. The docstrings here are the documentation of the file format.
+
+A line of ``journal.jsonl`` is ``{"event": <snake_case class name>, <field>: <value>, ...}``, keys in the
+order of the class. Decisions (`bayesnet_track.graph.net`) are written in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from bayesnet_track.graph.net import Decision
+
+JOURNAL_VERSION = 1
+
+
+@dataclass(frozen=True)
+class RunStarted:
+    """First line of every journal.
+
+    Attributes:
+        journal: version of the file format.
+        graph: the graph's name.
+        graph_sha256: hash of the graph's canonical text, which stands in graph.yaml.
+        seed: seed of all random streams.
+        source: the source as given.
+        width: columns of the first frame.
+        height: rows of the first frame.
+        has_color: False for a gray source.
+        declared_frames: number of frames that the source declares, or None.
+        frame_interval_s: nominal seconds between frames (1 time unit).
+        costs_ms: declared cost of each cue, which rules weigh with.
+        versions: of Python and of the libraries that touch numbers.
+    """
+
+    journal: int
+    graph: str
+    graph_sha256: str
+    seed: int
+    source: str
+    width: int
+    height: int
+    has_color: bool
+    declared_frames: int | None
+    frame_interval_s: float
+    costs_ms: Mapping[str, float] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FramesMissing:
+    """The source jumps in time: frames are missing before `frame`; the belief is predicted over the gap.
+
+    Attributes:
+        frame: first frame after the gap.
+        missing: how many nominal frame intervals are missing.
+    """
+
+    frame: int
+    missing: float
+
+
+@dataclass(frozen=True)
+class FrameSizeChanged:
+    """The pictures change size or channels at this frame.
+
+    Attributes:
+        frame: the frame.
+        width: new columns.
+        height: new rows.
+        action: stop, or rescale to the first frame's size.
+    """
+
+    frame: int
+    width: int
+    height: int
+    action: str
+
+
+@dataclass(frozen=True)
+class SourceDamaged:
+    """The source is damaged at or before this frame.
+
+    Attributes:
+        frame: next frame to be read.
+        reason: what the decoder said.
+    """
+
+    frame: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class DegenerateBelief:
+    """No hypothesis had a positive, finite weight; the prior was kept as the belief.
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        reason: the weights' fault.
+    """
+
+    frame: int
+    target: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class RunEnded:
+    """Last line of a journal that was closed in order.
+
+    Attributes:
+        frames: frames read.
+        declared_frames: what the source declared, or None.
+        complete: False when the source ended early, was damaged, or the run was stopped.
+        reason: end_of_source, source_truncated, source_damaged, frame_size_changed, interrupted, error.
+    """
+
+    frames: int
+    declared_frames: int | None
+    complete: bool
+    reason: str
+
+
+Event = (
+    RunStarted | FramesMissing | FrameSizeChanged | SourceDamaged | DegenerateBelief | RunEnded | Decision
+)
+
+
+@dataclass(frozen=True)
+class FrameMetrics:
+    """One line of ``frames.jsonl``: what was measured for one target in one frame.
+
+    Attributes:
+        frame: frame index.
+        time_s: frame time in seconds.
+        target: target id.
+        box: estimate, centre box x, y, w, h in px.
+        map: maximum a posteriori box.
+        sd: posterior sd of x, y, w, h in px.
+        ud_px2: uncertainty deviation at the root.
+        ud_nodes: inference node -> its UD in px^2.
+        quiet_px2: measured quiet level of UD at the root, or None.
+        status: tracking or lost.
+        score: uncalibrated index in 0..1 from UD and evidence; high is sure.
+        log_evidence: log normalising constant of the frame.
+        ess: effective sample size of the posterior.
+        particles: number of hypotheses.
+        active: agents that gave evidence in this frame.
+        kl: active agent -> KL(belief || agent), nats.
+        contribution: active agent -> KL(belief || belief without it), nats.
+        agent_ud_px2: active agent -> UD about its own maximum-likelihood hypothesis.
+        strength: node -> KL(prior times message || prior), nats: how much its message says.
+        learn_rate: learning rate applied this frame (0 when UD is above the level).
+        region50: bounds of the central 50 % of the centre: x_low, x_high, y_low, y_high in px.
+        region90: the same of the central 90 %.
+        cloud: hypotheses drawn from the posterior, whole px, centre boxes.
+    """
+
+    frame: int
+    time_s: float
+    target: str
+    box: tuple[float, ...]
+    map: tuple[float, ...]
+    sd: tuple[float, ...]
+    ud_px2: float
+    ud_nodes: Mapping[str, float]
+    quiet_px2: float | None
+    status: str
+    score: float
+    log_evidence: float
+    ess: float
+    particles: int
+    active: tuple[str, ...]
+    kl: Mapping[str, float]
+    contribution: Mapping[str, float]
+    agent_ud_px2: Mapping[str, float]
+    strength: Mapping[str, float]
+    learn_rate: float
+    region50: tuple[float, ...]
+    region90: tuple[float, ...]
+    cloud: tuple[tuple[int, ...], ...]

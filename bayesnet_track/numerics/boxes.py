@@ -1,0 +1,42 @@
+"""Boxes: the one conversion between corner boxes and centre boxes, and overlap.
+
+Inside the engine a box is ``(x, y, w, h)`` with ``(x, y)`` its **centre**, in float pixels, the centres
+of pixels at integers: the pixel in column 0 spans [-0.5, 0.5]. OpenCV, ground-truth files and the outputs
+use the **top-left corner**: ``(x, y, w, h)`` covers the columns x .. x + w - 1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+
+
+def centre_from_corner(corner: ArrayLike) -> Floats:
+    """Centre boxes (..., 4) from top-left corner boxes (..., 4).
+
+    The corner box (0, 0, 1, 1) is the pixel in row 0, column 0, whose centre is (0, 0):
+
+    >>> centre_from_corner([10, 20, 41, 31]).tolist()
+    [30.0, 35.0, 41.0, 31.0]
+    """
+    box = np.asarray(corner, dtype=np.float64)
+    return np.concatenate([box[..., :2] + (box[..., 2:] - 1.0) / 2.0, box[..., 2:]], axis=-1)
+
+
+def corner_from_centre(centre: ArrayLike) -> Floats:
+    """Top-left corner boxes (..., 4) from centre boxes (..., 4): the inverse of `centre_from_corner`."""
+    box = np.asarray(centre, dtype=np.float64)
+    return np.concatenate([box[..., :2] - (box[..., 2:] - 1.0) / 2.0, box[..., 2:]], axis=-1)
+
+
+def overlap(a: ArrayLike, b: ArrayLike) -> Floats:
+    """Intersection over union of centre boxes (..., 4), broadcast; 0 where the union is empty."""
+    first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    low = np.maximum(first[..., :2] - first[..., 2:] / 2, second[..., :2] - second[..., 2:] / 2)
+    high = np.minimum(first[..., :2] + first[..., 2:] / 2, second[..., :2] + second[..., 2:] / 2)
+    intersection = np.prod(np.clip(high - low, 0.0, None), axis=-1)
+    union = np.prod(first[..., 2:], axis=-1) + np.prod(second[..., 2:], axis=-1) - intersection
+    safe = np.where(union > 0, union, 1.0)
+    return np.asarray(np.where(union > 0, intersection / safe, 0.0), dtype=np.float64)

@@ -1,0 +1,185 @@
+"""Feature planes: what is computed once from a frame and read by many cues.
+
+A plane is a frozen, hashable value object, so that two cues that ask for the same plane with the same
+parameters share one array. Planes form a graph through `inputs`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One picture of the source.
+
+    Attributes:
+        index: number of the frame, from 0 at the start of the source.
+        time: the frame's time, in units of the source's nominal frame interval (so frame n of a gapless
+            constant-rate source has time n).
+        image: (H, W, 3) uint8, BGR.
+        has_color: False when the source is gray and the three channels are copies.
+        time_s: the same time in seconds.
+    """
+
+    index: int
+    time: float
+    image: NDArray[np.uint8]
+    has_color: bool = True
+    time_s: float = 0.0
+
+    @property
+    def height(self) -> int:
+        """Rows of the image."""
+        return int(self.image.shape[0])
+
+    @property
+    def width(self) -> int:
+        """Columns of the image."""
+        return int(self.image.shape[1])
+
+
+@dataclass(frozen=True)
+class Region:
+    """Pixels with x0 <= column < x1 and y0 <= row < y1."""
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+
+    @property
+    def is_empty(self) -> bool:
+        """True when it holds no pixel."""
+        return self.x1 <= self.x0 or self.y1 <= self.y0
+
+    def grown(self, margin: int) -> Region:
+        """The region with `margin` more pixels on each side."""
+        return Region(self.x0 - margin, self.y0 - margin, self.x1 + margin, self.y1 + margin)
+
+    def within(self, frame: Frame) -> Region:
+        """The part of the region inside the frame (possibly empty)."""
+        return Region(
+            min(max(self.x0, 0), frame.width),
+            min(max(self.y0, 0), frame.height),
+            min(max(self.x1, 0), frame.width),
+            min(max(self.y1, 0), frame.height),
+        )
+
+    def union(self, other: Region) -> Region:
+        """The smallest region that holds both."""
+        if self.is_empty:
+            return other
+        if other.is_empty:
+            return self
+        return Region(
+            min(self.x0, other.x0), min(self.y0, other.y0), max(self.x1, other.x1), max(self.y1, other.y1)
+        )
+
+    def contains(self, other: Region) -> bool:
+        """True when every pixel of `other` is in this region."""
+        return other.is_empty or (
+            self.x0 <= other.x0 and self.y0 <= other.y0 and self.x1 >= other.x1 and self.y1 >= other.y1
+        )
+
+    def of(self, image: Array) -> Array:
+        """The view of a whole-frame array (H, W, ...) that this region covers."""
+        return image[self.y0 : self.y1, self.x0 : self.x1]
+
+
+def region_of_boxes(boxes: NDArray[np.float64], grow: float = 0.0) -> Region:
+    """The smallest region that holds all centre boxes (N, 4), each grown by `grow` of its size per side."""
+    half = boxes[:, 2:] * (0.5 + grow)
+    low = np.floor((boxes[:, :2] - half).min(axis=0) + 0.5)
+    high = np.ceil((boxes[:, :2] + half).max(axis=0) + 0.5)
+    low, high = np.clip(low, -(2**30), 2**30), np.clip(high, -(2**30), 2**30)
+    return Region(int(low[0]), int(low[1]), int(high[0]), int(high[1]))
+
+
+@dataclass(frozen=True, eq=False)
+class FramePair:
+    """The current frame and the one before it (None on the first)."""
+
+    current: Frame
+    previous: Frame | None
+
+
+class Plane(Protocol):
+    """A feature computed from a frame. Implementations are frozen dataclasses (hashable)."""
+
+    @property
+    def margin(self) -> int | None:
+        """Pixels around a pixel that its value depends on; None when it depends on the whole frame."""
+        ...
+
+    @property
+    def inputs(self) -> tuple[Plane, ...]:
+        """The planes that it is made from."""
+        ...
+
+    @property
+    def is_points(self) -> bool:
+        """True for a list of points in frame coordinates, False for an image-like array."""
+        ...
+
+    def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
+        """The plane's values on `region` (already inside the frame).
+
+        `inputs` are the input planes' values on the same region. An image-like plane gives
+        (rows, columns, ...); a plane of points gives (points, ...) in frame coordinates.
+        Must not depend on which region is asked: a pixel in two regions has the same value in both.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Planes:
+    """The planes of one frame on one region: what a cue sees.
+
+    Attributes:
+        frame: the frame (its size; cues read `values`, not the image).
+        region: the region of the frame that the image-like planes cover.
+        values: plane -> array; row 0, column 0 is the pixel (region.x0, region.y0).
+    """
+
+    frame: Frame
+    region: Region
+    values: Mapping[Plane, Array]
+
+    def __getitem__(self, plane: Plane) -> Array:
+        return self.values[plane]
+
+
+class PlaneCache:
+    """Computes each plane of one frame at most once per region, growing the region when asked for more."""
+
+    def __init__(self, frames: FramePair) -> None:
+        self.frames = frames
+        self._held: dict[Plane, tuple[Region, Array]] = {}
+
+    def planes(self, wanted: Iterable[Plane], region: Region) -> Planes:
+        """The planes `wanted`, all on `region` cut to the frame."""
+        frame = self.frames.current
+        inside = region.within(frame)
+        return Planes(frame, inside, {plane: self._on(plane, inside) for plane in wanted})
+
+    def _on(self, plane: Plane, region: Region) -> Array:
+        held = self._held.get(plane)
+        if held is None or not held[0].contains(region):
+            whole = region if held is None else held[0].union(region)
+            values = plane.compute(self.frames, tuple(self._on(p, whole) for p in plane.inputs), whole)
+            held = (whole, values)
+            self._held[plane] = held
+        covered, values = held
+        if plane.is_points or covered == region:
+            return values
+        return Region(
+            region.x0 - covered.x0, region.y0 - covered.y0, region.x1 - covered.x0, region.y1 - covered.y0
+        ).of(values)
