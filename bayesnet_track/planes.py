@@ -158,11 +158,11 @@ class Planes:
 
 
 class PlaneCache:
-    """Computes each plane of one frame at most once per region, growing the region when asked for more."""
+    """Computes the planes of one frame when they are first asked for, and keeps them for that frame."""
 
     def __init__(self, frames: FramePair) -> None:
         self.frames = frames
-        self._held: dict[Plane, tuple[Region, Array]] = {}
+        self._held: dict[Plane, list[tuple[Region, Array]]] = {}
 
     def planes(self, wanted: Iterable[Plane], region: Region) -> Planes:
         """The planes `wanted`, all on `region` cut to the frame."""
@@ -171,15 +171,18 @@ class PlaneCache:
         return Planes(frame, inside, {plane: self._on(plane, inside) for plane in wanted})
 
     def _on(self, plane: Plane, region: Region) -> Array:
-        held = self._held.get(plane)
-        if held is None or not held[0].contains(region):
-            whole = region if held is None else held[0].union(region)
-            values = plane.compute(self.frames, tuple(self._on(p, whole) for p in plane.inputs), whole)
-            held = (whole, values)
-            self._held[plane] = held
-        covered, values = held
-        if plane.is_points or covered == region:
-            return values
-        return Region(
-            region.x0 - covered.x0, region.y0 - covered.y0, region.x1 - covered.x0, region.y1 - covered.y0
-        ).of(values)
+        held = self._held.setdefault(plane, [])
+        for covered, values in held:
+            if covered.contains(region):
+                return values if plane.is_points else _cut(values, covered, region)
+        frame = self.frames.current
+        whole = Region(0, 0, frame.width, frame.height) if plane.margin is None else region
+        values = plane.compute(self.frames, tuple(self._on(p, whole) for p in plane.inputs), whole)
+        held.append((whole, values))
+        return values if plane.is_points else _cut(values, whole, region)
+
+
+def _cut(values: Array, covered: Region, region: Region) -> Array:
+    return Region(
+        region.x0 - covered.x0, region.y0 - covered.y0, region.x1 - covered.x0, region.y1 - covered.y0
+    ).of(values)

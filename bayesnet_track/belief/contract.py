@@ -27,10 +27,14 @@ class Evidence:
     Attributes:
         log_likelihood: (N,) of the whole net, finite or -inf; zeros when no agent is active.
         messages: node -> (N,) log-likelihood that it sent to its parent (agents and inference nodes).
+        latent: latent node -> its own hypotheses, index-aligned with the root's.
+        faults: agent -> what it raised or returned; it has no message then.
     """
 
     log_likelihood: Floats
     messages: Mapping[str, Floats] = field(default_factory=dict)
+    latent: Mapping[str, Hypotheses] = field(default_factory=dict)
+    faults: Mapping[str, str] = field(default_factory=dict)
 
 
 Evaluate = Callable[[Hypotheses, Floats], Evidence]

@@ -62,7 +62,7 @@ class Activated:
         target: target id.
         node: the agent.
         governor: the inference node whose rule fired.
-        cause: the numbers.
+        cause: the numbers; None when it was switched on because no agent was active.
         helpfulness: mean contribution (nats) when it was last active; None when never measured or when the
             rule switches on all agents.
     """
@@ -71,7 +71,7 @@ class Activated:
     target: str
     node: str
     governor: str
-    cause: Cause
+    cause: Cause | None
     helpfulness: float | None = None
 
 
