@@ -1,0 +1,110 @@
+"""Render rectangles of colour cells with exact area coverage, and add sensor noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Sprite:
+    """A moving rectangle filled with a grid of flat cells.
+
+    Attributes:
+        cells: (rows, columns, 3) BGR values of its cells, which share its area evenly.
+        path: (n, 4) centre box x, y, w, h in px for every frame.
+    """
+
+    cells: Floats
+    path: Floats
+
+
+def coverage(centre: float, size: float, cells: int, pixels: int) -> tuple[int, Floats]:
+    """How much of each pixel each cell of a segment covers.
+
+    The segment [centre - size/2, centre + size/2] is cut into `cells` equal parts; pixel i spans
+    [i - 0.5, i + 0.5]. Returns the first pixel touched and a matrix (pixels touched, cells) of covered
+    lengths; the matrix is empty when the segment lies outside 0 .. pixels - 1.
+
+    >>> coverage(1.25, 1.0, 1, 4)
+    (1, array([[0.75],
+           [0.25]]))
+    """
+    edges = centre - size / 2 + size * np.arange(cells + 1) / cells
+    first = min(max(int(np.floor(edges[0] + 0.5)), 0), pixels)
+    last = min(max(int(np.ceil(edges[-1] + 0.5)), first), pixels)
+    left = np.arange(first, last)[:, None] - 0.5
+    covered = np.minimum(edges[1:], left + 1.0) - np.maximum(edges[:-1], left)
+    return first, np.clip(covered, 0.0, None)
+
+
+def paint(canvas: Floats, sprite: Sprite, index: int) -> None:
+    """Paint the sprite's box of frame `index` over `canvas` (H, W, 3), in place, exact to the sub-pixel."""
+    x, y, w, h = sprite.path[index]
+    rows, columns = sprite.cells.shape[:2]
+    top, down = coverage(y, h, rows, canvas.shape[0])
+    left, across = coverage(x, w, columns, canvas.shape[1])
+    covered = np.outer(down.sum(axis=1), across.sum(axis=1))[:, :, None]
+    colour = np.tensordot(np.tensordot(down, sprite.cells, axes=(1, 0)), across, axes=(1, 1)).transpose(
+        0, 2, 1
+    )
+    patch = canvas[top : top + down.shape[0], left : left + across.shape[0]]
+    patch *= 1.0 - covered
+    patch += colour
+
+
+@cache
+def _noise_table(sd: float) -> NDArray[np.int16]:
+    """65536 whole numbers, as often each as a Gaussian rounded to whole numbers has them."""
+    limit = int(np.ceil(5 * sd)) + 1
+    gauss = NormalDist(0.0, sd)
+    below = np.array([gauss.cdf(k + 0.5) for k in range(-limit, limit)] + [1.0])
+    counts = np.diff(np.rint(below * 65536).astype(np.int64), prepend=0)
+    return np.repeat(np.arange(-limit, limit + 1, dtype=np.int16), counts)
+
+
+@dataclass(frozen=True, eq=False)
+class Movie:
+    """The frames of a scene: a sequence that renders a picture when it is asked for.
+
+    Attributes:
+        background: (H, W, 3) BGR.
+        sprites: painted in this order, so the last is nearest to the camera.
+        noise_sd: sd of the independent noise of every pixel and channel, in gray levels.
+        seed: seed of the noise.
+    """
+
+    background: Floats
+    sprites: tuple[Sprite, ...]
+    noise_sd: float
+    seed: int
+
+    def __len__(self) -> int:
+        return int(self.sprites[0].path.shape[0])
+
+    def __getitem__(self, index: int) -> Image:
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"frame {index} of a scene of {len(self)} frames")
+        return self._render(index % len(self))
+
+    def __iter__(self) -> Iterator[Image]:
+        return (self._render(index) for index in range(len(self)))
+
+    def _render(self, index: int) -> Image:
+        canvas = self.background.copy()
+        for sprite in self.sprites:
+            paint(canvas, sprite, index)
+        np.rint(canvas, out=canvas)
+        values = canvas.astype(np.int16)
+        if self.noise_sd > 0:
+            rng = np.random.Generator(np.random.SFC64((self.seed, index)))
+            values += _noise_table(self.noise_sd)[rng.integers(0, 65536, size=values.shape, dtype=np.uint16)]
+        return np.clip(values, 0, 255).astype(np.uint8)
