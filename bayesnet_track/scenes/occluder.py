@@ -16,14 +16,14 @@ STEEL = (150.0, 125.0, 100.0)
 def occluder(seed: int = 0, hidden: int = 11) -> Scene:
     """An orange patterned square crosses from left to right at 4 px per frame, behind a column.
 
-    It is hidden entirely in exactly `hidden` consecutive frames (1 .. 40), in the middle of the 60 frames;
+    It is hidden entirely in exactly `hidden` consecutive frames (1 .. 38), in the middle of the 60 frames;
     `seed` governs its height, its vertical drift (up to 1 px per frame), patterns and noise.
 
     Raises:
-        ValueError: `hidden` outside 1 .. 40.
+        ValueError: `hidden` outside 1 .. 38.
     """
-    if not 1 <= hidden <= 40:
-        raise ValueError(f"hidden must be 1 .. 40 frames, not {hidden}")
+    if not 1 <= hidden <= 38:
+        raise ValueError(f"hidden must be 1 to 38 frames, not {hidden}")
     rng = np.random.Generator(np.random.Philox(seed))
     frame = np.arange(FRAMES)
     y = rng.uniform(90.0, 150.0) + (frame - FRAMES / 2) * rng.uniform(-1.0, 1.0)
