@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.belief.noise import Transition
 from bayesnet_track.cue import Hypotheses
 
 Floats = NDArray[np.float64]
@@ -38,7 +39,7 @@ class Evidence:
 
 
 Evaluate = Callable[[Hypotheses, Floats], Evidence]
-"""(hypotheses, (N,) normalised prior log-weights) -> evidence. Pure: may be called again in the same frame."""
+"""(hypotheses, (N,) normalised prior log-weights) -> evidence. Pure: may be called again in a frame."""
 
 Stream = Callable[[str], np.random.Generator]
 """purpose -> generator, for one target and frame."""
@@ -62,4 +63,8 @@ class Motion(Protocol):
 
     def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
         """(M, N) log p(new_m | old_n) over the fields that have noise."""
+        ...
+
+    def transition(self, old: Floats, dt: float) -> Transition:
+        """p(new | old) in coordinates in which it is a mixture of diagonal Gaussians."""
         ...

@@ -1,0 +1,225 @@
+"""Motion models: linear-Gaussian kinematics of the centre, Gaussian noise of the whole box.
+
+Each axis of the centre has a chain of derivatives s = (position, velocity, acceleration)[:n] that obeys
+ds = A s dt + white noise in the last one, discretised exactly: two steps of dt / 2 have the mean and the
+covariance of one step of dt. The box's own noise (`belief.noise`) is added to it. Time is in frame intervals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import BOX_FIELDS
+from bayesnet_track.belief.noise import (
+    Transition,
+    box_coordinates,
+    component_log_shares,
+    component_variances,
+    is_log,
+    log_noise_density,
+    noisy,
+    sample_noise,
+)
+from bayesnet_track.graph import spec
+
+__all__ = [
+    "KinematicMotion",
+    "Transition",
+    "linear_gaussian",
+    "log_noise_density",
+    "make_motion",
+    "sample_noise",
+]
+
+Floats = NDArray[np.float64]
+
+DERIVATIVES = (("vx", "vy"), ("ax", "ay"))
+
+
+@dataclass(frozen=True)
+class KinematicMotion:
+    """A motion model (`belief.contract.Motion`); make one with `make_motion`.
+
+    Attributes:
+        noise: noise of the box, on top of the kinematics.
+        dynamics: the rows of A, (n, n); n = 1 for a random walk.
+        diffusion: variance per frame interval of the white noise in the last derivative.
+        start_sd: sds of the unknown first velocity and acceleration, (n - 1).
+    """
+
+    noise: spec.Noise
+    dynamics: tuple[tuple[float, ...], ...]
+    diffusion: float = 0.0
+    start_sd: tuple[float, ...] = ()
+
+    @property
+    def order(self) -> int:
+        """n, the length of an axis' chain."""
+        return len(self.dynamics)
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """x, y, w, h, then vx, vy (px per frame), then ax, ay (px per frame^2)."""
+        return BOX_FIELDS + sum(DERIVATIVES[: self.order - 1], ())
+
+    def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
+        """(size, D) states in the centre box (4,), the derivatives drawn around 0."""
+        boxes = np.tile(np.asarray(box, dtype=np.float64), (size, 1))
+        derivatives = rng.standard_normal((size, 2 * len(self.start_sd))) * np.repeat(self.start_sd, 2)
+        return np.concatenate([boxes, derivatives], axis=1)
+
+    def propagate(self, states: Floats, dt: float, rng: np.random.Generator) -> Floats:
+        """(N, D) states after `dt` frame intervals; widths and heights stay at least 1 px."""
+        transition, covariance = _steps(self.dynamics, self.diffusion, dt)
+        new = states.copy()
+        if self.order > 1:
+            # One column per axis and derivative: [[x, y], [vx, vy], ...] is (n, 2) for each state.
+            moved = np.einsum("ij,njk->nik", transition, self._chains(states))
+            if self.diffusion > 0:
+                root = np.linalg.cholesky(covariance)
+                moved += np.einsum("ij,njk->nik", root, rng.standard_normal((len(states), self.order, 2)))
+            new[:, :2], new[:, 4:] = moved[:, 0], moved[:, 1:].reshape(len(states), -1)
+        new[:, :4] = sample_noise(self.noise, new[:, :4], rng, dt)
+        return new
+
+    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+        """(M, N) log p(new_m | old_n) over the coordinates that have noise, in px (the cuts left out)."""
+        return self.transition(old, dt).log_density(new)
+
+    def transition(self, old: Floats, dt: float) -> Transition:
+        """p(new | old) of states `old` (N, D), as coordinates and diagonal Gaussians.
+
+        The position's coordinate is what its derivatives, which share its noise, do not predict: the
+        triangular factor L of the kinematic covariance L D L' (last derivative first) is inverted, and the
+        box's noise adds up with the last entry of D alone.
+        """
+        moves, covariance = _steps(self.dynamics, self.diffusion, dt)
+        mean = old.copy()
+        if self.order > 1:
+            drifted = np.einsum("ij,njk->nik", moves, self._chains(old))
+            mean[:, :2], mean[:, 4:] = drifted[:, 0], drifted[:, 1:].reshape(len(old), -1)
+        variances = component_variances(self.noise, old, dt)
+        keep = noisy(self.noise)
+        if self.diffusion == 0:
+            unmix = None
+        else:
+            lower = np.linalg.cholesky(covariance[::-1, ::-1])
+            scale = np.diag(lower)
+            unmix = np.linalg.inv(lower / scale)[::-1, ::-1]
+            pivots = (scale**2)[::-1]
+            variances[:, :, :2] += pivots[0]
+            keep = [True, True, *keep[2:]]
+            further = np.broadcast_to(np.repeat(pivots[1:], 2), (*variances.shape[:2], 2 * self.order - 2))
+            variances = np.concatenate([variances, further], axis=2)
+            keep += [True] * (2 * self.order - 2)
+
+        def coordinates(states: Floats) -> tuple[Floats, Floats]:
+            points, log_jacobian = box_coordinates(self.noise, states[:, :4])
+            if unmix is not None:
+                mixed = np.einsum("ij,njk->nik", unmix, self._chains(states))
+                points[:, :2] = mixed[:, 0]
+                points = np.concatenate([points, mixed[:, 1:].reshape(len(states), -1)], axis=1)
+            return points[:, keep], log_jacobian
+
+        return Transition(
+            coordinates,
+            coordinates(mean)[0],
+            np.sqrt(variances[:, :, keep]),
+            component_log_shares(self.noise),
+        )
+
+    def _chains(self, states: Floats) -> Floats:
+        """(N, n, 2): position, velocity, ... of both axes."""
+        return np.concatenate([states[:, :2], states[:, 4:]], axis=1).reshape(len(states), self.order, 2)
+
+
+def make_motion(chosen: spec.Motion) -> KinematicMotion:
+    """The motion model that a graph asks for.
+
+    - `random_walk`: no derivatives.
+    - `constant_velocity`: white noise in acceleration, Q = q [[dt^3/3, dt^2/2], [dt^2/2, dt]].
+    - `damped_velocity`: the velocity is an Ornstein-Uhlenbeck process dv = -damping v dt + noise. Eq. 3.91 of
+      the tracking chapter (as printed it sends every pixel coordinate to about 0) means
+      dx <- e^(-1/4) dx + w, x <- x + 1.5 dx + w: one Euler step of such a process, right for one step
+      length only. Here it is integrated exactly, so that any dt may follow any other; the default damping
+      1/4 keeps its e^(-1/4) per frame, and the gain of position becomes (1 - e^(-1/4)) / (1/4) = .885.
+    - `constant_acceleration`: white noise in the derivative of acceleration.
+    """
+    settings = chosen.settings
+    match settings:
+        case spec.DampedVelocity():  # a kind of ConstantVelocity, so it comes first
+            rows: tuple[tuple[float, ...], ...] = ((0.0, 1.0), (0.0, -settings.damping))
+            return KinematicMotion(
+                settings, rows, settings.sd_velocity_px**2, (settings.start_velocity_sd_px,)
+            )
+        case spec.ConstantVelocity():
+            rows = ((0.0, 1.0), (0.0, 0.0))
+            return KinematicMotion(
+                settings, rows, settings.sd_velocity_px**2, (settings.start_velocity_sd_px,)
+            )
+        case spec.ConstantAcceleration():
+            rows = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
+            start = (settings.start_velocity_sd_px, settings.start_acceleration_sd_px)
+            return KinematicMotion(settings, rows, settings.sd_acceleration_px**2, start)
+        case spec.RandomWalk():
+            return KinematicMotion(settings, ((0.0,),))
+    raise TypeError(f"no motion model for {type(settings).__name__}")
+
+
+def linear_gaussian(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]:
+    """(F, Q), each (D, D), of a motion whose noise is in px only: new = F old + N(0, Q).
+
+    Raises:
+        ValueError: the noise depends on the state (sd_box, sd_log) or is not Gaussian (wide).
+    """
+    noise = motion.noise
+    if noise.sd_box != spec.BoxSd() or is_log(noise) or noise.wide is not None:
+        raise ValueError("only noise in px makes a linear-Gaussian motion")
+    moves, covariance = _steps(motion.dynamics, motion.diffusion, dt)
+    size = len(motion.fields)
+    transition, noise_covariance = np.eye(size), np.zeros((size, size))
+    for axis in (0, 1):
+        columns = [axis, *range(4 + axis, size, 2)]
+        transition[np.ix_(columns, columns)] = moves
+        noise_covariance[np.ix_(columns, columns)] = covariance
+    px = noise.sd_px
+    noise_covariance[range(4), range(4)] += dt * np.square([px.x, px.y, px.w, px.h])
+    return transition, noise_covariance
+
+
+@lru_cache(maxsize=256)
+def _steps(dynamics: tuple[tuple[float, ...], ...], diffusion: float, dt: float) -> tuple[Floats, Floats]:
+    """exp(A dt) and the integral of exp(A s) q exp(A s)' over s in 0..dt, for one axis.
+
+    Series on a short step, then doubled: F(2h) = F F, Q(2h) = Q + F Q F'. Unlike the block exponential of
+    Van Loan it stays exact over long gaps of a damped motion.
+
+    Raises:
+        ValueError: dt is not positive and finite.
+    """
+    if not (dt > 0 and np.isfinite(dt)):
+        raise ValueError(f"time between frames must be positive and finite, not {dt}")
+    matrix = np.array(dynamics)
+    n = len(matrix)
+    doublings = max(0, int(np.ceil(np.log2(np.abs(matrix).sum(axis=1).max() * dt + 1e-300))) + 3)
+    h = dt / 2**doublings
+    source = np.zeros((n, n))
+    source[-1, -1] = diffusion
+    # Q' = A Q + Q A' + source and F' = A F as Taylor series of order 12 about 0.
+    transition, term = np.eye(n), np.eye(n)
+    covariance, rate = np.zeros((n, n)), source * h
+    for k in range(1, 13):
+        term = matrix @ term * (h / k)
+        transition = transition + term
+        covariance = covariance + rate
+        rate = (matrix @ rate + rate @ matrix.T) * (h / (k + 1))
+    for _ in range(doublings):
+        covariance = covariance + transition @ covariance @ transition.T
+        transition = transition @ transition
+    transition.setflags(write=False)
+    covariance.setflags(write=False)
+    return transition, covariance

@@ -1,0 +1,157 @@
+"""Gaussian noise of a box: drawing it and its density, for motion models and for latent nodes.
+
+Noise has four coordinates: x and y in px, and the size either as w and h in px or, when `sd_log` is set, as
+log sqrt(w h) and log(w / h). Under `sd_log` the pixel noise of the size is converted to these logarithms
+(first order, their correlation dropped) and adds up in variance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.graph.spec import Noise
+from bayesnet_track.numerics.density import log_gaussians
+
+Floats = NDArray[np.float64]
+Coordinates = Callable[[Floats], tuple[Floats, Floats]]
+
+LOG_SIZE_LIMIT = float(np.log(1.1))
+"""Largest change of log w and of log h by `sd_log` in one frame interval."""
+
+
+@dataclass(frozen=True, eq=False)
+class Transition:
+    """p(new | old) for N old states: diagonal Gaussians, in coordinates in which they are diagonal.
+
+    Attributes:
+        coordinates: (M, D) states -> their (M, K) coordinates with noise, and the (M,) log-Jacobian that turns
+            densities of the coordinates into densities of the states.
+        means: (N, K) of the new state, in these coordinates.
+        sds: (C, N, K) of each component.
+        log_shares: (C,) log-weights of the components.
+    """
+
+    coordinates: Coordinates
+    means: Floats
+    sds: Floats
+    log_shares: Floats
+
+    def log_density(self, new: Floats) -> Floats:
+        """(M, N) log p(new_m | old_n) of new states (M, D)."""
+        points, log_jacobian = self.coordinates(new)
+        parts = [
+            share + log_gaussians(points, self.means, sds)
+            for share, sds in zip(self.log_shares, self.sds, strict=True)
+        ]
+        return np.asarray(np.logaddexp.reduce(parts, axis=0) + log_jacobian[:, None])
+
+
+def sample_noise(noise: Noise, boxes: Floats, rng: np.random.Generator, dt: float = 1.0) -> Floats:
+    """(N, 4) centre boxes with the noise of `dt` frame intervals added; widths and heights at least 1 px.
+
+    Relative sds refer to the sizes before. The share of `noise.wide`, rounded to a whole number of boxes
+    drawn at random, takes its position noise times the factor. Changes of size by `sd_log` are cut at 10 %
+    per frame interval.
+    """
+    new = boxes.copy()
+    if any(noisy(noise)[:2]):
+        steps = np.sqrt(position_variance(noise, boxes, dt)) * rng.standard_normal((len(boxes), 2))
+        if noise.wide is not None:
+            wide = rng.permutation(len(boxes))[: round(noise.wide.share * len(boxes))]
+            steps[wide] *= noise.wide.factor
+        new[:, :2] += steps
+    if any(noisy(noise)[2:]):
+        steps = size_sd(noise, boxes, dt) * rng.standard_normal((len(boxes), 2))
+        if is_log(noise):
+            half = steps[:, 1:] / 2
+            change = np.concatenate([steps[:, :1] + half, steps[:, :1] - half], axis=1)
+            limit = LOG_SIZE_LIMIT * dt
+            new[:, 2:] *= np.exp(np.clip(change, -limit, limit))
+        else:
+            new[:, 2:] += steps
+        np.maximum(new[:, 2:], 1.0, out=new[:, 2:])
+    return new
+
+
+def log_noise_density(noise: Noise, new: Floats, old: Floats, dt: float = 1.0) -> Floats:
+    """(M, N) log-density of the boxes `new` (M, 4) around each of `old` (N, 4), per px^k.
+
+    k is the number of coordinates with noise; the others are left out. The cuts at 10 % and at 1 px are not
+    part of it: they lie far out in the tail of any noise that they are meant for.
+    """
+    return noise_transition(noise, old, dt).log_density(new)
+
+
+def noise_transition(noise: Noise, old: Floats, dt: float = 1.0) -> Transition:
+    """p(new box | old box) for `old` (N, 4), as coordinates and diagonal Gaussians."""
+    keep = noisy(noise)
+
+    def coordinates(boxes: Floats) -> tuple[Floats, Floats]:
+        points, log_jacobian = box_coordinates(noise, boxes)
+        return points[:, keep], log_jacobian
+
+    variances = component_variances(noise, old, dt)
+    return Transition(
+        coordinates, coordinates(old)[0], np.sqrt(variances[:, :, keep]), component_log_shares(noise)
+    )
+
+
+def noisy(noise: Noise) -> list[bool]:
+    """Which of the four coordinates have noise."""
+    px, box, log = noise.sd_px, noise.sd_box, noise.sd_log
+    if is_log(noise):
+        sized = px.w > 0 or px.h > 0
+        return [px.x + box.x > 0, px.y + box.y > 0, sized or log.scale > 0, sized or log.aspect > 0]
+    return [px.x + box.x > 0, px.y + box.y > 0, px.w > 0, px.h > 0]
+
+
+def is_log(noise: Noise) -> bool:
+    """True when the size's noise is Gaussian in logarithms."""
+    return noise.sd_log.scale > 0 or noise.sd_log.aspect > 0
+
+
+def box_coordinates(noise: Noise, boxes: Floats) -> tuple[Floats, Floats]:
+    """(M, 4) coordinates of boxes (M, 4), noisy or not, and the (M,) log-Jacobian of the noisy ones."""
+    points = boxes.copy()
+    if not is_log(noise):
+        return points, np.zeros(len(boxes))
+    log_w, log_h = np.log(boxes[:, 2]), np.log(boxes[:, 3])
+    points[:, 2], points[:, 3] = (log_w + log_h) / 2, log_w - log_h
+    # |d(log sqrt(w h), log(w / h)) / d(w, h)| = 1 / (w h): 1 / sqrt(w h) for each coordinate.
+    return points, -sum(noisy(noise)[2:]) * points[:, 2]
+
+
+def component_variances(noise: Noise, old: Floats, dt: float) -> Floats:
+    """(C, N, 4) variances of the coordinates: C = 2 with `wide`, else 1."""
+    narrow = np.concatenate([position_variance(noise, old, dt), size_sd(noise, old, dt) ** 2], axis=1)
+    if noise.wide is None:
+        return narrow[None]
+    factor = noise.wide.factor**2
+    return np.stack([narrow, narrow * np.array([factor, factor, 1.0, 1.0])])
+
+
+def component_log_shares(noise: Noise) -> Floats:
+    """(C,) log-weights of the components."""
+    wide = noise.wide
+    return np.zeros(1) if wide is None else np.log([1.0 - wide.share, wide.share])
+
+
+def position_variance(noise: Noise, boxes: Floats, dt: float) -> Floats:
+    """(N, 2) variances of x and y in px^2 over `dt` frame intervals."""
+    px = np.array([noise.sd_px.x, noise.sd_px.y])
+    box = np.array([noise.sd_box.x, noise.sd_box.y])
+    return np.asarray(dt * (px**2 + box**2 * (boxes[:, 2] * boxes[:, 3])[:, None]))
+
+
+def size_sd(noise: Noise, boxes: Floats, dt: float) -> Floats:
+    """(N, 2) sds over `dt` of w and h in px, or of log sqrt(w h) and log(w / h) when `is_log`."""
+    px = np.array([noise.sd_px.w, noise.sd_px.h])
+    if not is_log(noise):
+        return np.tile(np.sqrt(dt) * px, (len(boxes), 1))
+    relative = np.sum((px / boxes[:, 2:]) ** 2, axis=1)
+    log = noise.sd_log
+    return np.sqrt(dt * np.stack([log.scale**2 + relative / 4, log.aspect**2 + relative], axis=1))

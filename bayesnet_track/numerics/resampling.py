@@ -1,0 +1,79 @@
+"""Resampling: which hypotheses survive, drawn so that each survives N w times on average.
+
+`systematic` has the least variance and is the usual choice; `multinomial` is the textbook one. All are
+O(N): sorted positions in [0, 1) are looked up in the cumulative weights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ancestors = NDArray[np.int64]
+
+
+def resample(scheme: str, weights: Floats, count: int, rng: np.random.Generator) -> Ancestors:
+    """Ancestors of `count` new hypotheses: ``E[times i is drawn] = count * weights[i]``.
+
+    Args:
+        scheme: systematic, stratified, residual or multinomial.
+        weights: (N,) not negative, summing to 1 up to rounding.
+        count: how many to draw; need not be N.
+        rng: source of randomness.
+
+    Returns:
+        (count,) int64 indices into `weights`, in ascending order except for `residual`.
+
+    Raises:
+        ValueError: unknown scheme.
+
+    >>> resample("systematic", np.array([0.25, 0.0, 0.75]), 4, np.random.default_rng(0)).tolist()
+    [0, 2, 2, 2]
+    """
+    if scheme not in SCHEMES:
+        raise ValueError(f"unknown resampling scheme {scheme!r}; one of {', '.join(SCHEMES)}")
+    return SCHEMES[scheme](weights, count, rng)
+
+
+def systematic(weights: Floats, count: int, rng: np.random.Generator) -> Ancestors:
+    """One uniform draw shifts a comb: each hypothesis is drawn ``count * w`` times, rounded up or down."""
+    return _look_up(weights, (np.arange(count) + rng.random()) / count)
+
+
+def stratified(weights: Floats, count: int, rng: np.random.Generator) -> Ancestors:
+    """One uniform draw in each of `count` equal intervals."""
+    return _look_up(weights, (np.arange(count) + rng.random(count)) / count)
+
+
+def residual(weights: Floats, count: int, rng: np.random.Generator) -> Ancestors:
+    """``floor(count * w)`` copies for certain, the rest multinomial in the fractional parts."""
+    expected = count * (weights / weights.sum())
+    copies = np.floor(expected).astype(np.int64)
+    certain = np.repeat(np.arange(weights.size, dtype=np.int64), copies)[:count]
+    if certain.size == count:
+        return certain
+    return np.concatenate([certain, multinomial(expected - copies, count - certain.size, rng)])
+
+
+def multinomial(weights: Floats, count: int, rng: np.random.Generator) -> Ancestors:
+    """Independent draws (tracking chapter, Algorithm 1, its index kept in range)."""
+    # Normalised sums of exponential draws are sorted uniform draws, without sorting.
+    gaps = np.cumsum(rng.standard_exponential(count + 1))
+    return _look_up(weights, gaps[:-1] / gaps[-1])
+
+
+SCHEMES: Mapping[str, Callable[[Floats, int, np.random.Generator], Ancestors]] = MappingProxyType(
+    {"systematic": systematic, "stratified": stratified, "residual": residual, "multinomial": multinomial}
+)
+
+
+def _look_up(weights: Floats, positions: Floats) -> Ancestors:
+    cumulative = np.cumsum(weights)
+    # Dividing by the last sum makes it exactly 1; positions may still round up to 1, past every index.
+    found = np.searchsorted(cumulative / cumulative[-1], positions, side="right")
+    last = int(np.flatnonzero(weights)[-1])
+    return np.minimum(found, last).astype(np.int64, copy=False)
