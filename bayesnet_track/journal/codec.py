@@ -1,0 +1,179 @@
+"""Events as lines of JSON and back, for any frozen dataclass of the journal.
+
+A line is ``{"event": <snake_case class name>, <field>: <value>, ...}``: fields in the order of the class,
+keys of mappings sorted, floats rounded to 9 significant digits (so that lines are stable and readable),
+ASCII only. JSON has no NaN and no infinity; such a float is written as the string "NaN", "Infinity" or
+"-Infinity".
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import operator
+import re
+import types
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from functools import cache
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+from bayesnet_track.journal.events import Event, FrameMetrics
+
+FLOAT_DIGITS = 9
+_NON_FINITE = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
+_CAPITAL = re.compile(r"(?<!^)(?=[A-Z])")
+
+
+class JournalError(ValueError):
+    """A line that is no event, or an event that is no line."""
+
+
+def event_name(kind: type) -> str:
+    """The name of an event class in the file.
+
+    >>> event_name(FrameMetrics)
+    'frame_metrics'
+    """
+    return _CAPITAL.sub("_", kind.__name__).lower()
+
+
+@cache
+def event_classes() -> Mapping[str, type]:
+    """Every class that a line may hold, by its name in the file."""
+    return types.MappingProxyType({event_name(kind): kind for kind in (*get_args(Event), FrameMetrics)})
+
+
+def to_json(event: Event | FrameMetrics) -> str:
+    """The line of an event, without its newline.
+
+    Raises:
+        JournalError: a value is not of its field's type.
+    """
+    name = event_name(type(event))
+    if event_classes().get(name) is not type(event):
+        raise JournalError(f"{type(event).__name__} is not an event of the journal")
+    return json.dumps({"event": name, **_encoded_fields(event, name)}, allow_nan=False)
+
+
+def from_json(line: str) -> Event | FrameMetrics:
+    """The event of a line: the inverse of `to_json`, up to the rounding of floats.
+
+    Raises:
+        JournalError: not JSON, an unknown event, unknown or missing fields, or a value of another type.
+    """
+    try:
+        values = json.loads(line, parse_constant=_no_constant)
+    except (ValueError, RecursionError) as error:
+        raise JournalError(f"not a line of JSON ({error}): {_short(line)}") from error
+    if not isinstance(values, dict) or not isinstance(values.get("event"), str):
+        raise JournalError(f'no object with a key "event": {_short(line)}')
+    name = values.pop("event")
+    kind = event_classes().get(name)
+    if kind is None:
+        raise JournalError(
+            f"unknown event {name!r}; known: {', '.join(sorted(event_classes()))}: {_short(line)}"
+        )
+    decoded: Event | FrameMetrics = _decode_object(values, kind, name)
+    return decoded
+
+
+@cache
+def type_hints(kind: Any) -> Mapping[str, Any]:
+    """The types of a dataclass' fields, in order."""
+    hints = get_type_hints(kind)
+    return {item.name: hints[item.name] for item in fields(kind)}
+
+
+def _encoded_fields(value: Any, where: str) -> dict[str, Any]:
+    hints = type_hints(type(value))
+    return {name: _encode(getattr(value, name), hint, f"{where}.{name}") for name, hint in hints.items()}
+
+
+def _encode(value: Any, hint: Any, where: str) -> Any:
+    shape, inner = _shape(hint)
+    try:
+        if shape == "optional":
+            return None if value is None else _encode(value, inner[0], where)
+        if shape == "tuple":
+            return [_encode(item, h, where) for item, h in zip(value, _per_item(inner, value), strict=True)]
+        if shape == "mapping":
+            return {_SIMPLE[str](key): _encode(value[key], inner[1], where) for key in sorted(value)}
+        if is_dataclass(hint):
+            return _encoded_fields(value, where)
+        return _SIMPLE[hint](value)
+    except (TypeError, ValueError, AttributeError) as error:
+        if isinstance(error, JournalError):
+            raise
+        raise JournalError(f"{where}: {value!r} is not {hint}: {error}") from error
+
+
+def _decode(value: Any, hint: Any, where: str) -> Any:
+    shape, inner = _shape(hint)
+    if shape == "optional":
+        return None if value is None else _decode(value, inner[0], where)
+    if shape == "tuple" and isinstance(value, list):
+        hints = _per_item(inner, value)
+        if len(hints) == len(value):
+            return tuple(_decode(item, h, where) for item, h in zip(value, hints, strict=True))
+    elif shape == "mapping" and isinstance(value, dict):
+        return {key: _decode(item, inner[1], where) for key, item in value.items()}
+    elif is_dataclass(hint) and isinstance(value, dict):
+        return _decode_object(value, hint, where)
+    elif hint is float and isinstance(value, str) and value in _NON_FINITE:
+        return _NON_FINITE[value]
+    elif hint is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    elif hint in (int, bool, str) and type(value) is hint:
+        return value
+    raise JournalError(f"{where}: {_short(repr(value))} is not {getattr(hint, '__name__', hint)}")
+
+
+def _decode_object(values: Mapping[str, Any], kind: Any, where: str) -> Any:
+    hints = type_hints(kind)
+    unknown = set(values) - set(hints)
+    needed = {f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING}
+    missing = needed - set(values)
+    if unknown or missing:
+        raise JournalError(f"{where}: unknown fields {sorted(unknown)}, missing fields {sorted(missing)}")
+    return kind(**{name: _decode(value, hints[name], f"{where}.{name}") for name, value in values.items()})
+
+
+@cache
+def _shape(hint: Any) -> tuple[str, tuple[Any, ...]]:
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (types.UnionType, Union):
+        return "optional", tuple(part for part in inner if part is not types.NoneType)
+    if origin is tuple:
+        return "tuple", inner
+    if origin is not None and issubclass(origin, Mapping):
+        return "mapping", inner
+    return "simple", ()
+
+
+def _per_item(inner: tuple[Any, ...], value: Any) -> tuple[Any, ...]:
+    return (inner[0],) * len(value) if inner[-1] is Ellipsis else inner
+
+
+def _float(value: Any) -> float | str:
+    number = float(value)
+    if not math.isfinite(number):
+        return "NaN" if math.isnan(number) else "Infinity" if number > 0 else "-Infinity"
+    return float(f"{number:.{FLOAT_DIGITS}g}") + 0.0
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError("not a text")
+    return str(value)
+
+
+_SIMPLE: Mapping[Any, Callable[[Any], Any]] = {float: _float, int: operator.index, bool: bool, str: _text}
+
+
+def _no_constant(word: str) -> Any:
+    raise ValueError(f"{word} is not JSON")
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 120 else f"{text[:117]}..."

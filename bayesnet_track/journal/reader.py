@@ -1,0 +1,49 @@
+"""Reading the journal back. A torn last line is dropped with a notice; any other damage is an error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from bayesnet_track.journal.codec import JournalError, from_json
+from bayesnet_track.journal.events import Event, FrameMetrics
+
+Notice = Callable[[str], None]
+
+
+def read_events(path: Path, notice: Notice | None = None) -> Iterator[Event]:
+    """The events of ``journal.jsonl``, in order.
+
+    A last line without its newline is what a killed process leaves: it is dropped, and `notice` is called
+    with a sentence that says so.
+
+    Raises:
+        JournalError: any other damaged line, named as file:line.
+        OSError: the file cannot be read.
+    """
+    for where, event in _read(path, notice):
+        if isinstance(event, FrameMetrics):
+            raise JournalError(f"{where}: frame_metrics belong into frames.jsonl")
+        yield event
+
+
+def read_metrics(path: Path, notice: Notice | None = None) -> Iterator[FrameMetrics]:
+    """The lines of ``frames.jsonl``, in order; torn lines and errors as in `read_events`."""
+    for where, event in _read(path, notice):
+        if not isinstance(event, FrameMetrics):
+            raise JournalError(f"{where}: only frame_metrics belong into this file")
+        yield event
+
+
+def _read(path: Path, notice: Notice | None) -> Iterator[tuple[str, Event | FrameMetrics]]:
+    with path.open("rb") as file:
+        for number, line in enumerate(file, start=1):
+            where = f"{path}:{number}"
+            if not line.endswith(b"\n"):
+                if notice is not None:
+                    notice(f"{where}: the last line is torn ({len(line)} bytes) and was dropped")
+                return
+            try:
+                yield where, from_json(line.decode("utf-8"))
+            except (JournalError, UnicodeDecodeError) as error:
+                raise JournalError(f"{where}: {error}") from error

@@ -1,0 +1,142 @@
+"""The run directory: the names of a run's files, and when a folder may become one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+FILES = {
+    "journal": "journal.jsonl",
+    "frames": "frames.jsonl",
+    "mot": "tracks.txt",
+    "csv": "tracks.csv",
+    "timings": "timings.jsonl",
+    "graph": "graph.yaml",
+    "video": "video.mkv",
+    "truth": "truth.txt",
+    "inputs": "inputs.jsonl",
+}
+
+
+class RunDirectoryError(OSError):
+    """A folder that cannot become, or is not, a run directory."""
+
+
+@dataclass(frozen=True)
+class RunDirectory:
+    """The folder of one run.
+
+    Attributes:
+        path: the folder.
+    """
+
+    path: Path
+
+    @classmethod
+    def create(cls, path: Path | str, overwrite: bool = False) -> Self:
+        """The folder at `path`, made new, or an empty one, or with `overwrite` an earlier run, emptied.
+
+        Only the files of a run (`FILES`) are ever removed.
+
+        Raises:
+            RunDirectoryError: something else is there, or it cannot be made.
+        """
+        run = cls(Path(path))
+        try:
+            if run.path.exists() and not run.path.is_dir():
+                raise RunDirectoryError(f"{run.path}: it is a file; give a folder for the run")
+            run.path.mkdir(parents=True, exist_ok=True)
+            held = {entry.name for entry in run.path.iterdir()}
+            if held:
+                run._clear(held, overwrite)
+            probe = run.path / FILES["journal"]
+            probe.touch()
+            probe.unlink()
+        except OSError as error:
+            if isinstance(error, RunDirectoryError):
+                raise
+            raise RunDirectoryError(f"{run.path}: cannot make the run directory: {error.strerror}") from error
+        return run
+
+    @classmethod
+    def open(cls, path: Path | str) -> Self:
+        """The earlier run at `path`.
+
+        Raises:
+            RunDirectoryError: there is no journal in it.
+        """
+        run = cls(Path(path))
+        if not run.journal.is_file():
+            what = "no such folder" if not run.path.exists() else f"no {FILES['journal']} in it"
+            raise RunDirectoryError(f"{run.path}: not a run directory: {what}")
+        return run
+
+    def _clear(self, held: set[str], overwrite: bool) -> None:
+        if FILES["journal"] not in held:
+            raise RunDirectoryError(
+                f"{self.path}: the folder is not empty and not a run; give a new or an empty folder"
+            )
+        if not overwrite:
+            raise RunDirectoryError(
+                f"{self.path}: a run is there already; give another folder, or overwrite it"
+            )
+        # The journal goes last: a half-cleared folder still counts as a run.
+        for name in sorted(held & set(FILES.values()), key=lambda name: name == FILES["journal"]):
+            (self.path / name).unlink()
+
+    def write_text(self, path: Path, text: str) -> None:
+        """Write one of the run's small files as UTF-8 with plain newlines.
+
+        Raises:
+            RunDirectoryError: it cannot be written.
+        """
+        try:
+            path.write_text(text, encoding="utf-8", newline="\n")
+        except OSError as error:
+            raise RunDirectoryError(f"{path}: cannot write: {error.strerror}") from error
+
+    @property
+    def journal(self) -> Path:
+        """Events and decisions."""
+        return self.path / FILES["journal"]
+
+    @property
+    def frames(self) -> Path:
+        """Metrics of every frame."""
+        return self.path / FILES["frames"]
+
+    @property
+    def mot(self) -> Path:
+        """Tracks in MOT's format."""
+        return self.path / FILES["mot"]
+
+    @property
+    def csv(self) -> Path:
+        """Tracks as CSV."""
+        return self.path / FILES["csv"]
+
+    @property
+    def timings(self) -> Path:
+        """Wall-clock timings: the only file that differs between equal runs."""
+        return self.path / FILES["timings"]
+
+    @property
+    def graph(self) -> Path:
+        """The canonical text of the graph."""
+        return self.path / FILES["graph"]
+
+    @property
+    def video(self) -> Path:
+        """The annotated video."""
+        return self.path / FILES["video"]
+
+    @property
+    def truth(self) -> Path:
+        """Ground truth of a synthetic scene: a corner box a line."""
+        return self.path / FILES["truth"]
+
+    @property
+    def inputs(self) -> Path:
+        """What came from outside during the run."""
+        return self.path / FILES["inputs"]

@@ -1,0 +1,146 @@
+"""Opening a source of frames from the text a person gives: file, folder, glob, camera index or URL."""
+
+from __future__ import annotations
+
+import difflib
+import glob
+import os
+import re
+from pathlib import Path
+
+from bayesnet_track.runtime.frames import OnResize, Reader, Source, SourceError, SourceItem
+
+__all__ = ["Source", "SourceError", "SourceItem", "open_source"]
+
+KINDS = "a video file, a folder of images, a glob of images, a camera index such as 0, an http or rtsp URL"
+NETWORK_SCHEMES = frozenset({"http", "https", "rtsp", "rtsps"})
+IMAGE_SUFFIXES = frozenset(
+    {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".pbm", ".pnm", ".jp2"}
+)
+SEQUENCE_FOLDERS = ("img", "img1")
+_SCHEME = re.compile(r"^([A-Za-z][A-Za-z0-9+.\-]+)(?::|,,)")
+
+
+def open_source(
+    text: str,
+    start: int | None = None,
+    end: int | None = None,
+    allow_network: bool = False,
+    on_resize: OnResize = "stop",
+) -> Source:
+    """The source that `text` names.
+
+    `start` and `end` are frame indices, from 0, `end` exclusive. URLs are opened only with `allow_network`;
+    every other protocol (`concat:`, `subfile,`, `file:`, `pipe:`, ...) is refused. `on_resize` says what a
+    change of frame size does: "stop" ends the source, "rescale" brings the picture to the first one's size.
+
+    Raises:
+        SourceError: nothing can be read there; says what was found, what is allowed and how to mend it.
+    """
+    _check_range(text, start, end)
+    return Source(text, _reader(text, allow_network), start, end, on_resize)
+
+
+def _check_range(text: str, start: int | None, end: int | None) -> None:
+    first = start or 0
+    if first < 0 or (end is not None and end <= first):
+        raise SourceError(
+            text,
+            f"start {start} and end {end} hold no frame",
+            "0 <= start < end, counted from 0, end exclusive",
+            "give another range",
+        )
+
+
+def _reader(text: str, allow_network: bool) -> Reader:
+    if not text or "\0" in text:
+        raise SourceError(text, "it is empty or holds a NUL", KINDS, "name a source")
+    if text.isascii() and text.isdigit():
+        from bayesnet_track.runtime.camera import CameraReader
+
+        return CameraReader(text)
+    path = Path(text)
+    scheme = _SCHEME.match(text)
+    if scheme:
+        _check_scheme(text, scheme.group(1).lower(), allow_network)
+        from bayesnet_track.runtime.video import VideoReader
+
+        return VideoReader(text, network=True)
+    try:
+        if path.is_dir():
+            return _images(text, _in_folder(text, path))
+        if path.is_file():
+            if not os.access(path, os.R_OK):
+                raise SourceError(text, "permission denied", KINDS, "make the file readable")
+            if path.suffix.lower() in IMAGE_SUFFIXES:
+                return _images(text, [path])
+            from bayesnet_track.runtime.video import VideoReader
+
+            return VideoReader(text)
+        if path.exists():
+            raise SourceError(text, "it is neither a regular file nor a folder", KINDS, "give one of these")
+    except PermissionError as error:
+        raise SourceError(text, "permission denied", KINDS, "make it readable") from error
+    except OSError as error:
+        raise SourceError(text, f"{error.strerror}", KINDS, "check the name") from error
+    if glob.has_magic(text):
+        found = [Path(name) for name in glob.glob(text, recursive=True)]  # noqa: PTH207 (keeps absolute patterns)
+        images = [name for name in found if name.suffix.lower() in IMAGE_SUFFIXES and name.is_file()]
+        if images:
+            return _images(text, images)
+        raise SourceError(
+            text,
+            f"the pattern matches {len(found)} files, none of them an image",
+            f"images ({' '.join(sorted(IMAGE_SUFFIXES))})",
+            "quote the pattern so that the shell leaves it alone, and check it",
+        )
+    raise SourceError(text, "no such file or folder", KINDS, _nearest(path))
+
+
+def _check_scheme(text: str, scheme: str, allow_network: bool) -> None:
+    if scheme not in NETWORK_SCHEMES:
+        raise SourceError(
+            text,
+            f"the protocol {scheme!r} is refused",
+            KINDS,
+            "give a plain path (./ in front if its name has a colon)",
+        )
+    if not allow_network:
+        raise SourceError(
+            text,
+            "it is on the network",
+            "network sources with --allow-network (allow_network=True)",
+            "add that",
+        )
+
+
+def _in_folder(text: str, folder: Path) -> list[Path]:
+    for place in (folder, *(folder / name for name in SEQUENCE_FOLDERS)):
+        if place.is_dir():
+            found = [p for p in place.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file()]
+            if found:
+                return found
+    raise SourceError(
+        text,
+        f"the folder holds no image ({sum(1 for _ in folder.iterdir())} entries)",
+        f"images ({' '.join(sorted(IMAGE_SUFFIXES))}) in it or in {' or '.join(SEQUENCE_FOLDERS)} below it",
+        "give the folder that holds the images",
+    )
+
+
+def _images(text: str, paths: list[Path]) -> Reader:
+    from bayesnet_track.runtime.images import ImageReader
+
+    return ImageReader(text, paths)
+
+
+def _nearest(path: Path) -> str:
+    parent = path.parent
+    if not parent.is_dir():
+        return f"the folder {str(parent)!r} does not exist either"
+    try:
+        names = sorted(entry.name for entry in parent.iterdir())
+    except OSError:
+        return "check the name"
+    near = difflib.get_close_matches(path.name, names, n=1, cutoff=0.5)
+    return f"did you mean {str(parent / near[0])!r}?" if near else "check the name"

@@ -1,0 +1,74 @@
+"""The track as text: MOT (10 columns) and CSV. Box values are the top-left corner's, as OpenCV has it."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+
+from bayesnet_track.journal.events import FrameMetrics
+from bayesnet_track.journal.writer import LineFile
+from bayesnet_track.numerics.boxes import corner_from_centre
+
+CSV_COLUMNS = ("frame", "time_s", "target", "x", "y", "w", "h", "status", "score", "ud_px2", "active")
+
+
+class MotWriter(LineFile):
+    """MOT text: ``frame, id, left, top, width, height, score, -1, -1, -1``.
+
+    Frames count from 1, ids from 1 in the order in which targets appear. Pixels count from 0, as everywhere
+    here; 3 decimals, the score 6.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._ids: dict[str, int] = {}
+
+    def write(self, metrics: FrameMetrics) -> None:
+        """Add the line of one target in one frame to the next flush."""
+        number = self._ids.setdefault(metrics.target, len(self._ids) + 1)
+        box = ",".join(_corner(metrics))
+        self.append(f"{metrics.frame + 1},{number},{box},{_fixed(metrics.score, 6)},-1,-1,-1")
+
+
+class CsvWriter(LineFile):
+    """CSV with the header `CSV_COLUMNS`.
+
+    frame (from 0), time_s, target, x, y, w, h (top-left corner, width, height, px), status, score (0..1),
+    ud_px2, active (agents that gave evidence, separated by spaces).
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.append(",".join(CSV_COLUMNS))
+        self.flush()
+
+    def write(self, metrics: FrameMetrics) -> None:
+        """Add the line of one target in one frame to the next flush."""
+        line = io.StringIO()
+        csv.writer(line, lineterminator="").writerow(
+            (
+                metrics.frame,
+                _fixed(metrics.time_s, 6),
+                metrics.target,
+                *_corner(metrics),
+                metrics.status,
+                _fixed(metrics.score, 6),
+                _fixed(metrics.ud_px2, 3),
+                " ".join(metrics.active),
+            )
+        )
+        self.append(line.getvalue())
+
+
+def _corner(metrics: FrameMetrics) -> list[str]:
+    return [
+        _fixed(float(value), 3) for value in corner_from_centre(np.asarray(metrics.box, dtype=np.float64))
+    ]
+
+
+def _fixed(value: float, digits: int) -> str:
+    # Adding 0.0 turns -0.0 into 0.0.
+    return f"{round(float(value), digits) + 0.0:.{digits}f}"

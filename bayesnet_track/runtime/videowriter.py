@@ -1,0 +1,104 @@
+"""The annotated video as a file that stays readable when the writer is killed: MKV, or fragmented MP4."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.journal.writer import OutputError
+
+SUFFIXES = (".mkv", ".mp4")
+_CLUSTER_S = 1
+
+
+class VideoWriter:
+    """A video sink for BGR frames of one size.
+
+    ``.mkv`` (Matroska, a new cluster every second) or ``.mp4`` (fragmented at every key frame); H.264 where
+    the library has libx264, else MPEG-4. An odd width or height is cut by one pixel, as 4:2:0 needs.
+
+    Raises:
+        OutputError: another suffix, or the file cannot be created or written.
+    """
+
+    def __init__(self, path: Path, width: int, height: int, frame_interval_s: float) -> None:
+        import av
+
+        self.path = path
+        self._faults = (av.error.FFmpegError, OSError, ValueError)
+        if path.suffix.lower() not in SUFFIXES:
+            raise OutputError(f"{path}: a video is written as {' or '.join(SUFFIXES)}")
+        if width < 2 or height < 2:
+            raise OutputError(f"{path}: a video needs at least 2x2 px, not {width}x{height}")
+        rate = Fraction(1.0 / frame_interval_s).limit_denominator(1001)
+        self._size = (width - width % 2, height - height % 2)
+        codec = "libx264" if "libx264" in av.codecs_available else "mpeg4"
+        options = {"cluster_time_limit": str(1000 * _CLUSTER_S), "flush_packets": "1"}
+        if path.suffix.lower() == ".mp4":
+            options = {"movflags": "frag_keyframe+empty_moov+default_base_moof", "flush_packets": "1"}
+        # Without reordering and look-ahead a frame is in the file as soon as its cluster is.
+        tuning = {"preset": "veryfast", "crf": "23", "tune": "zerolatency"} if codec == "libx264" else {}
+        self._count = 0
+        self._container: Any = None
+        try:
+            # A plain path could be read as a protocol.
+            self._container = av.open(f"file:{path.absolute()}", mode="w", options=options)
+            self._stream: Any = self._container.add_stream(codec, rate=rate, options=tuning)
+            self._stream.width, self._stream.height = self._size
+            self._stream.pix_fmt = "yuv420p"
+            self._stream.codec_context.gop_size = max(1, round(rate * _CLUSTER_S))
+            if codec == "mpeg4":
+                self._stream.bit_rate = max(400_000, int(width * height * float(rate) * 0.2))
+        except self._faults as error:
+            self._abandon()
+            raise self._error(error) from error
+        self._time_base = 1 / rate
+
+    def write(self, image: NDArray[np.uint8]) -> None:
+        """Add a frame, (H, W, 3) uint8 BGR."""
+        import av
+
+        width, height = self._size
+        try:
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image[:height, :width]), format="bgr24")
+            frame.pts, frame.time_base = self._count, self._time_base
+            self._count += 1
+            for packet in self._stream.encode(frame):
+                self._container.mux(packet)
+        except self._faults as error:
+            self._abandon()
+            raise self._error(error) from error
+
+    def close(self) -> None:
+        """Finish the file; safe to call twice."""
+        if self._container is None:
+            return
+        try:
+            for packet in self._stream.encode() if self._count else ():
+                self._container.mux(packet)
+            self._container.close()
+            self._container = None
+        except self._faults as error:
+            self._abandon()
+            raise self._error(error) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _abandon(self) -> None:
+        container, self._container = self._container, None
+        if container is not None:
+            with suppress(*self._faults):
+                container.close()
+
+    def _error(self, error: Exception) -> OutputError:
+        said = getattr(error, "strerror", None) or error
+        return OutputError(f"{self.path}: cannot write the video: {said}")
