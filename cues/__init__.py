@@ -1,0 +1,1 @@
+"""The built-in cues, one file each; found through the entry-point group ``bayesnet_track.cues``."""

@@ -1,0 +1,179 @@
+"""Cue: the hue histogram inside each hypothesis (thesis 3.1.1, corrected).
+
+A histogram has a chromatic part (hue in bins) and an achromatic share. Two of them are compared by the cost
+of moving one into the other: round the hue circle, a fixed price between colour and no colour, the full
+price for pixels outside the frame. Thesis eq. 3.2 sums along a line instead, which depends on where hue
+starts, and normalises by the coloured pixels only, which makes every part of a one-colour target perfect.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from bayesnet_track.color_planes import HueBins
+from bayesnet_track.cue import (
+    Cue,
+    CueDeclaration,
+    CueParameters,
+    Floats,
+    Hypotheses,
+    Reference,
+    blend_arrays,
+    floored,
+    log_size_penalty,
+)
+from bayesnet_track.planes import Plane, Planes
+
+HALF_OVERLAP = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
+SHARPEN = 0.7
+ATTEMPTS = 3
+
+
+class ColorHistogramParameters(CueParameters):
+    """Parameters of the hue histogram."""
+
+    bins: int = Field(
+        default=32, ge=4, le=128, multiple_of=2, description="Bins round the hue circle (count, even)."
+    )
+    min_chroma: int = Field(
+        default=30,
+        ge=1,
+        le=255,
+        description="Pixels with a smaller difference of largest and smallest channel have no hue (of 255).",
+    )
+    achromatic_distance: float = Field(
+        default=0.5,
+        gt=0,
+        le=1,
+        description="Distance from no colour to any hue, as a share of the distance of opposite hues.",
+    )
+    alpha_min: float = Field(
+        default=0.03,
+        gt=0,
+        le=1,
+        description="Least distance at which the likelihood halves (share of the distance of opposite hues).",
+    )
+    sd_log_area: float = Field(
+        default=0.5, gt=0, description="Sd of the log area ratio to the reference (nats)."
+    )
+    sd_log_aspect: float = Field(
+        default=0.4, gt=0, description="Sd of the log aspect ratio to the reference (nats)."
+    )
+
+
+@dataclass(frozen=True)
+class ColorHistogram:
+    """The hue histogram at work.
+
+    A reference holds ``shares`` (bins + 1,), the share of the box's visible pixels in each hue bin and, last,
+    without colour; ``alpha`` (), the distance at which the likelihood halves; ``size`` (2,), w and h in px.
+    """
+
+    parameters: ColorHistogramParameters
+
+    @property
+    def _plane(self) -> HueBins:
+        return HueBins(self.parameters.bins, self.parameters.min_chroma)
+
+    @property
+    def needs(self) -> tuple[Plane, ...]:
+        """Hue in bins."""
+        return (self._plane,)
+
+    def learn(self, planes: Planes, box: Floats) -> Reference:
+        """The histogram of the visible part of `box`, and alpha from its surroundings.
+
+        Alpha is half the mean distance of the four boxes that overlap it by 50 % (thesis eq. 3.3 and figure
+        3.2, corrected), of those inside the frame where there are any.
+        """
+        counts, visible, _ = self._count(planes, box[None])
+        bins, seen = self.parameters.bins, max(int(visible[0]), 1)
+        shares = np.append(counts[0] / seen, 0.0)
+        shares[bins] = 1.0 - shares[:bins].sum()
+        shifted = np.concatenate([box[:2] + HALF_OVERLAP * box[2:], np.tile(box[2:], (4, 1))], axis=1)
+        distances, outside = self._distances(planes, shifted, shares)
+        inside = outside == 0
+        alpha = 0.5 * float(distances[inside if inside.any() else slice(None)].mean())
+        return {
+            "shares": shares,
+            "alpha": np.array(max(alpha, self.parameters.alpha_min)),
+            "size": np.array(box[2:], dtype=np.float64),
+        }
+
+    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+        """Shares and alpha linearly (eq. 2.15), the size in its logarithm."""
+        size = old["size"] * (new["size"] / old["size"]) ** rate
+        return {**blend_arrays(old, new, rate), "size": size}
+
+    def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
+        """-log(1 + exp(4 (d - alpha) / alpha)), 0 at d = 0, times the size penalty, over the floor.
+
+        Thesis eq. 3.3, corrected, and divided by its value 1 / (1 + e^-4) at distance 0.
+        """
+        p, alpha = self.parameters, float(reference["alpha"])
+        distances, _ = self._distances(planes, hypotheses.boxes, reference["shares"])
+        similarity = np.logaddexp(0.0, -4.0) - np.logaddexp(0.0, 4.0 * (distances - alpha) / alpha)
+        size = log_size_penalty(hypotheses.boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
+        return np.minimum(floored(similarity + size, p.floor), 0.0)  # rounding may exceed a perfect 0
+
+    def adapt(self, reference: Reference, attempt: int) -> Reference | None:
+        """A sharper likelihood: alpha times 0.7, three times at most."""
+        return None if attempt > ATTEMPTS else {**reference, "alpha": reference["alpha"] * SHARPEN}
+
+    def _distances(self, planes: Planes, boxes: Floats, shares: Floats) -> tuple[Floats, Floats]:
+        """(N,) distances to the reference's shares, 0..1, and the share of each box outside the frame.
+
+        Coloured pixels go to coloured ones, colourless to colourless, as far as both have them; what is left
+        over has changed between colour and no colour.
+        """
+        from bayesnet_track.numerics.histogram_kernels import circular_distances
+
+        counts, visible, nominal = self._count(planes, boxes)
+        colored = counts.sum(axis=1)
+        own_hue, own_gray = colored / nominal, (visible - colored) / nominal
+        hue, gray = float(shares[:-1].sum()), float(shares[-1])
+        outside = 1.0 - visible / nominal
+        both_hue, both_gray = np.minimum(own_hue, hue), np.minimum(own_gray, gray)
+        moved = both_hue * circular_distances(counts, np.cumsum(shares[:-1]) / (hue or 1.0))
+        changed = np.clip(1.0 - both_hue - both_gray - outside, 0.0, None)
+        return moved + self.parameters.achromatic_distance * changed + outside, outside
+
+    def _count(self, planes: Planes, boxes: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
+        """(N, bins) coloured pixels, (N,) pixels inside the frame, (N,) pixels of the whole box.
+
+        A pixel is in a box when low edge <= its centre < high edge; every box has at least the nearest one.
+        """
+        from bayesnet_track.numerics.histogram_kernels import count_in_boxes
+
+        half = boxes[:, 2:] / 2
+        low, high = np.ceil(boxes[:, :2] - half), np.ceil(boxes[:, :2] + half)
+        empty = high <= low
+        low = np.where(empty, np.floor(boxes[:, :2] + 0.5), low)
+        high = np.where(empty, low + 1.0, high)
+        region = planes.region
+        first = np.array([region.x0, region.y0], dtype=np.float64)
+        extent = np.array([region.x1 - region.x0, region.y1 - region.y0], dtype=np.float64)
+        corners = np.clip(np.concatenate([low - first, high - first], axis=1), 0.0, np.tile(extent, 2))
+        visible = np.prod(corners[:, 2:] - corners[:, :2], axis=1)
+        counts = count_in_boxes(planes[self._plane], corners.astype(np.int64), self.parameters.bins)
+        return counts, visible, np.prod(high - low, axis=1)
+
+
+def _make(parameters: ColorHistogramParameters) -> Cue:
+    from bayesnet_track.numerics import color_kernels, histogram_kernels  # noqa: F401  compile before the first frame
+
+    return ColorHistogram(parameters)
+
+
+CUE = CueDeclaration(
+    name="color_histogram",
+    summary="Hue histogram inside the box, compared round the hue circle.",
+    parameters=ColorHistogramParameters,
+    make=_make,
+    needs_color=True,
+    cost_ms=0.6,
+)
