@@ -1,0 +1,46 @@
+"""bayesnet_track: a small probabilistic language for visual tracking.
+
+Write a Bayes net in YAML, run it on a video, read why it reconfigured itself::
+
+    from bayesnet_track import Tracker
+
+    tracker = Tracker("general")
+    tracker.init(frame, (x, y, w, h))
+    ok, box = tracker.update(next_frame)
+
+What is imported here loads when it is first used, so that `import bayesnet_track` stays cheap.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from bayesnet_track.graph.load import load_graph as load_graph
+    from bayesnet_track.graph.spec import GraphSpec as GraphSpec
+    from bayesnet_track.runtime.run import Result as Result
+    from bayesnet_track.runtime.run import Start as Start
+    from bayesnet_track.runtime.session import track as track
+    from bayesnet_track.runtime.tracker import Tracker as Tracker
+
+_HOMES = {
+    "GraphSpec": "bayesnet_track.graph.spec",
+    "Result": "bayesnet_track.runtime.run",
+    "Start": "bayesnet_track.runtime.run",
+    "Tracker": "bayesnet_track.runtime.tracker",
+    "load_graph": "bayesnet_track.graph.load",
+    "track": "bayesnet_track.runtime.session",
+}
+
+__all__ = ["GraphSpec", "Result", "Start", "Tracker", "load_graph", "track"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name]), name)
+    raise AttributeError(f"module 'bayesnet_track' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,111 @@
+"""Measure a step: UD of every belief and agent, KL and contribution of every agent, strength of messages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import BOX_FIELDS
+from bayesnet_track.belief.particles import Step
+from bayesnet_track.cue import Hypotheses
+from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.inference.compile import Plan
+from bayesnet_track.inference.messages import without
+from bayesnet_track.numerics.divergence import kl, uncertainty_deviation
+from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Measures:
+    """What one step says of the net.
+
+    Attributes:
+        ud_px2: inference node -> UD of its belief; the root's about the MAP, another's about its most
+            probable hypothesis (thesis eqs. 2.11-2.13, corrected).
+        agent_ud_px2: active agent -> UD of its normalised likelihood about its maximum-likelihood hypothesis.
+        kl: active agent -> KL(belief || agent) at its governor (or the root), nats (eq. 2.14). Zero by
+            construction when it is the only one.
+        contribution: active agent -> KL(belief || belief without it), nats.
+        strength: node -> KL(prior times its message || prior), nats.
+        fit: largest geometric mean over agents of a hypothesis' likelihood; 1 is a perfect match.
+        area_px2: area of the estimate.
+    """
+
+    ud_px2: Mapping[str, float]
+    agent_ud_px2: Mapping[str, float]
+    kl: Mapping[str, float]
+    contribution: Mapping[str, float]
+    strength: Mapping[str, float]
+    fit: float
+    area_px2: float
+
+
+def measure(target: CheckedTarget, plan: Plan, step: Step, area_px2: float) -> Measures:
+    """Measure one step of `target`; every index is taken on the step's own hypotheses and prior weights."""
+    evidence, prior = step.evidence, step.prior
+    hypotheses = Hypotheses(step.posterior.boxes)
+    beliefs = {node: _times(prior, message) for node, message in evidence.messages.items()}
+    beliefs[target.root] = step.posterior.weights
+    agents = [obs.agent for obs in plan.observations if obs.agent in evidence.messages]
+
+    ud = {target.root: _ud(target, target.root, step.posterior.boxes, step.posterior.weights, step.map_state)}
+    for join in plan.joins:
+        if join.node != target.root and join.node in beliefs:
+            boxes = evidence.latent.get(join.node, hypotheses).boxes
+            ud[join.node] = _ud_about_best(target, join.node, boxes, beliefs[join.node])
+    agent_ud = {}
+    for obs in plan.observations:
+        if obs.agent in beliefs:
+            boxes = evidence.latent.get(obs.at, hypotheses).boxes
+            agent_ud[obs.agent] = _agent_ud(target, boxes, evidence.messages[obs.agent], beliefs[obs.agent])
+
+    divergence, contribution = {}, {}
+    for agent in agents:
+        governor = target.governor[agent] or target.root
+        belief = beliefs.get(governor, step.posterior.weights)
+        divergence[agent] = kl(belief.log, beliefs[agent].log)
+        left = without(plan, evidence, agent, hypotheses, prior.log).get(governor)
+        rest = prior if left is None else _times(prior, left)
+        contribution[agent] = kl(belief.log, rest.log)
+
+    mean = sum((evidence.messages[agent] for agent in agents), np.zeros(len(prior))) / max(len(agents), 1)
+    return Measures(
+        ud_px2=ud,
+        agent_ud_px2=agent_ud,
+        kl=divergence,
+        contribution=contribution,
+        strength={node: kl(beliefs[node].log, prior.log) for node in evidence.messages},
+        fit=float(np.exp(min(np.max(mean), 0.0))) if agents else 0.0,
+        area_px2=area_px2,
+    )
+
+
+def _times(prior: LogWeights, message: Floats) -> LogWeights:
+    """The prior times a message; the prior itself where nothing positive is left."""
+    try:
+        return prior.times(message)[0]
+    except DegenerateWeights:
+        return prior
+
+
+def _columns(target: CheckedTarget, node: str) -> list[int]:
+    return [BOX_FIELDS.index(name) for name in target.inference(node).ud_fields]
+
+
+def _ud(target: CheckedTarget, node: str, boxes: Floats, belief: LogWeights, centre: Floats) -> float:
+    columns = _columns(target, node)
+    return uncertainty_deviation(boxes[:, columns], belief.weights, centre[columns])
+
+
+def _ud_about_best(target: CheckedTarget, node: str, boxes: Floats, belief: LogWeights) -> float:
+    return _ud(target, node, boxes, belief, boxes[int(np.argmax(belief.log))])
+
+
+def _agent_ud(target: CheckedTarget, boxes: Floats, message: Floats, belief: LogWeights) -> float:
+    """UD of the agent's normalised likelihood about its own maximum-likelihood hypothesis."""
+    return _ud(target, target.root, boxes, belief, boxes[int(np.argmax(message))])

@@ -1,0 +1,267 @@
+"""The rules that reconfigure a net: pure functions of measures and memory to decisions.
+
+Order within a frame: agents check themselves; then each inference node with `adapt` rules activates, or else
+deactivates one agent; then the target's status. Decisions take effect on the next frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from bayesnet_track.adapt.measure import Measures
+from bayesnet_track.adapt.memory import Memory, Quiet, Streak
+from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.net import (
+    Activated,
+    Cause,
+    Deactivated,
+    Decision,
+    LocallyAdapted,
+    SelfStopped,
+    StatusChanged,
+    TargetNet,
+)
+from bayesnet_track.graph.spec import Adapt, Level, Lost
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """All that the rules of one target see in one frame.
+
+    Attributes:
+        frame: frame index.
+        target: target id.
+        plate: the checked plate.
+        net: the live net, faults of this frame already taken out.
+        measures: what was measured.
+        costs_ms: agent -> declared cost.
+        adaptable: agents that can act locally before they stop.
+    """
+
+    frame: int
+    target: str
+    plate: CheckedTarget
+    net: TargetNet
+    measures: Measures
+    costs_ms: Mapping[str, float]
+    adaptable: frozenset[str]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A level applied to one value of UD: both in the level's unit."""
+
+    unit: str
+    level: float
+    value: float
+    ud_px2: float
+    scale_px2: float
+
+    def cause(self, frames: int, streak: Streak) -> Cause:
+        """The numbers for the journal."""
+        return Cause(self.unit, self.level, self.value, frames, streak.turning, self.ud_px2, self.scale_px2)
+
+
+def read_level(level: Level, ud_px2: float, area_px2: float, quiet_px2: float | None) -> Reading | None:
+    """`ud_px2` in the level's unit; None while the quiet level that it needs is unknown."""
+    scale = {"ud_px2": 1.0, "ud_box": area_px2, "ud_quiet": quiet_px2}[level.kind]
+    if scale is None or scale <= 0:
+        return None
+    return Reading(level.kind, level.settings, ud_px2 / scale, ud_px2, scale)
+
+
+def decide(now: Situation, memory: Memory) -> tuple[tuple[Decision, ...], Memory]:
+    """The decisions of one frame for one target, and what the rules remember of it."""
+    memory = memory.with_contributions(now.measures.contribution)
+    memory = _note_quiet(now, memory)
+    decisions: list[Decision] = []
+    memory = _check_selves(now, memory, decisions)
+    for node in now.plate.children:
+        rules = now.plate.inference(node).adapt
+        if rules is not None:
+            memory = _govern(now, memory, node, rules, decisions)
+    _wake(now, decisions)
+    memory = _judge_status(now, memory, decisions)
+    return tuple(decisions), memory
+
+
+def _note_quiet(now: Situation, memory: Memory) -> Memory:
+    """Count this frame's UD toward the quiet level, unless it is above the activation level."""
+    quiet = dict(memory.quiet)
+    for node, ud in now.measures.ud_px2.items():
+        before = quiet.get(node, Quiet())
+        rules = now.plate.inference(node).adapt
+        if rules is not None and rules.activate is not None:
+            reading = read_level(rules.activate.above, ud, now.measures.area_px2, before.level_px2)
+            if reading is not None and reading.value > reading.level:
+                continue
+        quiet[node] = before.seen(now.net.active, ud)
+    return replace(memory, quiet=quiet)
+
+
+def _quiet_level(memory: Memory, node: str) -> float | None:
+    return memory.quiet.get(node, Quiet()).level_px2
+
+
+# ------------------------------------------------------------------------------------ self-checks
+
+
+def _check_selves(now: Situation, memory: Memory, decisions: list[Decision]) -> Memory:
+    """Agents watch their own UD: act locally at the first frame above, stop after `frames`."""
+    streaks, attempts = dict(memory.self_check), dict(memory.attempts)
+    active = set(now.net.active)
+    for agent, ud in now.measures.agent_ud_px2.items():
+        check = now.plate.agent(agent).self_check
+        if check is None or agent not in active:
+            continue
+        reading = read_level(check.above, ud, now.measures.area_px2, _quiet_level(memory, now.plate.root))
+        if reading is None:
+            continue
+        streak = streaks.get(agent, Streak()).above(reading.value, reading.level)
+        if streak.count == 0:
+            attempts[agent] = 0
+        elif streak.count >= check.frames and len(active) > 1:
+            rest = check.rest * 2 ** min(now.net.rest_count.get(agent, 0), 20)
+            cause = reading.cause(check.frames, streak)
+            decisions.append(SelfStopped(now.frame, now.target, agent, cause, now.frame + 1 + rest))
+            active.discard(agent)
+            streak, attempts[agent] = Streak(), 0
+        elif agent in now.adaptable and streak.count < check.frames:
+            attempts[agent] = attempts.get(agent, 0) + 1
+            cause = reading.cause(streak.count, streak)
+            decisions.append(LocallyAdapted(now.frame, now.target, agent, attempts[agent], cause))
+        streaks[agent] = streak
+    return replace(memory, self_check=streaks, attempts=attempts)
+
+
+# ------------------------------------------------------------------------------------ inference nodes
+
+
+def _govern(now: Situation, memory: Memory, node: str, rules: Adapt, decisions: list[Decision]) -> Memory:
+    """Activate above, deactivate below; one kind of decision per node and frame."""
+    ud = now.measures.ud_px2.get(node)
+    if ud is None:
+        return memory
+    area, quiet = now.measures.area_px2, _quiet_level(memory, node)
+    up = memory.activate.get(node, Streak())
+    down = memory.deactivate.get(node, Streak())
+    fired = False
+    if rules.activate is not None:
+        reading = read_level(rules.activate.above, ud, area, quiet)
+        up = Streak() if reading is None else up.above(reading.value, reading.level)
+        if reading is not None and up.count >= rules.activate.frames:
+            chosen = _choose_to_activate(now, memory, node, rules.activate.which)
+            cause = reading.cause(rules.activate.frames, up)
+            decisions += [
+                Activated(now.frame, now.target, agent, node, cause, helpfulness)
+                for agent, helpfulness in chosen
+            ]
+            fired = bool(chosen)
+    if rules.deactivate is not None:
+        reading = read_level(rules.deactivate.below, ud, area, quiet)
+        down = Streak() if reading is None else down.below(reading.value, reading.level)
+        if reading is not None and down.count >= rules.deactivate.frames and not fired:
+            index = _drop_index(now, node, rules.deactivate.drop, decisions)
+            if len(index) > max(rules.keep, 1):
+                cause = reading.cause(rules.deactivate.frames, down)
+                largest = rules.deactivate.drop == "largest_kl"
+                agent = (max if largest else min)(index, key=lambda name: index[name])
+                decisions.append(
+                    Deactivated(now.frame, now.target, agent, node, cause, rules.deactivate.drop, index)
+                )
+                fired = True
+    if fired:
+        up, down = Streak(), Streak()
+    return replace(
+        memory, activate={**memory.activate, node: up}, deactivate={**memory.deactivate, node: down}
+    )
+
+
+def _eligible(now: Situation) -> list[str]:
+    """Inactive agents that may be switched on for the next frame."""
+    return [
+        agent
+        for agent in now.plate.agents
+        if agent not in now.net.active
+        and agent not in now.net.quarantined
+        and now.net.rests_until.get(agent, 0) <= now.frame + 1
+    ]
+
+
+def _choose_to_activate(
+    now: Situation, memory: Memory, node: str, which: str
+) -> list[tuple[str, float | None]]:
+    """(agent, its helpfulness when that chose it): all, or the most helpful; one never tried comes first."""
+    agents = [agent for agent in _eligible(now) if now.plate.governor[agent] == node]
+    if which == "all" or not agents:
+        return [(agent, None) for agent in agents]
+    known = {agent: memory.helpfulness(agent) for agent in agents}
+    best = max(agents, key=lambda agent: float("inf") if known[agent] is None else float(known[agent] or 0.0))
+    return [(best, known[best])]
+
+
+def _drop_index(now: Situation, node: str, drop: str, decisions: list[Decision]) -> dict[str, float]:
+    """Governed agent -> the index by which one is dropped; those that just stopped themselves are out."""
+    stopped = {d.node for d in decisions if isinstance(d, SelfStopped)}
+    agents = [
+        agent
+        for agent in now.measures.kl
+        if now.plate.governor[agent] == node and agent in now.net.active and agent not in stopped
+    ]
+    if drop == "largest_kl":
+        return {agent: now.measures.kl[agent] for agent in agents}
+    return {agent: now.measures.contribution[agent] / now.costs_ms[agent] for agent in agents}
+
+
+def _wake(now: Situation, decisions: list[Decision]) -> None:
+    """With no agent active, switch on all that may be: nothing else could bring the net back."""
+    stopped = {d.node for d in decisions if isinstance(d, SelfStopped | Deactivated)}
+    started = any(isinstance(d, Activated) for d in decisions)
+    if now.net.active - stopped or started:
+        return
+    for agent in _eligible(now):
+        governor = now.plate.governor[agent] or now.plate.root
+        decisions.append(Activated(now.frame, now.target, agent, governor, None))
+
+
+# ------------------------------------------------------------------------------------ status
+
+
+def _judge_status(now: Situation, memory: Memory, decisions: list[Decision]) -> Memory:
+    """tracking <-> lost, after as many frames as the rule says."""
+    rule = now.plate.inference(now.plate.root).lost or Lost()
+    ud = now.measures.ud_px2[now.plate.root]
+    reading = read_level(rule.above, ud, now.measures.area_px2, _quiet_level(memory, now.plate.root))
+    too_wide = reading is not None and reading.value > reading.level
+    looks_lost = too_wide or now.measures.fit < rule.fit_below
+    value = reading.value if reading is not None else ud
+    lost = _counted(memory.lost, looks_lost, value)
+    found = _counted(memory.found, not looks_lost, value)
+    status = now.net.status
+    if status != "lost" and lost.count >= rule.frames:
+        status = "lost"
+    elif status == "lost" and found.count >= rule.frames:
+        status = "tracking"
+    if status != now.net.status:
+        streak = lost if status == "lost" else found
+        by_ud = reading is not None and (too_wide or status == "tracking")
+        cause = reading.cause(rule.frames, streak) if by_ud and reading is not None else None
+        reason = "" if cause is not None else _reason(now, rule)
+        decisions.append(StatusChanged(now.frame, now.target, status, cause, reason))
+    return replace(memory, lost=lost, found=found)
+
+
+def _reason(now: Situation, rule: Lost) -> str:
+    if not now.net.active:
+        return "no agent is active, so the belief is prediction only"
+    fit = f"{now.measures.fit:.3g} < {rule.fit_below:.3g}"
+    return f"the best hypothesis has a likelihood of {fit} of a perfect match"
+
+
+def _counted(streak: Streak, holds: bool, value: float) -> Streak:
+    return (
+        Streak(streak.count + 1, value if streak.count == 0 else min(streak.turning, value))
+        if holds
+        else Streak()
+    )

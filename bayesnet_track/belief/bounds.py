@@ -1,0 +1,54 @@
+"""Keep hypotheses where the camera can see: a motion model confined to the image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesnet_track.belief.contract import Floats, Motion
+from bayesnet_track.belief.noise import Transition
+
+
+@dataclass(frozen=True, eq=False)
+class Confined:
+    """`motion`, with centres kept on the image and sizes at most twice the image's.
+
+    A lost target's hypotheses would otherwise drift away for ever and could not find it again. The density
+    is that of the unconfined model: confinement matters at the border only.
+
+    Attributes:
+        motion: the model.
+        width: columns of the image.
+        height: rows of the image.
+    """
+
+    motion: Motion
+    width: int
+    height: int
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Those of the model."""
+        return self.motion.fields
+
+    def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
+        """As the model."""
+        return self.motion.start(box, size, rng)
+
+    def propagate(self, states: Floats, dt: float, rng: np.random.Generator) -> Floats:
+        """As the model, then confined."""
+        moved = self.motion.propagate(states, dt, rng)
+        np.clip(moved[:, 0], 0.0, self.width - 1.0, out=moved[:, 0])
+        np.clip(moved[:, 1], 0.0, self.height - 1.0, out=moved[:, 1])
+        np.clip(moved[:, 2], 1.0, 2.0 * self.width, out=moved[:, 2])
+        np.clip(moved[:, 3], 1.0, 2.0 * self.height, out=moved[:, 3])
+        return moved
+
+    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+        """As the model."""
+        return self.motion.log_density(new, old, dt)
+
+    def transition(self, old: Floats, dt: float) -> Transition:
+        """As the model."""
+        return self.motion.transition(old, dt)

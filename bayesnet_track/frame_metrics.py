@@ -1,0 +1,106 @@
+"""What is written down of one target in one frame: from a step and its measures to `FrameMetrics`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.measure import Measures
+from bayesnet_track.belief.contract import Stream
+from bayesnet_track.belief.estimate import central_region, covariance
+from bayesnet_track.belief.particles import ParticleSet, Step
+from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.journal.events import FrameMetrics
+from bayesnet_track.numerics.resampling import resample
+from bayesnet_track.planes import Frame
+
+Floats = NDArray[np.float64]
+
+CLOUD_SIZE = 48
+"""Hypotheses kept per frame, drawn from the posterior, so that they carry no weights."""
+
+
+def score(measures: Measures, root: str) -> float:
+    """Uncalibrated index in 0..1: how well the best hypothesis fits, times how concentrated the belief is."""
+    return measures.fit / (1.0 + measures.ud_px2[root] / max(measures.area_px2, 1.0))
+
+
+def frame_metrics(
+    frame: Frame,
+    target: str,
+    plate: CheckedTarget,
+    status: str,
+    stepped: Step,
+    measures: Measures,
+    box: Floats,
+    quiet_px2: float | None,
+    rate: float,
+    stream: Stream,
+) -> FrameMetrics:
+    """The measurements of a step, `box` being the estimate and `status` the one it ran with."""
+    posterior = stepped.posterior
+    chosen = resample("systematic", posterior.weights.weights, CLOUD_SIZE, stream("cloud"))
+    spread = np.sqrt(np.clip(np.diag(covariance(posterior))[:4], 0.0, None))
+    root = plate.root
+    return FrameMetrics(
+        frame=frame.index,
+        time_s=frame.time_s,
+        target=target,
+        box=_floats(box),
+        map=_floats(stepped.map_state[:4]),
+        sd=_floats(spread),
+        ud_px2=measures.ud_px2[root],
+        ud_nodes=measures.ud_px2,
+        quiet_px2=quiet_px2,
+        status=status,
+        score=score(measures, root),
+        log_evidence=stepped.log_evidence,
+        ess=posterior.weights.ess,
+        particles=len(posterior.weights),
+        active=tuple(a for a in plate.agents if a in measures.kl),
+        kl=measures.kl,
+        contribution=measures.contribution,
+        agent_ud_px2=measures.agent_ud_px2,
+        strength=measures.strength,
+        learn_rate=rate,
+        region50=_floats(central_region(posterior, 0.5)),
+        region90=_floats(central_region(posterior, 0.9)),
+        cloud=tuple(tuple(int(v) for v in row) for row in np.rint(posterior.boxes[chosen])),
+    )
+
+
+def first_frame_metrics(
+    frame: Frame, target: str, belief: ParticleSet, active: tuple[str, ...], box: Floats
+) -> FrameMetrics:
+    """The frame in which the target starts: its box is known."""
+    where = _floats(box)
+    point = (where[0], where[0], where[1], where[1])
+    return FrameMetrics(
+        frame=frame.index,
+        time_s=frame.time_s,
+        target=target,
+        box=where,
+        map=where,
+        sd=(0.0, 0.0, 0.0, 0.0),
+        ud_px2=0.0,
+        ud_nodes={},
+        quiet_px2=None,
+        status="tracking",
+        score=1.0,
+        log_evidence=0.0,
+        ess=belief.weights.ess,
+        particles=len(belief.weights),
+        active=active,
+        kl={},
+        contribution={},
+        agent_ud_px2={},
+        strength={},
+        learn_rate=1.0,
+        region50=point,
+        region90=point,
+        cloud=(),
+    )
+
+
+def _floats(values: object) -> tuple[float, ...]:
+    return tuple(float(v) for v in np.asarray(values, dtype=np.float64))

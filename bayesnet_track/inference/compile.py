@@ -1,0 +1,166 @@
+"""Compile a checked net with its active agents into a plan: ordered steps and the planes that they read.
+
+A pure function, called again at every reconfiguration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from bayesnet_track.cue import Cue
+from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.spec import AgentNode, Fuse, Noise
+from bayesnet_track.planes import Plane
+
+
+@dataclass(frozen=True)
+class Draw:
+    """Prior down: a latent node draws its own hypotheses around those of `given_from`."""
+
+    node: str
+    given_from: str
+    given: Noise
+
+
+@dataclass(frozen=True)
+class Observe:
+    """An agent scores the hypotheses of the node `at` (the root or the nearest latent node above it)."""
+
+    agent: str
+    at: str
+
+
+@dataclass(frozen=True)
+class Join:
+    """Likelihoods up: an inference node joins its children's messages into its own.
+
+    Attributes:
+        node: the inference node.
+        kind: product, pool or latent.
+        children: children with a message in this plan.
+        weights: exponents of the children's likelihoods, summing to 1 for a pool, all 1 otherwise.
+        kernel: the noise to integrate over with the row-normalised kernel, or None.
+    """
+
+    node: str
+    kind: str
+    children: tuple[str, ...]
+    weights: tuple[float, ...]
+    kernel: Noise | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What to do for one target in one frame.
+
+    Attributes:
+        target: name of the plate.
+        root: its root node.
+        active: agents that observe.
+        draws: prior down, parents first.
+        observations: one per active agent, in file order.
+        joins: likelihoods up, children first; the root's is last. Empty when no agent is active.
+        planes: planes that the active agents read, inputs first.
+        idle_planes: inactive agent -> the planes that a due reference update reads, on the estimate's crop.
+    """
+
+    target: str
+    root: str
+    active: frozenset[str]
+    draws: tuple[Draw, ...]
+    observations: tuple[Observe, ...]
+    joins: tuple[Join, ...]
+    planes: tuple[Plane, ...]
+    idle_planes: Mapping[str, tuple[Plane, ...]]
+
+
+def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str, Cue]) -> Plan:
+    """The plan of `target` with the agents `active`; `cues` maps every agent to its implementation."""
+    working = frozenset(active)
+    messengers = _messengers(target, working)
+    inference = [name for name in target.order if name in target.children and name in messengers]
+    watching = [name for name in target.agents if name in working]
+    return Plan(
+        target=target.name,
+        root=target.root,
+        active=working,
+        draws=tuple(_draw(target, name) for name in inference if _is_latent(target, name)),
+        observations=tuple(Observe(name, _hypotheses_of(target, target.parent[name])) for name in watching),
+        joins=tuple(_join(target, name, messengers) for name in reversed(inference)),
+        planes=_with_inputs(plane for name in watching for plane in cues[name].needs),
+        idle_planes={name: _with_inputs(cues[name].needs) for name in target.agents if name not in working},
+    )
+
+
+def _messengers(target: CheckedTarget, active: frozenset[str]) -> frozenset[str]:
+    """Nodes that send a message: active agents, and inference nodes above one."""
+    found = set(active)
+    for name in reversed(target.order):
+        if any(child in found for child in target.children.get(name, ())):
+            found.add(name)
+    return frozenset(found)
+
+
+def _is_latent(target: CheckedTarget, node: str) -> bool:
+    fuse = target.inference(node).fuse
+    return fuse is not None and fuse.latent is not None
+
+
+def _hypotheses_of(target: CheckedTarget, node: str | None) -> str:
+    """The root, or the nearest latent node at or above `node`: whose hypotheses are seen there."""
+    while node is not None and node != target.root and not _is_latent(target, node):
+        node = target.parent[node]
+    return node or target.root
+
+
+def _draw(target: CheckedTarget, node: str) -> Draw:
+    fuse = target.inference(node).fuse
+    assert fuse is not None and fuse.latent is not None
+    above = target.parent[node]
+    return Draw(node, target.root if above is None else _hypotheses_of(target, above), fuse.latent.given)
+
+
+def _join(target: CheckedTarget, node: str, messengers: frozenset[str]) -> Join:
+    children = tuple(child for child in target.children[node] if child in messengers)
+    fuse = target.inference(node).fuse or Fuse.model_validate("product")
+    if fuse.kind == "pool":
+        given = [1.0 if fuse.pool == "equal" else fuse.settings[child] for child in children]
+        return Join(node, "pool", children, tuple(weight / sum(given) for weight in given))
+    kernel = fuse.latent.given if fuse.latent is not None and fuse.latent.draw == "kernel" else None
+    return Join(node, fuse.kind, children, (1.0,) * len(children), kernel)
+
+
+def _with_inputs(planes: Iterable[Plane]) -> tuple[Plane, ...]:
+    """Every plane once, each after the planes that it is made from."""
+    ordered: dict[Plane, None] = {}
+
+    def visit(plane: Plane) -> None:
+        for source in plane.inputs:
+            visit(source)
+        ordered.setdefault(plane)
+
+    for plane in planes:
+        visit(plane)
+    return tuple(ordered)
+
+
+def describe_plan(plan: Plan, agents: Mapping[str, AgentNode] | None = None) -> str:
+    """The plan as text, one step a line."""
+    lines = [f"target {plan.target}"]
+    lines += [f"  plane    {plane}" for plane in plan.planes]
+    lines += [f"  draw     {step.node} given {step.given_from}" for step in plan.draws]
+    for step in plan.observations:
+        cue = "" if agents is None else f" ({agents[step.agent].agent.cue})"
+        lines.append(f"  observe  {step.agent}{cue} at the hypotheses of {step.at}")
+    for join in plan.joins:
+        terms = ", ".join(
+            child if join.kind != "pool" else f"{child}^{weight:.3g}"
+            for child, weight in zip(join.children, join.weights, strict=True)
+        )
+        kernel = " by kernel" if join.kernel is not None else ""
+        lines.append(f"  join     {join.node} = {join.kind}({terms}){kernel}")
+    for agent, planes in plan.idle_planes.items():
+        names = ", ".join(str(plane) for plane in planes)
+        lines.append(f"  idle     {agent}: {names} only for a due reference update, on the estimate's crop")
+    return "\n".join(lines)
