@@ -1,0 +1,77 @@
+"""Score a run directory against a ground-truth file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from bayesnet_track.evaluate.scores import Score, score
+from bayesnet_track.evaluate.truth import read_truth
+from bayesnet_track.numerics.boxes import corner_from_centre
+
+_METRICS = ("frame", "target", "box", "status", "active", "region50", "region90")
+_TIMINGS = ("frame", "seconds")
+
+
+def score_run(run_directory: str | Path, truth_path: str | Path, target: str | None = None) -> Score:
+    """Scores of one target of a run; row i of the truth belongs to the frame with index i.
+
+    Reads ``frames.jsonl`` and, where there is one, ``timings.jsonl``. Frames beyond the end of the truth are
+    not scored. `target` may be left out when the run has only one.
+
+    Raises:
+        OSError: a file cannot be read.
+        ValueError: a malformed file (says file and line), no frame has a true box, or the target is unclear.
+    """
+    folder = Path(run_directory)
+    truth = read_truth(truth_path)
+    metrics = _of_target(_lines(folder / "frames.jsonl", _METRICS), target, folder)
+    metrics = [line for line in metrics if line["frame"] < len(truth)]
+    if not metrics:
+        raise ValueError(f"{truth_path}: {len(truth)} boxes, none of them for a frame of {folder}")
+    frames = [line["frame"] for line in metrics]
+    return score(
+        corner_from_centre([line["box"] for line in metrics]),
+        [line["status"] == "lost" for line in metrics],
+        truth[frames],
+        seconds=_seconds(folder / "timings.jsonl", frames),
+        active=[len(line["active"]) for line in metrics],
+        region50=[line["region50"] for line in metrics],
+        region90=[line["region90"] for line in metrics],
+    )
+
+
+def _of_target(lines: list[dict[str, Any]], target: str | None, folder: Path) -> list[dict[str, Any]]:
+    present = list(dict.fromkeys(line["target"] for line in lines))
+    if target is None and len(present) > 1:
+        raise ValueError(f"{folder}: several targets ({', '.join(present)}); name one")
+    wanted = target if target is not None else next(iter(present), "")
+    if wanted not in present:
+        raise ValueError(f"{folder}: no target {wanted!r}; there are {', '.join(present) or 'none'}")
+    return [line for line in lines if line["target"] == wanted]
+
+
+def _seconds(path: Path, frames: list[int]) -> list[float] | None:
+    if not path.exists():
+        return None
+    taken: Mapping[int, float] = {line["frame"]: float(line["seconds"]) for line in _lines(path, _TIMINGS)}
+    missing = [frame for frame in frames if frame not in taken]
+    if missing:
+        raise ValueError(f"{path}: no time for frame {missing[0]}")
+    return [taken[frame] for frame in frames]
+
+
+def _lines(path: Path, keys: tuple[str, ...]) -> list[dict[str, Any]]:
+    """The objects of a JSON-lines file; a last line cut off by a crash is left out."""
+    found = []
+    for number, line in enumerate(path.read_text(encoding="utf-8").split("\n")[:-1], start=1):
+        try:
+            value = json.loads(line)
+        except ValueError as error:
+            raise ValueError(f"{path}:{number}: not JSON: {error}") from None
+        if not isinstance(value, dict) or not value.keys() >= set(keys):
+            raise ValueError(f"{path}:{number}: expected an object with {', '.join(keys)}")
+        found.append(value)
+    return found

@@ -1,0 +1,220 @@
+"""Scores of one pass over a sequence, from its boxes and the true ones."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bayesnet_track.numerics.boxes import centre_from_corner, overlap
+
+Floats = NDArray[np.float64]
+
+THRESHOLDS = np.linspace(0.0, 1.0, 21)
+PRECISION_PX = 20.0
+EPISODE_FRAMES = 5
+
+
+@dataclass(frozen=True)
+class Score:
+    """How well a target was followed. Shares are 0..1; None where there was nothing to measure.
+
+    Attributes:
+        frames: frames of the pass, the first included.
+        scored_frames: those in which the truth has a box; only they count for accuracy.
+        auc: OTB success: mean over the thresholds 0, 0.05 .. 1 of the share of frames whose IoU is above it.
+        auc_strict: the same where a frame reported as lost has IoU 0.
+        precision20: share of frames whose centre is within 20 px of the true one.
+        mean_iou: mean intersection over union.
+        lost_episodes: maximal stretches of at least 5 scored frames with IoU 0.
+        first_lost: scored frame at which the first of them begins, or None.
+        reported_lost: frames whose status was lost.
+        lost_when_off: share of the frames with IoU 0 that were reported as lost.
+        lost_when_on: share of the frames with IoU above 0 that were reported as lost.
+        fps: frames per second, the first frame not counted.
+        mean_active: agents per frame.
+        coverage50: share of frames whose true centre lies in the 50 % region, in x and in y; the given
+            frame 0 is left out.
+        coverage90: the same of the 90 % region.
+    """
+
+    frames: int
+    scored_frames: int
+    auc: float
+    auc_strict: float
+    precision20: float
+    mean_iou: float
+    lost_episodes: int
+    first_lost: int | None
+    reported_lost: int
+    lost_when_off: float | None
+    lost_when_on: float | None
+    fps: float | None = None
+    mean_active: float | None = None
+    coverage50: tuple[float, float] | None = None
+    coverage90: tuple[float, float] | None = None
+
+
+def score(
+    boxes: ArrayLike,
+    lost: ArrayLike,
+    truth: ArrayLike,
+    *,
+    seconds: ArrayLike | None = None,
+    active: ArrayLike | None = None,
+    region50: ArrayLike | None = None,
+    region90: ArrayLike | None = None,
+) -> Score:
+    """Scores of one pass of n frames.
+
+    Args:
+        boxes: (n, 4) reported corner boxes in px; frame 0 is the start and counts, as in the OTB toolkit.
+        lost: (n,) True where the target was reported as lost.
+        truth: (n, 4) true corner boxes; NaN rows where the target is absent.
+        seconds: (n,) wall time of each frame.
+        active: (n,) number of active agents.
+        region50: (n, 4) x_low, x_high, y_low, y_high of the centre's 50 % region in px.
+        region90: the same of the 90 % region.
+
+    Raises:
+        ValueError: lengths differ, a box is not finite, or no frame has a true box.
+    """
+    reported, true = np.asarray(boxes, dtype=np.float64), np.asarray(truth, dtype=np.float64)
+    given_up = np.asarray(lost, dtype=bool)
+    if (
+        reported.shape != true.shape
+        or true.ndim != 2
+        or true.shape[1] != 4
+        or given_up.shape != true.shape[:1]
+    ):
+        raise ValueError(
+            f"boxes {reported.shape}, lost {given_up.shape}, truth {true.shape}: must be (n, 4), (n,), (n, 4)"
+        )
+    if not np.isfinite(reported).all():
+        raise ValueError(f"box of frame {int((~np.isfinite(reported)).any(axis=1).argmax())} is not finite")
+    present: NDArray[np.bool_] = np.asarray(np.isfinite(true).all(axis=1))
+    if not present.any():
+        raise ValueError("the truth has no box in any of these frames")
+    centre, true_centre = centre_from_corner(reported[present]), centre_from_corner(true[present])
+    iou, gone = overlap(centre, true_centre), given_up[present]
+    episodes = lost_episodes(iou)
+    return Score(
+        frames=len(true),
+        scored_frames=int(present.sum()),
+        auc=success_auc(iou),
+        auc_strict=success_auc(np.where(gone, 0.0, iou)),
+        precision20=float((np.hypot(*(centre - true_centre)[:, :2].T) <= PRECISION_PX).mean()),
+        mean_iou=float(iou.mean()),
+        lost_episodes=len(episodes),
+        first_lost=episodes[0] if episodes else None,
+        reported_lost=int(given_up.sum()),
+        lost_when_off=_share(gone[iou == 0]),
+        lost_when_on=_share(gone[iou > 0]),
+        fps=None if seconds is None else frames_per_second(seconds),
+        mean_active=None if active is None else float(np.mean(np.asarray(active, dtype=np.float64))),
+        coverage50=_coverage(region50, present, true_centre),
+        coverage90=_coverage(region90, present, true_centre),
+    )
+
+
+def success_auc(iou: Floats) -> float:
+    """Mean over the 21 thresholds of the share of (n,) overlaps strictly above each (OTB)."""
+    return float((iou[:, None] > THRESHOLDS).mean())
+
+
+def lost_episodes(iou: Floats, length: int = EPISODE_FRAMES) -> list[int]:
+    """First index of every maximal stretch of at least `length` overlaps of 0.
+
+    >>> lost_episodes(np.array([1, 0, 0, 0, 0, 0, 1, 0, 0]))
+    [1]
+    """
+    steps = np.diff(np.concatenate([[0], (iou <= 0).astype(int), [0]]))
+    starts, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
+    return [int(start) for start, end in zip(starts, ends, strict=True) if end - start >= length]
+
+
+def frames_per_second(seconds: ArrayLike) -> float | None:
+    """(n - 1) over the time of all frames but the first, which pays for the start; None for one frame."""
+    rest = np.asarray(seconds, dtype=np.float64)[1:]
+    return len(rest) / float(rest.sum()) if rest.sum() > 0 else None
+
+
+def as_text(scores: Mapping[str, Score]) -> str:
+    """A table, one row per named score, in plain text.
+
+    The columns are the fields of `Score` of the same names; 50% and 90% are the coverage in x and in y.
+    """
+    head = [
+        "",
+        "AUC",
+        "strict",
+        "prec@20",
+        "IoU",
+        "episodes",
+        "lost|off",
+        "lost|on",
+        "fps",
+        "agents",
+        "50%",
+        "90%",
+    ]
+    rows = [head, *([name, *_cells(one)] for name, one in scores.items())]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
+    lines = [
+        "  ".join(
+            cell.ljust(w) if k == 0 else cell.rjust(w)
+            for k, (cell, w) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in rows
+    ]
+    return "\n".join(line.rstrip() for line in lines) + "\n"
+
+
+def as_json(result: Score) -> str:
+    """The score as one JSON object, keys in the order of the class."""
+    return json.dumps(asdict(result))
+
+
+def _cells(one: Score) -> list[str]:
+    return [
+        f"{one.auc:.3f}",
+        f"{one.auc_strict:.3f}",
+        f"{one.precision20:.3f}",
+        f"{one.mean_iou:.3f}",
+        str(one.lost_episodes),
+        _number(one.lost_when_off, ".2f"),
+        _number(one.lost_when_on, ".2f"),
+        _number(one.fps, ".1f"),
+        _number(one.mean_active, ".2f"),
+        _pair(one.coverage50),
+        _pair(one.coverage90),
+    ]
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _pair(value: tuple[float, float] | None) -> str:
+    return "-" if value is None else f"{value[0]:.2f} {value[1]:.2f}"
+
+
+def _share(flags: NDArray[np.bool_]) -> float | None:
+    return float(flags.mean()) if flags.size else None
+
+
+def _coverage(
+    region: ArrayLike | None, present: NDArray[np.bool_], centre: Floats
+) -> tuple[float, float] | None:
+    if region is None:
+        return None
+    if present[0]:  # the start is given, not estimated
+        present, centre = np.concatenate([[False], present[1:]]), centre[1:]
+    if not present.any():
+        return None
+    bounds = np.asarray(region, dtype=np.float64)[present]
+    inside = [(bounds[:, 2 * k] <= centre[:, k]) & (centre[:, k] <= bounds[:, 2 * k + 1]) for k in (0, 1)]
+    return float(inside[0].mean()), float(inside[1].mean())

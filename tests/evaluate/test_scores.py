@@ -1,0 +1,125 @@
+"""Scores against hand-computed cases and against the definitions written out as loops."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bayesnet_track.evaluate.scores import as_json, as_text, lost_episodes, score
+
+TRUE = (10.0, 10.0, 20.0, 20.0)
+
+
+def test_a_perfect_pass():
+    truth = np.tile(TRUE, (8, 1))
+    got = score(truth, np.zeros(8), truth)
+    # IoU 1 is above 0, 0.05 .. 0.95 but not above 1: OTB's comparison is strict.
+    assert got.auc == pytest.approx(20 / 21)
+    assert (got.precision20, got.mean_iou, got.lost_episodes, got.first_lost) == (1.0, 1.0, 0, None)
+    assert (got.lost_when_off, got.lost_when_on, got.reported_lost) == (None, 0.0, 0)
+    assert got.fps is got.mean_active is got.coverage50 is None
+
+
+def test_by_hand():
+    half = (20.0, 10.0, 20.0, 20.0)  # overlaps by a half: IoU 200 / 600 = 1/3, above 0 .. 0.3: 7 thresholds
+    away = (100.0, 10.0, 20.0, 20.0)
+    far_enough = (26.0, 22.0, 20.0, 20.0)  # centre 16, 12 away: exactly 20 px; IoU 4 * 8 / 768 = 1/24
+    boxes = np.array([TRUE, half, away, far_enough])
+    got = score(boxes, [False, True, True, False], np.tile(TRUE, (4, 1)))
+    assert got.auc == pytest.approx((20 + 7 + 0 + 1) / (4 * 21))
+    assert got.auc_strict == pytest.approx((20 + 0 + 0 + 1) / (4 * 21))
+    assert got.mean_iou == pytest.approx((1 + 1 / 3 + 0 + 1 / 24) / 4)
+    assert got.precision20 == 0.75
+    assert got.lost_when_off == 1.0 and got.lost_when_on == pytest.approx(1 / 3)
+
+
+def test_absent_frames_count_for_speed_only():
+    truth = np.array([TRUE, [np.nan] * 4, TRUE])
+    boxes = np.array([TRUE, (500.0, 0.0, 5.0, 5.0), TRUE])
+    got = score(boxes, [False, True, False], truth, seconds=[9.0, 0.25, 0.25], active=[1, 2, 3])
+    assert (got.frames, got.scored_frames, got.mean_iou, got.reported_lost) == (3, 2, 1.0, 1)
+    assert got.fps == 4.0 and got.mean_active == 2.0
+
+
+def test_lost_episodes_are_maximal_stretches_of_five():
+    pattern = [0] * 5 + [1] + [0] * 4 + [1] + [0] * 7
+    assert lost_episodes(np.array(pattern, dtype=float)) == [0, 11]
+    truth = np.tile(TRUE, (len(pattern), 1))
+    got = score(truth + np.outer(1 - np.array(pattern), [200, 0, 0, 0]), np.zeros(len(pattern)), truth)
+    assert (got.lost_episodes, got.first_lost) == (2, 0)
+
+
+def test_coverage_is_per_axis_and_leaves_out_the_start():
+    truth = np.tile(TRUE, (5, 1))  # the centre is 19.5, 19.5
+    region = [[0, 0, 0, 0], [19, 20, 19, 20], [19.5, 20, 0, 19], [20, 30, 19, 19.5], [0, 50, 25, 30]]
+    got = score(truth, np.zeros(5), truth, region50=region, region90=[[0, 99, 0, 99]] * 5)
+    assert got.coverage50 == (0.75, 0.5)
+    assert got.coverage90 == (1.0, 1.0)
+
+
+def test_wrong_input_is_refused():
+    truth = np.tile(TRUE, (3, 1))
+    with pytest.raises(ValueError, match="must be"):
+        score(truth[:2], np.zeros(3), truth)
+    with pytest.raises(ValueError, match="must be"):
+        score(truth, np.zeros(2), truth)
+    with pytest.raises(ValueError, match="box of frame 1 is not finite"):
+        score(np.array([TRUE, [np.nan] * 4, TRUE]), np.zeros(3), truth)
+    with pytest.raises(ValueError, match="no box in any"):
+        score(truth, np.zeros(3), truth * np.nan)
+
+
+def iou(a, b):
+    across = min(a[0] + a[2], b[0] + b[2]) - max(a[0], b[0])
+    down = min(a[1] + a[3], b[1] + b[3]) - max(a[1], b[1])
+    shared = max(across, 0.0) * max(down, 0.0)
+    return shared / (a[2] * a[3] + b[2] * b[3] - shared)
+
+
+box = st.tuples(st.integers(0, 60), st.integers(0, 60), st.integers(1, 40), st.integers(1, 40))
+
+
+@given(st.lists(st.tuples(box, box, st.booleans(), st.booleans()), min_size=1, max_size=40))
+def test_against_the_definitions_as_loops(rows):
+    boxes = np.array([row[0] for row in rows], dtype=float)
+    truth = np.array(
+        [row[1] if i == 0 or row[3] else [np.nan] * 4 for i, row in enumerate(rows)], dtype=float
+    )
+    lost = [row[2] for row in rows]
+    got = score(boxes, lost, truth)
+    seen = [(b, t, gone) for b, t, gone in zip(boxes, truth, lost, strict=True) if not np.isnan(t[0])]
+    overlaps = [iou(b, t) for b, t, _ in seen]
+    above = strict = near = 0
+    for value, (b, t, gone) in zip(overlaps, seen, strict=True):
+        above += sum(value > threshold for threshold in np.linspace(0, 1, 21))
+        strict += sum((0 if gone else value) > threshold for threshold in np.linspace(0, 1, 21))
+        near += np.hypot(b[0] + b[2] / 2 - t[0] - t[2] / 2, b[1] + b[3] / 2 - t[1] - t[3] / 2) <= 20
+    n = len(seen)
+    # An overlap within rounding of a threshold may fall on either side of it.
+    close = sum(min(abs(value - np.linspace(0, 1, 21))) < 1e-9 and value > 0 for value in overlaps)
+    assert abs(got.auc * 21 * n - above) <= close + 1e-6
+    assert abs(got.auc_strict * 21 * n - strict) <= close + 1e-6
+    assert got.precision20 == pytest.approx(near / n)
+    assert got.mean_iou == pytest.approx(np.mean(overlaps))
+    assert got.auc_strict <= got.auc + 1e-12
+    runs = "".join("0" if value == 0 else "1" for value in overlaps).split("1")
+    assert got.lost_episodes == sum(len(run) >= 5 for run in runs)
+
+
+def test_table_and_json():
+    truth = np.tile(TRUE, (3, 1))
+    regions = [[0, 99, 0, 99]] * 3
+    full = score(
+        truth, np.zeros(3), truth, seconds=[1, 1, 1], active=[1, 1, 2], region50=regions, region90=regions
+    )
+    text = as_text({"two_squares": full, "x": score(truth, np.zeros(3), truth)})
+    head, first, second = (line.split() for line in text.splitlines())
+    assert head == "AUC strict prec@20 IoU episodes lost|off lost|on fps agents 50% 90%".split()
+    assert first == "two_squares 0.952 0.952 1.000 1.000 0 - 0.00 1.0 1.33 1.00 1.00 1.00 1.00".split()
+    assert second == "x 0.952 0.952 1.000 1.000 0 - 0.00 - - - -".split()
+    starts = [line.index("0.952") for line in text.splitlines()[1:]]
+    assert starts[0] == starts[1]
+    back = json.loads(as_json(full))
+    assert back["auc"] == full.auc and back["lost_when_off"] is None and back["coverage50"] == [1.0, 1.0]
