@@ -116,9 +116,36 @@ def test_table_and_json():
     )
     text = as_text({"two_squares": full, "x": score(truth, np.zeros(3), truth)})
     head, first, second = (line.split() for line in text.splitlines())
-    assert head == "AUC strict prec@20 IoU episodes lost|off lost|on fps agents 50% 90%".split()
-    assert first == "two_squares 0.952 0.952 1.000 1.000 0 - 0.00 1.0 1.33 1.00 1.00 1.00 1.00".split()
-    assert second == "x 0.952 0.952 1.000 1.000 0 - 0.00 - - - -".split()
+    assert head == [
+        "AUC",
+        "strict",
+        "prec@20",
+        "IoU",
+        "episodes",
+        "lost|off",
+        "lost|on",
+        "fps",
+        "agents",
+        "50%",
+        "90%",
+    ]
+    assert first == [
+        "two_squares",
+        "0.952",
+        "0.952",
+        "1.000",
+        "1.000",
+        "0",
+        "-",
+        "0.00",
+        "1.0",
+        "1.33",
+        "1.00",
+        "1.00",
+        "1.00",
+        "1.00",
+    ]
+    assert second == ["x", "0.952", "0.952", "1.000", "1.000", "0", "-", "0.00", "-", "-", "-", "-"]
     starts = [line.index("0.952") for line in text.splitlines()[1:]]
     assert starts[0] == starts[1]
     back = json.loads(as_json(full))
