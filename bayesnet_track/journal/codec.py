@@ -53,7 +53,7 @@ def to_json(event: Event | FrameMetrics) -> str:
     name = event_name(type(event))
     if event_classes().get(name) is not type(event):
         raise JournalError(f"{type(event).__name__} is not an event of the journal")
-    return json.dumps({"event": name, **_encoded_fields(event, name)}, allow_nan=False)
+    return json.dumps({"event": name, **_encoded_fields(event, type(event), name)}, allow_nan=False)
 
 
 def from_json(line: str) -> Event | FrameMetrics:
@@ -85,8 +85,8 @@ def type_hints(kind: Any) -> Mapping[str, Any]:
     return {item.name: hints[item.name] for item in fields(kind)}
 
 
-def _encoded_fields(value: Any, where: str) -> dict[str, Any]:
-    hints = type_hints(type(value))
+def _encoded_fields(value: Any, kind: Any, where: str) -> dict[str, Any]:
+    hints = type_hints(kind)
     return {name: _encode(getattr(value, name), hint, f"{where}.{name}") for name, hint in hints.items()}
 
 
@@ -99,10 +99,10 @@ def _encode(value: Any, hint: Any, where: str) -> Any:
             return [_encode(item, h, where) for item, h in zip(value, _per_item(inner, value), strict=True)]
         if shape == "mapping":
             return {_SIMPLE[str](key): _encode(value[key], inner[1], where) for key in sorted(value)}
-        if is_dataclass(hint):
-            return _encoded_fields(value, where)
+        if is_dataclass(hint) and type(value) is hint:
+            return _encoded_fields(value, hint, where)
         return _SIMPLE[hint](value)
-    except (TypeError, ValueError, AttributeError) as error:
+    except (TypeError, ValueError, KeyError) as error:
         if isinstance(error, JournalError):
             raise
         raise JournalError(f"{where}: {value!r} is not {hint}: {error}") from error

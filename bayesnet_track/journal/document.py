@@ -1,0 +1,104 @@
+"""The documentation of the journal's files, made from the docstrings of the event classes."""
+
+from __future__ import annotations
+
+import re
+import sys
+import types
+from collections.abc import Mapping
+from inspect import cleandoc
+from typing import Any, get_args
+
+from bayesnet_track.graph.net import Cause
+from bayesnet_track.journal.codec import FLOAT_DIGITS, event_classes, event_name, type_hints
+from bayesnet_track.journal.events import JOURNAL_VERSION, FrameMetrics
+
+_FIELD = re.compile(r"^    (\w+): (.*)$")
+
+
+def parts_of(kind: type) -> tuple[str, Mapping[str, str]]:
+    """The text of a class' docstring before its attributes, and each attribute's description.
+
+    >>> parts_of(Cause)[1]["level"]
+    'the level in that unit.'
+    """
+    text, _, attributes = cleandoc(kind.__doc__ or "").partition("\nAttributes:\n")
+    described: dict[str, str] = {}
+    name = ""
+    for line in attributes.splitlines():
+        field = _FIELD.match(line)
+        if field:
+            name = field.group(1)
+            described[name] = field.group(2)
+        elif name:
+            described[name] = f"{described[name]} {line.strip()}".strip()
+    return text.strip(), described
+
+
+def document_events() -> str:
+    """Markdown that describes every line of ``journal.jsonl`` and ``frames.jsonl``, field by field."""
+    kinds = [kind for kind in event_classes().values() if kind is not FrameMetrics]
+    sections = [
+        _HEAD.format(version=JOURNAL_VERSION, digits=FLOAT_DIGITS),
+        "## Lines of `journal.jsonl`",
+        *(_section(kind, f"`{event_name(kind)}`") for kind in kinds),
+        "## Lines of `frames.jsonl`",
+        _section(FrameMetrics, f"`{event_name(FrameMetrics)}`"),
+        "## Objects inside lines",
+        _section(Cause, "`cause`"),
+    ]
+    return "\n\n".join(sections) + "\n"
+
+
+def _section(kind: type, title: str) -> str:
+    text, described = parts_of(kind)
+    rows = [
+        f"| `{name}` | {_words(hint)} | {described[name].replace('|', chr(92) + '|')} |"
+        for name, hint in type_hints(kind).items()
+    ]
+    return "\n".join([f"### {title}", "", text, "", "| field | type | meaning |", "|---|---|---|", *rows])
+
+
+def _words(hint: Any) -> str:
+    """A type in words of JSON."""
+    inner = get_args(hint)
+    if isinstance(hint, types.UnionType):
+        return " or ".join(_words(part) for part in inner)
+    if not inner:
+        return _WORDS.get(hint, event_name(hint))
+    if _WORDS.get(inner[0]) == "text" and len(inner) == 2 and inner[1] is not Ellipsis:
+        return f"object: name to {_words(inner[1])}"
+    return (
+        f"list of {_words(inner[0])}"
+        if inner[-1] is Ellipsis
+        else f"list of {len(inner)} {_words(inner[0])}s"
+    )
+
+
+_WORDS: Mapping[Any, str] = {
+    float: "number",
+    int: "integer",
+    bool: "true or false",
+    str: "text",
+    type(None): "null",
+}
+
+_HEAD = """\
+# The files of a run, field by field
+
+Version {version} of the format. `journal.jsonl` holds what happened, `frames.jsonl` what was measured in each
+frame: one JSON object a line, ASCII, each line ended by a plain newline.
+
+- The key `event` names the kind of the line; the other keys stand in the order given here.
+- Numbers are rounded to {digits} significant digits. JSON has no NaN and no infinity: where a number is one,
+  the text `"NaN"`, `"Infinity"` or `"-Infinity"` stands in its place.
+- Keys of an object that maps names to values are sorted.
+- Boxes are centre boxes `x, y, w, h` in pixels; the centre of the pixel in row 0, column 0 is (0, 0).
+- Frames count from 0. A decision made in frame n takes effect in frame n + 1.
+- A killed run leaves a journal without `run_ended`, and perhaps a torn last line, which readers drop.
+- Folding the decisions (`target_started` to `status_changed`) over the journal rebuilds the net
+  of any frame."""
+
+
+if __name__ == "__main__":
+    sys.stdout.write(document_events())

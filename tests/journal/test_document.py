@@ -1,0 +1,30 @@
+"""The journal's documentation covers every field and is the one committed."""
+
+from pathlib import Path
+
+import pytest
+
+from bayesnet_track.graph.net import Cause
+from bayesnet_track.journal.codec import event_classes, event_name, type_hints
+from bayesnet_track.journal.document import document_events, parts_of
+
+COMMITTED = Path(__file__).parents[2] / "docs" / "journal.md"
+
+
+@pytest.mark.parametrize("kind", [*event_classes().values(), Cause], ids=lambda kind: kind.__name__)
+def test_every_field_is_documented_and_nothing_else(kind):
+    text, described = parts_of(kind)
+    assert text
+    assert list(described) == list(type_hints(kind))
+    assert all(len(words) > 3 for words in described.values())
+
+
+def test_every_event_has_a_section():
+    text = document_events()
+    for kind in event_classes().values():
+        assert f"### `{event_name(kind)}`" in text
+
+
+def test_the_committed_page_is_the_generated_one():
+    again = "python -m bayesnet_track.journal.document > docs/journal.md"
+    assert COMMITTED.read_text(encoding="utf-8") == document_events(), f"write it again: {again}"
