@@ -164,7 +164,7 @@ class ColorHistogram:
 
 
 def _make(parameters: ColorHistogramParameters) -> Cue:
-    from bayesnet_track.numerics import color_kernels, histogram_kernels  # noqa: F401  compile before the first frame
+    from bayesnet_track.numerics import color_kernels, histogram_kernels  # noqa: F401  load before the first frame
 
     return ColorHistogram(parameters)
 
