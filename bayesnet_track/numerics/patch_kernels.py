@@ -1,0 +1,192 @@
+"""Compiled kernels that compare the patch under each box with a reference grid.
+
+A cell of the grid is the *mean* of the pixels that it covers, with fractions of pixels at its edges, so
+that big boxes do not alias. The means come from an integral image. Edges are rounded to 1/1024 pixel, so
+that every product is an integer over a power of two and every sum is exact: the result does not depend on
+where the integral image starts.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.numerics.compiled import compiled
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+UNITS = 1024
+"""Steps per pixel to which the edges of cells are rounded: 2**31 * UNITS**2 stays below 2**53."""
+
+MOMENTS = 6
+"""Columns of the table that `patch_moments` fills."""
+
+
+@compiled
+def _edges(low: float, size: float, origin: int, limit: int, units: Ints) -> int:
+    """Fill `units` with the edges of cells, in steps from the crop's first pixel, cut to the frame's `limit`.
+
+    Returns the length in steps before cutting, or 0 when nothing of it can be sampled.
+    """
+    cells = units.shape[0] - 1
+    bound = 4.0 * limit + 4.0
+    if not (size > 0.0 and size < 2.0 * bound and -bound < low < bound):
+        return 0
+    first = int(np.rint(low * UNITS))
+    last = int(np.rint((low + size) * UNITS))
+    if last - first < cells or first >= limit * UNITS or last <= 0:
+        return 0
+    step = ((last - first) << 20) // cells
+    for i in range(cells + 1):
+        edge = first + ((i * step + (1 << 19)) >> 20)
+        units[i] = min(max(edge, 0), limit * UNITS) - origin * UNITS
+    return last - first
+
+
+@compiled
+def _pixels(units: Ints, count: int, pixels: Ints, parts: Floats) -> None:
+    """Split edges into a pixel (kept inside the crop's `count`) and the part of it before the edge."""
+    for i in range(units.shape[0]):
+        pixel = min(max(units[i] // UNITS, 0), count - 1)
+        pixels[i] = pixel
+        parts[i] = (units[i] - pixel * UNITS) / UNITS
+
+
+@compiled
+def _corner_sums(
+    flat: Floats,
+    stride: int,
+    rows: Ints,
+    row_parts: Floats,
+    columns: Ints,
+    column_parts: Floats,
+    sums: Floats,
+) -> None:
+    """Fill `sums` with the integral image at every crossing of edges, bilinear between pixels (exact)."""
+    for j in range(rows.shape[0]):
+        part = row_parts[j]
+        for i in range(columns.shape[0]):
+            # unsigned, or Numba tests each index for a count from the end (twice the time)
+            a = np.uint64(rows[j] * stride + columns[i])
+            b = a + np.uint64(1)
+            c = a + np.uint64(stride)
+            d = c + np.uint64(1)
+            left = flat[a] + part * (flat[c] - flat[a])
+            right = flat[b] + part * (flat[d] - flat[b])
+            sums[j, i] = left + column_parts[i] * (right - left)
+
+
+@compiled
+def _cell_means(
+    sums: Floats, x_units: Ints, y_units: Ints, x_span: int, y_span: int, means: Floats, shares: Floats
+) -> None:
+    """Fill `means` and `shares` (G, G) of one box from the sums at its edges' crossings."""
+    cells = means.shape[0]
+    for j in range(cells):
+        tall = (y_units[j + 1] - y_units[j]) / UNITS
+        for i in range(cells):
+            area = tall * ((x_units[i + 1] - x_units[i]) / UNITS)
+            total = (sums[j + 1, i + 1] - sums[j + 1, i]) - (sums[j, i + 1] - sums[j, i])
+            means[j, i] = total / area if area > 0.0 else 0.0
+            nominal = (x_span / UNITS) * (y_span / UNITS) / (cells * cells)
+            shares[j, i] = min(area / nominal, 1.0)
+
+
+@compiled
+def patch_means(
+    integral: Floats, box: Floats, origin: Ints, frame: Ints, means: Floats, shares: Floats
+) -> None:
+    """Fill `means` and `shares` (G, G): each cell's mean, and the share of it inside the frame, for one box.
+
+    Arguments as for `patch_moments`. Cells outside the frame have mean 0 and share 0.
+    """
+    edges = means.shape[0] + 1
+    x_units, y_units = np.empty(edges, np.int64), np.empty(edges, np.int64)
+    columns, rows = np.empty(edges, np.int64), np.empty(edges, np.int64)
+    column_parts, row_parts = np.empty(edges), np.empty(edges)
+    sums = np.empty((edges, edges))
+    means[:] = 0.0
+    shares[:] = 0.0
+    x_span = _edges(box[0] - 0.5 * box[2] + 0.5, box[2], origin[0], frame[0], x_units)
+    y_span = _edges(box[1] - 0.5 * box[3] + 0.5, box[3], origin[1], frame[1], y_units)
+    if x_span > 0 and y_span > 0:
+        _pixels(x_units, integral.shape[1] - 1, columns, column_parts)
+        _pixels(y_units, integral.shape[0] - 1, rows, row_parts)
+        _corner_sums(integral.ravel(), integral.shape[1], rows, row_parts, columns, column_parts, sums)
+        _cell_means(sums, x_units, y_units, x_span, y_span, means, shares)
+
+
+@compiled
+def patch_moments(
+    integral: Floats,
+    boxes: Floats,
+    origin: Ints,
+    frame: Ints,
+    reference: Floats,
+    weights: Floats,
+    moments: Floats,
+) -> None:
+    """Fill `moments` (N, 6) with weighted sums over the cells of each box that lie in the frame.
+
+    Columns: the sums of w, w r, w v, w r r, w r v, w v v, with v a cell's mean, r `reference` (G, G) there,
+    and w `weights` (G, G) times the share of the cell inside the frame. All are 0 for a box outside the
+    frame, narrower than G / 1024 pixel, or not finite.
+
+    Args:
+        integral: (rows + 1, columns + 1) float64, C order: integral image of a crop (not empty) that covers
+            the boxes as far as they lie inside the frame.
+        boxes: (N, 4) centre boxes, frame coordinates.
+        origin: column and row, in the frame, of the crop's first pixel.
+        frame: width and height of the frame.
+    """
+    cells = reference.shape[0]
+    flat, stride = integral.ravel(), integral.shape[1]
+    x_units, y_units = np.empty(cells + 1, np.int64), np.empty(cells + 1, np.int64)
+    columns, rows = np.empty(cells + 1, np.int64), np.empty(cells + 1, np.int64)
+    column_parts, row_parts = np.empty(cells + 1), np.empty(cells + 1)
+    sums = np.empty((cells + 1, cells + 1))
+    means, shares = np.empty((cells, cells)), np.empty((cells, cells))
+    per_length = np.empty(cells)
+    whole_w, whole_r, whole_rr = 0.0, 0.0, 0.0
+    for j in range(cells):
+        for i in range(cells):
+            whole_w += weights[j, i]
+            whole_r += weights[j, i] * reference[j, i]
+            whole_rr += weights[j, i] * reference[j, i] * reference[j, i]
+    for n in range(boxes.shape[0]):
+        x_span = _edges(boxes[n, 0] - 0.5 * boxes[n, 2] + 0.5, boxes[n, 2], origin[0], frame[0], x_units)
+        y_span = _edges(boxes[n, 1] - 0.5 * boxes[n, 3] + 0.5, boxes[n, 3], origin[1], frame[1], y_units)
+        if x_span == 0 or y_span == 0:
+            moments[n] = 0.0
+            continue
+        _pixels(x_units, stride - 1, columns, column_parts)
+        _pixels(y_units, integral.shape[0] - 1, rows, row_parts)
+        _corner_sums(flat, stride, rows, row_parts, columns, column_parts, sums)
+        sw, sr, sv, srr, srv, svv = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        if x_units[cells] - x_units[0] == x_span and y_units[cells] - y_units[0] == y_span:
+            sw, sr, srr = whole_w, whole_r, whole_rr
+            for i in range(cells):
+                per_length[i] = UNITS / (x_units[i + 1] - x_units[i])
+            for j in range(cells):
+                scale = UNITS / (y_units[j + 1] - y_units[j])
+                for i in range(cells):
+                    total = (sums[j + 1, i + 1] - sums[j + 1, i]) - (sums[j, i + 1] - sums[j, i])
+                    v = total * (scale * per_length[i])
+                    weighted = weights[j, i] * v
+                    sv += weighted
+                    srv += weighted * reference[j, i]
+                    svv += weighted * v
+        else:
+            _cell_means(sums, x_units, y_units, x_span, y_span, means, shares)
+            for j in range(cells):
+                for i in range(cells):
+                    w, r, v = weights[j, i] * shares[j, i], reference[j, i], means[j, i]
+                    sw += w
+                    sr += w * r
+                    sv += w * v
+                    srr += w * r * r
+                    srv += w * r * v
+                    svv += w * v * v
+        row = moments[n]
+        row[0], row[1], row[2], row[3], row[4], row[5] = sw, sr, sv, srr, srv, svv

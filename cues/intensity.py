@@ -1,0 +1,209 @@
+"""Intensity cue: the gray values inside a box, resampled to a fixed grid, against those of the target.
+
+Thesis 3.4, eq. 3.8, corrected (the mask weighs the squared differences, and the exponent is negative).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from bayesnet_track.cue import (
+    CueDeclaration,
+    CueParameters,
+    Floats,
+    Hypotheses,
+    Reference,
+    floored,
+    log_size_penalty,
+)
+from bayesnet_track.gray_plane import GrayPlane
+
+if TYPE_CHECKING:
+    from bayesnet_track.planes import Plane, Planes
+
+Ints = NDArray[np.int64]
+
+
+class IntensityParameters(CueParameters):
+    """Parameters of the intensity cue."""
+
+    form: Literal["correlation", "difference"] = Field(
+        default="correlation",
+        description="What is compared: the pattern around its own mean (`correlation`, indifferent to "
+        "contrast) or gray values one by one (`difference`, the form of the thesis).",
+    )
+    grid: int = Field(
+        default=12, ge=3, le=64, description="Cells of the grid per side; each holds the mean of its pixels."
+    )
+    sd_pattern: float = Field(
+        default=0.25,
+        gt=0,
+        description="`correlation`: standard deviation of the distance between patterns, each scaled to "
+        "length 1 (the distance squared is 2 (1 - correlation)).",
+    )
+    sd_level_gray: float = Field(
+        default=40.0,
+        gt=0,
+        description="`correlation`: standard deviation of the mean brightness, in gray levels of 255.",
+    )
+    sd_texture_gray: float = Field(
+        default=4.0,
+        gt=0,
+        description="`correlation`: contrast below which a pattern is taken for noise, in gray levels of 255.",
+    )
+    sd_gray: float = Field(
+        default=25.0,
+        gt=0,
+        description="`difference`: standard deviation of a cell's value, in gray levels of 255.",
+    )
+    sd_mask: float = Field(
+        default=0.5,
+        gt=0,
+        description="Standard deviation of the Gaussian mask that favours the centre, in half sides.",
+    )
+    sharpness: float = Field(
+        default=1.0, gt=0, description="Factor on the log-likelihood before the floor (no unit)."
+    )
+    sd_log_area: float = Field(
+        default=0.5, gt=0, description="Standard deviation of the log of the area ratio to the reference."
+    )
+    sd_log_aspect: float = Field(
+        default=0.3, gt=0, description="Standard deviation of the log of the aspect ratio to the reference."
+    )
+
+
+@dataclass(frozen=True)
+class IntensityCue:
+    """Compares resampled gray patches.
+
+    Reference: `grid` (G, G) mean gray of each cell, rows top to bottom; `known` (G, G) the share of each cell
+    that lay inside the frame when learnt; `size` (2,) width and height in pixels.
+    """
+
+    parameters: IntensityParameters
+    gray: GrayPlane
+
+    @property
+    def needs(self) -> tuple[Plane, ...]:
+        """The gray plane."""
+        return (self.gray,)
+
+    def learn(self, planes: Planes, box: Floats) -> Reference:
+        """The patch under the centre box (4,)."""
+        from bayesnet_track.numerics.patch_kernels import patch_means
+
+        cells = self.parameters.grid
+        means, shares = np.zeros((cells, cells)), np.zeros((cells, cells))
+        if not planes.region.is_empty:
+            patch_means(*_sampling(planes, self.gray, np.asarray(box, dtype=np.float64)), means, shares)
+        return {"grid": means, "known": shares, "size": np.array(box[2:], dtype=np.float64)}
+
+    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+        """Linear (eq. 2.15), cell by cell; what only one of the two has seen counts as far as it was seen."""
+        weight_old, weight_new = (1.0 - rate) * old["known"], rate * new["known"]
+        known = weight_old + weight_new
+        total = weight_old * old["grid"] + weight_new * new["grid"]
+        return {
+            "grid": np.divide(total, known, out=np.array(old["grid"]), where=known > 0),
+            "known": known,
+            "size": (1.0 - rate) * old["size"] + rate * new["size"],
+        }
+
+    def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
+        """(N,) log-likelihood. Cells outside the frame count as unmatched.
+
+        All 0 when the reference has seen nothing (it lay outside the frame).
+        """
+        from bayesnet_track.numerics.patch_kernels import MOMENTS, patch_moments
+
+        settings = self.parameters
+        weights = _mask(settings.grid, settings.sd_mask) * reference["known"]
+        total = float(weights.sum())
+        if total <= 0.0:
+            return np.zeros(len(hypotheses))
+        moments = np.zeros((len(hypotheses), MOMENTS))
+        boxes = np.ascontiguousarray(hypotheses.boxes, dtype=np.float64)
+        if len(hypotheses) and not planes.region.is_empty:
+            patch_moments(*_sampling(planes, self.gray, boxes), reference["grid"], weights / total, moments)
+        log = self._correlation(moments) if settings.form == "correlation" else self._difference(moments)
+        penalty = log_size_penalty(
+            hypotheses.boxes, reference["size"], settings.sd_log_area, settings.sd_log_aspect
+        )
+        return floored(settings.sharpness * np.minimum(log, 0.0) + penalty, settings.floor)
+
+    def _correlation(self, moments: Floats) -> Floats:
+        """-(1 - s rho) / sd^2 - (difference of means)^2 / (2 sd_level^2), s the share inside the frame.
+
+        rho = (cov + e) / sqrt((var_r + e)(var_v + e)), e = sd_texture^2: the normalised correlation (thesis
+        eq. 3.5) for patterns above the noise, near 0 for a flat and a textured one, and 1 only for patterns
+        that are equal up to their mean.
+        """
+        settings = self.parameters
+        share, mean_r, mean_v, rr, rv, vv = _central(moments)
+        noise = settings.sd_texture_gray**2
+        rho = (rv + noise) / np.sqrt((rr + noise) * (vv + noise))
+        matched = share * np.clip(rho, 0.0, 1.0)
+        level = (mean_r - mean_v) / settings.sd_level_gray
+        return -(1.0 - matched) / settings.sd_pattern**2 - 0.5 * share * level**2
+
+    def _difference(self, moments: Floats) -> Floats:
+        """-sum W (I - Ref)^2 / (2 sd^2), sum W = 1: thesis eq. 3.8, corrected; outside counts as 5 sd off."""
+        share, mean_r, mean_v, rr, rv, vv = _central(moments)
+        square = share * (rr - 2.0 * rv + vv + (mean_r - mean_v) ** 2)
+        return -0.5 * (square / self.parameters.sd_gray**2 + 25.0 * (1.0 - share))
+
+
+def _central(moments: Floats) -> tuple[Floats, ...]:
+    """Share inside, means of reference and patch, and their variances and covariance over the part inside."""
+    share, r, v, rr, rv, vv = np.where(moments[:, :1] > 0, moments, 0.0).T
+    share = np.minimum(share, 1.0)
+    inside = np.where(share > 0, share, 1.0)
+    mean_r, mean_v = r / inside, v / inside
+    return (
+        share,
+        mean_r,
+        mean_v,
+        np.maximum(rr / inside - mean_r**2, 0.0),
+        rv / inside - mean_r * mean_v,
+        np.maximum(vv / inside - mean_v**2, 0.0),
+    )
+
+
+def _sampling(planes: Planes, gray: GrayPlane, boxes: Floats) -> tuple[Floats, Floats, Ints, Ints]:
+    """The first four arguments of the kernels."""
+    import cv2
+
+    # sums of uint8 are exact in float64, so it does not matter where the crop starts
+    integral: Floats = cv2.integral(np.ascontiguousarray(planes[gray]), sdepth=cv2.CV_64F)
+    origin = np.array([planes.region.x0, planes.region.y0], dtype=np.int64)
+    frame = np.array([planes.frame.width, planes.frame.height], dtype=np.int64)
+    return integral, boxes, origin, frame
+
+
+def _mask(cells: int, sd: float) -> Floats:
+    """(G, G) Gaussian weights of the cells, by their centres' distance from the middle in half sides."""
+    offset = (2.0 * np.arange(cells) + 1.0) / cells - 1.0
+    line = np.exp(-0.5 * (offset / sd) ** 2)
+    return np.outer(line, line)
+
+
+def _make(parameters: IntensityParameters) -> IntensityCue:
+    import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
+
+    from bayesnet_track.numerics import patch_kernels  # noqa: F401
+
+    return IntensityCue(parameters, GrayPlane())
+
+
+CUE = CueDeclaration(
+    name="intensity",
+    summary="gray pattern inside the box against the target's",
+    parameters=IntensityParameters,
+    make=_make,
+    cost_ms=0.8,
+)
