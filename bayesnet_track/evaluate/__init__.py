@@ -1,7 +1,7 @@
 """Scores of a run against ground truth: accuracy, calibration, speed."""
 
 from bayesnet_track.evaluate.runs import score_run
-from bayesnet_track.evaluate.scores import Score, as_json, as_text, score
+from bayesnet_track.evaluate.scores import Score, as_table, score
 from bayesnet_track.evaluate.truth import format_truth, read_truth
 
-__all__ = ["Score", "as_json", "as_text", "format_truth", "read_truth", "score", "score_run"]
+__all__ = ["Score", "as_table", "format_truth", "read_truth", "score", "score_run"]

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from bayesnet_track.evaluate.scores import Score, score
 from bayesnet_track.evaluate.truth import read_truth
+from bayesnet_track.journal.events import FrameMetrics
+from bayesnet_track.journal.reader import read_metrics
 from bayesnet_track.numerics.boxes import corner_from_centre
-
-_METRICS = ("frame", "target", "box", "status", "active", "region50", "region90")
-_TIMINGS = ("frame", "seconds")
 
 
 def score_run(run_directory: str | Path, truth_path: str | Path, target: str | None = None) -> Score:
@@ -23,55 +20,48 @@ def score_run(run_directory: str | Path, truth_path: str | Path, target: str | N
 
     Raises:
         OSError: a file cannot be read.
-        ValueError: a malformed file (says file and line), no frame has a true box, or the target is unclear.
+        ValueError: a malformed file (says file and line), no frame with a true box, or an unclear target.
     """
     folder = Path(run_directory)
     truth = read_truth(truth_path)
-    metrics = _of_target(_lines(folder / "frames.jsonl", _METRICS), target, folder)
-    metrics = [line for line in metrics if line["frame"] < len(truth)]
+    metrics = _of_target(list(read_metrics(folder / "frames.jsonl")), target, folder)
+    metrics = [line for line in metrics if line.frame < len(truth)]
     if not metrics:
         raise ValueError(f"{truth_path}: {len(truth)} boxes, none of them for a frame of {folder}")
-    frames = [line["frame"] for line in metrics]
+    frames = [line.frame for line in metrics]
     return score(
-        corner_from_centre([line["box"] for line in metrics]),
-        [line["status"] == "lost" for line in metrics],
+        corner_from_centre([line.box for line in metrics]),
+        [line.status == "lost" for line in metrics],
         truth[frames],
         seconds=_seconds(folder / "timings.jsonl", frames),
-        active=[len(line["active"]) for line in metrics],
-        region50=[line["region50"] for line in metrics],
-        region90=[line["region90"] for line in metrics],
+        active=[len(line.active) for line in metrics],
+        region50=[line.region50 for line in metrics],
+        region90=[line.region90 for line in metrics],
     )
 
 
-def _of_target(lines: list[dict[str, Any]], target: str | None, folder: Path) -> list[dict[str, Any]]:
-    present = list(dict.fromkeys(line["target"] for line in lines))
+def _of_target(lines: list[FrameMetrics], target: str | None, folder: Path) -> list[FrameMetrics]:
+    present = list(dict.fromkeys(line.target for line in lines))
     if target is None and len(present) > 1:
         raise ValueError(f"{folder}: several targets ({', '.join(present)}); name one")
     wanted = target if target is not None else next(iter(present), "")
     if wanted not in present:
         raise ValueError(f"{folder}: no target {wanted!r}; there are {', '.join(present) or 'none'}")
-    return [line for line in lines if line["target"] == wanted]
+    return [line for line in lines if line.target == wanted]
 
 
 def _seconds(path: Path, frames: list[int]) -> list[float] | None:
     if not path.exists():
         return None
-    taken: Mapping[int, float] = {line["frame"]: float(line["seconds"]) for line in _lines(path, _TIMINGS)}
+    taken: dict[int, float] = {}
+    # What follows the last newline is what a killed process leaves of a line.
+    for number, line in enumerate(path.read_text(encoding="utf-8").split("\n")[:-1], start=1):
+        try:
+            entry = json.loads(line)
+            taken[int(entry["frame"])] = float(entry["seconds"])
+        except (ValueError, KeyError, TypeError):
+            raise ValueError(f"{path}:{number}: expected an object with frame and seconds") from None
     missing = [frame for frame in frames if frame not in taken]
     if missing:
         raise ValueError(f"{path}: no time for frame {missing[0]}")
     return [taken[frame] for frame in frames]
-
-
-def _lines(path: Path, keys: tuple[str, ...]) -> list[dict[str, Any]]:
-    """The objects of a JSON-lines file; a last line cut off by a crash is left out."""
-    found = []
-    for number, line in enumerate(path.read_text(encoding="utf-8").split("\n")[:-1], start=1):
-        try:
-            value = json.loads(line)
-        except ValueError as error:
-            raise ValueError(f"{path}:{number}: not JSON: {error}") from None
-        if not isinstance(value, dict) or not value.keys() >= set(keys):
-            raise ValueError(f"{path}:{number}: expected an object with {', '.join(keys)}")
-        found.append(value)
-    return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -56,6 +56,15 @@ class Score:
     mean_active: float | None = None
     coverage50: tuple[float, float] | None = None
     coverage90: tuple[float, float] | None = None
+
+    def text(self) -> str:
+        """One figure a line: its name and value."""
+        lines = ((f.name, _shown(getattr(self, f.name))) for f in fields(self))
+        return "\n".join(f"{name:<14} {value}" for name, value in lines)
+
+    def json(self) -> str:
+        """One JSON object, keys in the order of the class."""
+        return json.dumps(asdict(self))
 
 
 def score(
@@ -142,7 +151,7 @@ def frames_per_second(seconds: ArrayLike) -> float | None:
     return len(rest) / float(rest.sum()) if rest.sum() > 0 else None
 
 
-def as_text(scores: Mapping[str, Score]) -> str:
+def as_table(scores: Mapping[str, Score]) -> str:
     """A table, one row per named score, in plain text.
 
     The columns are the fields of `Score` of the same names; 50% and 90% are the coverage in x and in y.
@@ -173,11 +182,6 @@ def as_text(scores: Mapping[str, Score]) -> str:
     return "\n".join(line.rstrip() for line in lines) + "\n"
 
 
-def as_json(result: Score) -> str:
-    """The score as one JSON object, keys in the order of the class."""
-    return json.dumps(asdict(result))
-
-
 def _cells(one: Score) -> list[str]:
     return [
         f"{one.auc:.3f}",
@@ -192,6 +196,14 @@ def _cells(one: Score) -> list[str]:
         _pair(one.coverage50),
         _pair(one.coverage90),
     ]
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, tuple):
+        return _pair(value)
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "-" if value is None else str(value)
 
 
 def _number(value: float | None, form: str) -> str:

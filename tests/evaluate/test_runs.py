@@ -1,28 +1,52 @@
 """Scoring a run directory."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
 from bayesnet_track.evaluate import format_truth, score_run
+from bayesnet_track.journal.codec import to_json
+from bayesnet_track.journal.events import FrameMetrics
 
 
-def metrics(frame: int, corner: tuple[float, float, float, float], target: str = "1", **more) -> dict:
-    x, y, w, h = corner
-    line = {
-        "frame": frame,
-        "target": target,
-        "box": [x + (w - 1) / 2, y + (h - 1) / 2, w, h],
-        "status": "tracking",
-        "active": ["hue"],
-        "region50": [0, 50, 0, 5],
-        "region90": [0, 50, 0, 50],
-    }
-    return {**line, **more}
+def metrics(frame, corner, target="1", status="tracking", active=("hue",)) -> FrameMetrics:
+    x, y, w, h = map(float, corner)
+    box = (x + (w - 1) / 2, y + (h - 1) / 2, w, h)
+    return FrameMetrics(
+        frame=frame,
+        time_s=frame / 25,
+        target=target,
+        box=box,
+        map=box,
+        sd=(1.0, 1.0, 0.1, 0.1),
+        ud_px2=2.0,
+        ud_nodes={"square": 2.0},
+        quiet_px2=None,
+        status=status,
+        score=0.5,
+        log_evidence=-1.0,
+        ess=100.0,
+        particles=500,
+        active=tuple(active),
+        kl={},
+        contribution={},
+        agent_ud_px2={},
+        strength={},
+        learn_rate=0.0,
+        region50=(0.0, 50.0, 0.0, 5.0),
+        region90=(0.0, 50.0, 0.0, 50.0),
+        cloud=(),
+    )
 
 
-def write(folder, name, lines):
-    (folder / name).write_text("".join(json.dumps(line) + "\n" for line in lines))
+def write_metrics(folder, lines):
+    (folder / "frames.jsonl").write_text("".join(to_json(line) + "\n" for line in lines))
+
+
+def write_timings(folder, frames, seconds):
+    lines = (json.dumps({"frame": frame, "seconds": seconds}) + "\n" for frame in frames)
+    (folder / "timings.jsonl").write_text("".join(lines))
 
 
 @pytest.fixture
@@ -34,9 +58,9 @@ def truth(tmp_path):
 
 def test_rows_of_the_truth_are_frame_indices(tmp_path, truth):
     lines = [metrics(i, (10.0 * i, 10.0, 20.0, 20.0)) for i in (1, 2, 3, 4, 5)]
-    lines[1] |= {"status": "lost", "active": ["hue", "flow"]}
-    write(tmp_path, "frames.jsonl", lines)
-    write(tmp_path, "timings.jsonl", [{"frame": i, "seconds": 0.1} for i in range(1, 6)])
+    lines[1] = replace(lines[1], status="lost", active=("hue", "flow"))
+    write_metrics(tmp_path, lines)
+    write_timings(tmp_path, range(1, 6), 0.1)
     got = score_run(tmp_path, truth)
     assert (got.frames, got.mean_iou, got.lost_when_on) == (3, 1.0, pytest.approx(1 / 3))
     assert got.fps == pytest.approx(10) and got.mean_active == pytest.approx(4 / 3)
@@ -44,19 +68,19 @@ def test_rows_of_the_truth_are_frame_indices(tmp_path, truth):
 
 
 def test_without_timings_there_is_no_rate(tmp_path, truth):
-    write(tmp_path, "frames.jsonl", [metrics(0, (0.0, 10.0, 20.0, 20.0))])
+    write_metrics(tmp_path, [metrics(0, (0.0, 10.0, 20.0, 20.0))])
     assert score_run(tmp_path, truth).fps is None
 
 
 def test_a_line_cut_off_at_the_end_is_left_out(tmp_path, truth):
-    write(tmp_path, "frames.jsonl", [metrics(0, (0.0, 10.0, 20.0, 20.0))])
+    write_metrics(tmp_path, [metrics(0, (0.0, 10.0, 20.0, 20.0))])
     with (tmp_path / "frames.jsonl").open("a") as file:
         file.write('{"frame": 1, "tar')
     assert score_run(tmp_path, truth).frames == 1
 
 
 def test_several_targets_must_be_told_apart(tmp_path, truth):
-    write(tmp_path, "frames.jsonl", [metrics(0, (0, 10, 20, 20), "1"), metrics(0, (0, 10, 20, 10), "2")])
+    write_metrics(tmp_path, [metrics(0, (0, 10, 20, 20), "1"), metrics(0, (0, 10, 20, 10), "2")])
     with pytest.raises(ValueError, match=r"several targets \(1, 2\); name one"):
         score_run(tmp_path, truth)
     assert score_run(tmp_path, truth, target="2").mean_iou == 0.5
@@ -67,20 +91,21 @@ def test_several_targets_must_be_told_apart(tmp_path, truth):
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("frames.jsonl", '{"frame": 0}\n', r"frames.jsonl:1: expected an object with frame, target, box"),
-        ("frames.jsonl", "frame 0\n", r"frames.jsonl:1: not JSON"),
+        ("frames.jsonl", '{"event": "frame_metrics", "frame": 0}\n', r"frames.jsonl:1: "),
+        ("frames.jsonl", "frame 0\n", r"frames.jsonl:1: "),
         ("frames.jsonl", "", r"no target ''; there are none"),
+        ("timings.jsonl", '{"frame": 0}\n', r"timings.jsonl:1: expected an object with frame and seconds"),
         ("timings.jsonl", '{"frame": 9, "seconds": 1}\n', r"timings.jsonl: no time for frame 0"),
     ],
 )
 def test_damaged_files_are_named(tmp_path, truth, name, text, message):
-    write(tmp_path, "frames.jsonl", [metrics(0, (0, 10, 20, 20))])
+    write_metrics(tmp_path, [metrics(0, (0, 10, 20, 20))])
     (tmp_path / name).write_text(text)
     with pytest.raises(ValueError, match=message):
         score_run(tmp_path, truth)
 
 
 def test_a_truth_of_other_frames_is_refused(tmp_path, truth):
-    write(tmp_path, "frames.jsonl", [metrics(9, (0, 10, 20, 20))])
+    write_metrics(tmp_path, [metrics(9, (0, 10, 20, 20))])
     with pytest.raises(ValueError, match="4 boxes, none of them for a frame of"):
         score_run(tmp_path, truth)
