@@ -1,0 +1,184 @@
+"""What a graph error says: where, which node, what was found, what is allowed, the nearest name."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import Any
+
+Path = tuple[str | int, ...]
+"""Keys (and indices of lists) from the top of the file to a value."""
+
+MAX_MESSAGES = 50
+MAX_LISTED = 12
+MAX_COMPARED = 100
+MAX_SHOWN = 60
+
+
+@dataclass(frozen=True)
+class GraphMessage:
+    """One error of a graph.
+
+    Attributes:
+        file: the file's name; ``<python>`` for a graph written in Python.
+        line: line, from 1; None without a file.
+        column: column in characters, from 1; None without a file.
+        path: keys from the top of the graph to the value.
+        node: the node, the target, or ``graph`` when it concerns neither.
+        found: what was found.
+        allowed: what is allowed instead, or empty.
+        nearest: the allowed name nearest to what was found, or empty.
+    """
+
+    file: str
+    line: int | None
+    column: int | None
+    path: Path
+    node: str
+    found: str
+    allowed: str = ""
+    nearest: str = ""
+
+    def __str__(self) -> str:
+        """``file:line:column: node: found; allowed: ...; nearest: ...``."""
+        if self.line is None:
+            where = f"{self.file}:{'.'.join(map(str, self.path)) or 'graph'}"
+        else:
+            where = f"{self.file}:{self.line}:{self.column}"
+        text = f"{where}: {self.node}: {self.found}"
+        if self.allowed:
+            text += f"; allowed: {self.allowed}"
+        if self.nearest:
+            text += f"; nearest: {self.nearest}"
+        return text
+
+
+class GraphError(ValueError):
+    """A graph that is not accepted.
+
+    Attributes:
+        errors: every error that was found (at most the first 50).
+        more: how many were left out.
+    """
+
+    def __init__(self, errors: Sequence[GraphMessage]) -> None:
+        ordered = sorted(errors, key=lambda error: (error.line or 0, error.column or 0))
+        self.errors = tuple(ordered[:MAX_MESSAGES])
+        self.more = len(ordered) - len(self.errors)
+        super().__init__(self.errors)
+
+    def __str__(self) -> str:
+        """The messages, one a line."""
+        lines = [str(error) for error in self.errors]
+        if self.more:
+            lines.append(f"{self.errors[0].file}: {self.more} more errors")
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Positions:
+    """Where each key and value of a graph stands: path -> (line, column), from 1.
+
+    Without any (a graph written in Python) messages name the path of keys.
+    """
+
+    file: str = "<python>"
+    keys: Mapping[Path, tuple[int, int]] = field(default_factory=dict)
+    values: Mapping[Path, tuple[int, int]] = field(default_factory=dict)
+
+    def message(
+        self,
+        path: Path,
+        found: str,
+        allowed: str | Iterable[str] = "",
+        *,
+        word: str = "",
+        near: Iterable[str] | None = None,
+        on_key: bool = False,
+    ) -> GraphMessage:
+        """An error at the value (or key) at `path`, or at the nearest enclosing value that was written.
+
+        `allowed` is a text or the allowed names; `word` is compared with `near` (by default with these names).
+        """
+        names = [] if isinstance(allowed, str) else list(allowed)
+        text = allowed if isinstance(allowed, str) else listed(names)
+        line, column = self._place(path, on_key)
+        return GraphMessage(
+            self.file,
+            line,
+            column,
+            path,
+            node_of(path),
+            found,
+            text,
+            nearest(word, names if near is None else near) if word else "",
+        )
+
+    def _place(self, path: Path, on_key: bool) -> tuple[int | None, int | None]:
+        if not self.values:
+            return (None, None)
+        if on_key and path in self.keys:
+            return self.keys[path]
+        while path not in self.values and path:
+            path = path[:-1]
+        return self.values.get(path, (1, 1))
+
+
+def node_of(path: Path) -> str:
+    """The node a path lies in, else its target, else ``graph``.
+
+    >>> node_of(("targets", "ball", "nodes", "color", "fuse")), node_of(("targets", "ball")), node_of(("name",))
+    ('color', 'ball', 'graph')
+    """
+    if path[:1] != ("targets",) or len(path) < 2:
+        return "graph"
+    inside = len(path) > 3 and path[2] == "nodes"
+    return shown_name(path[3] if inside else path[1])
+
+
+def nearest(word: str, names: Iterable[str]) -> str:
+    """The name nearest to `word`, or empty when none is close.
+
+    >>> nearest("activte", ["activate", "deactivate", "keep"]), nearest("x", ["size"])
+    ('activate', '')
+    """
+    some = [name for name in names if abs(len(name) - len(word)) <= 6 and name != word][:MAX_COMPARED]
+    return "".join(get_close_matches(word[:MAX_SHOWN], some, n=1))
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names separated by commas; a long list is cut and says so."""
+    all_names = [shown_name(name) for name in names]
+    text = ", ".join(all_names[:MAX_LISTED])
+    return text if len(all_names) <= MAX_LISTED else f"{text}, ... ({len(all_names) - MAX_LISTED} more)"
+
+
+def shown_name(name: object) -> str:
+    """A name as it appears in a message: printable and short."""
+    text = str(name)
+    text = text if text.isprintable() and text else repr(text)
+    return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
+
+
+def shown(value: Any) -> str:
+    """A value as it appears in a message: in one short line, as YAML writes it.
+
+    >>> shown("two"), shown(True), shown({"a": 1}), shown(None)
+    ("'two'", 'true', '{"a": 1}', 'nothing')
+    """
+    if value is None:
+        return "nothing"
+    if isinstance(value, str):
+        text = repr(value[:MAX_SHOWN] + "..." if len(value) > MAX_SHOWN else value)
+        return text if len(text) <= 2 * MAX_SHOWN else text[: 2 * MAX_SHOWN] + "..."
+    if isinstance(value, Mapping) and len(value) > 4:
+        return f"a mapping of {len(value)} keys"
+    if isinstance(value, (list, tuple)) and len(value) > 8:
+        return f"a list of {len(value)}"
+    try:
+        text = json.dumps(value, ensure_ascii=True, default=repr)
+    except (TypeError, ValueError, RecursionError):
+        text = type(value).__name__
+    return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."

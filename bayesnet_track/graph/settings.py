@@ -1,0 +1,273 @@
+"""The settings of nodes: noise, motion, belief, estimate, fusion, and the rules of adaptation."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Discriminator, Field, Tag
+
+from bayesnet_track.graph.model import (
+    Choice,
+    Empty,
+    FrameCount,
+    Model,
+    Name,
+    NotNegative,
+    Number,
+    Positive,
+    Share,
+    Whole,
+    word_or_mapping,
+)
+
+# ---------------------------------------------------------------------------------- noise and motion
+
+
+class PixelSd(Model):
+    """Standard deviations in pixels, for a step of one frame interval."""
+
+    x: NotNegative = Field(default=0.0, description="of the centre's column, px")
+    y: NotNegative = Field(default=0.0, description="of the centre's row, px")
+    w: NotNegative = Field(default=0.0, description="of the width, px")
+    h: NotNegative = Field(default=0.0, description="of the height, px")
+
+
+class BoxSd(Model):
+    """Standard deviations as a share of the box's mean side sqrt(w h)."""
+
+    x: NotNegative = Field(default=0.0, description="of the centre's column, sqrt(w h)")
+    y: NotNegative = Field(default=0.0, description="of the centre's row, sqrt(w h)")
+
+
+class LogSd(Model):
+    """Standard deviations of the size in logarithms, so that they carry over between sizes."""
+
+    scale: NotNegative = Field(default=0.0, description="of log sqrt(w h)")
+    aspect: NotNegative = Field(default=0.0, description="of log(w / h)")
+
+
+class Wide(Model):
+    """A share of the hypotheses moves with a larger sd: heavy tails for sudden motion."""
+
+    share: Annotated[Number, Field(gt=0, lt=1)] = Field(description="share of the hypotheses")
+    factor: Annotated[Number, Field(gt=1)] = Field(description="how many times the position's sd")
+
+
+class Noise(Model):
+    """Gaussian noise of a box; pixel and relative parts add up in variance.
+
+    Variances grow in proportion to the true time between frames.
+    """
+
+    sd_px: PixelSd = PixelSd()
+    sd_box: BoxSd = BoxSd()
+    sd_log: LogSd = LogSd()
+    wide: Wide | None = None
+
+
+class RandomWalk(Noise):
+    """Position and size drift by independent noise."""
+
+
+class ConstantVelocity(Noise):
+    """White noise in acceleration: `sd_velocity_px` is the change of velocity in one frame interval.
+
+    `sd_px`, `sd_box`, `sd_log` are added to position and size as in a random walk.
+    """
+
+    sd_velocity_px: NotNegative = Field(default=1.0, description="px per frame, per frame interval")
+    start_velocity_sd_px: NotNegative = Field(
+        default=5.0, description="sd of the unknown first velocity, px per frame"
+    )
+
+
+class DampedVelocity(ConstantVelocity):
+    """As constant velocity, the velocity decaying by `damping` per frame interval.
+
+    Damped velocity of the tracking chapter, eq. 3.91 corrected.
+    """
+
+    damping: Annotated[Number, Field(gt=0)] = Field(
+        default=0.25, description="velocity decays as exp(-damping dt)"
+    )
+
+
+class ConstantAcceleration(Noise):
+    """White noise in the derivative of acceleration."""
+
+    sd_acceleration_px: NotNegative = Field(default=0.5, description="px per frame^2, per frame interval")
+    start_velocity_sd_px: NotNegative = Field(
+        default=5.0, description="sd of the unknown first velocity, px per frame"
+    )
+    start_acceleration_sd_px: NotNegative = Field(
+        default=1.0, description="sd of the unknown first acceleration, px per frame^2"
+    )
+
+
+class Motion(Choice):
+    """How the target moves between frames."""
+
+    random_walk: RandomWalk | None = None
+    constant_velocity: ConstantVelocity | None = None
+    damped_velocity: DampedVelocity | None = None
+    constant_acceleration: ConstantAcceleration | None = None
+
+
+# ---------------------------------------------------------------------------------- belief
+
+
+class EssBelow(Model):
+    """Resample when the effective sample size falls below this share of the hypotheses."""
+
+    ess_below: Share
+
+
+class Particles(Model):
+    """A weighted set of hypotheses."""
+
+    size: Annotated[Whole, Field(ge=2, le=1_000_000)] = Field(default=500, description="number of hypotheses")
+    resample: Literal["systematic", "stratified", "residual", "multinomial"] = Field(
+        default="systematic", description="how parents are drawn"
+    )
+    when: Annotated[
+        Annotated[Literal["every_frame"], Tag("word")] | Annotated[EssBelow, Tag("mapping")],
+        Discriminator(word_or_mapping),
+    ] = Field(
+        default="every_frame", description="at every frame, or only when the weights have become uneven"
+    )
+
+
+class Belief(Choice):
+    """How the belief is represented."""
+
+    particles: Particles | None = None
+
+
+class Window(Model):
+    """A window around the best hypothesis."""
+
+    box: Positive = Field(default=0.25, description="half width of the window, in sqrt(w h)")
+
+
+class Estimate(Choice):
+    """Which single box stands for the belief in tracks and pictures."""
+
+    map: Empty | None = Field(
+        default=None, description="maximum a posteriori hypothesis, prior density included"
+    )
+    best: Empty | None = Field(default=None, description="hypothesis with the largest weight")
+    mean: Empty | None = Field(default=None, description="weighted mean")
+    robust_mean: Window | None = Field(
+        default=None, description="weighted mean inside a window around the best"
+    )
+
+
+# ---------------------------------------------------------------------------------- fusion
+
+
+class Latent(Model):
+    """The node has a state of its own, drawn around its parent's hypothesis by `given`."""
+
+    given: Noise = Field(description="p(own state | parent's state)")
+    draw: Literal["one", "kernel"] = Field(
+        default="one", description="one draw per hypothesis, O(N); or the row-normalised kernel, O(N^2)"
+    )
+
+
+class Fuse(Choice):
+    """How an inference node joins its children's likelihoods."""
+
+    product: Empty | None = Field(default=None, description="children independent given this node")
+    pool: (
+        Annotated[
+            Annotated[Literal["equal"], Tag("word")] | Annotated[dict[Name, Positive], Tag("mapping")],
+            Discriminator(word_or_mapping),
+        ]
+        | None
+    ) = Field(
+        default=None,
+        description="log-linear pool: equal, or a weight per child; weights are scaled to sum to 1 over the "
+        "active children",
+    )
+    latent: Latent | None = Field(
+        default=None, description="a state of its own; children independent given it"
+    )
+
+    @classmethod
+    def bare(cls, word: str) -> Any:
+        """A bare `pool` means equal weights."""
+        return "equal" if word == "pool" else {}
+
+
+# ---------------------------------------------------------------------------------- adaptation
+
+
+class Level(Choice):
+    """A level of the uncertainty deviation UD."""
+
+    ud_px2: Positive | None = Field(default=None, description="in px^2")
+    ud_box: Positive | None = Field(default=None, description="as a share of the estimate's area w h")
+    ud_quiet: Positive | None = Field(default=None, description="as a multiple of the measured quiet level")
+
+
+class Activate(Model):
+    """Switch agents on when UD stays above a level."""
+
+    above: Level = Field(description="level of UD")
+    frames: FrameCount = Field(default=1, description="consecutive frames above the level")
+    which: Literal["all", "most_helpful"] = Field(
+        default="all", description="every inactive agent, or the one that contributed most when last active"
+    )
+
+
+class Deactivate(Model):
+    """Switch one agent off when UD stays below a level."""
+
+    below: Level = Field(description="level of UD")
+    frames: FrameCount = Field(default=5, description="consecutive frames below the level")
+    drop: Literal["largest_kl", "least_contribution_per_ms"] = Field(
+        default="largest_kl",
+        description="largest KL(belief || agent), or least KL(belief || belief without it) per declared cost",
+    )
+
+
+class Adapt(Model):
+    """When agents below an inference node are switched on and off."""
+
+    activate: Activate | None = None
+    deactivate: Deactivate | None = None
+    keep: Annotated[Whole, Field(ge=1)] = Field(default=1, description="agents that always stay active")
+
+
+class Learn(Model):
+    """References move toward the estimate while UD is low (eqs. 2.15-2.16 times rate_max)."""
+
+    below: Level = Field(description="level of UD")
+    rate_max: Annotated[Number, Field(gt=0, le=1)] = Field(
+        default=0.05, description="largest learning rate per frame"
+    )
+
+
+class Lost(Model):
+    """The target counts as lost while UD is above a level or nothing fits, until neither held as long."""
+
+    above: Level = Level(ud_box=1.0)
+    fit_below: Annotated[Number, Field(ge=0, lt=1)] = Field(
+        default=0.05,
+        description="largest likelihood of any hypothesis, geometric mean over the active agents",
+    )
+    frames: FrameCount = Field(default=3, description="consecutive frames before the status changes")
+
+
+class SelfCheck(Model):
+    """An agent watches its own uncertainty: acts locally, then stops itself.
+
+    After a self-stop the agent may be switched on again only after `rest` frames; each further self-stop
+    doubles its rest, so that it cannot oscillate.
+    """
+
+    above: Level = Field(description="level of UD")
+    frames: FrameCount = Field(default=10, description="consecutive frames above the level before it stops")
+    rest: FrameCount = Field(
+        default=50, description="frames before it may be switched on again; doubles each time"
+    )
