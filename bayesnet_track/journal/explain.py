@@ -1,0 +1,165 @@
+"""Looking back at a run: events as sentences, which of them to show, and a longer account of one frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from bayesnet_track.graph.net import (
+    Activated,
+    Cause,
+    Deactivated,
+    Quarantined,
+    SelfStopped,
+    StatusChanged,
+    TargetStarted,
+)
+from bayesnet_track.journal.codec import event_classes, event_name
+from bayesnet_track.journal.events import Event, FrameMetrics
+from bayesnet_track.journal.sentences import UNIT, explain
+
+__all__ = ["Filter", "explain", "why"]
+
+
+@dataclass(frozen=True)
+class Filter:
+    """Which events to show; a part that is None lets all pass.
+
+    Attributes:
+        node: name of an agent or of the inference node whose rule fired.
+        kind: name of an event in the file, such as activated.
+        frames: first frame, and the frame before which to stop.
+
+    Raises:
+        ValueError: no event is of that kind.
+    """
+
+    node: str | None = None
+    kind: str | None = None
+    frames: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        kinds = [name for name in event_classes() if name != event_name(FrameMetrics)]
+        if self.kind is not None and self.kind not in kinds:
+            raise ValueError(f"no event is called {self.kind!r}; there are {', '.join(kinds)}")
+
+    def keeps(self, event: Event) -> bool:
+        """True when the event passes every part."""
+        if self.kind is not None and self.kind != event_name(type(event)):
+            return False
+        if self.node is not None and self.node not in (
+            getattr(event, "node", None),
+            getattr(event, "governor", None),
+        ):
+            return False
+        if self.frames is None:
+            return True
+        frame = getattr(event, "frame", None)
+        return frame is not None and self.frames[0] <= frame < self.frames[1]
+
+
+def why(events: Iterable[Event], metrics: Iterable[FrameMetrics], frame: int) -> str:
+    """A longer account of one frame: estimate, UD, and each agent with its KL and the decision that set it.
+
+    Raises:
+        ValueError: no line of `metrics` is of that frame.
+    """
+    told, lines = list(events), list(metrics)
+    chosen = [line for line in lines if line.frame == frame]
+    if not chosen:
+        known = sorted({line.frame for line in lines})
+        range_ = f"it has frames {known[0]} to {known[-1]}" if known else "it has none"
+        raise ValueError(f"frame {frame} is not in this run; {range_}")
+    return "\n\n".join(_account(told, line) for line in chosen)
+
+
+# ------------------------------------------------------------------------------------ one frame
+
+
+def _account(events: Sequence[Event], line: FrameMetrics) -> str:
+    x, y, w, h = line.box
+    quiet = "not yet measured" if line.quiet_px2 is None else f"{_ud(line.quiet_px2)} px²"
+    sample = f"{line.particles}, of which {line.ess:.0f} effective"
+    rows = [
+        f"frame {line.frame} at {line.time_s:.3f} s, target {line.target}: {line.status}, "
+        f"score {line.score:.2f} (uncalibrated)",
+        f"  estimate   centre {x:.1f}, {y:.1f}, {w:.1f} x {h:.1f} px; "
+        f"sd {', '.join(f'{value:.1f}' for value in line.sd)} px",
+        f"  hypotheses {sample}; log evidence {line.log_evidence:.2f}",
+        f"  UD         {', '.join(f'{node} {_ud(ud)} px²' for node, ud in line.ud_nodes.items())}; "
+        f"quiet level {quiet}; learning rate {line.learn_rate:.3g}",
+    ]
+    mine = [event for event in events if getattr(event, "target", None) == line.target]
+    before = [event for event in mine if getattr(event, "frame", 0) < line.frame or _is_start(event, line)]
+    for agent in _agents(mine, line):
+        rows.append(f"  {agent:<10} {'on ' if agent in line.active else 'off'}  {_measured(agent, line)}")
+        rows.append(f"  {'':<10} {_set_by(agent, before)}")
+    now = [event for event in events if getattr(event, "frame", None) == line.frame]
+    now = [event for event in now if getattr(event, "target", line.target) == line.target]
+    rows += [
+        f"  from here  {explain(event).partition(': ')[2]}" for event in now if not _is_start(event, line)
+    ]
+    levels = _levels(mine)
+    rows += [f"  levels     {', '.join(levels)}"] if levels else []
+    return "\n".join(rows)
+
+
+def _is_start(event: Event, line: FrameMetrics) -> bool:
+    return isinstance(event, TargetStarted) and event.target == line.target
+
+
+def _agents(events: Sequence[Event], line: FrameMetrics) -> list[str]:
+    """The agents heard of in the run, those of the start first."""
+    started = [name for event in events if isinstance(event, TargetStarted) for name in event.active]
+    later = [
+        event.node
+        for event in events
+        if isinstance(event, Activated | Deactivated | SelfStopped | Quarantined)
+    ]
+    return list(dict.fromkeys([*started, *later, *line.active]))
+
+
+def _measured(agent: str, line: FrameMetrics) -> str:
+    if agent not in line.active:
+        return "gave no evidence"
+    parts = [f"KL {line.kl[agent]:.2f}"] if agent in line.kl else []
+    parts += [f"contribution {line.contribution[agent]:.2f} nats"] if agent in line.contribution else []
+    parts += [f"its own UD {_ud(line.agent_ud_px2[agent])} px²"] if agent in line.agent_ud_px2 else []
+    parts += [f"strength {line.strength[agent]:.2f} nats"] if agent in line.strength else []
+    return ", ".join(parts) or "gave evidence"
+
+
+def _set_by(agent: str, before: Sequence[Event]) -> str:
+    """The last decision that switched the agent, as a sentence."""
+    for event in reversed(before):
+        if isinstance(event, TargetStarted):
+            return (
+                f"on since frame {event.frame}, the start" if agent in event.active else "off since the start"
+            )
+        if isinstance(event, Activated | Deactivated | SelfStopped | Quarantined) and event.node == agent:
+            return explain(event)
+    return "not switched by any event"
+
+
+def _levels(events: Sequence[Event]) -> list[str]:
+    """The thresholds that fired anywhere in the run."""
+    found: dict[str, None] = {}
+    for event in events:
+        cause = getattr(event, "cause", None)
+        if not isinstance(cause, Cause):
+            continue
+        level = f"{cause.level:g}{UNIT[cause.unit]}"
+        match event:
+            case Activated():
+                found[f"{event.governor} activates above {level}"] = None
+            case Deactivated():
+                found[f"{event.governor} deactivates below {level}"] = None
+            case SelfStopped():
+                found[f"{event.node} stops itself above {level}"] = None
+            case StatusChanged():
+                found[f"lost above {level}"] = None
+    return list(found)
+
+
+def _ud(value: float) -> str:
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"

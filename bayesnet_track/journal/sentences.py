@@ -1,0 +1,196 @@
+"""An event as a sentence: what changed, the numbers that caused it, at which threshold it would not have."""
+
+from __future__ import annotations
+
+import math
+
+from bayesnet_track.graph.net import (
+    Activated,
+    Cause,
+    Deactivated,
+    Decision,
+    LocallyAdapted,
+    Quarantined,
+    SelfStopped,
+    StatusChanged,
+    TargetStarted,
+)
+from bayesnet_track.journal.events import (
+    DegenerateBelief,
+    Event,
+    FrameSizeChanged,
+    FramesMissing,
+    RunEnded,
+    RunStarted,
+    SourceDamaged,
+)
+
+UNIT = {"ud_px2": " px²", "ud_box": " × box area", "ud_quiet": " × quiet level"}
+"""How a level's unit is written behind its number."""
+
+
+def explain(event: Event, name_target: bool = False) -> str:
+    """One sentence for an event.
+
+    UD stands in the unit of its threshold, with px² beside it where that is another unit. "Would have" names
+    the threshold, rounded away from the one that was set, at which the rule would not have fired.
+    `name_target` says whose net it was, for runs of several targets.
+
+    >>> cause = Cause("ud_px2", 200.0, 212.4, 3, 212.4, 212.4, 1.0)
+    >>> explain(Activated(29, "1", "motion", "square", cause))
+    'frame 29: UD 212 px² > 200 for 3 frames → motion on; would have stayed off at activate ≥ 213'
+    """
+    match event:
+        case RunStarted():
+            return _run_started(event)
+        case RunEnded():
+            return _run_ended(event)
+        case FramesMissing():
+            gap = _plural(event.missing, "frame interval")
+            return f"frame {event.frame}: {gap} missing before it; the belief is predicted over the gap"
+        case FrameSizeChanged():
+            then = "the run stops" if event.action == "stop" else "they are scaled to the first frame's size"
+            return f"frame {event.frame}: the pictures change to {event.width}x{event.height}; {then}"
+        case SourceDamaged():
+            return f"frame {event.frame}: the source is damaged: {event.reason}"
+        case _:
+            whose = f", target {event.target}" if name_target else ""
+            return f"frame {event.frame}{whose}: {happened(event)}"
+
+
+def _run_started(event: RunStarted) -> str:
+    colour = "" if event.has_color else " gray"
+    length = "" if event.declared_frames is None else f", {_plural(event.declared_frames, 'frame')}"
+    rate = f"{1 / event.frame_interval_s:.4g} per second" if event.frame_interval_s > 0 else "no rate"
+    return (
+        f"run of {event.graph} ({event.graph_sha256[:12]}) on {event.source}: "
+        f"{event.width}x{event.height}{colour}{length}, {rate}; seed {event.seed}"
+    )
+
+
+def _run_ended(event: RunEnded) -> str:
+    declared = event.declared_frames
+    of = "" if declared is None or declared == event.frames else f" of {declared}"
+    how = "ended" if event.complete else "ended early"
+    return f"run {how} after {event.frames}{of} frames: {event.reason.replace('_', ' ')}"
+
+
+def happened(event: Decision | DegenerateBelief) -> str:
+    """The sentence without the frame it happened in."""
+    match event:
+        case TargetStarted():
+            x, y, w, h = event.box
+            active = ", ".join(event.active) or "no agent"
+            return (
+                f"target {event.target} starts as {event.template}, centre {x:.4g}, {y:.4g}, "
+                f"{w:.4g} x {h:.4g} px → {active} on"
+            )
+        case Activated():
+            return _activated(event)
+        case Deactivated():
+            return (
+                f"{_held(event.cause, '<')} → {event.node} off{_chosen_among(event)}; "
+                f"would have stayed on at deactivate ≤ {_turning(event.cause, up=False)}"
+            )
+        case LocallyAdapted():
+            return f"{event.node}: its own {_held(event.cause, '>')} → tuned itself, attempt {event.attempt}"
+        case SelfStopped():
+            return (
+                f"{event.node}: its own {_held(event.cause, '>')} → stopped itself; may be switched on again "
+                f"from frame {event.rests_until}; would have gone on at self_check ≥ "
+                f"{_turning(event.cause, up=True)}"
+            )
+        case Quarantined():
+            return f"{event.node} failed: {event.reason} → out for the rest of the run"
+        case StatusChanged():
+            return _status(event)
+        case _:
+            return f"no hypothesis of target {event.target} can be used: {event.reason}; the prediction stays"
+
+
+def _activated(event: Activated) -> str:
+    if event.cause is None:
+        return f"no agent was active → {event.node} on"
+    helped = "" if event.helpfulness is None else f" (helped most so far: {event.helpfulness:.2f} nats)"
+    stay = f"would have stayed off at activate ≥ {_turning(event.cause, up=True)}"
+    return f"{_held(event.cause, '>')} → {event.node} on{helped}; {stay}"
+
+
+def _status(event: StatusChanged) -> str:
+    lost = event.status == "lost"
+    result = f"target {event.target} {'lost' if lost else 'found again'}"
+    if event.cause is None:
+        return f"{event.reason} → {result}" if event.reason else result
+    if not lost:
+        return f"{_held(event.cause, '≤')} → {result}"
+    return (
+        f"{_held(event.cause, '>')} → {result}; would have stayed at lost ≥ {_turning(event.cause, up=True)}"
+    )
+
+
+def _chosen_among(event: Deactivated) -> str:
+    """Why this agent and not another: its index against that of the runner-up."""
+    own = event.index.get(event.node)
+    others = {name: value for name, value in event.index.items() if name != event.node}
+    if own is None or not others:
+        return ""
+    largest = event.drop == "largest_kl"
+    second = (min if not largest else max)(others, key=lambda name: others[name])
+    what = "largest KL" if largest else "least contribution per ms"
+    return f" ({what} {own:.2f} against {second} {others[second]:.2f})"
+
+
+# ------------------------------------------------------------------------------------ numbers
+
+
+def _held(cause: Cause, relation: str) -> str:
+    """`UD 212 px² > 200 for 3 frames`, or with the unit and px² in brackets."""
+    value, level = _told_apart(cause.value, cause.level)
+    span = f"for {_plural(cause.frames, 'frame')}"
+    if cause.unit == "ud_px2":
+        return f"UD {value} px² {relation} {level} {span}"
+    px, level_px = _told_apart(cause.ud_px2, cause.level * cause.scale_px2)
+    unit = UNIT[cause.unit]
+    return f"UD {value}{unit} ({px} px²) {relation} {level}{unit} ({level_px} px²) {span}"
+
+
+def _turning(cause: Cause, up: bool) -> str:
+    """The turning level with as many digits as tell it from the level, rounded so that it does turn."""
+    value = _rounded(cause.turning, _digits(cause.turning, cause.level), up)
+    if cause.unit == "ud_px2":
+        return value
+    px = cause.turning * cause.scale_px2
+    return f"{value}{UNIT[cause.unit]} ({_rounded(px, _digits(px, cause.level * cause.scale_px2), up)} px²)"
+
+
+def _told_apart(value: float, level: float) -> tuple[str, str]:
+    """Both numbers with three digits, or as many as it takes to show that they differ."""
+    for extra in range(7):
+        digits = _digits(value, level) + extra
+        first, second = f"{value:.{digits}f}", f"{level:.{digits}f}"
+        if first != second or value == level:
+            break
+    return _trimmed(first), _trimmed(second)
+
+
+def _digits(*values: float) -> int:
+    """Decimals that give the smallest of the numbers three digits."""
+    smallest = min((abs(v) for v in values if v), default=1.0)
+    return min(max(2 - math.floor(math.log10(smallest)), 0), 12) if math.isfinite(smallest) else 0
+
+
+def _rounded(value: float, digits: int, up: bool) -> str:
+    if not math.isfinite(value):
+        return str(value)
+    scaled = value * 10.0**digits
+    # A hair of rounding error must not move a whole number to the next one.
+    whole = math.ceil(scaled - 1e-9 * abs(scaled)) if up else math.floor(scaled + 1e-9 * abs(scaled))
+    return _trimmed(f"{whole / 10.0**digits:.{digits}f}")
+
+
+def _trimmed(text: str) -> str:
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def _plural(count: float, noun: str) -> str:
+    return f"{count:.6g} {noun}{'' if count == 1 else 's'}"

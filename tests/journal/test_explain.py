@@ -1,0 +1,240 @@
+"""Every event as the sentence that a person reads; golden."""
+
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bayesnet_track.graph.net import (
+    Activated,
+    Cause,
+    Deactivated,
+    LocallyAdapted,
+    Quarantined,
+    SelfStopped,
+    StatusChanged,
+    TargetStarted,
+)
+from bayesnet_track.journal.codec import event_classes
+from bayesnet_track.journal.events import (
+    DegenerateBelief,
+    FrameMetrics,
+    FrameSizeChanged,
+    FramesMissing,
+    RunEnded,
+    RunStarted,
+    SourceDamaged,
+)
+from bayesnet_track.journal.explain import Filter, explain, why
+
+STARTED = RunStarted(1, "two_squares", "ab" * 32, 0, "scene:two_squares", 320, 240, True, 200, 0.04)
+BORN = TargetStarted(0, "1", "square", (270.0, 190.0, 40.0, 40.0), ("hue", "motion"))
+OFF = Deactivated(
+    9,
+    "1",
+    "motion",
+    "square",
+    Cause("ud_px2", 130, 81.2, 5, 80.4, 81.2, 1),
+    "largest_kl",
+    {"color_histogram": 0.31, "motion": 1.92},
+)
+ON = Activated(29, "1", "motion", "square", Cause("ud_px2", 200, 212.4, 3, 212.3, 212.4, 1))
+STOPPED = SelfStopped(109, "1", "color", Cause("ud_px2", 2500, 3021.7, 10, 2600.5, 3021.7, 1), 160)
+
+GOLDEN = [
+    (
+        STARTED,
+        "run of two_squares (abababababab) on scene:two_squares: 320x240, 200 frames, 25 per second; seed 0",
+    ),
+    (
+        RunStarted(1, "general", "0" * 64, 7, "car.mkv", 640, 480, False, None, 1 / 29.97),
+        "run of general (000000000000) on car.mkv: 640x480 gray, 29.97 per second; seed 7",
+    ),
+    (BORN, "frame 0: target 1 starts as square, centre 270, 190, 40 x 40 px → hue, motion on"),
+    (
+        OFF,
+        "frame 9: UD 81.2 px² < 130 for 5 frames → motion off "
+        "(largest KL 1.92 against color_histogram 0.31); would have stayed on at deactivate ≤ 80.4",
+    ),
+    (
+        Deactivated(
+            9,
+            "1",
+            "hue",
+            "square",
+            Cause("ud_px2", 130, 81, 1, 81, 81, 1),
+            "least_contribution_per_ms",
+            {"hue": 0.5, "motion": 2.0},
+        ),
+        "frame 9: UD 81 px² < 130 for 1 frame → hue off "
+        "(least contribution per ms 0.50 against motion 2.00); would have stayed on at deactivate ≤ 81",
+    ),
+    (
+        ON,
+        "frame 29: UD 212 px² > 200 for 3 frames → motion on; would have stayed off at activate ≥ 213",
+    ),
+    (
+        Activated(30, "1", "motion", "square", Cause("ud_box", 0.125, 0.1327, 3, 0.1301, 212.4, 1600), 1.234),
+        "frame 30: UD 0.133 × box area (212 px²) > 0.125 × box area (200 px²) for 3 frames → motion on "
+        "(helped most so far: 1.23 nats); would have stayed off at activate ≥ 0.131 × box area (209 px²)",
+    ),
+    (
+        Activated(30, "1", "motion", "square", Cause("ud_quiet", 2.0, 2.0004, 1, 2.0004, 188.04, 94)),
+        "frame 30: UD 2.0004 × quiet level (188.04 px²) > 2 × quiet level (188 px²) for 1 frame → motion on; "
+        "would have stayed off at activate ≥ 2.01 × quiet level (189 px²)",
+    ),
+    (Activated(31, "1", "motion", "square", None), "frame 31: no agent was active → motion on"),
+    (
+        LocallyAdapted(100, "1", "hue", 1, Cause("ud_px2", 2500, 2731, 1, 2731, 2731, 1)),
+        "frame 100: hue: its own UD 2731 px² > 2500 for 1 frame → tuned itself, attempt 1",
+    ),
+    (
+        STOPPED,
+        "frame 109: color: its own UD 3022 px² > 2500 for 10 frames → stopped itself; "
+        "may be switched on again from frame 160; would have gone on at self_check ≥ 2601",
+    ),
+    (
+        Quarantined(110, "1", "hue", "3 of 500 values are NaN"),
+        "frame 110: hue failed: 3 of 500 values are NaN → out for the rest of the run",
+    ),
+    (
+        StatusChanged(120, "1", "lost", Cause("ud_box", 1.0, 1.2, 3, 1.1, 1920, 1600)),
+        "frame 120: UD 1.2 × box area (1920 px²) > 1 × box area (1600 px²) for 3 frames → target 1 lost; "
+        "would have stayed at lost ≥ 1.1 × box area (1760 px²)",
+    ),
+    (
+        StatusChanged(130, "1", "tracking", Cause("ud_px2", 900, 870, 3, 860, 870, 1)),
+        "frame 130: UD 870 px² ≤ 900 for 3 frames → target 1 found again",
+    ),
+    (
+        StatusChanged(131, "1", "lost", None, "no agent is active"),
+        "frame 131: no agent is active → target 1 lost",
+    ),
+    (
+        DegenerateBelief(12, "1", "all weights are 0"),
+        "frame 12: no hypothesis of target 1 can be used: all weights are 0; the prediction stays",
+    ),
+    (
+        FramesMissing(50, 3.0),
+        "frame 50: 3 frame intervals missing before it; the belief is predicted over the gap",
+    ),
+    (
+        FramesMissing(50, 1.0),
+        "frame 50: 1 frame interval missing before it; the belief is predicted over the gap",
+    ),
+    (
+        FrameSizeChanged(60, 640, 480, "stop"),
+        "frame 60: the pictures change to 640x480; the run stops",
+    ),
+    (
+        FrameSizeChanged(60, 640, 480, "rescale"),
+        "frame 60: the pictures change to 640x480; they are scaled to the first frame's size",
+    ),
+    (SourceDamaged(61, "invalid NAL unit"), "frame 61: the source is damaged: invalid NAL unit"),
+    (RunEnded(200, 200, True, "end_of_source"), "run ended after 200 frames: end of source"),
+    (
+        RunEnded(120, 200, False, "source_damaged"),
+        "run ended early after 120 of 200 frames: source damaged",
+    ),
+]
+
+
+@pytest.mark.parametrize(("event", "sentence"), GOLDEN, ids=lambda value: type(value).__name__)
+def test_sentences(event, sentence):
+    assert explain(event) == sentence
+
+
+def test_every_kind_of_event_has_a_sentence():
+    told = {type(event) for event, _ in GOLDEN}
+    assert told == {kind for kind in event_classes().values() if kind is not FrameMetrics}
+
+
+def test_the_target_can_be_named():
+    assert explain(ON, name_target=True).startswith("frame 29, target 1: UD 212 px²")
+
+
+@given(
+    level=st.floats(1e-3, 1e5),
+    excess=st.lists(st.floats(1e-5, 10), min_size=1, max_size=5),
+    unit=st.sampled_from(["ud_px2", "ud_box", "ud_quiet"]),
+)
+def test_the_turning_threshold_really_turns(level, excess, unit):
+    """At the printed threshold some frame of the streak is no longer above it; at the set one all are."""
+    values = [level * (1 + more) for more in excess]
+    cause = Cause(unit, level, values[-1], len(values), min(values), values[-1] * 7, 7.0)
+    sentence = explain(Activated(1, "1", "a", "b", cause))
+    printed = float(re.search(r"activate ≥ ([\d.]+)", sentence)[1])
+    assert printed >= min(values) * (1 - 1e-8)
+    value, shown = re.search(r"UD ([\d.]+).*? > ([\d.]+)", sentence).groups()
+    assert float(value) > float(shown)
+    below = Cause(unit, level, level / 2, 2, level / (1 + excess[0]), level * 3.5, 7.0)
+    sentence = explain(Deactivated(1, "1", "a", "b", below, "largest_kl", {}))
+    assert float(re.search(r"deactivate ≤ ([\d.]+)", sentence)[1]) <= level / (1 + excess[0]) * (1 + 1e-8)
+
+
+EVENTS = [event for event, _ in GOLDEN]
+
+
+def test_filters():
+    assert all(Filter().keeps(event) for event in EVENTS)
+    assert [e for e in EVENTS if Filter(node="color").keeps(e)] == [STOPPED]
+    by_governor = [e for e in EVENTS if Filter(node="square").keeps(e)]
+    assert by_governor and all(isinstance(e, Activated | Deactivated) for e in by_governor)
+    kinds = [type(e) for e in EVENTS if Filter(kind="status_changed", frames=(121, 132)).keeps(e)]
+    assert kinds == [StatusChanged, StatusChanged]
+    assert [e for e in EVENTS if Filter(frames=(29, 30)).keeps(e)] == [ON]
+    with pytest.raises(ValueError, match="no event is called 'status'; there are run_started, "):
+        Filter(kind="status")
+
+
+METRICS = FrameMetrics(
+    frame=29,
+    time_s=1.16,
+    target="1",
+    box=(154.25, 110.5, 40.0, 40.0),
+    map=(154.0, 110.0, 40.0, 40.0),
+    sd=(3.1, 2.9, 0.4, 0.4),
+    ud_px2=212.4,
+    ud_nodes={"square": 212.4, "color": 98.0},
+    quiet_px2=94.0,
+    status="tracking",
+    score=0.62,
+    log_evidence=-3.21,
+    ess=212.0,
+    particles=500,
+    active=("hue",),
+    kl={"hue": 0.31},
+    contribution={"hue": 1.2},
+    agent_ud_px2={"hue": 98.0},
+    strength={"hue": 2.1, "color": 2.2},
+    learn_rate=0.0,
+    region50=(0.0, 1.0, 0.0, 1.0),
+    region90=(0.0, 1.0, 0.0, 1.0),
+    cloud=(),
+)
+
+
+def test_why():
+    assert why([STARTED, BORN, OFF, ON, STOPPED], [METRICS], 29) == (
+        "frame 29 at 1.160 s, target 1: tracking, score 0.62 (uncalibrated)\n"
+        "  estimate   centre 154.2, 110.5, 40.0 x 40.0 px; sd 3.1, 2.9, 0.4, 0.4 px\n"
+        "  hypotheses 500, of which 212 effective; log evidence -3.21\n"
+        "  UD         square 212 px², color 98 px²; quiet level 94 px²; learning rate 0\n"
+        "  hue        on   KL 0.31, contribution 1.20 nats, its own UD 98 px², strength 2.10 nats\n"
+        "             on since frame 0, the start\n"
+        "  motion     off  gave no evidence\n"
+        f"             {explain(OFF)}\n"
+        "  color      off  gave no evidence\n"
+        "             off since the start\n"
+        f"  from here  {explain(ON).removeprefix('frame 29: ')}\n"
+        "  levels     square deactivates below 130 px², square activates above 200 px², "
+        "color stops itself above 2500 px²"
+    )
+
+
+def test_why_of_a_frame_that_is_not_there():
+    with pytest.raises(ValueError, match="frame 30 is not in this run; it has frames 29 to 29"):
+        why([BORN], [METRICS], 30)
+    with pytest.raises(ValueError, match="it has none"):
+        why([], [], 0)
