@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 DEFAULT_RATE = Fraction(25)
+FEW_STEPS = 8
 _CONSTANT_SHARE = 0.9
 _MAX_SNAP = 0.25
 
@@ -59,11 +60,13 @@ class Declared:
         frames: number of frames, or None.
         duration_s: seconds, or None.
         slack_s: how much a whole file may fall short of `duration_s`.
+        from_zero: whether the duration counts from time 0 (Matroska) or from the first picture.
     """
 
     frames: int | None
     duration_s: float | None
     slack_s: float
+    from_zero: bool = False
 
 
 def timing_of(stream: Any, stamps: Sequence[int]) -> Timing:
@@ -76,9 +79,10 @@ def timing_of(stream: Any, stamps: Sequence[int]) -> Timing:
     """
     tick = Fraction(stream.time_base or Fraction(1, 1000))
     rates = (stream.guessed_rate, stream.average_rate, stream.base_rate)
+    # A cut through reordered pictures leaves holes among the last stamps.
     declared = [1 / Fraction(rate) for rate in rates if rate is not None and rate > 0]
     steps = sorted(after - before for before, after in pairwise(stamps) if after > before)
-    if not steps:
+    if not steps or (declared and len(steps) < FEW_STEPS):
         return Timing(tick, declared[0] if declared else 1 / DEFAULT_RATE, 1.5, True)
     median = steps[(len(steps) - 1) // 2]
     near = [step for step in steps if abs(step - median) <= 1]
@@ -95,7 +99,7 @@ def declared_by(container: Any, stream: Any, timing: Timing) -> Declared:
 
     Other containers declare nothing: FFmpeg's duration of them is a guess from what is there.
     """
-    slack = max(1.5, timing.gap_from) * timing.interval_s
+    slack = (0.75 if timing.is_constant else timing.gap_from) * timing.interval_s
     tagged = _seconds(stream.metadata.get("DURATION", ""))
     if stream.duration is not None and stream.duration > 0:
         duration: float | None = float(stream.duration * timing.tick)
@@ -108,9 +112,11 @@ def declared_by(container: Any, stream: Any, timing: Timing) -> Declared:
         duration = None
     if stream.frames > 0:
         return Declared(int(stream.frames), duration, slack)
-    if duration is None or not {"matroska", "mov"} & set(container.format.name.split(",")):
+    formats = set(container.format.name.split(","))
+    if duration is None or not {"matroska", "mov"} & formats:
         return Declared(None, None, slack)
-    return Declared(round(duration / timing.interval_s) if timing.is_constant else None, duration, slack)
+    frames = round(duration / timing.interval_s) if timing.is_constant else None
+    return Declared(frames, duration, slack, "matroska" in formats)
 
 
 def _seconds(text: str) -> float | None:

@@ -29,6 +29,8 @@ NETWORK_TIMEOUT_S = 10.0
 PROBE_PACKETS = 300
 MAX_PIXELS = 1 << 27
 MAX_FAILURES = 50
+# In others a packet may hold a picture that is never shown.
+ONE_PICTURE_A_PACKET = frozenset({"h264", "hevc", "mpeg4", "mjpeg"})
 FAULTS = (av.error.FFmpegError, ValueError, OverflowError, MemoryError)
 
 
@@ -58,9 +60,12 @@ class VideoReader:
         self.gap_from = self._timing.gap_from
         self._index = 0
         self._packets = 0
+        self._silent = 0
         self._end_s = 0.0
-        # AVI has no presentation times: the n-th picture shown has the n-th smallest decoding time.
-        self._untimed: list[int] | None = [] if self._container.format.name == "avi" else None
+        # AVI has no presentation times: reordered, the n-th picture has the n-th smallest decoding time.
+        self._is_avi = self._container.format.name == "avi"
+        reordered = self._is_avi and self._stream.codec_context.has_b_frames
+        self._untimed: list[int] | None = [] if reordered else None
         self._origin: int | None = stamps[0] if stamps and self._untimed is None else None
 
     def close(self) -> None:
@@ -91,6 +96,7 @@ class VideoReader:
     def _decode(self, packet: Any) -> Iterator[Picture | Damage]:
         if packet is not None:
             self._packets += 1
+            self._silent += bool(getattr(packet, "is_discard", False))
             if packet.is_corrupt:
                 yield Damage(self._index, "a packet is cut off or damaged")
             if self._untimed is not None and packet.dts is not None:
@@ -117,7 +123,7 @@ class VideoReader:
         else:
             stamp = frame.pts if frame.pts is not None else frame.dts
         if stamp is None:
-            time = (self._end_s + self.frame_interval_s) / self.frame_interval_s - 1.0
+            time = self._end_s / self.frame_interval_s
         else:
             self._origin = stamp if self._origin is None else self._origin
             time = self._timing.intervals(stamp - self._origin)
@@ -132,16 +138,20 @@ class VideoReader:
 
     def _ending(self) -> Iterator[Damage]:
         frames, duration = self._stream.frames, self._declared.duration_s
+        blank = self._packets - self._silent - self._index
+        if blank > 0 and self._stream.codec_context.name in ONE_PICTURE_A_PACKET:
+            yield Damage(self._index, f"{blank} damaged frames gave no picture")
+        end = self._end_s
+        if self._declared.from_zero and self._origin is not None:
+            end += float(self._origin * self._timing.tick)
         if frames > 0:
-            if self._packets < frames:
-                yield Damage(
-                    self._index, f"the file is truncated: read {self._packets} of {frames} frames", True
-                )
-        elif duration is not None and self._end_s < duration - self._declared.slack_s:
-            declared = (
-                f"{self._index} of {self.declared_frames} frames" if self.declared_frames else "fewer frames"
-            )
-            reason = f"the file is truncated: read {declared}, {self._end_s:.3f} of {duration:.3f} s"
+            # AVI counts the frames that were left out, too.
+            read = max(self._packets, round(end / self.frame_interval_s) if self._is_avi else 0)
+            if read < frames:
+                yield Damage(self._index, f"the file is truncated: read {read} of {frames} frames", True)
+        elif duration is not None and end < duration - self._declared.slack_s:
+            read_of = f"{self._index} of {self.declared_frames} frames, " if self.declared_frames else ""
+            reason = f"the file is truncated: read {read_of}{end:.3f} of {duration:.3f} s"
             yield Damage(self._index, reason, True)
 
 

@@ -160,7 +160,7 @@ def test_a_wrong_line_is_refused_with_its_fault(line, words):
     [
         SourceDamaged(1.5, "x"),
         SourceDamaged(1, None),
-        Activated(1, "t", "n", "g", None),
+        Deactivated(1, "t", "n", "g", None, "largest_kl"),
         StatusChanged(1, "t", "lost", 3),
     ],
 )

@@ -1,0 +1,109 @@
+"""Truncated and damaged videos: reported, never a crash, never a hang."""
+
+import time
+
+import av
+import numpy as np
+import pytest
+
+from bayesnet_track.journal.events import SourceDamaged
+from bayesnet_track.planes import Frame
+from bayesnet_track.runtime.sources import SourceError, open_source
+
+CONTAINERS = ["plain.mp4", "start.mp4", "xvid.avi", "h264.mkv"]
+FRAMES = 40
+LIMIT_S = 10.0
+
+
+def outcome(path):
+    """(frames, end reason, reported damage), or None when it cannot be opened. Times must grow."""
+    began = time.perf_counter()
+    last = -np.inf
+    damage = []
+    try:
+        with open_source(str(path)) as source:
+            for item in source:
+                if isinstance(item, Frame):
+                    assert item.time > last
+                    assert item.image.shape == (source.height, source.width, 3)
+                    last = item.time
+                elif isinstance(item, SourceDamaged):
+                    damage.append(item.reason)
+        return source.frames, source.end_reason, damage
+    except SourceError:
+        return None
+    finally:
+        assert time.perf_counter() - began < LIMIT_S
+
+
+@pytest.mark.parametrize("name", CONTAINERS)
+def test_a_whole_file_is_complete(whole_videos, name):
+    assert outcome(whole_videos[name]) == (FRAMES, "end_of_source", [])
+
+
+@pytest.mark.parametrize("name", CONTAINERS)
+def test_a_truncated_file_is_always_reported(whole_videos, tmp_path, name):
+    data = whole_videos[name].read_bytes()
+    cut = tmp_path / name
+    truncated = 0
+    for part in range(1, 51):
+        cut.write_bytes(data[: len(data) * part // 51])
+        found = outcome(cut)
+        if found is None:
+            continue
+        frames, reason, damage = found
+        # A cut behind the last frame (in the index) takes nothing away.
+        if frames < FRAMES:
+            truncated += 1
+            assert reason == "source_truncated"
+            assert f" of {FRAMES} frames" in damage[-1]
+    # An MP4 with its index at the end cannot be opened at all once it is cut.
+    assert truncated == 0 if name == "plain.mp4" else truncated >= 10
+
+
+def damaged(data, seed):
+    """`data` with 1 to 40 bytes changed, or a piece cut out of its middle."""
+    rng = np.random.default_rng([77, seed])
+    bytes_ = np.frombuffer(data, np.uint8).copy()
+    if seed % 4 == 3:
+        low, high = sorted(rng.integers(0, len(bytes_), 2))
+        return np.delete(bytes_, slice(low, min(high, low + len(bytes_) // 4))).tobytes()
+    where = rng.integers(0, len(bytes_), rng.integers(1, 41))
+    bytes_[where] = rng.integers(0, 256, len(where))
+    return bytes_.tobytes()
+
+
+def check_damaged(original, path, seeds):
+    data = original.read_bytes()
+    short_and_silent = []
+    for seed in seeds:
+        path.write_bytes(damaged(data, seed))
+        found = outcome(path)
+        if found is not None and found[0] < FRAMES and found[1] == "end_of_source":
+            short_and_silent.append(seed)
+    return short_and_silent
+
+
+@pytest.mark.parametrize("name", CONTAINERS)
+def test_damaged_files_neither_crash_nor_hang(whole_videos, tmp_path, name):
+    check_damaged(whole_videos[name], tmp_path / name, range(40))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CONTAINERS)
+def test_a_thousand_damaged_files_neither_crash_nor_hang(whole_videos, tmp_path, name):
+    check_damaged(whole_videos[name], tmp_path / name, range(1000))
+
+
+@pytest.mark.parametrize("name", ["start.mp4", "xvid.avi", "h264.mkv"])
+def test_a_frame_wiped_out_is_reported(whole_videos, tmp_path, name):
+    data = bytearray(whole_videos[name].read_bytes())
+    with av.open(str(whole_videos[name])) as container:
+        middle = [packet.pos for packet in container.demux(video=0) if packet.size][20]
+    data[middle : middle + 150] = bytes(150)
+    path = tmp_path / name
+    path.write_bytes(data)
+    frames, reason, damage = outcome(path)
+    assert reason != "end_of_source"
+    assert damage
+    assert frames > 0
