@@ -26,7 +26,7 @@ def estimate(chosen: spec.Estimate | None, posterior: ParticleSet, step: Step) -
     weights = posterior.weights.weights
     if kind == "mean":
         return np.asarray(weights @ posterior.states)
-    best = posterior.states[int(np.argmax(weights))]
+    best = np.asarray(posterior.states[int(np.argmax(weights))])
     if kind == "best" or chosen is None or chosen.robust_mean is None:
         return best
     reach = chosen.robust_mean.box * float(np.sqrt(best[2] * best[3]))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Motion
-from bayesnet_track.numerics.density import mixture_log_density
+from bayesnet_track.numerics.density import mixture_argmax
 from bayesnet_track.numerics.log_weights import LogWeights
 
 Floats = NDArray[np.float64]
@@ -34,5 +34,4 @@ def map_index(
     log_weights = (transition.log_shares[:, None] + weights.log).ravel()
     means = np.tile(transition.means, (components, 1))
     sds = transition.sds.reshape(len(means), width)
-    value = log_likelihood + log_jacobian + mixture_log_density(points, log_weights, means, sds)
-    return int(np.argmax(value))
+    return mixture_argmax(log_likelihood + log_jacobian, points, log_weights, means, sds)

@@ -77,12 +77,11 @@ class KinematicMotion:
         transition, covariance = _steps(self.dynamics, self.diffusion, dt)
         new = states.copy()
         if self.order > 1:
-            # One column per axis and derivative: [[x, y], [vx, vy], ...] is (n, 2) for each state.
-            moved = np.einsum("ij,njk->nik", transition, self._chains(states))
+            moved = _chains(states) @ _both_axes(transition).T
             if self.diffusion > 0:
-                root = np.linalg.cholesky(covariance)
-                moved += np.einsum("ij,njk->nik", root, rng.standard_normal((len(states), self.order, 2)))
-            new[:, :2], new[:, 4:] = moved[:, 0], moved[:, 1:].reshape(len(states), -1)
+                root = _both_axes(np.linalg.cholesky(covariance))
+                moved += rng.standard_normal(moved.shape) @ root.T
+            new[:, :2], new[:, 4:] = moved[:, :2], moved[:, 2:]
         new[:, :4] = sample_noise(self.noise, new[:, :4], rng, dt)
         return new
 
@@ -100,8 +99,8 @@ class KinematicMotion:
         moves, covariance = _steps(self.dynamics, self.diffusion, dt)
         mean = old.copy()
         if self.order > 1:
-            drifted = np.einsum("ij,njk->nik", moves, self._chains(old))
-            mean[:, :2], mean[:, 4:] = drifted[:, 0], drifted[:, 1:].reshape(len(old), -1)
+            drifted = _chains(old) @ _both_axes(moves).T
+            mean[:, :2], mean[:, 4:] = drifted[:, :2], drifted[:, 2:]
         variances = component_variances(self.noise, old, dt)
         keep = noisy(self.noise)
         if self.diffusion == 0:
@@ -109,7 +108,7 @@ class KinematicMotion:
         else:
             lower = np.linalg.cholesky(covariance[::-1, ::-1])
             scale = np.diag(lower)
-            unmix = np.linalg.inv(lower / scale)[::-1, ::-1]
+            unmix = _both_axes(np.linalg.inv(lower / scale)[::-1, ::-1])
             pivots = (scale**2)[::-1]
             variances[:, :, :2] += pivots[0]
             keep = [True, True, *keep[2:]]
@@ -120,9 +119,9 @@ class KinematicMotion:
         def coordinates(states: Floats) -> tuple[Floats, Floats]:
             points, log_jacobian = box_coordinates(self.noise, states[:, :4])
             if unmix is not None:
-                mixed = np.einsum("ij,njk->nik", unmix, self._chains(states))
-                points[:, :2] = mixed[:, 0]
-                points = np.concatenate([points, mixed[:, 1:].reshape(len(states), -1)], axis=1)
+                mixed = _chains(states) @ unmix.T
+                points[:, :2] = mixed[:, :2]
+                points = np.concatenate([points, mixed[:, 2:]], axis=1)
             return points[:, keep], log_jacobian
 
         return Transition(
@@ -131,10 +130,6 @@ class KinematicMotion:
             np.sqrt(variances[:, :, keep]),
             component_log_shares(self.noise),
         )
-
-    def _chains(self, states: Floats) -> Floats:
-        """(N, n, 2): position, velocity, ... of both axes."""
-        return np.concatenate([states[:, :2], states[:, 4:]], axis=1).reshape(len(states), self.order, 2)
 
 
 def make_motion(chosen: spec.Motion) -> KinematicMotion:
@@ -189,6 +184,16 @@ def linear_gaussian(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]
     px = noise.sd_px
     noise_covariance[range(4), range(4)] += dt * np.square([px.x, px.y, px.w, px.h])
     return transition, noise_covariance
+
+
+def _chains(states: Floats) -> Floats:
+    """(N, 2 n): x, y, vx, vy, ..., the states without the size."""
+    return np.concatenate([states[:, :2], states[:, 4:]], axis=1)
+
+
+def _both_axes(matrix: Floats) -> Floats:
+    """The (2 n, 2 n) matrix that does to x, y, vx, vy, ... what `matrix` (n, n) does to each axis."""
+    return np.kron(matrix, np.eye(2))
 
 
 @lru_cache(maxsize=256)

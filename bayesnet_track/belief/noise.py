@@ -28,8 +28,8 @@ class Transition:
     """p(new | old) for N old states: diagonal Gaussians, in coordinates in which they are diagonal.
 
     Attributes:
-        coordinates: (M, D) states -> their (M, K) coordinates with noise, and the (M,) log-Jacobian that turns
-            densities of the coordinates into densities of the states.
+        coordinates: (M, D) states -> their (M, K) coordinates with noise, and the (M,) log-Jacobian from
+            densities of the coordinates to densities of the states.
         means: (N, K) of the new state, in these coordinates.
         sds: (C, N, K) of each component.
         log_shares: (C,) log-weights of the components.
