@@ -85,17 +85,16 @@ def plain_scalar(text: str) -> str | int | float | bool | None:
     return math.nan if text in _NAN else text
 
 
-def _decoded(text: str | bytes, file: str) -> str:
-    size = len(text) if isinstance(text, bytes) else len(text.encode("utf-8", "surrogatepass"))
-    if size > MAX_BYTES:
+def _decoded(source: str | bytes, file: str) -> str:
+    content = source if isinstance(source, bytes) else source.encode("utf-8", "surrogatepass")
+    if len(content) > MAX_BYTES:
         raise _error(file, 1, 1, f"more than {MAX_BYTES} bytes", f"at most {MAX_BYTES} bytes")
-    if isinstance(text, bytes):
-        try:
-            text = text.decode("utf-8")
-        except UnicodeDecodeError as error:
-            good = text[: error.start].decode("utf-8")
-            found = f"byte 0x{text[error.start]:02x} that is not UTF-8"
-            raise _error(file, *_line_and_column(good), found, "text in UTF-8") from None
+    try:
+        text = content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        good = content[: error.start].decode("utf-8")
+        found = f"byte 0x{content[error.start]:02x} that is not UTF-8"
+        raise _error(file, *_line_and_column(good), found, "text in UTF-8") from None
     text = text.removeprefix("\ufeff")
     if refused := _REFUSED_CHARACTER.search(text):
         found = f"character U+{ord(refused[0]):04X}"
@@ -112,7 +111,7 @@ def _error(file: str, line: int, column: int, found: str, allowed: str = "") -> 
     return GraphError([GraphMessage(file, line, column, (), "graph", found, allowed)])
 
 
-class _Events(Reader, Scanner, Parser):  # type: ignore[misc]
+class _Events(Reader, Scanner, Parser):
     """PyYAML's pure parser, which stops at deep flow collections before it looks ahead into them."""
 
     def __init__(self, text: str) -> None:
@@ -125,6 +124,11 @@ class _Events(Reader, Scanner, Parser):  # type: ignore[misc]
         if self.flow_level >= MAX_DEPTH:
             raise _TooMuch(self.get_mark(), *_TOO_DEEP)
         super().fetch_flow_collection_start(token)
+
+
+def _place(event: Event) -> tuple[int, int]:
+    mark: Any = event.start_mark
+    return (mark.line + 1, mark.column + 1)
 
 
 class _TooMuch(Exception):
@@ -191,8 +195,7 @@ class _Building:
     def _value(self, events: Any, event: Event, path: Path, depth: int) -> Any:
         """The data of the node that `event` begins; consumes its events."""
         self._admit(event, path, depth)
-        mark = event.start_mark
-        self.values[path] = (mark.line + 1, mark.column + 1)
+        self.values[path] = _place(event)
         if isinstance(event, ScalarEvent):
             return self._scalar(event, path)
         if isinstance(event, MappingStartEvent):
@@ -224,7 +227,7 @@ class _Building:
                     event, inside, f"key {shown(key)} again, first in line {first}", "every key once"
                 )
             else:
-                self.keys[inside] = (event.start_mark.line + 1, event.start_mark.column + 1)
+                self.keys[inside] = _place(event)
                 found[key] = self._value(events, events.get_event(), inside, depth + 1)
                 continue
             self._skip(events, events.get_event(), inside, depth + 1)

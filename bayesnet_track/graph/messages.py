@@ -60,20 +60,20 @@ class GraphError(ValueError):
 
     Attributes:
         errors: every error that was found (at most the first 50).
-        more: how many were left out.
+        more: whether some were left out.
     """
 
     def __init__(self, errors: Sequence[GraphMessage]) -> None:
         ordered = sorted(errors, key=lambda error: (error.line or 0, error.column or 0))
         self.errors = tuple(ordered[:MAX_MESSAGES])
-        self.more = len(ordered) - len(self.errors)
+        self.more = len(ordered) > MAX_MESSAGES
         super().__init__(self.errors)
 
     def __str__(self) -> str:
         """The messages, one a line."""
         lines = [str(error) for error in self.errors]
         if self.more:
-            lines.append(f"{self.errors[0].file}: {self.more} more errors")
+            lines.append(f"{self.errors[0].file}: and more errors")
         return "\n".join(lines)
 
 
@@ -100,7 +100,7 @@ class Positions:
     ) -> GraphMessage:
         """An error at the value (or key) at `path`, or at the nearest enclosing value that was written.
 
-        `allowed` is a text or the allowed names; `word` is compared with `near` (by default with these names).
+        `allowed` is a text or the allowed names; `word` is compared with `near` (or these names).
         """
         names = [] if isinstance(allowed, str) else list(allowed)
         text = allowed if isinstance(allowed, str) else listed(names)
@@ -129,8 +129,8 @@ class Positions:
 def node_of(path: Path) -> str:
     """The node a path lies in, else its target, else ``graph``.
 
-    >>> node_of(("targets", "ball", "nodes", "color", "fuse")), node_of(("targets", "ball")), node_of(("name",))
-    ('color', 'ball', 'graph')
+    >>> node_of(("targets", "ball", "nodes", "color", "fuse")), node_of(("targets", "ball"))
+    ('color', 'ball')
     """
     if path[:1] != ("targets",) or len(path) < 2:
         return "graph"
