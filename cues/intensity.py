@@ -54,7 +54,7 @@ class IntensityParameters(CueParameters):
     sd_texture_gray: float = Field(
         default=4.0,
         gt=0,
-        description="`correlation`: contrast below which a pattern is taken for noise, in gray levels of 255.",
+        description="`correlation`: contrast below which a pattern counts as noise, in gray levels of 255.",
     )
     sd_gray: float = Field(
         default=25.0,

@@ -1,0 +1,155 @@
+"""Motion cue: the mean optical flow inside a box against that of the target.
+
+Thesis 3.5, eq. 3.9, corrected (both terms of the exponent are negative, each with its own deviation).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydantic import Field
+
+from bayesnet_track.cue import (
+    CueDeclaration,
+    CueParameters,
+    Floats,
+    Hypotheses,
+    Reference,
+    floored,
+    log_size_penalty,
+)
+from bayesnet_track.motion_planes import FlowPlane
+
+if TYPE_CHECKING:
+    from bayesnet_track.planes import Plane, Planes
+
+
+class MotionParameters(CueParameters):
+    """Parameters of the motion cue."""
+
+    sd_x_px: float = Field(
+        default=2.0, gt=0, description="Standard deviation of the mean flow in x, pixels per frame interval."
+    )
+    sd_y_px: float = Field(
+        default=2.0, gt=0, description="Standard deviation of the mean flow in y, pixels per frame interval."
+    )
+    spacing_px: int = Field(
+        default=16, ge=4, le=128, description="Width of the lattice cells that hold one corner each, pixels."
+    )
+    min_gradient_gray: float = Field(
+        default=6.0,
+        gt=0,
+        description="Least gradient of a corner in its weakest direction, gray levels of 255 per pixel.",
+    )
+    half_window_px: int = Field(
+        default=5,
+        ge=2,
+        le=15,
+        description="The patch that is matched reaches this far around a corner, pixels of each pyramid level.",
+    )
+    reach_px: int = Field(
+        default=24, ge=4, le=128, description="Largest displacement that is looked for, pixels in x and in y."
+    )
+    agree_px: float = Field(
+        default=1.0,
+        gt=0,
+        description="Largest distance between a point and where tracking there and back takes it, pixels.",
+    )
+    sharpness: float = Field(
+        default=1.0, gt=0, description="Factor on the log-likelihood before the floor (no unit)."
+    )
+    sd_log_area: float = Field(
+        default=0.5, gt=0, description="Standard deviation of the log of the area ratio to the reference."
+    )
+    sd_log_aspect: float = Field(
+        default=0.3, gt=0, description="Standard deviation of the log of the aspect ratio to the reference."
+    )
+
+
+@dataclass(frozen=True)
+class MotionCue:
+    """Compares mean flow.
+
+    Reference: `flow` (2,) mean of the valid vectors, pixels per frame interval; `valid` () their number;
+    `size` (2,) width and height in pixels; `known` () 1, or 0 when no valid vector was seen.
+    """
+
+    parameters: MotionParameters
+    flow: FlowPlane
+
+    @property
+    def needs(self) -> tuple[Plane, ...]:
+        """The flow plane."""
+        return (self.flow,)
+
+    def learn(self, planes: Planes, box: Floats) -> Reference:
+        """The mean flow inside the centre box (4,); unknown when it holds no valid vector."""
+        counts, means = self._inside(planes, np.asarray(box, dtype=np.float64)[None])
+        return {
+            "flow": means[0],
+            "valid": np.array(counts[0]),
+            "size": np.array(box[2:], dtype=np.float64),
+            "known": np.array(float(counts[0] > 0)),
+        }
+
+    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+        """Linear (eq. 2.15); an unknown reference gives way to a known one whole."""
+        if not new["known"]:
+            return old
+        if not old["known"]:
+            return new
+        return {name: np.asarray(rate * new[name] + (1.0 - rate) * old[name]) for name in old}
+
+    def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
+        """(N,) log of min(n / n_ref, 1) exp(-(dx^2 / 2 sd_x^2 + dy^2 / 2 sd_y^2)), thesis eq. 3.9, corrected.
+
+        n counts the valid vectors inside the box: it multiplies the likelihood, so that a box without flow
+        does not match. All 0 (no evidence) when the reference is unknown.
+        """
+        if not reference["known"]:
+            return np.zeros(len(hypotheses))
+        settings = self.parameters
+        counts, means = self._inside(planes, hypotheses.boxes)
+        share = np.minimum(counts / reference["valid"], 1.0)
+        with np.errstate(divide="ignore"):
+            log = np.log(share)
+        off = (means - reference["flow"]) / np.array([settings.sd_x_px, settings.sd_y_px])
+        log = log - 0.5 * (off**2).sum(axis=1)
+        penalty = log_size_penalty(
+            hypotheses.boxes, reference["size"], settings.sd_log_area, settings.sd_log_aspect
+        )
+        return floored(settings.sharpness * log + penalty, settings.floor)
+
+    def _inside(self, planes: Planes, boxes: Floats) -> tuple[Floats, Floats]:
+        from bayesnet_track.numerics.flow_kernels import flow_in_boxes
+
+        counts, means = np.zeros(len(boxes)), np.zeros((len(boxes), 2))
+        flow_in_boxes(planes[self.flow], np.ascontiguousarray(boxes, dtype=np.float64), counts, means)
+        return counts, means
+
+
+def _make(parameters: MotionParameters) -> MotionCue:
+    import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
+
+    from bayesnet_track.numerics import flow_kernels  # noqa: F401
+
+    plane = FlowPlane(
+        spacing_px=parameters.spacing_px,
+        min_gradient_gray=parameters.min_gradient_gray,
+        half_window_px=parameters.half_window_px,
+        reach_px=parameters.reach_px,
+        agree_px=parameters.agree_px,
+    )
+    return MotionCue(parameters, plane)
+
+
+CUE = CueDeclaration(
+    name="motion",
+    summary="optical flow inside the box against the target's",
+    parameters=MotionParameters,
+    make=_make,
+    cost_ms=2.2,
+    rate_max=1.0,
+)
