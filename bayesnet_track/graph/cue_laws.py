@@ -1,0 +1,52 @@
+"""Laws of the agents: installed cues, and parameters that these cues take."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+
+from pydantic import ValidationError
+
+from bayesnet_track.cue import CueDeclaration, CueParameters
+from bayesnet_track.graph.explain import explain
+from bayesnet_track.graph.messages import GraphMessage
+from bayesnet_track.graph.plate import Law, Plate
+from bayesnet_track.graph.spec import AgentChoice
+
+
+def cues_are_installed(plate: Plate) -> Iterator[GraphMessage]:
+    """Every agent names an installed cue."""
+    for name, node in plate.agents.items():
+        cue = node.agent.cue
+        if cue not in plate.cues:
+            allowed = list(plate.cues) or "no cue is installed"
+            key = ("agent", cue)
+            yield plate.message(name, f"unknown cue {cue!r}", allowed, key=key, word=cue, on_key=True)
+
+
+def parameters_fit_the_cue(plate: Plate) -> Iterator[GraphMessage]:
+    """Every parameter is one that the cue declares, of its type and within its range."""
+    for name, node in plate.agents.items():
+        declaration = plate.cues.get(node.agent.cue)
+        if declaration is None:
+            continue
+        try:
+            cue_parameters(node.agent, declaration)
+        except ValidationError as error:
+            path = ("targets", plate.name, "nodes", name, "agent", node.agent.cue)
+            yield from explain(error, declaration.parameters, node.agent.parameters, plate.at, path)
+
+
+def cue_parameters(agent: AgentChoice, declaration: CueDeclaration) -> CueParameters:
+    """The agent's parameters as the cue's own type.
+
+    Numbers must be numbers, as everywhere in the language; a list stands for a tuple.
+
+    Raises:
+        pydantic.ValidationError: some parameter does not fit.
+    """
+    text = json.dumps(dict(agent.parameters))
+    return declaration.parameters.model_validate_json(text, strict=True)
+
+
+CUE_LAWS: tuple[Law, ...] = (cues_are_installed, parameters_fit_the_cue)

@@ -1,0 +1,74 @@
+"""Check a graph against every law of the language: named passes, each of which reports all its errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from bayesnet_track.cue import CueDeclaration, installed_cues
+from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
+from bayesnet_track.graph.cue_laws import CUE_LAWS, cue_parameters
+from bayesnet_track.graph.document import MAX_BYTES
+from bayesnet_track.graph.evidence_law import evidence_counts_once
+from bayesnet_track.graph.messages import GraphError, GraphMessage, Positions
+from bayesnet_track.graph.plate import Plate
+from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.tree_laws import TREE_LAWS
+from bayesnet_track.graph.value_laws import RULE_LAWS, VALUE_LAWS
+from bayesnet_track.graph.write import write_graph
+
+Cues = Mapping[str, CueDeclaration]
+
+LAWS_OF_A_SOUND_TREE = (*RULE_LAWS, evidence_counts_once)
+
+
+def check(spec: GraphSpec, at: Positions | None = None, cues: Cues | None = None) -> CheckedGraph:
+    """The graph with its trees resolved and its cues' parameters typed.
+
+    `at` says where its parts stand (from `read_graph`); `cues` are the installed ones unless given.
+
+    Raises:
+        GraphError: every violation of every law in every target.
+    """
+    at = Positions() if at is None else at
+    cues = installed_cues() if cues is None else cues
+    plates = [Plate(name, target, at, cues) for name, target in spec.targets.items()]
+    errors = [message for plate in plates for message in _violations(plate)]
+    text = write_graph(spec)
+    if len(text.encode()) > MAX_BYTES:
+        errors.append(at.message((), f"more than {MAX_BYTES} bytes when written as YAML", "smaller graphs"))
+    if errors:
+        raise GraphError(errors)
+    return CheckedGraph(spec, {plate.name: _resolved(plate) for plate in plates}, text)
+
+
+def check_graph(spec: GraphSpec, cues: Cues | None = None) -> CheckedGraph:
+    """`check` for a graph written in Python: messages name the path of keys.
+
+    Raises:
+        GraphError: every violation of every law in every target.
+    """
+    return check(spec, Positions(), cues)
+
+
+def _violations(plate: Plate) -> list[GraphMessage]:
+    tree = [message for law in TREE_LAWS for message in law(plate)]
+    values = [message for law in (*CUE_LAWS, *VALUE_LAWS) for message in law(plate)]
+    if tree:
+        return tree + values
+    return values + [message for law in LAWS_OF_A_SOUND_TREE for message in law(plate)]
+
+
+def _resolved(plate: Plate) -> CheckedTarget:
+    return CheckedTarget(
+        name=plate.name,
+        spec=plate.spec,
+        root=plate.roots[0],
+        order=tuple(plate.order),
+        parent={name: plate.spec.nodes[name].parent for name in plate.order},
+        children={name: tuple(plate.children[name]) for name in plate.inference},
+        parameters={
+            name: cue_parameters(node.agent, plate.cues[node.agent.cue])
+            for name, node in plate.agents.items()
+        },
+        governor=plate.governor,
+    )
