@@ -1,0 +1,131 @@
+"""Draw what is believed of a target onto a frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bayesnet_track.journal.events import FrameMetrics
+from bayesnet_track.numerics.boxes import corner_from_centre
+
+Image = NDArray[np.uint8]
+Colour = tuple[int, int, int]
+
+STATUS_COLOUR: dict[str, Colour] = {"tracking": (110, 230, 90), "lost": (70, 70, 245)}
+CLOUD_COLOUR: Colour = (255, 215, 120)
+TRUTH_COLOUR: Colour = (255, 255, 255)
+DARK: Colour = (24, 20, 18)
+REACH = 8192
+
+
+def draw_overlay(image: Image, metrics: FrameMetrics, truth: ArrayLike | None = None) -> Image:
+    """A copy of the frame with the estimate, the cloud of hypotheses and a label.
+
+    The estimate's colour says the status; the label says target, status, UD and active agents, and stays
+    inside the picture. Line widths and letters grow with the picture.
+
+    Args:
+        image: (H, W, 3) uint8 BGR.
+        metrics: one target's measurements in this frame.
+        truth: corner box (4,) in px to draw dashed beside it; NaN or None draws none.
+    """
+    import cv2
+
+    drawn = np.ascontiguousarray(image).copy()
+    scale = min(max(min(drawn.shape[:2]) / 480.0, 0.5), 2.5)
+    line = max(1, round(1.5 * scale))
+    colour = STATUS_COLOUR.get(metrics.status, STATUS_COLOUR["tracking"])
+    if metrics.cloud:
+        veil = drawn.copy()
+        for box in metrics.cloud:
+            cv2.rectangle(veil, *_corners(box[:4]), CLOUD_COLOUR, 1)
+        drawn = cv2.addWeighted(veil, 0.45, drawn, 0.55, 0.0)
+    if truth is not None and np.isfinite(np.asarray(truth, dtype=np.float64)).all():
+        x, y, w, h = np.asarray(truth, dtype=np.float64)
+        _dashed(drawn, *_span((x, y), (x + w - 1, y + h - 1)), line)
+    low, high = _corners(metrics.box)
+    cv2.rectangle(drawn, low, high, DARK, line + 2, cv2.LINE_AA)
+    cv2.rectangle(drawn, low, high, colour, line, cv2.LINE_AA)
+    _label(drawn, metrics, low, high, colour, scale)
+    return np.asarray(drawn, dtype=np.uint8)
+
+
+Point = tuple[int, int]
+
+
+def _corners(centre_box: Sequence[float]) -> tuple[Point, Point]:
+    """First and last pixel of a centre box."""
+    x, y, w, h = corner_from_centre(centre_box)
+    return _span((x, y), (x + w - 1, y + h - 1))
+
+
+def _span(low: tuple[float, float], high: tuple[float, float]) -> tuple[Point, Point]:
+    """Rounded to pixels, kept where OpenCV's fixed-point drawing cannot overflow."""
+    a, b, c, d = (int(np.clip(np.rint(value), -REACH, 2 * REACH)) for value in (*low, *high))
+    return (a, b), (c, d)
+
+
+def _dashed(image: Image, low: Point, high: Point, thickness: int) -> None:
+    import cv2
+
+    dash = 4 * thickness
+    (x0, y0), (x1, y1) = low, high
+    height, width = image.shape[:2]
+    for x in range(max(x0, -dash), min(x1, width), 2 * dash):
+        for y in (y0, y1):
+            cv2.line(image, (x, y), (min(x + dash, x1), y), TRUTH_COLOUR, thickness)
+    for y in range(max(y0, -dash), min(y1, height), 2 * dash):
+        for x in (x0, x1):
+            cv2.line(image, (x, y), (x, min(y + dash, y1)), TRUTH_COLOUR, thickness)
+
+
+def _label(
+    image: Image, metrics: FrameMetrics, low: Point, high: Point, colour: Colour, scale: float
+) -> None:
+    """Two lines on a dark plate: above the box where there is room, else below it, else over it."""
+    import cv2
+
+    height, width = image.shape[:2]
+    font, size, weight = cv2.FONT_HERSHEY_SIMPLEX, max(0.36, 0.5 * scale), max(1, round(scale))
+    pad = max(2, round(4 * scale))
+    room = width - 2 * pad
+
+    def extent(text: str) -> int:
+        return int(cv2.getTextSize(text, font, size, weight)[0][0])
+
+    head = f"{metrics.target} {metrics.status}  UD {_short(metrics.ud_px2)} px2"
+    lines = [_fitted([head], room, extent), _fitted(list(metrics.active) or ["no agent"], room, extent)]
+    step = round(cv2.getTextSize("Ag", font, size, weight)[0][1] * 1.6)
+    plate_w, plate_h = max(map(extent, lines)) + 2 * pad, step * len(lines) + pad
+    x = min(max(low[0], 0), max(width - plate_w, 0))
+    y = low[1] - plate_h - pad
+    if y < 0:
+        y = high[1] + pad
+    y = min(max(y, 0), max(height - plate_h, 0))
+    plate = image[y : y + plate_h, x : x + plate_w]
+    plate[:] = (plate * 0.3 + np.array(DARK) * 0.7).astype(np.uint8)
+    for number, text in enumerate(lines):
+        ink = colour if number == 0 else (235, 235, 235)
+        at = (x + pad, y + step * (number + 1) - step // 5)
+        cv2.putText(image, text, at, font, size, ink, weight, cv2.LINE_AA)
+
+
+def _fitted(words: list[str], room: int, extent: Callable[[str], int]) -> str:
+    """As many words as fit, then how many are left out; a single word is cut."""
+    for kept in range(len(words), 0, -1):
+        rest = len(words) - kept
+        text = ", ".join(words[:kept]) + (f" +{rest}" if rest else "")
+        if extent(text) <= room:
+            return text
+    text = words[0]
+    while len(text) > 1 and extent(text + "..") > room:
+        text = text[:-1]
+    return text + ".."
+
+
+def _short(value: float) -> str:
+    if not np.isfinite(value):
+        return "?"
+    return f"{value:.3g}" if value < 1000 else f"{value:.0f}" if value < 1e6 else f"{value:.0e}"
