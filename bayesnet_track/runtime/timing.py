@@ -79,11 +79,13 @@ def timing_of(stream: Any, stamps: Sequence[int]) -> Timing:
     """
     tick = Fraction(stream.time_base or Fraction(1, 1000))
     rates = (stream.guessed_rate, stream.average_rate, stream.base_rate)
-    # A cut through reordered pictures leaves holes among the last stamps.
     declared = [1 / Fraction(rate) for rate in rates if rate is not None and rate > 0]
     steps = sorted(after - before for before, after in pairwise(stamps) if after > before)
-    if not steps or (declared and len(steps) < FEW_STEPS):
-        return Timing(tick, declared[0] if declared else 1 / DEFAULT_RATE, 1.5, True)
+    # A cut through reordered pictures leaves holes among the last stamps, so few of them prove little.
+    if len(steps) < FEW_STEPS:
+        likely = [interval for interval in declared if not steps or 8 * interval >= steps[0] * tick]
+        if likely or not steps:
+            return Timing(tick, likely[0] if likely else 1 / DEFAULT_RATE, 1.5, True)
     median = steps[(len(steps) - 1) // 2]
     near = [step for step in steps if abs(step - median) <= 1]
     agreeing = [interval for interval in declared if abs(interval - median * tick) <= tick]

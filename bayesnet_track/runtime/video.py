@@ -29,7 +29,7 @@ NETWORK_TIMEOUT_S = 10.0
 PROBE_PACKETS = 300
 MAX_PIXELS = 1 << 27
 MAX_FAILURES = 50
-# In others a packet may hold a picture that is never shown.
+# In others a packet may hold a picture that is never shown; a transport stream may begin before a key frame.
 ONE_PICTURE_A_PACKET = frozenset({"h264", "hevc", "mpeg4", "mjpeg"})
 FAULTS = (av.error.FFmpegError, ValueError, OverflowError, MemoryError)
 
@@ -139,7 +139,8 @@ class VideoReader:
     def _ending(self) -> Iterator[Damage]:
         frames, duration = self._stream.frames, self._declared.duration_s
         blank = self._packets - self._silent - self._index
-        if blank > 0 and self._stream.codec_context.name in ONE_PICTURE_A_PACKET:
+        whole = self._declared.duration_s is not None
+        if whole and blank > 0 and self._stream.codec_context.name in ONE_PICTURE_A_PACKET:
             yield Damage(self._index, f"{blank} damaged frames gave no picture")
         end = self._end_s
         if self._declared.from_zero and self._origin is not None:

@@ -35,7 +35,7 @@ class VideoWriter:
             raise OutputError(f"{path}: a video is written as {' or '.join(SUFFIXES)}")
         if width < 2 or height < 2:
             raise OutputError(f"{path}: a video needs at least 2x2 px, not {width}x{height}")
-        rate = Fraction(1.0 / frame_interval_s).limit_denominator(1001)
+        rate = max(Fraction(1.0 / frame_interval_s).limit_denominator(1001), Fraction(1, 1001))
         self._size = (width - width % 2, height - height % 2)
         codec = "libx264" if "libx264" in av.codecs_available else "mpeg4"
         options = {"cluster_time_limit": str(1000 * _CLUSTER_S), "flush_packets": "1"}
@@ -54,6 +54,8 @@ class VideoWriter:
             self._stream.codec_context.gop_size = max(1, round(rate * _CLUSTER_S))
             if codec == "mpeg4":
                 self._stream.bit_rate = max(400_000, int(width * height * float(rate) * 0.2))
+            # Otherwise the file would be made at the first frame.
+            self._container.start_encoding()
         except self._faults as error:
             self._abandon()
             raise self._error(error) from error
