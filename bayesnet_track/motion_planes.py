@@ -35,8 +35,8 @@ class FlowPlane:
         agree_px: largest distance between a point and where tracking there and back takes it.
     """
 
-    spacing_px: int = 16
-    min_gradient_gray: float = 6.0
+    spacing_px: int = 12
+    min_gradient_gray: float = 3.0
     half_window_px: int = 5
     reach_px: int = 24
     agree_px: float = 1.0

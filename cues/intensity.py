@@ -41,18 +41,18 @@ class IntensityParameters(CueParameters):
         default=12, ge=3, le=64, description="Cells of the grid per side; each holds the mean of its pixels."
     )
     sd_pattern: float = Field(
-        default=0.25,
+        default=0.5,
         gt=0,
         description="`correlation`: standard deviation of the distance between patterns, each scaled to "
         "length 1 (the distance squared is 2 (1 - correlation)).",
     )
     sd_level_gray: float = Field(
-        default=40.0,
+        default=25.0,
         gt=0,
         description="`correlation`: standard deviation of the mean brightness, in gray levels of 255.",
     )
     sd_texture_gray: float = Field(
-        default=4.0,
+        default=8.0,
         gt=0,
         description="`correlation`: contrast below which a pattern counts as noise, in gray levels of 255.",
     )

@@ -36,10 +36,10 @@ class MotionParameters(CueParameters):
         default=2.0, gt=0, description="Standard deviation of the mean flow in y, pixels per frame interval."
     )
     spacing_px: int = Field(
-        default=16, ge=4, le=128, description="Width of the lattice cells that hold one corner each, pixels."
+        default=12, ge=4, le=128, description="Width of the lattice cells that hold one corner each, pixels."
     )
     min_gradient_gray: float = Field(
-        default=6.0,
+        default=3.0,
         gt=0,
         description="Least gradient of a corner in its weakest direction, gray levels of 255 per pixel.",
     )
@@ -47,7 +47,7 @@ class MotionParameters(CueParameters):
         default=5,
         ge=2,
         le=15,
-        description="The patch that is matched reaches this far around a corner, pixels of each pyramid level.",
+        description="The matched patch reaches this far around a corner, pixels of each pyramid level.",
     )
     reach_px: int = Field(
         default=24, ge=4, le=128, description="Largest displacement that is looked for, pixels in x and in y."
