@@ -46,8 +46,8 @@ def draw_overlay(image: Image, metrics: FrameMetrics, truth: ArrayLike | None = 
         x, y, w, h = np.asarray(truth, dtype=np.float64)
         _dashed(drawn, *_span((x, y), (x + w - 1, y + h - 1)), line)
     low, high = _corners(metrics.box)
-    cv2.rectangle(drawn, low, high, DARK, line + 2, cv2.LINE_AA)
-    cv2.rectangle(drawn, low, high, colour, line, cv2.LINE_AA)
+    cv2.rectangle(drawn, low, high, DARK, line + 2)
+    cv2.rectangle(drawn, low, high, colour, line)
     _label(drawn, metrics, low, high, colour, scale)
     return np.asarray(drawn, dtype=np.uint8)
 

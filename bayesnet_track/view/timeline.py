@@ -1,0 +1,326 @@
+"""A run at a glance, as SVG: UD over frames with its thresholds, and below it which agents were active."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from bayesnet_track.graph.net import (
+    Activated,
+    Cause,
+    Deactivated,
+    Quarantined,
+    SelfStopped,
+    StatusChanged,
+    TargetStarted,
+)
+from bayesnet_track.journal.events import Event, FrameMetrics
+from bayesnet_track.journal.explain import explain
+from bayesnet_track.view.svg import document, element, text_of
+
+WIDTH, LEFT, RIGHT, TOP = 960.0, 148.0, 128.0, 58.0
+PLOT_HEIGHT, BAR, BAR_GAP, FOOT = 230.0, 15.0, 8.0, 46.0
+FONT = "system-ui, -apple-system, 'Segoe UI', 'DejaVu Sans', sans-serif"
+INK, SOFT, GRID = "#1f2933", "#66727f", "#e4e7eb"
+UD_LINE, UP, DOWN, QUIET, LOST = "#2457a7", "#c43d2f", "#1e8a53", "#8a5fbf", "#fbe3e0"
+BAR_COLOURS = ("#2f7ab8", "#d9822b", "#3a9d74", "#9a6cc4", "#c2548b", "#7c8a2e", "#4aa3a8", "#a0654a")
+
+Switch = Activated | Deactivated | SelfStopped | Quarantined
+
+
+@dataclass(frozen=True)
+class Axes:
+    """From frames and px^2 to the picture: frames linear, UD logarithmic."""
+
+    first: int
+    last: int
+    low: float
+    high: float
+
+    def x(self, frame: float) -> float:
+        """Column of a frame, px."""
+        return LEFT + (frame - self.first) / max(self.last - self.first, 1) * (WIDTH - LEFT - RIGHT)
+
+    def y(self, ud_px2: float) -> float:
+        """Row of a UD, px; what lies beyond the scale is drawn at its end."""
+        inside = min(max(ud_px2, self.low), self.high)
+        share = math.log(inside / self.low) / math.log(self.high / self.low)
+        return TOP + PLOT_HEIGHT * (1.0 - share)
+
+
+def draw_timeline(events: Iterable[Event], metrics: Iterable[FrameMetrics], target: str | None = None) -> str:
+    """The picture of one target's run (the first target when None) as an SVG file.
+
+    Shows UD at the root, each threshold that a decision of the journal names, the measured quiet level, the
+    frames in which the target counted as lost (shaded), a bar for every agent while it was active, and the
+    frame number at each switch. Hovering over a mark shows the decision's sentence.
+
+    Raises:
+        ValueError: `metrics` has no line of the target.
+    """
+    lines = list(metrics)
+    target = target if target is not None else next((line.target for line in lines), "")
+    lines = sorted((line for line in lines if line.target == target), key=lambda line: line.frame)
+    if not lines:
+        raise ValueError(f"no metrics of target {target!r}")
+    mine = [event for event in events if getattr(event, "target", None) == target]
+    switches = [event for event in mine if isinstance(event, Switch)]
+    agents = _agents(mine, lines)
+    axes = _axes(lines, mine)
+    bars_top = TOP + PLOT_HEIGHT + 44.0
+    bottom = bars_top + len(agents) * (BAR + BAR_GAP)
+    body = [
+        *_lost(lines, axes),
+        *_grid(axes, bottom),
+        *_levels(lines, mine, axes),
+        *_curves(lines, axes),
+        *_bars(lines, agents, axes, bars_top),
+        *_marks(switches, agents, lines, axes, bars_top),
+        _text(f"Uncertainty (UD) and active agents, target {target}", LEFT, 26.0, 15.0, INK, weight=600),
+        _text("UD, px²", LEFT, TOP - 10.0, 11.5, SOFT),
+        _text("frame", WIDTH - RIGHT, bottom + 32.0, 11.5, SOFT, anchor="end"),
+    ]
+    told = f"{len(lines)} frames, {len(switches)} switches of {len(agents)} agents"
+    return document(WIDTH, bottom + FOOT, f"Timeline of target {target}", told, body)
+
+
+# ------------------------------------------------------------------------------------ what there is
+
+
+def _agents(events: Sequence[Event], lines: Sequence[FrameMetrics]) -> list[str]:
+    started = [name for event in events if isinstance(event, TargetStarted) for name in event.active]
+    switched = [event.node for event in events if isinstance(event, Switch)]
+    return list(dict.fromkeys([*started, *switched, *(name for line in lines for name in line.active)]))
+
+
+def _thresholds(events: Sequence[Event]) -> list[tuple[str, str, list[tuple[int, float]]]]:
+    """Rule, colour, and its level in px^2 at each frame it fired."""
+    found: dict[tuple[str, str], list[tuple[int, float]]] = {}
+    for event in events:
+        cause = getattr(event, "cause", None)
+        if not isinstance(cause, Cause):
+            continue
+        rule = {Activated: ("activate", UP), Deactivated: ("deactivate", DOWN), StatusChanged: ("lost", SOFT)}
+        key = rule.get(type(event))
+        if key is not None:
+            found.setdefault(key, []).append((getattr(event, "frame", 0), cause.level * cause.scale_px2))
+    return [(name, colour, levels) for (name, colour), levels in found.items()]
+
+
+def _axes(lines: Sequence[FrameMetrics], events: Sequence[Event]) -> Axes:
+    values = [line.ud_px2 for line in lines] + [
+        level for _, _, found in _thresholds(events) for _, level in found
+    ]
+    positive = sorted(value for value in values if value > 0 and math.isfinite(value)) or [1.0]
+    # The first frames start from certainty: a few of them must not stretch the scale.
+    low = positive[min(len(positive) // 50 + 1, len(positive) - 1)] / 1.6
+    high = max(positive[-1] * 1.25, low * 10)
+    return Axes(lines[0].frame, lines[-1].frame, low, high)
+
+
+def _runs(lines: Sequence[FrameMetrics], wanted: set[int]) -> list[tuple[int, int]]:
+    """Stretches of consecutive lines whose frames are wanted, as first and last frame."""
+    runs: list[tuple[int, int]] = []
+    previous = False
+    for line in lines:
+        if line.frame in wanted:
+            runs = [*runs[:-1], (runs[-1][0], line.frame)] if previous else [*runs, (line.frame, line.frame)]
+        previous = line.frame in wanted
+    return runs
+
+
+# ------------------------------------------------------------------------------------ what is drawn
+
+
+def _lost(lines: Sequence[FrameMetrics], axes: Axes) -> list[str]:
+    drawn = []
+    for first, last in _runs(lines, {line.frame for line in lines if line.status == "lost"}):
+        left, right = _edges(first, last, axes)
+        tip = element("title", text_of(f"lost in frames {first} to {last}"))
+        drawn.append(element("rect", tip, x=left, y=TOP, width=right - left, height=PLOT_HEIGHT, fill=LOST))
+        if right - left > 30:
+            drawn.append(
+                _text("lost", (left + right) / 2, TOP + PLOT_HEIGHT - 6.0, 10.5, UP, anchor="middle")
+            )
+    return drawn
+
+
+def _grid(axes: Axes, bottom: float) -> list[str]:
+    drawn = []
+    for value in _decades(axes.low, axes.high):
+        y = axes.y(value)
+        drawn.append(element("line", x1=LEFT, y1=y, x2=WIDTH - RIGHT, y2=y, stroke=GRID))
+        drawn.append(_text(f"{value:g}", LEFT - 8.0, y + 4.0, 10.5, SOFT, anchor="end"))
+    for frame in _ticks(axes.first, axes.last):
+        x = axes.x(frame)
+        drawn.append(element("line", x1=x, y1=TOP, x2=x, y2=bottom, stroke=GRID))
+        drawn.append(_text(str(frame), x, bottom + 15.0, 10.5, SOFT, anchor="middle"))
+    return drawn
+
+
+def _levels(lines: Sequence[FrameMetrics], events: Sequence[Event], axes: Axes) -> list[str]:
+    """Dashed lines of the thresholds, held from one firing to the next; their names stand at the right."""
+    drawn, names = [], []
+    for name, colour, found in _thresholds(events):
+        starts = [axes.first, *(frame for frame, _ in found[1:])]
+        ends = [*(frame for frame, _ in found[1:]), axes.last]
+        points = [
+            point
+            for (_, level), start, end in zip(found, starts, ends, strict=True)
+            for point in ((axes.x(start), axes.y(level)), (axes.x(end), axes.y(level)))
+        ]
+        drawn.append(_polyline(points, colour, 1.3, dash="6 4"))
+        names.append((axes.y(found[-1][1]), f"{name} {_number(found[-1][1])}", colour))
+    known = [line for line in lines if line.quiet_px2 is not None and line.quiet_px2 > 0]
+    if known:
+        points = [(axes.x(line.frame), axes.y(line.quiet_px2 or axes.low)) for line in known]
+        drawn.append(_polyline(points, QUIET, 1.3, dash="2 3"))
+        names.append((points[-1][1], f"quiet {_number(known[-1].quiet_px2 or 0.0)}", QUIET))
+    names.append((axes.y(lines[-1].ud_px2), f"UD {_number(lines[-1].ud_px2)}", UD_LINE))
+    row = -math.inf
+    for y, name, colour in sorted(names):
+        row = max(y + 4.0, row + 13.0)
+        drawn.append(_text(name, WIDTH - RIGHT + 8.0, row, 10.5, colour, weight=600))
+    return drawn
+
+
+def _curves(lines: Sequence[FrameMetrics], axes: Axes) -> list[str]:
+    usable = {line.frame for line in lines if math.isfinite(line.ud_px2)}
+    by_frame = {line.frame: line for line in lines}
+    return [
+        _polyline(
+            [(axes.x(f), axes.y(by_frame[f].ud_px2)) for f in sorted(usable) if first <= f <= last],
+            UD_LINE,
+            1.8,
+        )
+        for first, last in _runs(lines, usable)
+    ]
+
+
+def _bars(lines: Sequence[FrameMetrics], agents: Sequence[str], axes: Axes, top: float) -> list[str]:
+    drawn = []
+    for number, agent in enumerate(agents):
+        y, colour = top + number * (BAR + BAR_GAP), BAR_COLOURS[number % len(BAR_COLOURS)]
+        ground = element("rect", x=LEFT, y=y, width=WIDTH - LEFT - RIGHT, height=BAR, rx=3.0, fill="#f2f4f7")
+        runs = _runs(lines, {line.frame for line in lines if agent in line.active})
+        share = sum(agent in line.active for line in lines) / len(lines)
+        drawn += [ground, _text(_cut(agent), LEFT - 8.0, y + BAR - 4.0, 11.0, INK, anchor="end", tip=agent)]
+        for first, last in runs:
+            left, right = _edges(first, last, axes)
+            tip = element("title", text_of(f"{agent}: frames {first} to {last}"))
+            drawn.append(
+                element("rect", tip, x=left, y=y, width=right - left, height=BAR, rx=3.0, fill=colour)
+            )
+        drawn.append(_text(f"{share:.0%} of frames", WIDTH - RIGHT + 8.0, y + BAR - 4.0, 10.5, SOFT))
+    return drawn
+
+
+def _marks(
+    switches: Sequence[Switch], agents: Sequence[str], lines: Sequence[FrameMetrics], axes: Axes, top: float
+) -> list[str]:
+    """A triangle on the curve (up: on, down: off), a stem to the agent's bar, and the frame number."""
+    ud = {line.frame: line.ud_px2 for line in lines if math.isfinite(line.ud_px2)}
+    drawn, free = [], -math.inf
+    for event in sorted(switches, key=lambda event: event.frame):
+        x, y = axes.x(event.frame), axes.y(ud.get(event.frame, axes.low))
+        on = isinstance(event, Activated)
+        colour, tip = (UP, -6.0) if on else (DOWN if isinstance(event, Deactivated) else INK, 6.0)
+        bar = top + agents.index(event.node) * (BAR + BAR_GAP)
+        stem = element(
+            "line", x1=x, y1=y, x2=x, y2=bar + BAR / 2, stroke=colour, stroke_width=0.9, opacity=0.55
+        )
+        sign = element(
+            "path",
+            d=f"M {x - 5:.2f} {y:.2f} L {x + 5:.2f} {y:.2f} L {x:.2f} {y + 1.6 * tip:.2f} Z",
+            fill=colour,
+        )
+        parts = [element("title", text_of(explain(event))), stem, sign]
+        if x >= free:
+            parts.append(
+                _text(str(event.frame), x, top - 12.0, 10.5, colour, anchor="middle", weight=600, halo=True)
+            )
+            free = x + 26.0
+        drawn.append(element("g", "".join(parts)))
+    return drawn
+
+
+# ------------------------------------------------------------------------------------ small things
+
+
+def _edges(first: int, last: int, axes: Axes) -> tuple[float, float]:
+    """A frame is drawn half a frame to either side, inside the plot."""
+    return max(axes.x(first - 0.5), LEFT), min(axes.x(last + 0.5), WIDTH - RIGHT)
+
+
+def _decades(low: float, high: float) -> list[float]:
+    """1, 2, 5 times powers of ten inside the scale; powers of ten alone when there would be too many."""
+    exponents = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    for steps in ((1, 2, 5), (1,)):
+        found = [step * 10.0**e for e in exponents for step in steps if low <= step * 10.0**e <= high]
+        if len(found) <= 9:
+            return found
+    return found[:: math.ceil(len(found) / 9)]
+
+
+def _ticks(first: int, last: int) -> list[int]:
+    """At most 11 round frame numbers."""
+    step = next(
+        size * 10**power
+        for power in range(19)
+        for size in (1, 2, 5)
+        if (last - first) / (size * 10**power) <= 10
+    )
+    return list(range(-(-first // step) * step, last + 1, step))
+
+
+def _polyline(
+    points: Sequence[tuple[float, float]], colour: str, width: float, dash: str | None = None
+) -> str:
+    path = " ".join(f"{x:.2f},{y:.2f}" for x, y in points)
+    return element(
+        "polyline",
+        points=path,
+        fill="none",
+        stroke=colour,
+        stroke_width=width,
+        stroke_linejoin="round",
+        stroke_linecap="round" if dash is None else None,
+        stroke_dasharray=dash,
+    )
+
+
+def _text(
+    text: str,
+    x: float,
+    y: float,
+    size: float,
+    colour: str,
+    anchor: str = "start",
+    weight: int = 400,
+    tip: str | None = None,
+    halo: bool = False,
+) -> str:
+    content = text_of(text) + ("" if tip is None else element("title", text_of(tip)))
+    return element(
+        "text",
+        content,
+        x=x,
+        y=y,
+        font_family=FONT,
+        font_size=size,
+        font_weight=weight,
+        text_anchor=anchor,
+        fill=colour,
+        stroke="#ffffff" if halo else None,
+        stroke_width=3.0 if halo else None,
+        paint_order="stroke" if halo else None,
+    )
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}" if abs(value) < 1000 or not math.isfinite(value) else f"{value:.0f}"
+
+
+def _cut(name: str, longest: int = 20) -> str:
+    return name if len(name) <= longest else name[: longest - 1] + "…"
