@@ -44,9 +44,9 @@ class ColorBlobsParameters(CueParameters):
     median_px: Literal[1, 3, 5] = Field(
         default=3, description="Side of the median filter before hue is taken (px)."
     )
-    cells: int = Field(default=16, ge=4, le=64, description="Samples along each side of a box (count).")
+    cells: int = Field(default=10, ge=4, le=64, description="Samples along each side of a box (count).")
     tolerance_deg: float = Field(
-        default=12.0, ge=1.5, le=90, description="Largest hue difference of neighbours in one blob (degrees)."
+        default=15.0, ge=1.5, le=90, description="Largest hue difference of neighbours in one blob (degrees)."
     )
     min_share: float = Field(default=0.05, gt=0, lt=1, description="Least size of a blob (share of the box).")
     max_blobs: int = Field(default=8, ge=1, le=64, description="Blobs kept of each box, the largest (count).")
@@ -123,7 +123,8 @@ class ColorBlobs:
         """Minus the mean cost of the reference's blobs, with the size penalty, over the floor.
 
         Thesis eq. 3.4, corrected: the mean runs over the reference's blobs, so that a box without blobs does
-        not score the maximum; a blob without a match costs the same on either side; hue goes round a circle.
+        not score the maximum, and weighs them by their share of the box, so that small ones which come and go
+        say little; a blob without a match costs the same on either side; hue goes round a circle.
         """
         from bayesnet_track.numerics.blob_kernels import blob_costs
 
@@ -171,5 +172,5 @@ CUE = CueDeclaration(
     parameters=ColorBlobsParameters,
     make=_make,
     needs_color=True,
-    cost_ms=1.2,
+    cost_ms=1.6,
 )

@@ -80,121 +80,171 @@ def _grow(
     blobs: Floats,
     found: NDArray[np.int64],
 ) -> None:
+    # Written almost without branches, which a grid of real hues makes unpredictable.
     rows, columns = hue.shape
+    size = cells * cells
     column_of = np.empty(cells, np.int64)
-    label_above = np.empty(cells, np.int64)
-    hue_above = np.empty(cells, np.int64)
-    parent = np.empty(cells * cells, np.int64)
-    sums = np.empty((cells * cells, 5), np.int64)  # cells, x, y, cosine, sine
+    here = np.full(cells + size, -1, np.int32)  # after an empty row, so that every cell has one above
+    beside, below, link = np.zeros((3, cells + size), np.int32)
+    now, left_of, above = here[cells:], here[cells - 1 :], here[:size]
+    beside_now, beside_above = beside[cells:], beside[:size]
+    below_now, below_left, link_now = below[cells:], below[cells - 1 :], link[cells:]
+    run_of, link_at = np.zeros(cells + size, np.int64), np.empty(size + 1, np.int64)
+    own_run = run_of[cells:]
+    start, end = np.empty(size + 1, np.int64), np.empty(size + 1, np.int64)
+    cosine, sine = np.zeros(size + 1, np.int64), np.zeros(size + 1, np.int64)  # running sums
+    parent = np.empty(size, np.int64)
+    sums = np.empty((size, 5), np.int64)  # cells, x, y, cosine, sine
+    order = np.empty(blobs.shape[1], np.int64)
     for n in range(boxes.shape[0]):
         for i in range(cells):
             share = (i + 0.5) / cells - 0.5
             column_of[i] = math.floor(boxes[n, 0] + share * boxes[n, 2] + 0.5) - left
-            label_above[i] = -1
-        labels = 0
+        at = cells
         for j in range(cells):
             share = (j + 0.5) / cells - 0.5
             row = math.floor(boxes[n, 1] + share * boxes[n, 3] + 0.5) - top
-            label_before, hue_before = -1, -1
             for i in range(cells):
                 column = column_of[i]
-                here = -1
-                if 0 <= row < rows and 0 <= column < columns:
-                    here = np.int64(hue[row, column])
-                label = -1
-                if here >= 0:
-                    if label_before >= 0:
-                        apart = (here - hue_before) & 255
-                        if min(apart, 256 - apart) <= tolerance:
-                            label = label_before
-                    if label_above[i] >= 0:
-                        apart = (here - hue_above[i]) & 255
-                        if min(apart, 256 - apart) <= tolerance:
-                            a = label_above[i]
-                            while parent[a] != a:
-                                a = parent[a]
-                            if label < 0:
-                                label = a
-                            else:
-                                b = label
-                                while parent[b] != b:
-                                    b = parent[b]
-                                parent[max(a, b)] = min(a, b)
-                                label = min(a, b)
-                    if label < 0:
-                        label = labels
-                        parent[label] = label
-                        sums[label] = 0
-                        labels += 1
-                    sums[label, 0] += 1
-                    sums[label, 1] += i
-                    sums[label, 2] += j
-                    sums[label, 3] += cosines[here]
-                    sums[label, 4] += sines[here]
-                label_before, hue_before = label, here
-                label_above[i], hue_above[i] = label, here
-        for label in range(labels - 1, -1, -1):  # a parent's number is smaller than its child's
-            if parent[label] != label:
+                inside = 0 <= row < rows and 0 <= column < columns
+                here[at] = hue[row, column] if inside else -1
+                at += 1
+        for k in range(size):
+            apart = (now[k] - left_of[k]) & 255
+            beside_now[k] = (min(apart, 256 - apart) <= tolerance) & ((now[k] | left_of[k]) >= 0)
+        for k in range(size):
+            apart = (now[k] - above[k]) & 255
+            below_now[k] = (min(apart, 256 - apart) <= tolerance) & ((now[k] | above[k]) >= 0)
+        for j in range(cells):
+            beside_now[j * cells] = 0
+        for k in range(size):  # the first cell where a run meets one above
+            link_now[k] = below_now[k] & (1 - (beside_now[k] & below_left[k] & beside_above[k]))
+        runs, links, cosine_sum, sine_sum = 0, 0, 0, 0
+        for k in range(size):  # runs of cells joined side by side, numbered from 1; 0 takes what is none
+            colored = np.int64(now[k] >= 0)
+            begins = colored & (1 - beside_now[k])
+            runs += begins
+            own_run[k] = runs
+            end[runs * colored] = k
+            start[runs * begins] = k
+            link_at[links] = k
+            links += link_now[k]
+            cosine_sum += cosines[now[k]]
+            sine_sum += sines[now[k]]
+            cosine[k + 1] = cosine_sum
+            sine[k + 1] = sine_sum
+        for run in range(runs):
+            first, past = start[run + 1], end[run + 1] + 1
+            length, row = past - first, first // cells
+            parent[run] = run
+            sums[run, 0] = length
+            sums[run, 1] = length * (first + past - 1 - 2 * cells * row) // 2
+            sums[run, 2] = length * row
+            sums[run, 3] = cosine[past] - cosine[first]
+            sums[run, 4] = sine[past] - sine[first]
+        for m in range(links):
+            one, other = own_run[link_at[m]] - 1, run_of[link_at[m]] - 1
+            while parent[one] != one:
+                one = parent[one]
+            while parent[other] != other:
+                other = parent[other]
+            parent[max(one, other)] = min(one, other)
+        for run in range(runs - 1, -1, -1):  # a parent comes before its children
+            if parent[run] != run:
                 for k in range(5):
-                    sums[parent[label], k] += sums[label, k]
-                sums[label, 0] = 0
+                    sums[parent[run], k] += sums[run, k]
+                sums[run, 0] = 0
         kept = 0
-        while kept < blobs.shape[1]:
-            best = -1
-            for label in range(labels):
-                if sums[label, 0] >= least and (best < 0 or sums[label, 0] > sums[best, 0]):
-                    best = label
-            if best < 0:
-                break
-            count = sums[best, 0]
-            blobs[n, kept, 0] = (sums[best, 1] / count + 0.5) / cells - 0.5
-            blobs[n, kept, 1] = (sums[best, 2] / count + 0.5) / cells - 0.5
-            blobs[n, kept, 2] = math.degrees(math.atan2(sums[best, 4], sums[best, 3])) % 360.0
-            blobs[n, kept, 3] = count / (cells * cells)
-            sums[best, 0] = 0
-            kept += 1
+        for run in range(runs):  # insert into the largest so far, in order
+            count = sums[run, 0]
+            if count < least or (kept == order.shape[0] and count <= sums[order[kept - 1], 0]):
+                continue
+            kept = min(kept + 1, order.shape[0])
+            place = kept - 1
+            while place > 0 and sums[order[place - 1], 0] < count:
+                order[place] = order[place - 1]
+                place -= 1
+            order[place] = run
+        for k in range(kept):
+            run = order[k]
+            count = sums[run, 0]
+            blobs[n, k, 0] = (sums[run, 1] / count + 0.5) / cells - 0.5
+            blobs[n, k, 1] = (sums[run, 2] / count + 0.5) / cells - 0.5
+            blobs[n, k, 2] = math.degrees(math.atan2(sums[run, 4], sums[run, 3])) % 360.0
+            blobs[n, k, 3] = count / size
         found[n] = kept
 
 
-@compiled
 def match_blobs(
     ours: Floats, theirs: Floats, sd_offset: float, sd_hue_deg: float, limit: float
 ) -> tuple[NDArray[np.int64], Floats]:
-    """One-to-one matches, nearest pair first, of pairs nearer than `limit`.
+    """One-to-one matches of blobs, nearest pair first, of pairs nearer than `limit`.
 
     Args:
         ours: (K, 4) blobs.
         theirs: (M, 4) blobs.
         sd_offset: sd of a centre's coordinates, in widths and heights of the box.
         sd_hue_deg: sd of the mean hue, degrees.
-        limit: a pair with a larger cost does not match.
+        limit: a pair of a larger cost does not match.
 
     Returns:
         (K,) index of the match in `theirs`, -1 for none, and (K,) its cost
         ``(dx^2 + dy^2) / (2 sd_offset^2) + dhue^2 / (2 sd_hue^2)`` with dhue round the circle
         (thesis eq. 3.4, corrected), `limit` for none.
     """
-    size, others = ours.shape[0], theirs.shape[0]
-    match, cost = np.full(size, -1, np.int64), np.full(size, limit)
-    taken = np.zeros(others, np.bool_)
+    match, cost = np.empty(len(ours), np.int64), np.empty(len(ours))
+    taken = np.empty(len(theirs), np.bool_)
+    pairs = np.empty((len(ours), len(theirs)))
+    _match(
+        np.ascontiguousarray(ours),
+        np.ascontiguousarray(theirs),
+        len(theirs),
+        sd_offset,
+        sd_hue_deg,
+        limit,
+        match,
+        cost,
+        taken,
+        pairs,
+    )
+    return match, cost
+
+
+@compiled
+def _match(
+    ours: Floats,
+    theirs: Floats,
+    others: int,
+    sd_offset: float,
+    sd_hue_deg: float,
+    limit: float,
+    match: NDArray[np.int64],
+    cost: Floats,
+    taken: NDArray[np.bool_],
+    pairs: Floats,
+) -> None:
+    size = ours.shape[0]
+    by_offset, by_hue = 0.5 / sd_offset**2, 0.5 / sd_hue_deg**2
+    for j in range(others):
+        taken[j] = False
+    for i in range(size):
+        match[i], cost[i] = -1, limit
+        for j in range(others):
+            x, y = ours[i, 0] - theirs[j, 0], ours[i, 1] - theirs[j, 1]
+            hue = abs(ours[i, 2] - theirs[j, 2])
+            hue = min(hue, 360.0 - hue)
+            pairs[i, j] = by_offset * (x * x + y * y) + by_hue * hue * hue
     for _ in range(min(size, others)):
         least, at, to = limit, -1, -1
         for i in range(size):
             if match[i] >= 0:
                 continue
             for j in range(others):
-                if taken[j]:
-                    continue
-                x, y = ours[i, 0] - theirs[j, 0], ours[i, 1] - theirs[j, 1]
-                hue = abs(ours[i, 2] - theirs[j, 2])
-                hue = min(hue, 360.0 - hue)
-                pair = (x * x + y * y) / (2 * sd_offset**2) + hue * hue / (2 * sd_hue_deg**2)
-                if pair < least:
-                    least, at, to = pair, i, j
+                if not taken[j] and pairs[i, j] < least:
+                    least, at, to = pairs[i, j], i, j
         if at < 0:
             break
         match[at], cost[at], taken[to] = to, least, True
-    return match, cost
 
 
 @compiled
@@ -208,23 +258,33 @@ def blob_costs(
 ) -> Floats:
     """(N,) mean cost of the reference's blobs in each box; every blob without a match costs `unmatched`.
 
+    Blobs count by their share of the box: one that crosses the least size, or breaks, changes little.
+    Without a blob in the reference the mean is over the whole box.
+
     Args:
         blobs: (N, M, 4) blobs of each box.
         found: (N,) how many of them there are.
-        reference: (K, 4) blobs of the reference; with none, each blob found costs `unmatched`.
+        reference: (K, 4) blobs of the reference, C-contiguous.
         sd_offset: see `match_blobs`.
         sd_hue_deg: see `match_blobs`.
         unmatched: cost of a blob without a match.
     """
-    size = reference.shape[0]
+    size, most = reference.shape[0], blobs.shape[1]
+    match, cost = np.empty(size, np.int64), np.empty(size)
+    taken, pairs = np.empty(most, np.bool_), np.empty((size, most))
     costs = np.empty(blobs.shape[0])
+    whole = 0.0
+    for k in range(size):
+        whole += reference[k, 3]
+    if size == 0:
+        whole = 1.0
     for n in range(blobs.shape[0]):
-        match, cost = match_blobs(reference, blobs[n, : found[n]], sd_offset, sd_hue_deg, unmatched)
-        matched = 0
+        _match(reference, blobs[n], found[n], sd_offset, sd_hue_deg, unmatched, match, cost, taken, pairs)
         total = 0.0
         for k in range(size):
-            total += cost[k]
-            if match[k] >= 0:
-                matched += 1
-        costs[n] = (total + unmatched * (found[n] - matched)) / max(size, 1)
+            total += reference[k, 3] * cost[k]
+        for j in range(found[n]):
+            if not taken[j]:
+                total += blobs[n, j, 3] * unmatched
+        costs[n] = total / whole
     return costs
