@@ -43,10 +43,11 @@ class GraphMessage:
 
     def __str__(self) -> str:
         """``file:line:column: node: found; allowed: ...; nearest: ...``."""
+        file = self.file if self.file.isprintable() else repr(self.file)
         if self.line is None:
-            where = f"{self.file}:{'.'.join(map(str, self.path)) or 'graph'}"
+            where = f"{file}:{'.'.join(map(str, self.path)) or 'graph'}"
         else:
-            where = f"{self.file}:{self.line}:{self.column}"
+            where = f"{file}:{self.line}:{self.column}"
         text = f"{where}: {self.node}: {self.found}"
         if self.allowed:
             text += f"; allowed: {self.allowed}"

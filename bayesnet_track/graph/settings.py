@@ -59,10 +59,10 @@ class Noise(Model):
     Variances grow in proportion to the true time between frames.
     """
 
-    sd_px: PixelSd = PixelSd()
-    sd_box: BoxSd = BoxSd()
-    sd_log: LogSd = LogSd()
-    wide: Wide | None = None
+    sd_px: PixelSd = Field(default=PixelSd(), description="in pixels")
+    sd_box: BoxSd = Field(default=BoxSd(), description="relative to the box")
+    sd_log: LogSd = Field(default=LogSd(), description="of the size, in logarithms")
+    wide: Wide | None = Field(default=None, description="heavy tails of the position")
 
 
 class RandomWalk(Noise):
@@ -107,10 +107,12 @@ class ConstantAcceleration(Noise):
 class Motion(Choice):
     """How the target moves between frames."""
 
-    random_walk: RandomWalk | None = None
-    constant_velocity: ConstantVelocity | None = None
-    damped_velocity: DampedVelocity | None = None
-    constant_acceleration: ConstantAcceleration | None = None
+    random_walk: RandomWalk | None = Field(default=None, description="position and size drift")
+    constant_velocity: ConstantVelocity | None = Field(default=None, description="the velocity drifts")
+    damped_velocity: DampedVelocity | None = Field(default=None, description="the velocity drifts and decays")
+    constant_acceleration: ConstantAcceleration | None = Field(
+        default=None, description="the acceleration drifts"
+    )
 
 
 # ---------------------------------------------------------------------------------- belief
@@ -119,7 +121,7 @@ class Motion(Choice):
 class EssBelow(Model):
     """Resample when the effective sample size falls below this share of the hypotheses."""
 
-    ess_below: Share
+    ess_below: Share = Field(description="share of the hypotheses")
 
 
 class Particles(Model):
@@ -140,7 +142,7 @@ class Particles(Model):
 class Belief(Choice):
     """How the belief is represented."""
 
-    particles: Particles | None = None
+    particles: Particles | None = Field(default=None, description="a weighted set of hypotheses")
 
 
 class Window(Model):
@@ -234,8 +236,8 @@ class Deactivate(Model):
 class Adapt(Model):
     """When agents below an inference node are switched on and off."""
 
-    activate: Activate | None = None
-    deactivate: Deactivate | None = None
+    activate: Activate | None = Field(default=None, description="when agents are switched on")
+    deactivate: Deactivate | None = Field(default=None, description="when an agent is switched off")
     keep: Annotated[Whole, Field(ge=1)] = Field(default=1, description="agents that always stay active")
 
 

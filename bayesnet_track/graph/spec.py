@@ -157,10 +157,10 @@ class AgentNode(Model):
         histogram: {parent: color, agent: {color_histogram: {bins: 32}}}
     """
 
-    parent: Name
+    parent: Name = Field(description="the inference node above")
     agent: AgentChoice = Field(description="the cue, with its parameters")
     active: Truth = Field(default=True, description="whether it is switched on at the start")
-    self_check: SelfCheck | None = None
+    self_check: SelfCheck | None = Field(default=None, description="stop when uncertain of itself")
     learn_rate_max: Annotated[Number, Field(ge=0, le=1)] | None = Field(
         default=None, description="instead of the root's learn.rate_max; 0 keeps the first reference"
     )
@@ -181,7 +181,7 @@ class Target(Model):
     """A plate: one copy of this net per target."""
 
     state: Literal["box"] = Field(default="box", description="x, y, w, h in pixels; (x, y) is the centre")
-    nodes: dict[Name, Node] = Field(min_length=1)
+    nodes: dict[Name, Node] = Field(min_length=1, description="the net: one tree under its root")
 
 
 class GraphSpec(Model):
@@ -197,6 +197,6 @@ class GraphSpec(Model):
     """
 
     bayesnet: Literal[1] = Field(default=1, description="version of the language")
-    name: Name
+    name: Name = Field(description="name of the graph")
     about: str = Field(default="", max_length=2000, description="what the graph is for")
-    targets: dict[Name, Target] = Field(min_length=1)
+    targets: dict[Name, Target] = Field(min_length=1, description="kinds of targets, by name")

@@ -40,7 +40,7 @@ def graph_sha256(text: str) -> str:
 
 
 def as_plain(value: Any) -> Any:
-    """A part of the specification as mappings, lists and scalars, in the shortest form that means the same."""
+    """A part of the specification as mappings, lists and scalars, as short as it can be written."""
     if isinstance(value, AgentChoice):
         return {value.cue: dict(value.parameters)} if value.parameters else value.cue
     if isinstance(value, Choice):
@@ -60,7 +60,9 @@ def as_plain(value: Any) -> Any:
 
 
 def _is_default(model: BaseModel, name: str) -> bool:
-    return bool(getattr(model, name) == type(model).model_fields[name].get_default(call_default_factory=False))
+    return bool(
+        getattr(model, name) == type(model).model_fields[name].get_default(call_default_factory=False)
+    )
 
 
 def _block(mapping: Mapping[str, Any], indent: str, depth: int) -> Iterator[str]:
@@ -70,14 +72,15 @@ def _block(mapping: Mapping[str, Any], indent: str, depth: int) -> Iterator[str]
             yield f"{indent}{_scalar(key)}:"
             yield from _block(value, indent + "  ", depth + 1)
         else:
-            yield f"{indent}{_scalar(key)}: {_flow(value)}"
+            yield f"{indent}{_scalar(key)}: {flow_text(value)}"
 
 
-def _flow(value: Any) -> str:
+def flow_text(value: Any) -> str:
+    """Plain data in one line of YAML."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{_scalar(key)}: {_flow(inside)}" for key, inside in value.items()) + "}"
+        return "{" + ", ".join(f"{_scalar(key)}: {flow_text(inside)}" for key, inside in value.items()) + "}"
     if isinstance(value, list):
-        return "[" + ", ".join(_flow(inside) for inside in value) + "]"
+        return "[" + ", ".join(flow_text(inside) for inside in value) + "]"
     return _scalar(value)
 
 

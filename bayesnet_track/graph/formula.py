@@ -1,0 +1,214 @@
+"""The density that a net stands for, as text and as LaTeX.
+
+The posterior of the root is its prediction times the messages of its children. A product multiplies them, a
+pool raises them to weights that sum to 1 over the active children, a latent node integrates over its own
+state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from fractions import Fraction
+
+from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.spec import Noise
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """p(e_agent | state)."""
+
+    agent: str
+    state: str
+
+
+@dataclass(frozen=True)
+class Product:
+    """Factors multiplied, each raised to its exponent."""
+
+    factors: tuple[tuple[Factor, float], ...]
+
+
+@dataclass(frozen=True)
+class Integral:
+    """The integral of p(own | given) times `inner` over the node's own state."""
+
+    own: str
+    given: str
+    inner: Factor
+
+
+Factor = Likelihood | Product | Integral
+
+
+def factor_of(target: CheckedTarget, active: Iterable[str] | None = None) -> Factor | None:
+    """What the root's children say, of the agents `active` (all when None); None when none is active."""
+    working = set(target.agents if active is None else active)
+    return _factor(target, target.root, target.root, working)
+
+
+def formula_text(target: CheckedTarget, active: Iterable[str] | None = None) -> str:
+    """The factorisation as text, one equation a line; agents outside `active` are named as left out."""
+    factor = factor_of(target, active)
+    root = _text_state(target.root)
+    before = f"{root}-1"
+    predicted = f"p({root} | e_1:t-1)"
+    said = "" if factor is None else f" · {_text(factor, inside=False)}"
+    lines = [
+        f"p({root} | e_1:t) ∝ {predicted}{said}",
+        f"{predicted} = ∫ p({root} | {before}) p({before} | e_1:t-1) d {before}",
+        f"p({root} | {before}): {_motion(target)}",
+    ]
+    for name, given, noise in _latent_nodes(target):
+        lines.append(f"p({_text_state(name)} | {_text_state(given)}): Gaussian, {_noise(noise)}")
+    left_out = _left_out(target, active)
+    return "\n".join([*lines, f"left out (switched off): {', '.join(left_out)}"] if left_out else lines)
+
+
+def formula_latex(target: CheckedTarget, active: Iterable[str] | None = None) -> str:
+    """The factorisation as LaTeX (amsmath's `align*`); agents outside `active` are named in a comment."""
+    factor = factor_of(target, active)
+    root, before = _latex_state(target.root), _latex_state(target.root, "t-1")
+    predicted = rf"p({root} \mid e_{{1:t-1}})"
+    said = "" if factor is None else rf" \, {_latex(factor, inside=False)}"
+    lines = [
+        r"\begin{align*}",
+        rf"p({root} \mid e_{{1:t}}) &\propto {predicted}{said} \\",
+        rf"{predicted} &= \int p({root} \mid {before}) \, p({before} \mid e_{{1:t-1}}) \, d{before}",
+        r"\end{align*}",
+    ]
+    left_out = _left_out(target, active)
+    return "\n".join([*lines, f"% left out (switched off): {', '.join(left_out)}"] if left_out else lines)
+
+
+def _factor(target: CheckedTarget, name: str, state: str, active: set[str]) -> Factor | None:
+    if name not in target.children:
+        return Likelihood(name, state) if name in active else None
+    node = target.inference(name)
+    latent = node.fuse is not None and node.fuse.latent is not None
+    own = _own_state(target, name) if latent else state
+    said = [(child, _factor(target, child, own, active)) for child in target.children[name]]
+    speaking = [(child, factor) for child, factor in said if factor is not None]
+    if not speaking:
+        return None
+    weights = dict.fromkeys((child for child, _ in speaking), 1.0)
+    if node.fuse is not None and node.fuse.pool is not None:
+        pool = node.fuse.pool
+        given = weights if isinstance(pool, str) else {child: pool[child] for child in weights}
+        total = sum(given.values())
+        weights = {child: weight / total for child, weight in given.items()}
+    product = Product(tuple((factor, weights[child]) for child, factor in speaking))
+    alone = len(speaking) == 1
+    inner: Factor = speaking[0][1] if alone else product
+    return Integral(own, state, inner) if latent else inner
+
+
+def _text(factor: Factor, inside: bool) -> str:
+    match factor:
+        case Likelihood(agent, state):
+            return f"p(e_{agent} | {_text_state(state)})"
+        case Integral(own, given, inner):
+            state = _text_state(own)
+            kernel = f"p({state} | {_text_state(given)})"
+            return f"[∫ {kernel} · {_text(inner, inside=False)} d {state}]"
+        case Product(factors):
+            parts = (_text(one, inside=True) + _text_power(weight) for one, weight in factors)
+            text = " · ".join(parts)
+            return f"[{text}]" if inside else text
+
+
+def _latex(factor: Factor, inside: bool) -> str:
+    match factor:
+        case Likelihood(agent, state):
+            return rf"p(e_{{\mathrm{{{_escaped(agent)}}}}} \mid {_latex_state(state)})"
+        case Integral(own, given, inner):
+            state = _latex_state(own)
+            kernel = rf"p({state} \mid {_latex_state(given)})"
+            return rf"\left[\int {kernel} \, {_latex(inner, inside=False)} \, d{state}\right]"
+        case Product(factors):
+            parts = (_latex(one, inside=True) + _latex_power(weight) for one, weight in factors)
+            text = r" \, ".join(parts)
+            return rf"\left[{text}\right]" if inside else text
+
+
+def _fraction(weight: float) -> Fraction | None:
+    near = Fraction(weight).limit_denominator(20)
+    return near if abs(float(near) - weight) < 1e-9 else None
+
+
+def _text_power(weight: float) -> str:
+    if weight == 1.0:
+        return ""
+    near = _fraction(weight)
+    if near == Fraction(1, 2):
+        return "^½"
+    return f"^({near})" if near is not None else f"^{weight:.3g}"
+
+
+def _latex_power(weight: float) -> str:
+    if weight == 1.0:
+        return ""
+    near = _fraction(weight)
+    return f"^{{{near if near is not None else format(weight, '.3g')}}}"
+
+
+def _text_state(name: str) -> str:
+    return f"{name}_t"
+
+
+def _latex_state(name: str, time: str = "t") -> str:
+    return rf"\mathit{{{_escaped(name)}}}_{{{time}}}"
+
+
+def _escaped(name: str) -> str:
+    return name.replace("_", r"\_")
+
+
+def _latent_nodes(target: CheckedTarget) -> list[tuple[str, str, Noise]]:
+    """Each latent state, the state that it is drawn around, and its noise."""
+    states: dict[str, str] = {}
+    found: list[tuple[str, str, Noise]] = []
+    for name in target.order:
+        if name not in target.children:
+            continue
+        parent = target.parent[name]
+        above = target.root if parent is None else states[parent]
+        fuse = target.inference(name).fuse
+        latent = fuse.latent if fuse is not None else None
+        states[name] = above if latent is None else _own_state(target, name)
+        if latent is not None:
+            found.append((states[name], above, latent.given))
+    return found
+
+
+def _own_state(target: CheckedTarget, name: str) -> str:
+    """A latent node's own state; a latent root has two, the target's and its own."""
+    return f"{name}_own" if name == target.root else name
+
+
+def _motion(target: CheckedTarget) -> str:
+    motion = target.inference(target.root).motion
+    assert motion is not None
+    noise: Noise = motion.settings
+    return ", ".join(filter(None, (motion.kind.replace("_", " "), _noise(noise))))
+
+
+def _noise(noise: Noise) -> str:
+    parts = (
+        ("px", noise.sd_px),
+        ("√(wh)", noise.sd_box),
+        ("log", noise.sd_log),
+    )
+    said = [
+        f"{field} {getattr(part, field):g} {unit}"
+        for unit, part in parts
+        for field in type(part).model_fields
+        if getattr(part, field) > 0
+    ]
+    return "sd " + ", ".join(said) if said else ""
+
+
+def _left_out(target: CheckedTarget, active: Iterable[str] | None) -> list[str]:
+    working = set(target.agents if active is None else active)
+    return [agent for agent in target.agents if agent not in working]
