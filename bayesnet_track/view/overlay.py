@@ -35,7 +35,7 @@ def draw_overlay(image: Image, metrics: FrameMetrics, truth: ArrayLike | None = 
 
     drawn = np.ascontiguousarray(image).copy()
     scale = min(max(min(drawn.shape[:2]) / 480.0, 0.5), 2.5)
-    line = max(1, round(1.5 * scale))
+    line = max(2, round(2 * scale))
     colour = STATUS_COLOUR.get(metrics.status, STATUS_COLOUR["tracking"])
     if metrics.cloud:
         veil = drawn.copy()
@@ -44,10 +44,12 @@ def draw_overlay(image: Image, metrics: FrameMetrics, truth: ArrayLike | None = 
         drawn = cv2.addWeighted(veil, 0.45, drawn, 0.55, 0.0)
     if truth is not None and np.isfinite(np.asarray(truth, dtype=np.float64)).all():
         x, y, w, h = np.asarray(truth, dtype=np.float64)
-        _dashed(drawn, *_span((x, y), (x + w - 1, y + h - 1)), line)
+        _dashed(drawn, *_span((x, y), (x + w - 1, y + h - 1)), max(1, line - 1))
     low, high = _corners(metrics.box)
-    cv2.rectangle(drawn, low, high, DARK, line + 2)
-    cv2.rectangle(drawn, low, high, colour, line)
+    for step in range(-1, line):  # a dark rim outside, the colour on the box's own pixels
+        if 2 * step <= min(high[0] - low[0], high[1] - low[1]):
+            inner, outer = (low[0] + step, low[1] + step), (high[0] - step, high[1] - step)
+            cv2.rectangle(drawn, inner, outer, DARK if step < 0 else colour, 1)
     _label(drawn, metrics, low, high, colour, scale)
     return np.asarray(drawn, dtype=np.uint8)
 
@@ -88,7 +90,7 @@ def _label(
     import cv2
 
     height, width = image.shape[:2]
-    font, size, weight = cv2.FONT_HERSHEY_SIMPLEX, max(0.36, 0.5 * scale), max(1, round(scale))
+    font, size, weight = cv2.FONT_HERSHEY_SIMPLEX, max(0.4, 0.5 * scale), max(1, round(scale))
     pad = max(2, round(4 * scale))
     room = width - 2 * pad
 
