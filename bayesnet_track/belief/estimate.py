@@ -54,8 +54,8 @@ def central_region(posterior: ParticleSet, share: float) -> tuple[float, float, 
 
 
 def _quantiles(values: Floats, weights: Floats, shares: Floats) -> tuple[float, ...]:
-    """Weighted quantiles: linear between the values, each standing in the middle of its own weight."""
+    """Weighted quantiles: the least value that has at least the share of the weight up to it."""
     order = np.argsort(values)
-    sorted_weights = weights[order]
-    middle = np.cumsum(sorted_weights) - sorted_weights / 2.0
-    return tuple(float(q) for q in np.interp(shares, middle, values[order]))
+    cumulative = np.cumsum(weights[order])
+    found = np.searchsorted(cumulative, shares * cumulative[-1])
+    return tuple(float(q) for q in values[order][found])

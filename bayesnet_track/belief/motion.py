@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.noise import (
@@ -101,7 +101,7 @@ class KinematicMotion:
         if self.order > 1:
             drifted = _chains(old) @ _both_axes(moves).T
             mean[:, :2], mean[:, 4:] = drifted[:, :2], drifted[:, 2:]
-        variances = component_variances(self.noise, old, dt)
+        variances = component_variances(self.noise, old[:, :4], dt)
         keep = noisy(self.noise)
         if self.diffusion == 0:
             unmix = None
@@ -191,9 +191,9 @@ def _chains(states: Floats) -> Floats:
     return np.concatenate([states[:, :2], states[:, 4:]], axis=1)
 
 
-def _both_axes(matrix: Floats) -> Floats:
+def _both_axes(matrix: ArrayLike) -> Floats:
     """The (2 n, 2 n) matrix that does to x, y, vx, vy, ... what `matrix` (n, n) does to each axis."""
-    return np.kron(matrix, np.eye(2))
+    return np.asarray(np.kron(np.asarray(matrix), np.eye(2)), dtype=np.float64)
 
 
 @lru_cache(maxsize=256)
@@ -215,7 +215,8 @@ def _steps(dynamics: tuple[tuple[float, ...], ...], diffusion: float, dt: float)
     source = np.zeros((n, n))
     source[-1, -1] = diffusion
     # Q' = A Q + Q A' + source and F' = A F as Taylor series of order 12 about 0.
-    transition, term = np.eye(n), np.eye(n)
+    transition: Floats = np.eye(n)
+    term: Floats = np.eye(n)
     covariance, rate = np.zeros((n, n)), source * h
     for k in range(1, 13):
         term = matrix @ term * (h / k)

@@ -126,7 +126,7 @@ def box_coordinates(noise: Noise, boxes: Floats) -> tuple[Floats, Floats]:
 
 
 def component_variances(noise: Noise, old: Floats, dt: float) -> Floats:
-    """(C, N, 4) variances of the coordinates: C = 2 with `wide`, else 1."""
+    """(C, N, 4) variances of the coordinates around boxes (N, 4): C = 2 with `wide`, else 1."""
     narrow = np.concatenate([position_variance(noise, old, dt), size_sd(noise, old, dt) ** 2], axis=1)
     if noise.wide is None:
         return narrow[None]
