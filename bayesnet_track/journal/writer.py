@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
@@ -48,7 +49,8 @@ class LineFile:
             while done < len(data):
                 done += self._file.write(data[done:]) or 0
         except OSError as error:
-            self._file.truncate(self._size)
+            with suppress(OSError):
+                self._file.truncate(self._size)
             raise _output_error(self.path, error) from error
         self._size += done
 

@@ -207,18 +207,23 @@ def _not_a_video(text: str, found: str) -> SourceError:
 
 
 def _probe(container: Any, stream: Any) -> list[int]:
-    """The sorted times of the first packets, in the stream's time base."""
+    """The sorted times of the first packets, in the stream's time base.
+
+    Every picture up to the last decoding time is among them; later ones would leave holes.
+    """
     stamps: list[int] = []
+    known_until: int | None = None
     try:
         for packet in container.demux(stream):
             stamp = packet.pts if packet.pts is not None else packet.dts
             if packet.size and stamp is not None and not getattr(packet, "is_discard", False):
                 stamps.append(stamp)
+                known_until = packet.dts if packet.dts is not None else known_until
             if len(stamps) >= PROBE_PACKETS:
                 break
     except FAULTS:
         pass
-    return sorted(stamps)
+    return sorted(stamp for stamp in stamps if known_until is None or stamp <= known_until)
 
 
 def _words(error: BaseException) -> str:

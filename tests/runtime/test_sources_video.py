@@ -1,5 +1,6 @@
 """Videos: true times and sizes, gaps, changes of size, gray, and what is refused."""
 
+import struct
 from fractions import Fraction
 
 import av
@@ -169,12 +170,18 @@ def test_a_stored_rotation_is_applied(tmp_path):
     with av.open(str(path), "w") as container:
         stream = container.add_stream("mpeg4", rate=25)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
-        stream.set_display_rotation(90)
         for n in range(3):
             frame = av.VideoFrame.from_ndarray(image, format="bgr24")
             frame.pts, frame.time_base = n, Fraction(1, 25)
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
+    # The track header's matrix (a b u, c d v, x y w): (x, y) is shown at (y, -x), a quarter turn.
+    one, unit = 1 << 16, 1 << 30
+    straight = struct.pack(">9i", one, 0, 0, 0, one, 0, 0, 0, unit)
+    turned = struct.pack(">9i", 0, -one, 0, one, 0, 0, 0, 0, unit)
+    data = path.read_bytes()
+    header = data.index(b"tkhd")
+    path.write_bytes(data[:header] + data[header:].replace(straight, turned, 1))
     source, frames, _ = read(path)
     assert (source.width, source.height) == (48, 64)
     # A quarter turn against the clock takes the top-left corner to the bottom-left one.
