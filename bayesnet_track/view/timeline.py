@@ -23,7 +23,7 @@ WIDTH, LEFT, RIGHT, TOP = 960.0, 148.0, 128.0, 58.0
 PLOT_HEIGHT, BAR, BAR_GAP, FOOT = 230.0, 15.0, 8.0, 46.0
 FONT = "system-ui, -apple-system, 'Segoe UI', 'DejaVu Sans', sans-serif"
 INK, SOFT, GRID = "#1f2933", "#66727f", "#e4e7eb"
-UD_LINE, UP, DOWN, QUIET, LOST = "#2457a7", "#c43d2f", "#1e8a53", "#8a5fbf", "#fbe3e0"
+UD_LINE, UP, DOWN, QUIET, LOST = "#2457a7", "#c43d2f", "#1e8a53", "#8a5fbf", "#f1b4ab"
 BAR_COLOURS = ("#2f7ab8", "#d9822b", "#3a9d74", "#9a6cc4", "#c2548b", "#7c8a2e", "#4aa3a8", "#a0654a")
 
 Switch = Activated | Deactivated | SelfStopped | Quarantined
@@ -71,8 +71,8 @@ def draw_timeline(events: Iterable[Event], metrics: Iterable[FrameMetrics], targ
     bars_top = TOP + PLOT_HEIGHT + 44.0
     bottom = bars_top + len(agents) * (BAR + BAR_GAP)
     body = [
-        *_lost(lines, axes),
         *_grid(axes, bottom),
+        *_lost(lines, axes),
         *_levels(lines, mine, axes),
         *_curves(lines, axes),
         *_bars(lines, agents, axes, bars_top),
@@ -138,10 +138,13 @@ def _lost(lines: Sequence[FrameMetrics], axes: Axes) -> list[str]:
     for first, last in _runs(lines, {line.frame for line in lines if line.status == "lost"}):
         left, right = _edges(first, last, axes)
         tip = element("title", text_of(f"lost in frames {first} to {last}"))
-        drawn.append(element("rect", tip, x=left, y=TOP, width=right - left, height=PLOT_HEIGHT, fill=LOST))
+        look = {"fill": LOST, "fill_opacity": 0.4}
+        drawn.append(element("rect", tip, x=left, y=TOP, width=right - left, height=PLOT_HEIGHT, **look))
         if right - left > 30:
             drawn.append(
-                _text("lost", (left + right) / 2, TOP + PLOT_HEIGHT - 6.0, 10.5, UP, anchor="middle")
+                _text(
+                    "lost", (left + right) / 2, TOP + PLOT_HEIGHT - 6.0, 10.5, UP, anchor="middle", halo=True
+                )
             )
     return drawn
 
