@@ -112,7 +112,7 @@ def _axes(lines: Sequence[FrameMetrics], events: Sequence[Event]) -> Axes:
     values = [line.ud_px2 for line in lines] + [
         level for _, _, found in _thresholds(events) for _, level in found
     ]
-    positive = sorted(value for value in values if value > 0 and math.isfinite(value)) or [1.0]
+    positive = sorted(value for value in values if 1e-6 < value < 1e15) or [1.0]
     # The first frames start from certainty: a few of them must not stretch the scale.
     low = positive[min(len(positive) // 50 + 1, len(positive) - 1)] / 1.6
     high = max(positive[-1] * 1.25, low * 10)
