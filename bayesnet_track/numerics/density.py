@@ -25,6 +25,7 @@ def mixture_log_density(points: Floats, log_weights: Floats, means: Floats, sds:
     return np.asarray(np.logaddexp.reduce(log_gaussians(points, means, sds) + log_weights, axis=1))
 
 
+@np.errstate(divide="ignore")  # a density may be 0 in floating point
 def mixture_argmax(
     log_factors: Floats, points: Floats, log_weights: Floats, means: Floats, sds: Floats
 ) -> int:
@@ -49,16 +50,10 @@ def mixture_argmax(
     if points.shape[1] % 2:  # the kernels take an even number of dimensions
         points, means = (np.pad(array, ((0, 0), (0, 1))) for array in (points, means))
         sds = np.pad(sds, ((0, 0), (0, 1)), constant_values=1.0)
-    # Weights too small to matter add to the error of the fast sums only.
-    heavy = log_peaks > np.log(FAST_ERROR / len(log_peaks))
     peaks, precisions = np.exp(log_peaks), 1.0 / sds
-    error = peaks.sum() * 2.0 * FAST_ERROR
 
     def exactly(chosen: NDArray[np.int64]) -> Floats:
-        with np.errstate(divide="ignore"):  # a density of 0 in floating point
-            return np.asarray(
-                log_factors[chosen] + np.log(exact_sums(points[chosen], peaks, means, precisions))
-            )
+        return np.asarray(log_factors[chosen] + np.log(exact_sums(points[chosen], peaks, means, precisions)))
 
     # The likely winner if the mixture were one Gaussian.
     centre = peaks @ means / peaks.sum()
@@ -67,11 +62,16 @@ def mixture_argmax(
     beat = float(exactly(np.argmax(guess, keepdims=True))[0])
 
     chosen = np.flatnonzero(log_factors + np.log(peaks.sum()) >= beat - 1e-9)
-    rows = np.ascontiguousarray(points[chosen].T)
-    upper = fast_sums(rows, peaks[heavy], means[heavy], precisions[heavy]) + error
-    lower = np.maximum(upper - 2.0 * error, np.finfo(float).tiny)
-    beat = max(beat, float(np.max(log_factors[chosen] + np.log(lower))))
-    chosen = chosen[log_factors[chosen] + np.log(upper) >= beat - 1e-9]
+    # The heaviest components alone give up most points; the peaks of the others bound what they add.
+    for least in (0.1, FAST_ERROR / len(peaks)):
+        heavy = peaks > least
+        rows = np.ascontiguousarray(points[chosen].T)
+        sums = fast_sums(rows, peaks[heavy], means[heavy], precisions[heavy])
+        error = peaks.sum() * FAST_ERROR
+        upper = sums + error + peaks[~heavy].sum()
+        lower = np.log(np.maximum(sums - error, 0.0))
+        beat = max(beat, float(np.max(log_factors[chosen] + lower)))
+        chosen = chosen[log_factors[chosen] + np.log(upper) >= beat - 1e-9]
     values = exactly(chosen)
     best = int(np.argmax(values))
     if values[best] > -np.inf:
