@@ -6,6 +6,7 @@ OpenCV's reader is not used: at damage it ends as if the file did, and it rescal
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -29,6 +30,7 @@ NETWORK_TIMEOUT_S = 10.0
 PROBE_PACKETS = 300
 MAX_PIXELS = 1 << 27
 MAX_FAILURES = 50
+ATTACHED_PICTURE = 0x0400
 # In others a packet may hold a picture that is never shown; a transport stream may begin before a key frame.
 ONE_PICTURE_A_PACKET = frozenset({"h264", "hevc", "mpeg4", "mjpeg"})
 FAULTS = (av.error.FFmpegError, ValueError, OverflowError, MemoryError)
@@ -169,8 +171,16 @@ def pixels_of(frame: Any) -> tuple[NDArray[np.uint8], bool]:
         raise PictureError(f"a frame cannot be converted: {_words(error)}") from error
     if not has_color:
         image = np.repeat(image[:, :, np.newaxis], 3, axis=2)
-    turns = round(getattr(frame, "rotation", 0) / 90) % 4
-    return np.ascontiguousarray(np.rot90(image, turns)), has_color
+    return np.ascontiguousarray(np.rot90(image, _quarter_turns(frame))), has_color
+
+
+def _quarter_turns(frame: Any) -> int:
+    """How many quarter turns against the clock bring the stored picture upright."""
+    stored = frame.side_data.get("DISPLAYMATRIX")
+    if stored is None:
+        return 0
+    matrix = np.frombuffer(stored, dtype=np.int32)
+    return round(-math.atan2(matrix[1], matrix[0]) / (math.pi / 2)) % 4
 
 
 def _open(text: str, network: bool) -> Any:
@@ -188,10 +198,9 @@ def _open(text: str, network: bool) -> Any:
 
 def _video_stream(text: str, container: Any) -> Any:
     for stream in container.streams.video:
-        # A cover picture is a video stream of one frame.
-        cover = (
-            bool(getattr(stream, "disposition", 0) & 0x0400) if len(container.streams.video) > 1 else False
-        )
+        # A cover picture is a video stream of one frame. Its flag is an enum or, in older versions, absent.
+        flags = getattr(stream, "disposition", 0)
+        cover = bool(getattr(flags, "value", flags) & ATTACHED_PICTURE)
         if stream.codec_context is not None and not cover:
             return stream
     raise _not_a_video(text, "no video stream that can be decoded in it")
