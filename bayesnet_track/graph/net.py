@@ -63,8 +63,8 @@ class Activated:
         node: the agent.
         governor: the inference node whose rule fired.
         cause: the numbers; None when it was switched on because no agent was active.
-        helpfulness: mean contribution (nats) when it was last active; None when never measured or when the
-            rule switches on all agents.
+        helpfulness: mean contribution (nats) over the frames in which it was active; None when never measured
+            or when the rule switches on all agents.
     """
 
     frame: int
@@ -219,11 +219,18 @@ def apply(net: Net, decision: Decision) -> Net:
 
 
 def replay(decisions: Iterable[Decision], until_frame: int | None = None) -> Net:
-    """The net after all decisions made before `until_frame` (all when None): the net that frame ran with."""
+    """The net that frame `until_frame` began with (the last one when None).
+
+    `decisions` are in the order of their frames. Those of earlier frames count, and the targets that start in
+    this one. An agent that failed in this frame is still in the net: the frame began with it.
+    """
     net = Net()
     for decision in decisions:
-        if until_frame is not None and decision.frame >= until_frame and not isinstance(decision, TargetStarted):
-            break
+        if until_frame is not None:
+            if decision.frame > until_frame:
+                break
+            if decision.frame == until_frame and not isinstance(decision, TargetStarted):
+                continue
         net = apply(net, decision)
     return net
 
