@@ -5,7 +5,7 @@ A pure function, called again at every reconfiguration.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
 
 from bayesnet_track.cue import Cue
@@ -39,15 +39,21 @@ class Join:
         node: the inference node.
         kind: product, pool or latent.
         children: children with a message in this plan.
-        weights: exponents of the children's likelihoods, summing to 1 for a pool, all 1 otherwise.
+        shares: weights of the children as given; only their ratios count, and only for a pool.
         kernel: the noise to integrate over with the row-normalised kernel, or None.
     """
 
     node: str
     kind: str
     children: tuple[str, ...]
-    weights: tuple[float, ...]
+    shares: tuple[float, ...]
     kernel: Noise | None = None
+
+    def weights(self, present: Container[str]) -> dict[str, float]:
+        """Child in `present` -> exponent of its likelihood: they sum to 1 for a pool, and are 1 otherwise."""
+        kept = {c: share for c, share in zip(self.children, self.shares, strict=True) if c in present}
+        total = sum(kept.values()) if self.kind == "pool" else 1.0
+        return {child: share / total for child, share in kept.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +131,8 @@ def _join(target: CheckedTarget, node: str, messengers: frozenset[str]) -> Join:
     children = tuple(child for child in target.children[node] if child in messengers)
     fuse = target.inference(node).fuse or Fuse.model_validate("product")
     if fuse.kind == "pool":
-        given = [1.0 if fuse.pool == "equal" else fuse.settings[child] for child in children]
-        return Join(node, "pool", children, tuple(weight / sum(given) for weight in given))
+        shares = tuple(1.0 if fuse.pool == "equal" else fuse.settings[child] for child in children)
+        return Join(node, "pool", children, shares)
     kernel = fuse.latent.given if fuse.latent is not None and fuse.latent.draw == "kernel" else None
     return Join(node, fuse.kind, children, (1.0,) * len(children), kernel)
 
@@ -156,7 +162,7 @@ def describe_plan(plan: Plan, agents: Mapping[str, AgentNode] | None = None) -> 
     for join in plan.joins:
         terms = ", ".join(
             child if join.kind != "pool" else f"{child}^{weight:.3g}"
-            for child, weight in zip(join.children, join.weights, strict=True)
+            for child, weight in join.weights(join.children).items()
         )
         kernel = " by kernel" if join.kernel is not None else ""
         lines.append(f"  join     {join.node} = {join.kind}({terms}){kernel}")

@@ -9,14 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evidence, Stream
-from bayesnet_track.belief.motion import log_noise_density, sample_noise
+from bayesnet_track.belief.noise import box_coordinates, log_noise_density, noisy, sample_noise
 from bayesnet_track.cue import Cue, Hypotheses, Reference
 from bayesnet_track.graph.spec import Noise
 from bayesnet_track.inference.compile import Plan
-from bayesnet_track.planes import PlaneCache, Planes, Region, region_of_boxes
+from bayesnet_track.planes import PlaneCache, Region, region_of_boxes
 
 Floats = NDArray[np.float64]
 Clock = Callable[[], float]
+
+ROUNDING = 1e-6
+"""How far above 0, the value of a perfect match, a log-likelihood may end by rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,21 +46,20 @@ class Observer:
 def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: Floats) -> Evidence:
     """The evidence of the whole net for (N,) hypotheses with normalised prior log-weights.
 
-    An agent that raises, or returns anything but N finite numbers or -inf, is left out as if it were
-    switched off, and named in `faults`.
+    An agent that fails is left out as if it were switched off, and named in `faults`: its planes or it raise,
+    or it returns anything but N log-likelihoods of at most 0, one of them above -inf.
     """
     latent = _draw_latent(plan, observer, hypotheses)
     at = {plan.root: hypotheses, **latent}
     messages: dict[str, Floats] = {}
     faults: dict[str, str] = {}
-    if plan.observations:
-        planes = _planes(plan, observer, at)
-        for step in plan.observations:
-            outcome = _observe(step.agent, at[step.at], planes, observer)
-            if isinstance(outcome, str):
-                faults[step.agent] = outcome
-            else:
-                messages[step.agent] = outcome
+    region = _region(at)
+    for step in plan.observations:
+        outcome = _observe(step.agent, at[step.at], region, observer)
+        if isinstance(outcome, str):
+            faults[step.agent] = outcome
+        else:
+            messages[step.agent] = outcome
     join_messages(plan, messages, latent, hypotheses, prior_log)
     total = messages.pop(plan.root, None)
     return Evidence(np.zeros(len(hypotheses)) if total is None else total, messages, latent, faults)
@@ -75,15 +77,15 @@ def join_messages(
     Missing children are left out, a pool's weights scaled to sum to 1 over those present.
     """
     for join in plan.joins:
-        present = [(c, w) for c, w in zip(join.children, join.weights, strict=True) if c in messages]
-        if not present:
+        weights = join.weights(messages)
+        if not weights:
             continue
-        scale = sum(weight for _, weight in present) if join.kind == "pool" else 1.0
         total = np.zeros(len(hypotheses))
-        for child, weight in present:
-            total = total + (weight / scale) * messages[child]
+        with np.errstate(over="ignore"):  # what is too small for a float is zero
+            for child, weight in weights.items():
+                total = total + weight * messages[child]
         if join.kernel is not None:
-            above = latent.get(_given_from(plan, join.node), hypotheses)
+            above = _above(plan, join.node, latent, hypotheses)
             total = kernel_message(join.kernel, above, latent[join.node], prior_log, total)
         messages[join.node] = total
 
@@ -104,17 +106,45 @@ def kernel_message(
     """(N,) log of the integral of p(c | h_i) L(c) over the latent state c, O(N^2).
 
     Each term is divided by the density of the samples c_j, q(c) = sum_k beta_k p(c | h_k), and every row is
-    normalised: without the division the samples' density would act as a second prior.
+    normalised: without the division the samples' density would act as a second prior. A coordinate without
+    noise is the parent's own, so that only samples which agree in it count.
     """
     log_kernel = log_noise_density(given, own.boxes, above.boxes).T
-    log_q = np.logaddexp.reduce(log_kernel + prior_log[:, None], axis=0)
-    log_terms = log_kernel + (prior_log - log_q)[None, :]
-    log_terms = log_terms - np.logaddexp.reduce(log_terms, axis=1, keepdims=True)
-    return np.asarray(np.logaddexp.reduce(log_terms + log_likelihood[None, :], axis=1), dtype=np.float64)
+    _keep_agreeing(log_kernel, given, above.boxes, own.boxes)
+    log_q = _log_sum(log_kernel + prior_log[:, None], axis=0)
+    log_share = np.full(len(prior_log), -np.inf)
+    np.subtract(prior_log, log_q, out=log_share, where=prior_log > -np.inf)
+    log_kernel += log_share
+    log_total = _log_sum(log_kernel, axis=1)
+    integral = _log_sum(log_kernel + log_likelihood, axis=1)
+    # A hypothesis of prior weight 0 may find no sample to integrate over: its own draw stands for it.
+    message = log_likelihood.copy()
+    np.subtract(integral, log_total, out=message, where=log_total > -np.inf)
+    return message
 
 
-def _given_from(plan: Plan, node: str) -> str:
-    return next(step.given_from for step in plan.draws if step.node == node)
+def _keep_agreeing(log_kernel: Floats, given: Noise, above: Floats, own: Floats) -> None:
+    """Set (N, N) to -inf where the parent's box i and the sample j differ in a coordinate without noise."""
+    parents, samples = box_coordinates(given, above)[0], box_coordinates(given, own)[0]
+    for column, has_noise in enumerate(noisy(given)):
+        values = parents[:, column]
+        if not has_noise and np.ptp(values) > 0:
+            away = np.abs(values[:, None] - samples[:, column])
+            log_kernel[away > 1e-9 * (1.0 + np.abs(values[:, None]))] = -np.inf
+
+
+def _log_sum(log: Floats, axis: int) -> Floats:
+    """log of the sum of exp along an axis; -inf where every term is."""
+    top = log.max(axis=axis, keepdims=True)
+    with np.errstate(divide="ignore"):
+        total = np.log(np.sum(np.exp(log - np.where(top > -np.inf, top, 0.0)), axis=axis, keepdims=True))
+    return np.asarray(np.squeeze(total + top, axis=axis))
+
+
+def _above(plan: Plan, node: str, latent: Mapping[str, Hypotheses], hypotheses: Hypotheses) -> Hypotheses:
+    """The hypotheses around which those of a latent node were drawn."""
+    source = next(step.given_from for step in plan.draws if step.node == node)
+    return hypotheses if source == node else latent.get(source, hypotheses)
 
 
 def _draw_latent(plan: Plan, observer: Observer, hypotheses: Hypotheses) -> dict[str, Hypotheses]:
@@ -126,34 +156,44 @@ def _draw_latent(plan: Plan, observer: Observer, hypotheses: Hypotheses) -> dict
     return {step.node: at[step.node] for step in plan.draws}
 
 
-def _planes(plan: Plan, observer: Observer, at: Mapping[str, Hypotheses]) -> Planes:
-    started = observer.clock()
+def _region(at: Mapping[str, Hypotheses]) -> Region:
+    """The smallest region that holds every hypothesis of every node."""
     region = Region(0, 0, 0, 0)
     for hypotheses in at.values():
         region = region.union(region_of_boxes(hypotheses.boxes))
-    planes = observer.cache.planes(plan.planes, region)
-    observer.seconds["planes"] = observer.seconds.get("planes", 0.0) + observer.clock() - started
-    return planes
+    return region
 
 
-def _observe(agent: str, hypotheses: Hypotheses, planes: Planes, observer: Observer) -> Floats | str:
+def _observe(agent: str, hypotheses: Hypotheses, region: Region, observer: Observer) -> Floats | str:
     """The agent's (N,) log-likelihood, or what is wrong with it."""
+    cue, part = observer.cues[agent], "planes"
+    # A copy of its own: what it writes there reaches no other agent.
+    own = Hypotheses(hypotheses.boxes.copy(), {name: v.copy() for name, v in hypotheses.fields.items()})
     started = observer.clock()
     try:
-        result = observer.cues[agent].log_likelihood(planes, hypotheses, observer.references[agent])
-        return _checked(np.asarray(result, dtype=np.float64), len(hypotheses))
+        planes = observer.cache.planes(cue.needs, region)
+        started, part = _charge(observer, part, started), agent
+        result = cue.log_likelihood(planes, own, observer.references[agent])
+        return _checked(np.array(result, dtype=np.float64), len(own))
     except Exception as error:  # a cue is a guest's code: whatever it raises must not end the run
         return f"raised {type(error).__name__}: {error}"
     finally:
-        observer.seconds[agent] = observer.seconds.get(agent, 0.0) + observer.clock() - started
+        _charge(observer, part, started)
+
+
+def _charge(observer: Observer, part: str, started: float) -> float:
+    now = observer.clock()
+    observer.seconds[part] = observer.seconds.get(part, 0.0) + now - started
+    return now
 
 
 def _checked(log_likelihood: Floats, size: int) -> Floats | str:
     if log_likelihood.shape != (size,):
         return f"returned an array of shape {log_likelihood.shape} for {size} hypotheses"
-    wrong = np.isnan(log_likelihood) | (log_likelihood == np.inf)
+    wrong = np.isnan(log_likelihood) | (log_likelihood > ROUNDING)
     if wrong.any():
-        return f"returned {log_likelihood[wrong][0]} for {int(wrong.sum())} of {size} hypotheses"
+        what = f"a log-likelihood of {log_likelihood[wrong][0]:.6g}, not at most 0,"
+        return f"returned {what} for {int(wrong.sum())} of {size} hypotheses"
     if not np.isfinite(log_likelihood).any():
         return f"returned a likelihood of zero for all {size} hypotheses"
     return log_likelihood

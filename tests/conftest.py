@@ -1,0 +1,181 @@
+"""Fake cues and small graphs, shared by the tests of inference, adaptation and the engine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bayesnet_track.cue import CueDeclaration, CueParameters, Reference, blend_arrays
+from bayesnet_track.engine import Engine, Outcome, State, make_engine, start_target, step
+from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
+from bayesnet_track.graph.laws import check_graph
+from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.inference.compile import Plan, compile_plan
+from bayesnet_track.inference.messages import Observer
+from bayesnet_track.numerics.streams import Streams
+from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
+
+START = (50.0, 40.0, 20.0, 20.0)
+
+
+@dataclass(frozen=True)
+class FakePlane:
+    """A plane of zeros that counts where it was computed."""
+
+    name: str
+    inputs: tuple[FakePlane, ...] = ()
+    margin: int | None = 0
+    is_points: bool = False
+    computed: list[Region] = field(default_factory=list, compare=False, hash=False)
+
+    def __str__(self) -> str:
+        return self.name
+
+    def compute(self, frames: FramePair, inputs: tuple[Any, ...], region: Region) -> Any:
+        assert len(inputs) == len(self.inputs)
+        self.computed.append(region)
+        return np.zeros((region.y1 - region.y0, region.x1 - region.x0))
+
+
+class BrokenPlane(FakePlane):
+    def compute(self, frames: FramePair, inputs: tuple[Any, ...], region: Region) -> Any:
+        raise OSError("no such feature")
+
+
+@dataclass(frozen=True)
+class Oracle:
+    """A cue whose log-likelihood is `see(planes, hypotheses, reference)`; it writes down what it learns."""
+
+    see: Callable[..., Any]
+    needs: tuple[FakePlane, ...] = ()
+    learnt: list[tuple[int, Region, tuple[float, ...]]] = field(default_factory=list)
+    blended: list[float] = field(default_factory=list)
+    reference: Callable[[Any, Any], Reference] = lambda planes, box: {"box": box}
+
+    def learn(self, planes: Any, box: Any) -> Reference:
+        self.learnt.append((planes.frame.index, planes.region, tuple(box)))
+        return self.reference(planes, box)
+
+    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+        self.blended.append(rate)
+        return blend_arrays(old, new, rate)
+
+    def log_likelihood(self, planes: Any, hypotheses: Any, reference: Reference) -> Any:
+        return self.see(planes, hypotheses, reference)
+
+
+@dataclass(frozen=True)
+class AdaptableOracle(Oracle):
+    tune: Callable[[Reference, int], Reference | None] = lambda reference, attempt: reference
+
+    def adapt(self, reference: Reference, attempt: int) -> Reference | None:
+        return self.tune(reference, attempt)
+
+
+def gaussian(x: float, y: float, sd: float, floor: float = 0.0) -> Callable[..., Any]:
+    """A likelihood whose centre lies at (x, y), 1 at its best."""
+
+    def see(planes: Any, hypotheses: Any, reference: Any) -> Any:
+        away = hypotheses.boxes[:, :2] - (x, y)
+        log = -0.5 * np.sum(away**2, axis=1) / sd**2
+        return log if floor == 0 else np.logaddexp(np.log(floor), np.log1p(-floor) + log)
+
+    return see
+
+
+def flat(value: float = 0.0) -> Callable[..., Any]:
+    """A likelihood that says nothing."""
+    return lambda planes, hypotheses, reference: np.full(len(hypotheses), value)
+
+
+def declare(cue: Any, **settings: Any) -> CueDeclaration:
+    return CueDeclaration(
+        **{"name": "oracle", "summary": "", "parameters": CueParameters, "make": lambda p: cue, **settings}
+    )
+
+
+def graph_of(nodes: Mapping[str, Any], cues: Mapping[str, CueDeclaration]) -> CheckedGraph:
+    """A lawful graph of one plate "plate"; a node that is a text is an agent below that parent, its cue its name."""
+    full = {
+        name: {"parent": node, "agent": name} if isinstance(node, str) else dict(node)
+        for name, node in nodes.items()
+    }
+    root = next(name for name, node in full.items() if "parent" not in node)
+    full[root] = {"motion": {"random_walk": {"sd_px": {"x": 8.0, "y": 8.0}}}, **full[root]}
+    spec = GraphSpec.model_validate({"name": "test", "targets": {"plate": {"nodes": full}}})
+    return check_graph(spec, cues)
+
+
+def plate_of(nodes: Mapping[str, Any]) -> tuple[CheckedTarget, dict[str, Oracle]]:
+    """The checked plate and an oracle per agent that says nothing and needs a plane of its own name."""
+    agents = [n for n, node in nodes.items() if isinstance(node, str) or "agent" in node]
+    cues = {agent: Oracle(flat(), (FakePlane(agent),)) for agent in agents}
+    return graph_of(nodes, {agent: declare(cues[agent]) for agent in agents}).targets["plate"], cues
+
+
+def frame_at(index: int, time: float | None = None, value: int = 0) -> Frame:
+    return Frame(index, float(index if time is None else time), np.full((100, 120, 3), value, np.uint8))
+
+
+def observer_of(cues: Mapping[str, Any], seed: int = 0, node: str = "root", index: int = 1) -> Observer:
+    streams = Streams(seed)
+    return Observer(
+        PlaneCache(FramePair(frame_at(index), None)),
+        cues,
+        {agent: {} for agent in cues},
+        lambda purpose: streams.of("1", node, index, purpose),
+    )
+
+
+def engine_of(
+    nodes: Mapping[str, Any], sees: Mapping[str, Any], seed: int = 0, **settings: Any
+) -> tuple[Engine, dict[str, Any]]:
+    """An engine of fake cues: `sees` maps an agent to its cue or to what it sees."""
+    cues = {agent: see if isinstance(see, Oracle) else Oracle(see) for agent, see in sees.items()}
+    declarations = {agent: declare(cue, **settings) for agent, cue in cues.items()}
+    return make_engine(graph_of(nodes, declarations), seed, declarations), cues
+
+
+def play(
+    engine: Engine, frames: Iterable[Frame] | int, starts: Mapping[str, tuple[float, ...]] | None = None
+) -> list[Outcome]:
+    """Every frame's outcome, the start's first; an integer is that many frames after the first."""
+    pictures = [frame_at(n) for n in range(frames + 1)] if isinstance(frames, int) else list(frames)
+    state, outcomes = State(), []
+    for target, box in ({"1": START} if starts is None else starts).items():
+        outcomes.append(start_target(engine, state, pictures[0], target, "plate", np.array(box)))
+        state = outcomes[-1].state
+    if len(outcomes) > 1:
+        events = tuple(event for outcome in outcomes for event in outcome.events)
+        outcomes = [Outcome(state, tuple(m for o in outcomes for m in o.metrics), events)]
+    for picture in pictures[1:]:
+        outcomes.append(step(engine, outcomes[-1].state, picture))
+    return outcomes
+
+
+@pytest.fixture(scope="session")
+def fakes() -> SimpleNamespace:
+    """The builders of this file."""
+    return SimpleNamespace(
+        START=START,
+        AdaptableOracle=AdaptableOracle,
+        BrokenPlane=BrokenPlane,
+        Oracle=Oracle,
+        Plan=Plan,
+        Plane=FakePlane,
+        compile_plan=compile_plan,
+        declare=declare,
+        engine=engine_of,
+        flat=flat,
+        frame=frame_at,
+        gaussian=gaussian,
+        graph=graph_of,
+        observer=observer_of,
+        plate=plate_of,
+        play=play,
+    )
