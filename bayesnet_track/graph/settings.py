@@ -176,13 +176,16 @@ class Latent(Model):
     )
 
 
+Weights = Annotated[dict[Name, Positive], Field(min_length=1)]
+
+
 class Fuse(Choice):
     """How an inference node joins its children's likelihoods."""
 
     product: Empty | None = Field(default=None, description="children independent given this node")
     pool: (
         Annotated[
-            Annotated[Literal["equal"], Tag("word")] | Annotated[dict[Name, Positive], Tag("mapping")],
+            Annotated[Literal["equal"], Tag("word")] | Annotated[Weights, Tag("mapping")],
             Discriminator(word_or_mapping),
         ]
         | None
@@ -253,7 +256,7 @@ class Learn(Model):
 class Lost(Model):
     """The target counts as lost while UD is above a level or nothing fits, until neither held as long."""
 
-    above: Level = Level(ud_box=1.0)
+    above: Level = Field(default=Level(ud_box=1.0), description="level of UD")
     fit_below: Annotated[Number, Field(ge=0, lt=1)] = Field(
         default=0.05,
         description="largest likelihood of any hypothesis, geometric mean over the active agents",

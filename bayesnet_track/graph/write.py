@@ -45,7 +45,7 @@ def as_plain(value: Any) -> Any:
         return {value.cue: dict(value.parameters)} if value.parameters else value.cue
     if isinstance(value, Choice):
         settings = as_plain(value.settings)
-        return value.kind if settings in ({}, value.bare(value.kind)) else {value.kind: settings}
+        return value.kind if settings == value.bare(value.kind) else {value.kind: settings}
     if isinstance(value, BaseModel):
         fields = type(value).model_fields
         changed = (name for name in fields if fields[name].is_required() or not _is_default(value, name))

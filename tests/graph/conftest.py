@@ -1,0 +1,184 @@
+"""Cues that need no images, and generated graphs, for the tests of the language."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import pytest
+from hypothesis import strategies as st
+from pydantic import Field
+
+from bayesnet_track.cue import Cue, CueDeclaration, CueParameters
+from bayesnet_track.graph.spec import GraphSpec
+
+
+class HueParameters(CueParameters):
+    bins: int = Field(default=32, ge=4, le=128, description="Bins round the hue circle (count).")
+    sd: float = Field(default=1.0, gt=0, description="Spread (px).")
+    form: Literal["circle", "line"] = Field(default="circle", description="Where hue starts.")
+    soft: bool = Field(default=False, description="Whether bins overlap.")
+    window: tuple[int, int] = Field(default=(3, 3), description="Smoothing window (px).")
+
+
+class NeedyParameters(CueParameters):
+    path_length: int = Field(gt=0, description="Without a default (count).")
+
+
+def _no_cue(_: Any) -> Cue:
+    raise AssertionError("checking a graph loads no cue")
+
+
+@pytest.fixture(scope="session")
+def cues() -> dict[str, CueDeclaration]:
+    """Four cues: hue and blobs with parameters, motion without any, needy with a required one."""
+    declared = (
+        CueDeclaration("hue", "Hue.", HueParameters, _no_cue),
+        CueDeclaration("blobs", "Blobs.", HueParameters, _no_cue),
+        CueDeclaration("motion", "Flow.", CueParameters, _no_cue),
+        CueDeclaration("needy", "Needs a length.", NeedyParameters, _no_cue),
+    )
+    return {cue.name: cue for cue in declared}
+
+
+def _mapping(required: dict[str, Any], optional: dict[str, Any]) -> st.SearchStrategy[dict[str, Any]]:
+    return st.fixed_dictionaries(required, optional=optional)
+
+
+def _choice(bare: list[str], **settings: Any) -> st.SearchStrategy[Any]:
+    keyed = [value.map(lambda inside, name=name: {name: inside}) for name, value in settings.items()]
+    return st.one_of(*([st.sampled_from(bare)] if bare else []), *keyed)
+
+
+def _graphs() -> st.SearchStrategy[dict[str, Any]]:
+    names = st.from_regex(r"[A-Za-z][A-Za-z0-9_]{0,8}", fullmatch=True)
+    positive = st.floats(min_value=1e-300, max_value=1e300) | st.integers(1, 1000)
+    share = st.floats(min_value=0, max_value=1, exclude_min=True, exclude_max=True)
+    sd = st.just(0) | positive
+    frames = st.integers(1, 1_000_000)
+    level = _choice([], ud_px2=positive, ud_box=positive, ud_quiet=positive)
+    noise = {
+        "sd_px": _mapping({}, dict.fromkeys("xywh", sd)),
+        "sd_box": _mapping({}, dict.fromkeys("xy", sd)),
+        "sd_log": _mapping({}, {"scale": sd, "aspect": sd}),
+        "wide": _mapping(
+            {"share": share, "factor": st.floats(min_value=1, max_value=1e9, exclude_min=True)}, {}
+        ),
+    }
+    velocity = {**noise, "sd_velocity_px": sd, "start_velocity_sd_px": sd}
+    acceleration = {
+        **noise,
+        "sd_acceleration_px": sd,
+        "start_velocity_sd_px": sd,
+        "start_acceleration_sd_px": sd,
+    }
+    motion = _choice(
+        ["random_walk", "constant_velocity", "damped_velocity", "constant_acceleration"],
+        random_walk=_mapping({}, noise),
+        constant_velocity=_mapping({}, velocity),
+        damped_velocity=_mapping({}, {**velocity, "damping": positive}),
+        constant_acceleration=_mapping({}, acceleration),
+    )
+    schemes = st.sampled_from(["systematic", "stratified", "residual", "multinomial"])
+    when = st.just("every_frame") | _mapping({"ess_below": share | st.just(1)}, {})
+    particles = _mapping({}, {"size": st.integers(2, 1_000_000), "resample": schemes, "when": when})
+    empty = st.just({})
+    window = _mapping({}, {"box": positive})
+    estimate = _choice(
+        ["map", "best", "mean", "robust_mean"], map=empty, best=empty, mean=empty, robust_mean=window
+    )
+    fuse = _choice(
+        ["product", "pool"],
+        product=empty,
+        pool=st.just("equal") | st.dictionaries(names, positive, min_size=1, max_size=3),
+        latent=_mapping({"given": _mapping({}, noise)}, {"draw": st.sampled_from(["one", "kernel"])}),
+    )
+    which = st.sampled_from(["all", "most_helpful"])
+    drop = st.sampled_from(["largest_kl", "least_contribution_per_ms"])
+    adapt = _mapping(
+        {},
+        {
+            "activate": _mapping({"above": level}, {"frames": frames, "which": which}),
+            "deactivate": _mapping({"below": level}, {"frames": frames, "drop": drop}),
+            "keep": st.integers(1, 9),
+        },
+    )
+    inference = _mapping(
+        {},
+        {
+            "parent": names,
+            "belief": _choice(["particles"], particles=particles),
+            "motion": motion,
+            "estimate": estimate,
+            "fuse": fuse,
+            "ud_fields": st.lists(st.sampled_from("xywh"), min_size=1, max_size=4),
+            "adapt": adapt,
+            "learn": _mapping({"below": level}, {"rate_max": share}),
+            "lost": _mapping({}, {"above": level, "fit_below": st.just(0) | share, "frames": frames}),
+        },
+    )
+    parameters = _mapping(
+        {},
+        {
+            "bins": st.integers(4, 128),
+            "sd": positive,
+            "form": st.sampled_from(["circle", "line"]),
+            "soft": st.booleans(),
+            "window": st.lists(st.integers(-9, 9), min_size=2, max_size=2),
+        },
+    )
+    cue = _choice(["hue", "motion"], hue=parameters, blobs=parameters, motion=empty)
+    agent = _mapping(
+        {"parent": names, "agent": cue},
+        {
+            "active": st.booleans(),
+            "self_check": _mapping({"above": level}, {"frames": frames, "rest": frames}),
+            "learn_rate_max": st.just(0) | share,
+        },
+    )
+    nodes = st.dictionaries(names, inference | agent, min_size=1, max_size=4)
+    targets = st.dictionaries(
+        names, _mapping({"nodes": nodes}, {"state": st.just("box")}), min_size=1, max_size=2
+    )
+    about = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
+    return _mapping({"name": names, "targets": targets}, {"bayesnet": st.just(1), "about": about})
+
+
+@pytest.fixture(scope="session")
+def graphs() -> st.SearchStrategy[dict[str, Any]]:
+    """Well-formed graphs as plain data: every model and key of the specification; laws may be broken."""
+    return _graphs()
+
+
+@pytest.fixture(scope="session")
+def specs(graphs: st.SearchStrategy[dict[str, Any]]) -> st.SearchStrategy[GraphSpec]:
+    """The same graphs as specifications."""
+    return graphs.map(GraphSpec.model_validate)
+
+
+@pytest.fixture(scope="session")
+def everything() -> dict[str, Any]:
+    """One graph that uses every part of the language (and breaks laws)."""
+    level = {"ud_px2": 200}
+    noise = {"sd_px": {"x": 1.5}, "sd_box": {"y": 0.1}, "sd_log": {"scale": 0.02}}
+    nodes = {
+        "a": {
+            "belief": {"particles": {"size": 9, "resample": "residual", "when": {"ess_below": 0.5}}},
+            "motion": {"random_walk": {**noise, "wide": {"share": 0.5, "factor": 4}}},
+            "estimate": {"robust_mean": {"box": 0.1}},
+            "fuse": "product",
+            "adapt": {"activate": {"above": level}, "deactivate": {"below": {"ud_box": 0.5}}, "keep": 2},
+            "learn": {"below": {"ud_quiet": 2}},
+            "lost": {"frames": 9},
+        },
+        "b": {"parent": "a", "fuse": {"latent": {"given": noise, "draw": "kernel"}}, "ud_fields": ["x"]},
+        "c": {"parent": "a", "fuse": {"pool": {"d": 1, "e": 0.1}}, "motion": {"constant_velocity": noise}},
+        "f": {"motion": {"damped_velocity": {"damping": 0.5}}, "estimate": "mean"},
+        "g": {"motion": {"constant_acceleration": {"sd_acceleration_px": 2}}, "fuse": "pool"},
+        "d": {"parent": "c", "agent": {"hue": {"bins": 16, "window": [5, 5]}}, "learn_rate_max": 0},
+        "e": {"parent": "c", "agent": "motion", "active": False, "self_check": {"above": level, "rest": 7}},
+    }
+    return {
+        "name": "everything",
+        "about": "two\nlines: \u00e9 # \U0001f600",
+        "targets": {"t": {"nodes": nodes}},
+    }

@@ -1,0 +1,107 @@
+"""The density of a net, as text and LaTeX."""
+
+from __future__ import annotations
+
+import pytest
+
+from bayesnet_track.graph.formula import Integral, Likelihood, Product, factor_of, formula_latex, formula_text
+from bayesnet_track.graph.laws import check_graph
+from bayesnet_track.graph.spec import GraphSpec
+
+WALK = {"random_walk": {"sd_px": {"x": 20, "y": 10}}}
+PREDICTED = "p(s_t | e_1:t-1)"
+
+
+@pytest.fixture
+def target(cues):
+    def make(nodes):
+        spec = GraphSpec.model_validate({"name": "g", "targets": {"s": {"nodes": nodes}}})
+        return check_graph(spec, cues).targets["s"]
+
+    return make
+
+
+def _fusion(pool="pool"):
+    return {
+        "s": {"motion": WALK, "fuse": "product"},
+        "color": {"parent": "s", "fuse": pool},
+        "hist": {"parent": "color", "agent": "hue"},
+        "blobs": {"parent": "color", "agent": "blobs"},
+        "flow": {"parent": "s", "agent": "motion"},
+    }
+
+
+def _first(text):
+    return text.splitlines()[0]
+
+
+def test_product_over_pool(target):
+    assert formula_text(target(_fusion())).splitlines() == [
+        f"p(s_t | e_1:t) ∝ {PREDICTED} · [p(e_hist | s_t)^½ · p(e_blobs | s_t)^½] · p(e_flow | s_t)",
+        f"{PREDICTED} = ∫ p(s_t | s_t-1) p(s_t-1 | e_1:t-1) d s_t-1",
+        "p(s_t | s_t-1): random walk, sd x 20 px, y 10 px",
+    ]
+
+
+def test_the_weights_of_a_pool_are_its_exponents(target):
+    two_to_one = _first(formula_text(target(_fusion({"pool": {"hist": 2, "blobs": 1}}))))
+    assert "[p(e_hist | s_t)^(2/3) · p(e_blobs | s_t)^(1/3)]" in two_to_one
+    odd = _first(formula_text(target(_fusion({"pool": {"hist": 0.7123, "blobs": 0.2877}}))))
+    assert "[p(e_hist | s_t)^0.712 · p(e_blobs | s_t)^0.288]" in odd
+
+
+def test_inactive_agents_are_left_out_and_the_weights_scaled_again(target):
+    text = formula_text(target(_fusion({"pool": {"hist": 2, "blobs": 1}})), {"blobs"})
+    assert _first(text) == f"p(s_t | e_1:t) ∝ {PREDICTED} · p(e_blobs | s_t)"
+    assert text.splitlines()[-1] == "left out (switched off): hist, flow"
+
+
+def test_without_agents_only_the_prediction_is_left(target):
+    assert _first(formula_text(target(_fusion()), ())) == f"p(s_t | e_1:t) ∝ {PREDICTED}"
+    assert factor_of(target(_fusion()), ()) is None
+
+
+def test_a_latent_node_integrates_over_its_own_state(target):
+    latent = {"latent": {"given": {"sd_px": {"x": 6, "y": 6}}}}
+    text = formula_text(target(_fusion(latent)))
+    inner = "p(e_hist | color_t) · p(e_blobs | color_t)"
+    assert f"[∫ p(color_t | s_t) · {inner} d color_t]" in _first(text)
+    assert "p(color_t | s_t): Gaussian, sd x 6 px, y 6 px" in text
+
+
+def test_a_latent_root_has_two_states(target):
+    nodes = _fusion()
+    nodes["s"]["fuse"] = {"latent": {"given": {"sd_box": {"x": 0.1}}}}
+    text = formula_text(target(nodes))
+    assert f"{PREDICTED} · [∫ p(s_own_t | s_t) · [p(e_hist | s_own_t)^½" in text
+    assert "p(s_own_t | s_t): Gaussian, sd x 0.1 √(wh)" in text
+
+
+def test_the_factor_is_data(target):
+    hist, flow = Likelihood("hist", "s"), Likelihood("flow", "s")
+    assert factor_of(target(_fusion()), {"hist", "flow"}) == Product(((hist, 1.0), (flow, 1.0)))
+    latent = {"latent": {"given": {"sd_px": {"x": 6}}}}
+    only = factor_of(target(_fusion(latent)), {"hist"})
+    assert only == Integral("color", "s", Likelihood("hist", "color"))
+
+
+def test_latex(target):
+    nodes = _fusion()
+    nodes["my_cue"] = nodes.pop("flow")
+    assert formula_latex(target(nodes), {"hist", "blobs"}).splitlines() == [
+        r"\begin{align*}",
+        r"p(\mathit{s}_{t} \mid e_{1:t}) &\propto p(\mathit{s}_{t} \mid e_{1:t-1}) \, "
+        r"p(e_{\mathrm{hist}} \mid \mathit{s}_{t})^{1/2} \, "
+        r"p(e_{\mathrm{blobs}} \mid \mathit{s}_{t})^{1/2} \\",
+        r"p(\mathit{s}_{t} \mid e_{1:t-1}) &= \int p(\mathit{s}_{t} \mid \mathit{s}_{t-1}) \, "
+        r"p(\mathit{s}_{t-1} \mid e_{1:t-1}) \, d\mathit{s}_{t-1}",
+        r"\end{align*}",
+        "% left out (switched off): my_cue",
+    ]
+    assert r"p(e_{\mathrm{my\_cue}} \mid" in formula_latex(target(nodes))
+
+
+def test_latex_of_a_latent_node(target):
+    text = formula_latex(target(_fusion({"latent": {"given": {"sd_px": {"x": 6}}}})))
+    inner = r"p(\mathit{color}_{t} \mid \mathit{s}_{t}) \, p(e_{\mathrm{hist}} \mid \mathit{color}_{t})"
+    assert rf"\left[\int {inner}" in text

@@ -1,0 +1,49 @@
+"""Graphs by name, by path, and from Python."""
+
+from __future__ import annotations
+
+import pytest
+
+from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graphs import find_graph, graph_names
+
+
+@pytest.mark.parametrize("name", graph_names())
+def test_every_installed_graph_is_lawful_and_bears_its_name(name):
+    graph = load_graph(name)
+    assert graph.spec.name == name
+    assert load_graph(graph) is graph
+    assert load_graph(GraphSpec.model_validate(graph.spec)).text == graph.text
+
+
+def test_the_library():
+    assert {"two_squares", "color_fusion", "general"} <= set(graph_names())
+    assert find_graph("general").name == "general.yaml"
+    with pytest.raises(KeyError, match="nearest: general"):
+        find_graph("genral")
+
+
+def test_a_path_is_read(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_bytes(find_graph("two_squares").read_bytes())
+    assert load_graph(path).text == load_graph(str(path)).text == load_graph("two_squares").text
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (
+            "two_sqares",
+            "two_sqares:1:1: graph: no installed graph of this name; allowed: color_fusion, general, "
+            "two_squares, or a path to a file; nearest: two_squares",
+        ),
+        ("no/such.yaml", "no/such.yaml:1:1: graph: cannot be read: No such file or directory"),
+        ("a\0.yaml", r"'a\x00.yaml':1:1: graph: cannot be read: embedded null byte"),
+    ],
+)
+def test_what_cannot_be_found_says_so(name, said):
+    with pytest.raises(GraphError) as error:
+        load_graph(name)
+    assert str(error.value) == said
