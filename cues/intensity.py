@@ -115,7 +115,7 @@ class IntensityCue:
         }
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
-        """(N,) log-likelihood. Cells outside the frame count as unmatched.
+        """(N,) log-likelihood. Cells outside the frame count as unmatched; a box outside is at the floor.
 
         All 0 when the reference has seen nothing (it lay outside the frame).
         """
@@ -131,10 +131,11 @@ class IntensityCue:
         if len(hypotheses) and not planes.region.is_empty:
             patch_moments(*_sampling(planes, self.gray, boxes), reference["grid"], weights / total, moments)
         log = self._correlation(moments) if settings.form == "correlation" else self._difference(moments)
+        log = np.where(moments[:, 0] > 0, np.minimum(log, 0.0), -np.inf)
         penalty = log_size_penalty(
             hypotheses.boxes, reference["size"], settings.sd_log_area, settings.sd_log_aspect
         )
-        return floored(settings.sharpness * np.minimum(log, 0.0) + penalty, settings.floor)
+        return floored(settings.sharpness * log + penalty, settings.floor)
 
     def _correlation(self, moments: Floats) -> Floats:
         """-(1 - s rho) / sd^2 - (difference of means)^2 / (2 sd_level^2), s the share inside the frame.
@@ -160,7 +161,7 @@ class IntensityCue:
 
 def _central(moments: Floats) -> tuple[Floats, ...]:
     """Share inside, means of reference and patch, and their variances and covariance over the part inside."""
-    share, r, v, rr, rv, vv = np.where(moments[:, :1] > 0, moments, 0.0).T
+    share, r, v, rr, rv, vv = moments.T
     share = np.minimum(share, 1.0)
     inside = np.where(share > 0, share, 1.0)
     mean_r, mean_v = r / inside, v / inside
@@ -205,5 +206,5 @@ CUE = CueDeclaration(
     summary="gray pattern inside the box against the target's",
     parameters=IntensityParameters,
     make=_make,
-    cost_ms=0.8,
+    cost_ms=1.0,
 )

@@ -150,6 +150,6 @@ CUE = CueDeclaration(
     summary="optical flow inside the box against the target's",
     parameters=MotionParameters,
     make=_make,
-    cost_ms=2.2,
+    cost_ms=2.5,
     rate_max=1.0,
 )

@@ -23,7 +23,7 @@ GRADIENT_SCALE = 8.0
 """The Sobel operator gives this many times the gradient in gray levels per pixel."""
 LEVELS = 3
 """Levels of the image pyramid."""
-ITERATIONS = 10
+ITERATIONS = 20
 """Steps of Lucas-Kanade per level, at most."""
 STOP_PX = 0.03
 """A step shorter than this, in pixels of the level, ends the level."""

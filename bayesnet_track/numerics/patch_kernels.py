@@ -24,10 +24,10 @@ MOMENTS = 6
 
 
 @compiled
-def _edges(low: float, size: float, origin: int, limit: int, units: Ints) -> int:
+def _edges(low: float, size: float, origin: int, limit: int, units: Ints, spans: Ints) -> int:
     """Fill `units` with the edges of cells, in steps from the crop's first pixel, cut to the frame's `limit`.
 
-    Returns the length in steps before cutting, or 0 when nothing of it can be sampled.
+    Fills `spans` with the lengths of cells before cutting; returns their sum, 0 when nothing can be sampled.
     """
     cells = units.shape[0] - 1
     bound = 4.0 * limit + 4.0
@@ -38,8 +38,12 @@ def _edges(low: float, size: float, origin: int, limit: int, units: Ints) -> int
     if last - first < cells or first >= limit * UNITS or last <= 0:
         return 0
     step = ((last - first) << 20) // cells
+    uncut = first
     for i in range(cells + 1):
         edge = first + ((i * step + (1 << 19)) >> 20)
+        if i > 0:
+            spans[i - 1] = edge - uncut
+        uncut = edge
         units[i] = min(max(edge, 0), limit * UNITS) - origin * UNITS
     return last - first
 
@@ -79,7 +83,7 @@ def _corner_sums(
 
 @compiled
 def _cell_means(
-    sums: Floats, x_units: Ints, y_units: Ints, x_span: int, y_span: int, means: Floats, shares: Floats
+    sums: Floats, x_units: Ints, y_units: Ints, x_spans: Ints, y_spans: Ints, means: Floats, shares: Floats
 ) -> None:
     """Fill `means` and `shares` (G, G) of one box from the sums at its edges' crossings."""
     cells = means.shape[0]
@@ -89,8 +93,7 @@ def _cell_means(
             area = tall * ((x_units[i + 1] - x_units[i]) / UNITS)
             total = (sums[j + 1, i + 1] - sums[j + 1, i]) - (sums[j, i + 1] - sums[j, i])
             means[j, i] = total / area if area > 0.0 else 0.0
-            nominal = (x_span / UNITS) * (y_span / UNITS) / (cells * cells)
-            shares[j, i] = min(area / nominal, 1.0)
+            shares[j, i] = area / ((x_spans[i] / UNITS) * (y_spans[j] / UNITS))
 
 
 @compiled
@@ -103,18 +106,19 @@ def patch_means(
     """
     edges = means.shape[0] + 1
     x_units, y_units = np.empty(edges, np.int64), np.empty(edges, np.int64)
+    x_spans, y_spans = np.empty(edges - 1, np.int64), np.empty(edges - 1, np.int64)
     columns, rows = np.empty(edges, np.int64), np.empty(edges, np.int64)
     column_parts, row_parts = np.empty(edges), np.empty(edges)
     sums = np.empty((edges, edges))
     means[:] = 0.0
     shares[:] = 0.0
-    x_span = _edges(box[0] - 0.5 * box[2] + 0.5, box[2], origin[0], frame[0], x_units)
-    y_span = _edges(box[1] - 0.5 * box[3] + 0.5, box[3], origin[1], frame[1], y_units)
+    x_span = _edges(box[0] - 0.5 * box[2] + 0.5, box[2], origin[0], frame[0], x_units, x_spans)
+    y_span = _edges(box[1] - 0.5 * box[3] + 0.5, box[3], origin[1], frame[1], y_units, y_spans)
     if x_span > 0 and y_span > 0:
         _pixels(x_units, integral.shape[1] - 1, columns, column_parts)
         _pixels(y_units, integral.shape[0] - 1, rows, row_parts)
         _corner_sums(integral.ravel(), integral.shape[1], rows, row_parts, columns, column_parts, sums)
-        _cell_means(sums, x_units, y_units, x_span, y_span, means, shares)
+        _cell_means(sums, x_units, y_units, x_spans, y_spans, means, shares)
 
 
 @compiled
@@ -143,6 +147,7 @@ def patch_moments(
     cells = reference.shape[0]
     flat, stride = integral.ravel(), integral.shape[1]
     x_units, y_units = np.empty(cells + 1, np.int64), np.empty(cells + 1, np.int64)
+    x_spans, y_spans = np.empty(cells, np.int64), np.empty(cells, np.int64)
     columns, rows = np.empty(cells + 1, np.int64), np.empty(cells + 1, np.int64)
     column_parts, row_parts = np.empty(cells + 1), np.empty(cells + 1)
     sums = np.empty((cells + 1, cells + 1))
@@ -155,8 +160,12 @@ def patch_moments(
             whole_r += weights[j, i] * reference[j, i]
             whole_rr += weights[j, i] * reference[j, i] * reference[j, i]
     for n in range(boxes.shape[0]):
-        x_span = _edges(boxes[n, 0] - 0.5 * boxes[n, 2] + 0.5, boxes[n, 2], origin[0], frame[0], x_units)
-        y_span = _edges(boxes[n, 1] - 0.5 * boxes[n, 3] + 0.5, boxes[n, 3], origin[1], frame[1], y_units)
+        x_span = _edges(
+            boxes[n, 0] - 0.5 * boxes[n, 2] + 0.5, boxes[n, 2], origin[0], frame[0], x_units, x_spans
+        )
+        y_span = _edges(
+            boxes[n, 1] - 0.5 * boxes[n, 3] + 0.5, boxes[n, 3], origin[1], frame[1], y_units, y_spans
+        )
         if x_span == 0 or y_span == 0:
             moments[n] = 0.0
             continue
@@ -178,7 +187,7 @@ def patch_moments(
                     srv += weighted * reference[j, i]
                     svv += weighted * v
         else:
-            _cell_means(sums, x_units, y_units, x_span, y_span, means, shares)
+            _cell_means(sums, x_units, y_units, x_spans, y_spans, means, shares)
             for j in range(cells):
                 for i in range(cells):
                     w, r, v = weights[j, i] * shares[j, i], reference[j, i], means[j, i]
