@@ -38,7 +38,7 @@ class IntensityParameters(CueParameters):
         "contrast) or gray values one by one (`difference`, the form of the thesis).",
     )
     grid: int = Field(
-        default=12, ge=3, le=64, description="Cells of the grid per side; each holds the mean of its pixels."
+        default=10, ge=3, le=64, description="Cells of the grid per side; each holds the mean of its pixels."
     )
     sd_pattern: float = Field(
         default=0.5,
@@ -206,5 +206,5 @@ CUE = CueDeclaration(
     summary="gray pattern inside the box against the target's",
     parameters=IntensityParameters,
     make=_make,
-    cost_ms=1.0,
+    cost_ms=0.8,
 )

@@ -107,7 +107,7 @@ def test_scores_do_not_depend_on_the_crop(boxes: list[tuple[float, ...]], slack:
 
 
 def test_correlation_is_the_normalised_one_above_the_noise() -> None:
-    cue = made(sd_texture_gray=1e-3, sd_level_gray=1e6, sd_mask=1e6, floor=1e-9, sd_pattern=1.0)
+    cue = made(grid=12, sd_texture_gray=1e-3, sd_level_gray=1e6, sd_mask=1e6, floor=1e-9, sd_pattern=1.0)
     gray = textured()
     target, other = [60.0, 50.0, 36.0, 36.0], [70.3, 52.8, 36.0, 36.0]
     reference = cue.learn(planes_of(gray), np.array(target))
@@ -117,7 +117,7 @@ def test_correlation_is_the_normalised_one_above_the_noise() -> None:
 
 
 def test_difference_is_the_weighted_square_of_the_thesis() -> None:
-    cue = made(form="difference", sd_gray=60.0, floor=1e-9)
+    cue = made(grid=12, form="difference", sd_gray=60.0, floor=1e-9)
     gray = textured()
     target, other = [60.0, 50.0, 36.0, 36.0], [61.3, 50.8, 38.0, 35.0]
     reference = cue.learn(planes_of(gray), np.array(target))
