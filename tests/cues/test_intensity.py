@@ -135,11 +135,11 @@ def test_correlation_forgives_a_change_of_contrast_and_difference_does_not() -> 
     box = [59.5, 49.5, 30.0, 24.0]
     found = {}
     for form in FORMS:
-        cue = made(form=form, sd_texture_gray=1.0)
+        cue = made(form=form, sd_texture_gray=1.0, sd_gray=10.0)
         reference = cue.learn(planes_of(gray), np.array(box))
         found[form] = scores(cue, planes_of(dim), [box], reference)[0]
     assert found["correlation"] > -0.05
-    assert found["difference"] < -0.1
+    assert found["difference"] < -0.4
 
 
 def test_flat_patches_are_told_apart_by_their_level() -> None:
