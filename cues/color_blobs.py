@@ -3,7 +3,7 @@
 Blobs are 4-connected regions of similar hue over a least size, grown inside each hypothesis on its own: over
 a grid of samples spanned on the box rather than over its pixels, the approximation that makes a thousand
 boxes affordable and every box independent of what is around it. A median filter goes before the sampling.
-Each blob of the reference is matched with at most one of the hypothesis.
+Each blob of the reference, the largest first, is matched with at most one of the hypothesis.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ class ColorBlobsParameters(CueParameters):
     median_px: Literal[1, 3, 5] = Field(
         default=3, description="Side of the median filter before hue is taken (px)."
     )
-    cells: int = Field(default=10, ge=4, le=64, description="Samples along each side of a box (count).")
+    cells: int = Field(default=8, ge=4, le=64, description="Samples along each side of a box (count).")
     tolerance_deg: float = Field(
         default=15.0, ge=1.5, le=90, description="Largest hue difference of neighbours in one blob (degrees)."
     )
     min_share: float = Field(default=0.05, gt=0, lt=1, description="Least size of a blob (share of the box).")
-    max_blobs: int = Field(default=8, ge=1, le=64, description="Blobs kept of each box, the largest (count).")
+    max_blobs: int = Field(default=6, ge=1, le=64, description="Blobs kept of each box, the largest (count).")
     sd_offset: float = Field(
         default=0.1, gt=0, description="Sd of a blob's centre (widths and heights of the box)."
     )
@@ -172,5 +172,5 @@ CUE = CueDeclaration(
     parameters=ColorBlobsParameters,
     make=_make,
     needs_color=True,
-    cost_ms=1.6,
+    cost_ms=2.0,
 )

@@ -175,5 +175,5 @@ CUE = CueDeclaration(
     parameters=ColorHistogramParameters,
     make=_make,
     needs_color=True,
-    cost_ms=0.9,
+    cost_ms=1.0,
 )

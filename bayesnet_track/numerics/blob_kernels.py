@@ -178,7 +178,7 @@ def _grow(
 def match_blobs(
     ours: Floats, theirs: Floats, sd_offset: float, sd_hue_deg: float, limit: float
 ) -> tuple[NDArray[np.int64], Floats]:
-    """One-to-one matches of blobs, nearest pair first, of pairs nearer than `limit`.
+    """One-to-one matches of blobs: each of `ours` in turn takes the nearest one left, nearer than `limit`.
 
     Args:
         ours: (K, 4) blobs.
@@ -193,8 +193,7 @@ def match_blobs(
         (thesis eq. 3.4, corrected), `limit` for none.
     """
     match, cost = np.empty(len(ours), np.int64), np.empty(len(ours))
-    taken = np.empty(len(theirs), np.bool_)
-    pairs = np.empty((len(ours), len(theirs)))
+    used = np.empty(len(theirs))
     _match(
         np.ascontiguousarray(ours),
         np.ascontiguousarray(theirs),
@@ -204,8 +203,7 @@ def match_blobs(
         limit,
         match,
         cost,
-        taken,
-        pairs,
+        used,
     )
     return match, cost
 
@@ -220,31 +218,23 @@ def _match(
     limit: float,
     match: NDArray[np.int64],
     cost: Floats,
-    taken: NDArray[np.bool_],
-    pairs: Floats,
+    used: Floats,
 ) -> None:
-    size = ours.shape[0]
     by_offset, by_hue = 0.5 / sd_offset**2, 0.5 / sd_hue_deg**2
     for j in range(others):
-        taken[j] = False
-    for i in range(size):
-        match[i], cost[i] = -1, limit
+        used[j] = 0.0
+    for i in range(ours.shape[0]):
+        least, to = limit, -1
         for j in range(others):
             x, y = ours[i, 0] - theirs[j, 0], ours[i, 1] - theirs[j, 1]
             hue = abs(ours[i, 2] - theirs[j, 2])
             hue = min(hue, 360.0 - hue)
-            pairs[i, j] = by_offset * (x * x + y * y) + by_hue * hue * hue
-    for _ in range(min(size, others)):
-        least, at, to = limit, -1, -1
-        for i in range(size):
-            if match[i] >= 0:
-                continue
-            for j in range(others):
-                if not taken[j] and pairs[i, j] < least:
-                    least, at, to = pairs[i, j], i, j
-        if at < 0:
-            break
-        match[at], cost[at], taken[to] = to, least, True
+            pair = by_offset * (x * x + y * y) + by_hue * hue * hue + used[j]
+            to = j if pair < least else to
+            least = min(pair, least)
+        match[i], cost[i] = to, least
+        if to >= 0:
+            used[to] = np.inf
 
 
 @compiled
@@ -271,7 +261,7 @@ def blob_costs(
     """
     size, most = reference.shape[0], blobs.shape[1]
     match, cost = np.empty(size, np.int64), np.empty(size)
-    taken, pairs = np.empty(most, np.bool_), np.empty((size, most))
+    used = np.empty(most)
     costs = np.empty(blobs.shape[0])
     whole = 0.0
     for k in range(size):
@@ -279,12 +269,11 @@ def blob_costs(
     if size == 0:
         whole = 1.0
     for n in range(blobs.shape[0]):
-        _match(reference, blobs[n], found[n], sd_offset, sd_hue_deg, unmatched, match, cost, taken, pairs)
+        _match(reference, blobs[n], found[n], sd_offset, sd_hue_deg, unmatched, match, cost, used)
         total = 0.0
         for k in range(size):
             total += reference[k, 3] * cost[k]
         for j in range(found[n]):
-            if not taken[j]:
-                total += blobs[n, j, 3] * unmatched
+            total += unmatched * blobs[n, j, 3] * (used[j] == 0.0)
         costs[n] = total / whole
     return costs

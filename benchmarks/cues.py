@@ -1,0 +1,112 @@
+"""What each installed cue costs: 1000 hypotheses of 60x60 px in 640x480, milliseconds on one core.
+
+Run ``python benchmarks/cues.py``. The last column is the cost against one ``cv2.calcHist`` per box, measured
+in the same run, so that figures of different machines can be compared. Each call sees another cloud of
+hypotheses, as each frame does: on one and the same the processor learns the kernels' branches by heart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from itertools import cycle
+
+import cv2
+import numpy as np
+
+from bayesnet_track.cue import Hypotheses, installed_cues
+from bayesnet_track.planes import Frame, FramePair, PlaneCache, region_of_boxes
+
+WIDTH, HEIGHT, SIDE = 640, 480, 60.0
+
+
+def milliseconds(work: Callable[[], object], repeats: int) -> float:
+    """Median time of one call, after one that is not counted."""
+    work()
+    taken = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        taken.append(time.perf_counter() - start)
+    return 1e3 * float(np.median(taken))
+
+
+def picture(rng: np.random.Generator, shift: tuple[int, int]) -> np.ndarray:
+    """Coloured texture in patches of about 25 px with grain; the target, moved by `shift`, is a patchwork."""
+    coarse = rng.integers(40, 216, (HEIGHT // 25, WIDTH // 25, 3), dtype=np.uint8)
+    image = cv2.resize(coarse, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR).astype(np.int64)
+    patch = np.repeat(np.repeat(rng.integers(0, 256, (4, 4, 3)), 15, axis=0), 15, axis=1)
+    y, x = 210 + shift[1], 290 + shift[0]
+    image[y : y + 60, x : x + 60] = patch
+    return np.clip(image + rng.integers(-8, 9, image.shape), 0, 255).astype(np.uint8)
+
+
+def cloud(rng: np.random.Generator, box: np.ndarray, size: int, sd: float) -> np.ndarray:
+    """(size, 4) hypotheses around `box`."""
+    boxes = np.tile(box, (size, 1))
+    boxes[:, :2] += rng.normal(0, sd, (size, 2))
+    boxes[:, 2:] *= np.exp(rng.normal(0, 0.01, (size, 2)))
+    return boxes
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--hypotheses", type=int, default=1000)
+    parser.add_argument("--sd", type=float, default=20.0, help="of the hypotheses' centres, px")
+    parser.add_argument("--repeats", type=int, default=50)
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+
+    previous, current = (
+        Frame(n, float(n), picture(np.random.default_rng(0), shift), True, n / 25)
+        for n, shift in enumerate([(0, 0), (4, 2)])
+    )
+    frames = FramePair(current, previous)
+    rng = np.random.default_rng(1)
+    box = np.array([323.5, 241.5, SIDE, SIDE])
+    clouds = [cloud(rng, box, options.hypotheses, options.sd) for _ in range(16)]
+    regions = [region_of_boxes(boxes) for boxes in clouds]
+
+    hue = np.ascontiguousarray(cv2.cvtColor(current.image, cv2.COLOR_BGR2HSV_FULL)[..., 0])
+    corners = np.clip(clouds[0][:, :2] - clouds[0][:, 2:] / 2, 0, [WIDTH - SIDE, HEIGHT - SIDE]).astype(int)
+
+    def opencv() -> None:
+        for x, y in corners:
+            cv2.calcHist([hue[y : y + int(SIDE), x : x + int(SIDE)]], [0], None, [32], [0, 256])
+
+    loop = milliseconds(opencv, options.repeats)
+    print(f"{options.hypotheses} boxes, {SIDE:.0f}x{SIDE:.0f} px of {WIDTH}x{HEIGHT}, sd {options.sd:g}, ms")
+    print(
+        f"{'cue':18}{'planes':>9}{'likelihood':>12}{'learn':>9}{'sum':>9}{'declared':>10}{'/ calcHist':>12}"
+    )
+    for name, declaration in installed_cues().items():
+        cue = declaration.make(declaration.parameters())
+        near = PlaneCache(frames).planes(cue.needs, region_of_boxes(box[None], 1.0))
+        reference = cue.learn(near, box)
+        ready = cycle(
+            [
+                (PlaneCache(frames).planes(cue.needs, region), Hypotheses(boxes))
+                for region, boxes in zip(regions, clouds, strict=True)
+            ]
+        )
+        asked = cycle(regions)
+        planes = milliseconds(
+            lambda cue=cue, asked=asked: PlaneCache(frames).planes(cue.needs, next(asked)), options.repeats
+        )
+        likelihood = milliseconds(
+            lambda cue=cue, ready=ready, reference=reference: cue.log_likelihood(*next(ready), reference),
+            options.repeats,
+        )
+        learn = milliseconds(lambda cue=cue, near=near: cue.learn(near, box), options.repeats)
+        total = planes + likelihood
+        print(
+            f"{name:18}{planes:9.2f}{likelihood:12.2f}{learn:9.2f}{total:9.2f}"
+            f"{declaration.cost_ms:10.2f}{total / loop:12.2f}"
+        )
+    print(f"{'calcHist per box':18}{'':9}{loop:12.2f}{'':9}{loop:9.2f}{'':10}{1:12.2f}")
+
+
+if __name__ == "__main__":
+    main()

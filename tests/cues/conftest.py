@@ -1,0 +1,112 @@
+"""A coloured, textured scene with a moving target, and how a cue is learnt and asked on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import pytest
+
+from bayesnet_track.cue import Cue, CueDeclaration, Hypotheses, Reference, installed_cues
+from bayesnet_track.planes import Frame, FramePair, PlaneCache, Planes, Region, region_of_boxes
+
+WIDTH, HEIGHT = 320, 240
+SIZE = np.array([49.0, 37.0])
+START = np.array([150.0, 120.0])
+VELOCITY = np.array([5, 3])
+
+
+def _texture(rng, rows, columns, cell, low, high):
+    coarse = rng.integers(low, high, (rows // cell + 2, columns // cell + 2, 3), dtype=np.uint8)
+    fine = cv2.resize(coarse, (columns, rows), interpolation=cv2.INTER_LINEAR)
+    return np.clip(fine.astype(int) + rng.integers(-6, 7, fine.shape), 0, 255).astype(np.uint8)
+
+
+def _background(rng):
+    image = _texture(rng, HEIGHT, WIDTH, 12, 70, 190)
+    image[..., 0] //= 2  # yellowish, so that the target's hues are its own
+    return image
+
+
+def _target(rng):
+    rows, columns = int(SIZE[1]), int(SIZE[0])
+    image = np.empty((rows, columns, 3), np.uint8)
+    image[:] = (200, 60, 40)
+    image[: rows // 2, columns // 2 :] = (60, 40, 210)
+    image[rows // 2 :, columns // 3 : 2 * columns // 3] = (190, 40, 170)
+    light = _texture(rng, rows, columns, 4, 60, 255)[..., :1] / 255.0
+    return (image * light).astype(np.uint8)
+
+
+class Scene:
+    """The pictures: the target moves by VELOCITY from frame to frame over a background that rests."""
+
+    width, height, size, start, velocity = WIDTH, HEIGHT, SIZE, START, VELOCITY
+
+    def __init__(self) -> None:
+        rng = np.random.default_rng(11)
+        self.background, self.target = _background(rng), _target(rng)
+
+    def box(self, shift=(0, 0)):
+        return np.concatenate([START + shift, SIZE])
+
+    def image(self, centre):
+        image = self.background.copy()
+        left, top = (np.asarray(centre) - (SIZE - 1) / 2).astype(int)
+        image[top : top + self.target.shape[0], left : left + self.target.shape[1]] = self.target
+        return image
+
+    def pair(self, shift=(0, 0)):
+        """Current and previous frame with the target now at START + shift."""
+        now = START + np.asarray(shift)
+        return self.pair_of(self.image(now), self.image(now - VELOCITY))
+
+    def pair_of(self, image, previous, has_color=True):
+        return FramePair(Frame(1, 1.0, image, has_color, 0.04), Frame(0, 0.0, previous, has_color, 0.0))
+
+    def around(self, centre, reach=40, step=4):
+        """Boxes of the target's size on a grid around `centre`."""
+        offset = np.arange(-reach, reach + 1, step, dtype=float)
+        dx, dy = (a.ravel() for a in np.meshgrid(offset, offset))
+        return np.column_stack([centre[0] + dx, centre[1] + dy, *(np.full(dx.size, side) for side in SIZE)])
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A cue and how the engine asks it."""
+
+    declaration: CueDeclaration
+    cue: Cue
+
+    def planes(self, pair: FramePair, region: Region) -> Planes:
+        return PlaneCache(pair).planes(self.cue.needs, region)
+
+    def learn(self, pair: FramePair, box) -> Reference:
+        return self.cue.learn(self.planes(pair, region_of_boxes(box[None], 1.0)), box)
+
+    def score(self, pair: FramePair, boxes, reference, region: Region | None = None):
+        planes = self.planes(pair, region or region_of_boxes(boxes))
+        return self.cue.log_likelihood(planes, Hypotheses(boxes), reference)
+
+
+@pytest.fixture(scope="session")
+def scene():
+    return Scene()
+
+
+@pytest.fixture(params=sorted(installed_cues()))
+def asked(request):
+    declaration = installed_cues()[request.param]
+    return Asked(declaration, declaration.make(declaration.parameters()))
+
+
+@pytest.fixture
+def ask():
+    """(cue name, parameters) -> the cue, asked as the engine does."""
+
+    def make(name, **parameters):
+        declaration = installed_cues()[name]
+        return Asked(declaration, declaration.make(declaration.parameters(**parameters)))
+
+    return make
