@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 
 from pydantic import ValidationError
 
@@ -34,7 +35,15 @@ def parameters_fit_the_cue(plate: Plate) -> Iterator[GraphMessage]:
             cue_parameters(node.agent, declaration)
         except ValidationError as error:
             path = ("targets", plate.name, "nodes", name, "agent", node.agent.cue)
-            yield from explain(error, declaration.parameters, node.agent.parameters, plate.at, path)
+            model = declaration.parameters
+            for message in explain(error, model, node.agent.parameters, plate.at, path):
+                field = model.model_fields.get(str(message.path[-1]))
+                meaning = field.description if field is not None else None
+                yield (
+                    replace(message, allowed=f"{message.allowed} ({meaning.rstrip('.')})")
+                    if meaning
+                    else message
+                )
 
 
 def cue_parameters(agent: AgentChoice, declaration: CueDeclaration) -> CueParameters:

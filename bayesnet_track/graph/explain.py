@@ -70,7 +70,7 @@ def expects(annotation: Any, constraints: Iterable[Any] = ()) -> str:
     if origin is tuple or origin is list:
         return f"a list, each {expects(get_args(kind)[0])}"
     if origin is not None and issubclass(origin, Mapping):
-        return "a mapping"
+        return f"a mapping, each {expects(get_args(kind)[1])}"
     if not isinstance(kind, type):
         return ""
     if issubclass(kind, Choice):
@@ -119,7 +119,7 @@ class _Step:
 def _walk(location: tuple[str | int, ...], model: type[BaseModel], data: Any) -> list[_Step]:
     """The steps along pydantic's location, without the labels of union members in it."""
     steps = [_Step(None, Shape((model,)), data)]
-    for part in location:
+    for number, part in enumerate(location):
         shape = steps[-1].shape
         if part == "[key]":
             return [*steps, _Step(part, None, None, is_key=True)]
@@ -127,7 +127,8 @@ def _walk(location: tuple[str | int, ...], model: type[BaseModel], data: Any) ->
             return steps
         if shape.only is None:
             member = next((kind for kind in shape.kinds if _tag(kind) == part), None)
-            if member is None:
+            is_word = number == len(location) - 1 and get_origin(shape_of(member).only) is Literal
+            if member is None or is_word:
                 return steps
             steps[-1] = replace(steps[-1], shape=shape_of(member))
             continue
@@ -171,8 +172,11 @@ def _explained(kind: str, said: str, steps: list[_Step], at: Positions, prefix: 
         wanted = expects(*_parts(last.shape)) if last.shape else ""
         return at.message(path[:-1], f"key {name!r} is missing", wanted)
     if owner is AgentChoice:
-        found = "parameters that are not plain data"
-        return at.message(path[:-1], found, "words, finite numbers, lists and mappings")
+        if kind == "value_error":
+            found, allowed = "parameters that are not plain data", "words, finite numbers, lists and mappings"
+        else:
+            found, allowed = "parameters that are not a mapping", "a mapping of parameters, or the cue alone"
+        return at.message(path[:-1], found, allowed)
     if isinstance(last.value, (list, tuple)) and name == "parent":
         found = (
             f"two parents ({listed(last.value)})"

@@ -13,15 +13,15 @@ from bayesnet_track.graph.spec import GraphSpec
 
 
 class HueParameters(CueParameters):
-    bins: int = Field(default=32, ge=4, le=128, description="Bins round the hue circle (count).")
-    sd: float = Field(default=1.0, gt=0, description="Spread (px).")
-    form: Literal["circle", "line"] = Field(default="circle", description="Where hue starts.")
-    soft: bool = Field(default=False, description="Whether bins overlap.")
-    window: tuple[int, int] = Field(default=(3, 3), description="Smoothing window (px).")
+    bins: int = Field(default=32, ge=4, le=128, description="bins round the hue circle, count")
+    sd: float = Field(default=1.0, gt=0, description="spread, px")
+    form: Literal["circle", "line"] = Field(default="circle", description="where hue starts")
+    soft: bool = Field(default=False, description="whether bins overlap")
+    window: tuple[int, int] = Field(default=(3, 3), description="smoothing window, px")
 
 
 class NeedyParameters(CueParameters):
-    path_length: int = Field(gt=0, description="Without a default (count).")
+    path_length: int = Field(gt=0, description="length, count")
 
 
 def _no_cue(_: Any) -> Cue:

@@ -41,7 +41,7 @@ def test_the_parameters_of_given_cues_are_listed(cues):
     page = language_reference(cues)
     assert "### hue" in page
     assert (
-        "| `bins` | a whole number at least 4, at most 128 | `32` | Bins round the hue circle (count). |"
+        "| `bins` | a whole number at least 4, at most 128 | `32` | bins round the hue circle, count |"
         in page
     )
     assert "### color_histogram" not in page

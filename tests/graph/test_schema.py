@@ -137,4 +137,4 @@ def test_broken_graphs_are_not_valid(validator, everything, case):
 def test_editors_find_cues_and_parameters_described(cues):
     definitions = graph_schema(cues)["definitions"]
     assert {"const": "motion", "description": "Flow."} in definitions["AgentChoice"]["anyOf"]
-    assert definitions["cue_hue"]["properties"]["bins"]["description"] == "Bins round the hue circle (count)."
+    assert definitions["cue_hue"]["properties"]["bins"]["description"] == "bins round the hue circle, count"

@@ -1,0 +1,104 @@
+"""Every message, word for word: the tables in `messages/` hold graphs and what is said of them.
+
+A case is ``=== name``, the graph, and its messages, each after ``-->`` and without the file's name. In
+`nodes.txt` and `laws.txt` the graph is the nodes of one target, five lines down and six columns in.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bayesnet_track.graph.laws import check, check_graph
+from bayesnet_track.graph.messages import MAX_MESSAGES, GraphError, Positions, listed, nearest, shown
+from bayesnet_track.graph.read import read_graph
+from bayesnet_track.graph.spec import GraphSpec
+
+TABLES = Path(__file__).parent / "messages"
+HEAD = "bayesnet: 1\nname: g\ntargets:\n  t:\n    nodes:\n"
+
+
+def _cases(table):
+    cases = []
+    for part in (TABLES / table).read_text(encoding="utf-8").split("=== ")[1:]:
+        name, *lines = part.rstrip("\n").split("\n")
+        graph = [line for line in lines if not line.startswith("--> ")]
+        said = [line.removeprefix("--> ") for line in lines if line.startswith("--> ")]
+        cases.append(pytest.param("\n".join([*graph, ""]), said, id=name))
+    return cases
+
+
+def _nodes(text):
+    return HEAD + "".join(f"      {line}\n" for line in text.splitlines())
+
+
+def _said(error):
+    return [line.removeprefix("g.yaml:") for line in str(error.value).splitlines()]
+
+
+@pytest.mark.parametrize(("text", "said"), _cases("files.txt"))
+def test_files(text, said):
+    with pytest.raises(GraphError) as error:
+        read_graph(text, "g.yaml")
+    assert _said(error) == said
+
+
+@pytest.mark.parametrize(("text", "said"), _cases("nodes.txt"))
+def test_nodes(text, said):
+    with pytest.raises(GraphError) as error:
+        read_graph(_nodes(text), "g.yaml")
+    assert _said(error) == said
+
+
+@pytest.mark.parametrize(("text", "said"), _cases("laws.txt"))
+def test_laws(text, said, cues):
+    spec, at = read_graph(_nodes(text), "g.yaml")
+    with pytest.raises(GraphError) as error:
+        check(spec, at, cues)
+    assert _said(error) == said
+
+
+def test_a_graph_from_python_names_the_path_of_keys(cues):
+    nodes = {"s": {"fuse": "product"}, "a": {"parent": "s", "agent": {"hue": {"bins": 1}}}}
+    spec = GraphSpec.model_validate({"name": "g", "targets": {"t": {"nodes": nodes}}})
+    with pytest.raises(GraphError) as error:
+        check_graph(spec, cues)
+    assert set(str(error.value).splitlines()) == {
+        "<python>:targets.t.nodes.s: s: key 'motion' is missing at the root; "
+        "allowed: random_walk, constant_velocity, damped_velocity, constant_acceleration",
+        "<python>:targets.t.nodes.a.agent.hue.bins: a: bins is 1; "
+        "allowed: a whole number at least 4, at most 128 (bins round the hue circle, count)",
+    }
+
+
+def test_all_errors_of_all_targets_are_reported(cues):
+    plate = "{nodes: {s: {motion: constant_velocity}, a: {parent: s, agent: hu}}}"
+    spec, at = read_graph(f"name: g\ntargets:\n  t: {plate}\n  u: {plate}\n", "g.yaml")
+    with pytest.raises(GraphError) as error:
+        check(spec, at, cues)
+    assert [(one.line, one.nearest) for one in error.value.errors] == [(3, "hue"), (4, "hue")]
+
+
+def test_many_errors_are_cut_and_it_says_so():
+    text = "name: g\ntargets: {}\n" + "".join(f"k{i}: 1\n" for i in range(500))
+    with pytest.raises(GraphError) as error:
+        read_graph(text, "g.yaml")
+    assert len(error.value.errors) == MAX_MESSAGES
+    assert str(error.value).endswith("\ng.yaml: and more errors")
+
+
+def test_an_error_stands_at_what_was_written_nearest_to_it():
+    at = Positions("f", {("a",): (1, 1)}, {(): (1, 1), ("a",): (1, 4)})
+    assert at.message(("a", "b", "c"), "x").column == 4
+    assert at.message(("a",), "x", on_key=True).column == 1
+    assert at.message(("z",), "x").column == 1
+
+
+def test_what_is_shown_stays_short_and_printable():
+    assert listed(str(i) for i in range(20)).endswith("10, 11, ... (8 more)")
+    assert len(shown("x" * 9999)) < 80
+    assert len(shown("\x1b" * 9999)) < 130
+    assert "\x1b" not in shown("\x1b[31m") + listed(["\x1b[31m"])
+    assert shown({str(i): i for i in range(9)}) == "a mapping of 9 keys"
+    assert nearest("zzz", ["activate"]) == ""
