@@ -7,17 +7,17 @@ function of the engine (graph and seed), the state and the frame; time is read f
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.learn import learn_first, learn_references, learning_rate
+from bayesnet_track.adapt.learn import adapt_reference, learn_first, learn_references, learning_rate
 from bayesnet_track.adapt.measure import measure
-from bayesnet_track.adapt.memory import Memory, Quiet
-from bayesnet_track.adapt.rules import Situation, decide
+from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.rules import Situation, decide, quiet_level
 from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Motion
 from bayesnet_track.belief.estimate import covariance, estimate
@@ -171,31 +171,44 @@ def start_target(
 ) -> Outcome:
     """Start a net for the target inside the centre box (4,) of `frame`: references learnt, belief placed.
 
-    The belief of the first frame is the box itself; hypotheses spread with the first prediction.
+    The belief of the first frame is the box itself; hypotheses spread with the first prediction. An agent
+    that cannot learn its reference is out from the start.
     """
     machine = engine.machinery[template]
     active = tuple(agent for agent in machine.plate.agents if machine.plate.agent(agent).active)
-    decision = TargetStarted(frame.index, target, template, tuple(float(v) for v in box), active)
     stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
-    cache = PlaneCache(FramePair(frame, state.previous))
+    # Another target that started in this frame has made it the state's last one.
+    previous = state.previous if state.previous is None or state.previous.index < frame.index else None
+    references, faults = learn_first(machine.cues, PlaneCache(FramePair(frame, previous)), box)
+    x, y, w, h = (float(v) for v in box)
+    decisions: list[Decision] = [
+        TargetStarted(frame.index, target, template, (x, y, w, h), active),
+        *_quarantined(frame.index, target, faults),
+    ]
+    working = tuple(agent for agent in active if agent not in faults)
     born = TargetState(
         belief=machine.belief.start(box, machine.motion, stream),
-        references=learn_first(machine.cues, cache, box),
+        references=references,
         memory=Memory(),
-        plan=compile_plan(machine.plate, active, machine.cues),
+        plan=compile_plan(machine.plate, working, machine.cues),
         time=frame.time,
     )
-    metrics = first_frame_metrics(frame, target, born.belief, active, box)
-    return Outcome(
-        State(apply(state.net, decision), {**state.targets, target: born}, frame), (metrics,), (decision,)
-    )
+    metrics = first_frame_metrics(frame, target, born.belief, working, box)
+    after = State(_applied(state.net, decisions), {**state.targets, target: born}, frame)
+    return Outcome(after, (metrics,), tuple(decisions))
 
 
 # ------------------------------------------------------------------------------------ stepping
 
 
 def step(engine: Engine, state: State, frame: Frame) -> Outcome:
-    """One frame for every live target."""
+    """One frame for every live target.
+
+    Raises:
+        ValueError: the frame is not later than the last one.
+    """
+    if state.previous is not None and not frame.time > state.previous.time:
+        raise ValueError(f"frame {frame.index} at time {frame.time} is not later than {state.previous.time}")
     cache = PlaneCache(FramePair(frame, state.previous))
     seconds: dict[str, float] = {}
     net, targets = state.net, {}
@@ -204,8 +217,7 @@ def step(engine: Engine, state: State, frame: Frame) -> Outcome:
     covariances: dict[str, Floats] = {}
     for target in state.targets:
         one = _step_target(engine, state, frame, cache, target, seconds)
-        for decision in one.decisions:
-            net = apply(net, decision)
+        net = _applied(net, one.decisions)
         targets[target] = _recompiled(engine, net, target, one.state)
         metrics.append(one.metrics)
         covariances[target] = one.covariance
@@ -235,38 +247,30 @@ def _step_target(
     stepped = machine.belief.step(
         before.belief,
         Confined(machine.motion, frame.width, frame.height),
-        max(frame.time - before.time, 0.0),
+        frame.time - before.time,
         partial(evaluate, before.plan, observer),
         stream,
     )
     box = _inside(estimate(root.estimate, stepped.posterior, stepped)[:4], frame)
     started = _charge(engine, seconds, "belief", started)
 
-    faults: list[Decision] = [
-        Quarantined(frame.index, target, agent, reason) for agent, reason in stepped.evidence.faults.items()
-    ]
+    faults = _quarantined(frame.index, target, stepped.evidence.faults)
+    working = _applied(state.net, faults).targets[target]
     measures = measure(machine.plate, before.plan, stepped, float(box[2] * box[3]))
-    net = state.net
-    for fault in faults:
-        net = apply(net, fault)
     now = Situation(
-        frame.index, target, machine.plate, net.targets[target], measures, machine.costs_ms, machine.adaptable
+        frame.index, target, machine.plate, working, measures, machine.costs_ms, machine.adaptable
     )
     chosen, memory = decide(now, before.memory)
     started = _charge(engine, seconds, "measure", started)
 
-    quiet = memory.quiet.get(machine.plate.root, Quiet()).level_px2
+    quiet = quiet_level(machine.plate, working, memory, machine.plate.root)
     rate = learning_rate(root.learn, measures.ud_px2[machine.plate.root], measures.area_px2, quiet)
-    if live.status == "lost" or not before.plan.active:
+    if working.status == "lost" or not working.active or stepped.degenerate is not None:
         rate = 0.0
     rates = {
-        agent: rate * most
-        for agent, most in machine.rate_max.items()
-        if agent not in net.targets[target].quarantined
+        agent: rate * most for agent, most in machine.rate_max.items() if agent not in working.quarantined
     }
-    references, adapted, broken = _learn(
-        machine, before.references, rates, cache, box, chosen, frame.index, target
-    )
+    references, decisions = _learn(now, machine, before.references, rates, cache, box, chosen)
     _charge(engine, seconds, "learn", started)
 
     after = TargetState(stepped.posterior, references, memory, before.plan, frame.time)
@@ -276,42 +280,50 @@ def _step_target(
     metrics = frame_metrics(
         frame, target, machine.plate, live.status, stepped, measures, box, quiet, rate, stream
     )
-    return _TargetOutcome(
-        after, metrics, (*faults, *adapted, *broken), degenerate, covariance(stepped.posterior)
-    )
+    return _TargetOutcome(after, metrics, (*faults, *decisions), degenerate, covariance(stepped.posterior))
 
 
 def _learn(
+    now: Situation,
     machine: Machinery,
     references: Mapping[str, Reference],
     rates: Mapping[str, float],
     cache: PlaneCache,
     box: Floats,
     chosen: tuple[Decision, ...],
-    frame: int,
-    target: str,
-) -> tuple[dict[str, Reference], tuple[Decision, ...], tuple[Decision, ...]]:
-    """Move all references, then carry out local actions; an action with nothing left to try is not logged."""
-    moved, broken = dict(references), []
-    for agent, rate in rates.items():
-        try:
-            moved |= learn_references(
-                {agent: references[agent]}, {agent: machine.cues[agent]}, {agent: rate}, cache, box
-            )
-        except Exception as error:  # as in evaluation: a cue's fault must not end the run
-            reason = f"raised {type(error).__name__} while learning: {error}"
-            broken.append(Quarantined(frame, target, agent, reason))
+) -> tuple[dict[str, Reference], tuple[Decision, ...]]:
+    """Move all references, then carry out local actions.
+
+    Returns:
+        The references, and the decisions that stand: those chosen, without actions that found nothing left to
+        try, and the quarantine of agents that failed here.
+    """
+    moved, faults = learn_references(references, machine.cues, rates, cache, box)
     kept: list[Decision] = []
     for decision in chosen:
         if isinstance(decision, LocallyAdapted):
             cue = machine.cues[decision.node]
             assert isinstance(cue, LocallyAdaptable)
-            tuned = cue.adapt(moved[decision.node], decision.attempt)
-            if tuned is None:
+            if decision.node in faults:
+                continue
+            tuned = adapt_reference(cue, moved[decision.node], decision.attempt)
+            if isinstance(tuned, str):
+                faults[decision.node] = tuned
+            if tuned is None or isinstance(tuned, str):
                 continue
             moved[decision.node] = tuned
         kept.append(decision)
-    return moved, tuple(kept), tuple(broken)
+    return moved, (*kept, *_quarantined(now.frame, now.target, faults))
+
+
+def _quarantined(frame: int, target: str, faults: Mapping[str, str]) -> tuple[Quarantined, ...]:
+    return tuple(Quarantined(frame, target, agent, reason) for agent, reason in faults.items())
+
+
+def _applied(net: Net, decisions: Iterable[Decision]) -> Net:
+    for decision in decisions:
+        net = apply(net, decision)
+    return net
 
 
 def _recompiled(engine: Engine, net: Net, target: str, state: TargetState) -> TargetState:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from bayesnet_track.cue import CueDeclaration, CueParameters, Reference, blend_arrays
 from bayesnet_track.engine import Engine, Outcome, State, make_engine, start_target, step
@@ -19,6 +20,9 @@ from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.messages import Observer
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
+
+settings.register_profile("repeatable", derandomize=True, deadline=None)
+settings.load_profile("repeatable")
 
 START = (50.0, 40.0, 20.0, 20.0)
 
@@ -100,7 +104,7 @@ def declare(cue: Any, **settings: Any) -> CueDeclaration:
 
 
 def graph_of(nodes: Mapping[str, Any], cues: Mapping[str, CueDeclaration]) -> CheckedGraph:
-    """A lawful graph of one plate "plate"; a node that is a text is an agent below that parent, its cue its name."""
+    """A lawful graph of the plate "plate"; a text for a node is the parent of an agent."""
     full = {
         name: {"parent": node, "agent": name} if isinstance(node, str) else dict(node)
         for name, node in nodes.items()

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+import numpy as np
+
 from bayesnet_track.adapt.rules import read_level
-from bayesnet_track.cue import Cue, Floats, Reference
+from bayesnet_track.cue import Cue, Floats, LocallyAdaptable, Reference
 from bayesnet_track.graph.spec import Learn
 from bayesnet_track.planes import PlaneCache, region_of_boxes
 
@@ -31,10 +33,11 @@ def learning_rate(rule: Learn | None, ud_px2: float, area_px2: float, quiet_px2:
     return 0.5 * (1.0 - math.tanh(2.0 * (reading.value - reading.level) / reading.level))
 
 
-def learn_first(cues: Mapping[str, Cue], cache: PlaneCache, box: Floats) -> dict[str, Reference]:
-    """Every agent's first reference, from the centre box (4,)."""
-    region = region_of_boxes(box[None, :], grow=CONTEXT)
-    return {agent: cue.learn(cache.planes(cue.needs, region), box) for agent, cue in cues.items()}
+def learn_first(
+    cues: Mapping[str, Cue], cache: PlaneCache, box: Floats
+) -> tuple[dict[str, Reference], dict[str, str]]:
+    """Every agent's first reference, from the centre box (4,), and what was wrong with those that failed."""
+    return _sorted_out({agent: _learnt(cue, cache, box) for agent, cue in cues.items()})
 
 
 def learn_references(
@@ -43,16 +46,57 @@ def learn_references(
     rates: Mapping[str, float],
     cache: PlaneCache,
     box: Floats,
-) -> dict[str, Reference]:
+) -> tuple[dict[str, Reference], dict[str, str]]:
     """The references of all agents, active or not, each moved by its rate toward what the box holds now.
 
-    Planes of inactive agents are computed here only, on the estimate's surroundings.
+    Planes of inactive agents are computed here only, on the estimate's surroundings. An agent that fails
+    keeps its reference; the second mapping says what was wrong.
     """
+    moved, faults = _sorted_out(
+        {
+            agent: _learnt(cues[agent], cache, box, references[agent], rate)
+            for agent, rate in rates.items()
+            if rate > 0.0
+        }
+    )
+    return {**references, **moved}, faults
+
+
+def adapt_reference(cue: LocallyAdaptable, reference: Reference, attempt: int) -> Reference | str | None:
+    """The reference as an agent tunes it itself, None when nothing is left to try, or what went wrong."""
+    try:
+        tuned = cue.adapt(reference, attempt)
+        return None if tuned is None else _checked(tuned)
+    except Exception as error:  # as in evaluation: a cue's fault must not end the run
+        return f"raised {type(error).__name__} while adapting: {error}"
+
+
+def _learnt(
+    cue: Cue, cache: PlaneCache, box: Floats, old: Reference | None = None, rate: float = 1.0
+) -> Reference | str:
+    """What the cue sees in the box, blended into the old reference; or what went wrong."""
     region = region_of_boxes(box[None, :], grow=CONTEXT)
-    moved = dict(references)
-    for agent, rate in rates.items():
-        if rate > 0.0:
-            cue = cues[agent]
-            seen = cue.learn(cache.planes(cue.needs, region), box)
-            moved[agent] = cue.blend(references[agent], seen, rate)
-    return moved
+    try:
+        seen = cue.learn(cache.planes(cue.needs, region), box.copy())
+        return _checked(seen if old is None else cue.blend(old, seen, rate))
+    except Exception as error:  # as in evaluation: a cue's fault must not end the run
+        return f"raised {type(error).__name__} while learning: {error}"
+
+
+def _checked(reference: Reference) -> Reference | str:
+    for name, values in reference.items():
+        array = np.asarray(values)
+        if np.issubdtype(array.dtype, np.inexact) and not np.isfinite(array).all():
+            return f"made a reference whose {name!r} is not finite"
+    return reference
+
+
+def _sorted_out(outcomes: Mapping[str, Reference | str]) -> tuple[dict[str, Reference], dict[str, str]]:
+    references: dict[str, Reference] = {}
+    faults: dict[str, str] = {}
+    for agent, outcome in outcomes.items():
+        if isinstance(outcome, str):
+            faults[agent] = outcome
+        else:
+            references[agent] = outcome
+    return references, faults

@@ -26,7 +26,8 @@ class Measures:
 
     Attributes:
         ud_px2: inference node -> UD of its belief; the root's about the MAP, another's about its most
-            probable hypothesis (thesis eqs. 2.11-2.13, corrected).
+            probable hypothesis (thesis eqs. 2.11-2.13, corrected). A node that hears of no agent believes
+            what the node above it does.
         agent_ud_px2: active agent -> UD of its normalised likelihood about its maximum-likelihood hypothesis.
         kl: active agent -> KL(belief || agent) at its governor (or the root), nats (eq. 2.14). Zero by
             construction when it is the only one.
@@ -53,11 +54,7 @@ def measure(target: CheckedTarget, plan: Plan, step: Step, area_px2: float) -> M
     beliefs[target.root] = step.posterior.weights
     agents = [obs.agent for obs in plan.observations if obs.agent in evidence.messages]
 
-    ud = {target.root: _ud(target, target.root, step.posterior.boxes, step.posterior.weights, step.map_state)}
-    for join in plan.joins:
-        if join.node != target.root and join.node in beliefs:
-            boxes = evidence.latent.get(join.node, hypotheses).boxes
-            ud[join.node] = _ud_about_best(target, join.node, boxes, beliefs[join.node])
+    ud = _node_uds(target, step, beliefs)
     agent_ud = {}
     for obs in plan.observations:
         if obs.agent in beliefs:
@@ -73,7 +70,7 @@ def measure(target: CheckedTarget, plan: Plan, step: Step, area_px2: float) -> M
         rest = prior if left is None else _times(prior, left)
         contribution[agent] = kl(belief.log, rest.log)
 
-    mean = sum((evidence.messages[agent] for agent in agents), np.zeros(len(prior))) / max(len(agents), 1)
+    mean = sum((evidence.messages[agent] / len(agents) for agent in agents), np.zeros(len(prior)))
     return Measures(
         ud_px2=ud,
         agent_ud_px2=agent_ud,
@@ -102,8 +99,18 @@ def _ud(target: CheckedTarget, node: str, boxes: Floats, belief: LogWeights, cen
     return uncertainty_deviation(boxes[:, columns], belief.weights, centre[columns])
 
 
-def _ud_about_best(target: CheckedTarget, node: str, boxes: Floats, belief: LogWeights) -> float:
-    return _ud(target, node, boxes, belief, boxes[int(np.argmax(belief.log))])
+def _node_uds(target: CheckedTarget, step: Step, beliefs: Mapping[str, LogWeights]) -> dict[str, float]:
+    """UD of every inference node, the root's first."""
+    held = {target.root: (step.posterior.boxes, step.posterior.weights, step.map_state)}
+    for node in target.order:
+        above = target.parent[node]
+        if above is None or node not in target.children:
+            continue
+        held[node] = held[above]
+        if node in beliefs:
+            boxes = step.evidence.latent[node].boxes if node in step.evidence.latent else step.posterior.boxes
+            held[node] = (boxes, beliefs[node], boxes[int(np.argmax(beliefs[node].log))])
+    return {node: _ud(target, node, *belief) for node, belief in held.items()}
 
 
 def _agent_ud(target: CheckedTarget, boxes: Floats, message: Floats, belief: LogWeights) -> float:

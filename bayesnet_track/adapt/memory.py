@@ -16,35 +16,29 @@ class Streak:
 
     Attributes:
         count: how many.
-        turning: the value closest to the level, which would have broken the streak first.
+        values: the values of the last of them, as many as the rule asks for: the one closest to the level is
+            where a rule that fires now would not have fired.
     """
 
     count: int = 0
-    turning: float = 0.0
+    values: tuple[float, ...] = ()
 
-    def above(self, value: float, level: float) -> Streak:
-        """The streak after a frame on which the condition is value > level."""
-        if value <= level:
-            return Streak()
-        return Streak(self.count + 1, value if self.count == 0 else min(self.turning, value))
-
-    def below(self, value: float, level: float) -> Streak:
-        """The streak after a frame on which the condition is value < level."""
-        if value >= level:
-            return Streak()
-        return Streak(self.count + 1, value if self.count == 0 else max(self.turning, value))
+    def then(self, holds: bool, value: float, frames: int) -> Streak:
+        """The streak after a frame more, for a rule that asks for `frames` of them."""
+        return Streak(self.count + 1, (*self.values, value)[-frames:]) if holds else Streak()
 
 
 @dataclass(frozen=True)
 class Quiet:
     """The measured quiet level of a node's UD.
 
-    It is the median of the last 50 values seen with the smallest active set that has at least 10 of them:
-    the level of the agents that stay on. Values above the node's activation level are no quiet ones and are
-    left out.
+    It is the median of the last 50 values seen with the smallest set of active agents below the node that has
+    at least 10 of them: the level of the agents that stay on. Fewer agents are less sure, so sets larger than
+    the present one are not asked: until 10 values are seen with so few agents, the level is unknown. Values
+    above the node's activation level, of a lost target, or without an active agent are no quiet ones.
 
     Attributes:
-        values: active set -> its last values of UD, px^2.
+        values: set of active agents -> its last values of UD, px^2.
     """
 
     values: Mapping[frozenset[str], tuple[float, ...]] = field(default_factory=dict)
@@ -53,13 +47,12 @@ class Quiet:
         """With one more value."""
         return Quiet({**self.values, active: (*self.values.get(active, ()), ud_px2)[-QUIET_WINDOW:]})
 
-    @property
-    def level_px2(self) -> float | None:
-        """The quiet level, or None while no active set has been seen often enough."""
+    def level_px2(self, active: frozenset[str]) -> float | None:
+        """The quiet level with `active` switched on, or None while it is unknown."""
         known = [
-            (len(active), sorted(active))
-            for active, seen in self.values.items()
-            if len(seen) >= QUIET_MINIMUM
+            (len(agents), sorted(agents))
+            for agents, seen in self.values.items()
+            if len(seen) >= QUIET_MINIMUM and (len(agents) <= len(active) or not active)
         ]
         return median(self.values[frozenset(min(known)[1])]) if known else None
 
@@ -72,7 +65,6 @@ class Memory:
         activate: governor -> streak above its activation level.
         deactivate: governor -> streak below its deactivation level.
         self_check: agent -> streak above its own level.
-        attempts: agent -> local actions tried in this episode.
         lost: streak of frames that look lost.
         found: streak of frames that look found.
         quiet: governor (and root) -> quiet level.
@@ -82,7 +74,6 @@ class Memory:
     activate: Mapping[str, Streak] = field(default_factory=dict)
     deactivate: Mapping[str, Streak] = field(default_factory=dict)
     self_check: Mapping[str, Streak] = field(default_factory=dict)
-    attempts: Mapping[str, int] = field(default_factory=dict)
     lost: Streak = Streak()
     found: Streak = Streak()
     quiet: Mapping[str, Quiet] = field(default_factory=dict)

@@ -6,7 +6,8 @@ deactivates one agent; then the target's status. Decisions take effect on the ne
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from bayesnet_track.adapt.measure import Measures
@@ -58,9 +59,9 @@ class Reading:
     ud_px2: float
     scale_px2: float
 
-    def cause(self, frames: int, streak: Streak) -> Cause:
+    def cause(self, frames: int, turning: float) -> Cause:
         """The numbers for the journal."""
-        return Cause(self.unit, self.level, self.value, frames, streak.turning, self.ud_px2, self.scale_px2)
+        return Cause(self.unit, self.level, self.value, frames, turning, self.ud_px2, self.scale_px2)
 
 
 def read_level(level: Level, ud_px2: float, area_px2: float, quiet_px2: float | None) -> Reading | None:
@@ -86,53 +87,74 @@ def decide(now: Situation, memory: Memory) -> tuple[tuple[Decision, ...], Memory
     return tuple(decisions), memory
 
 
+def quiet_level(plate: CheckedTarget, net: TargetNet, memory: Memory, node: str) -> float | None:
+    """The measured quiet level of a node's UD in px^2 with the agents now active; None while unknown."""
+    return memory.quiet.get(node, Quiet()).level_px2(_active_below(plate, net, node))
+
+
 def _note_quiet(now: Situation, memory: Memory) -> Memory:
-    """Count this frame's UD toward the quiet level, unless it is above the activation level."""
+    """Count this frame's UD toward the quiet level, where it is a quiet one."""
+    if now.net.status == "lost":
+        return memory
     quiet = dict(memory.quiet)
     for node, ud in now.measures.ud_px2.items():
-        before = quiet.get(node, Quiet())
+        active = _active_below(now.plate, now.net, node)
         rules = now.plate.inference(node).adapt
+        loud = False
         if rules is not None and rules.activate is not None:
-            reading = read_level(rules.activate.above, ud, now.measures.area_px2, before.level_px2)
-            if reading is not None and reading.value > reading.level:
-                continue
-        quiet[node] = before.seen(now.net.active, ud)
+            reading = _read(now, memory, node, rules.activate.above)
+            loud = reading is not None and reading.value > reading.level
+        if active and not loud:
+            quiet[node] = quiet.get(node, Quiet()).seen(active, ud)
     return replace(memory, quiet=quiet)
 
 
-def _quiet_level(memory: Memory, node: str) -> float | None:
-    return memory.quiet.get(node, Quiet()).level_px2
+def _read(now: Situation, memory: Memory, node: str, level: Level) -> Reading | None:
+    """The UD of an inference node in the level's unit."""
+    quiet = quiet_level(now.plate, now.net, memory, node)
+    return read_level(level, now.measures.ud_px2[node], now.measures.area_px2, quiet)
+
+
+def _active_below(plate: CheckedTarget, net: TargetNet, node: str) -> frozenset[str]:
+    return frozenset(agent for agent in net.active if node in _ancestors(plate, agent))
+
+
+def _ancestors(plate: CheckedTarget, node: str) -> Iterator[str]:
+    above = plate.parent[node]
+    while above is not None:
+        yield above
+        above = plate.parent[above]
 
 
 # ------------------------------------------------------------------------------------ self-checks
 
 
 def _check_selves(now: Situation, memory: Memory, decisions: list[Decision]) -> Memory:
-    """Agents watch their own UD: act locally at the first frame above, stop after `frames`."""
-    streaks, attempts = dict(memory.self_check), dict(memory.attempts)
+    """Agents watch their own UD: act locally on each frame above, stop at the one that makes `frames`.
+
+    The last active agent does not stop itself. A streak ends when its agent gives no evidence.
+    """
+    streaks: dict[str, Streak] = {}
     active = set(now.net.active)
+    quiet = quiet_level(now.plate, now.net, memory, now.plate.root)
     for agent, ud in now.measures.agent_ud_px2.items():
         check = now.plate.agent(agent).self_check
-        if check is None or agent not in active:
+        reading = None if check is None else read_level(check.above, ud, now.measures.area_px2, quiet)
+        if check is None or reading is None or agent not in active:
             continue
-        reading = read_level(check.above, ud, now.measures.area_px2, _quiet_level(memory, now.plate.root))
-        if reading is None:
-            continue
-        streak = streaks.get(agent, Streak()).above(reading.value, reading.level)
-        if streak.count == 0:
-            attempts[agent] = 0
-        elif streak.count >= check.frames and len(active) > 1:
+        before = memory.self_check.get(agent, Streak())
+        streak = before.then(reading.value > reading.level, reading.value, check.frames)
+        if streak.count >= check.frames and len(active) > 1:
             rest = check.rest * 2 ** min(now.net.rest_count.get(agent, 0), 20)
-            cause = reading.cause(check.frames, streak)
+            cause = reading.cause(check.frames, min(streak.values))
             decisions.append(SelfStopped(now.frame, now.target, agent, cause, now.frame + 1 + rest))
             active.discard(agent)
-            streak, attempts[agent] = Streak(), 0
-        elif agent in now.adaptable and streak.count < check.frames:
-            attempts[agent] = attempts.get(agent, 0) + 1
-            cause = reading.cause(streak.count, streak)
-            decisions.append(LocallyAdapted(now.frame, now.target, agent, attempts[agent], cause))
+            streak = Streak()
+        elif agent in now.adaptable and 0 < streak.count < check.frames:
+            cause = reading.cause(1, reading.value)
+            decisions.append(LocallyAdapted(now.frame, now.target, agent, streak.count, cause))
         streaks[agent] = streak
-    return replace(memory, self_check=streaks, attempts=attempts)
+    return replace(memory, self_check=streaks)
 
 
 # ------------------------------------------------------------------------------------ inference nodes
@@ -140,31 +162,30 @@ def _check_selves(now: Situation, memory: Memory, decisions: list[Decision]) -> 
 
 def _govern(now: Situation, memory: Memory, node: str, rules: Adapt, decisions: list[Decision]) -> Memory:
     """Activate above, deactivate below; one kind of decision per node and frame."""
-    ud = now.measures.ud_px2.get(node)
-    if ud is None:
-        return memory
-    area, quiet = now.measures.area_px2, _quiet_level(memory, node)
-    up = memory.activate.get(node, Streak())
-    down = memory.deactivate.get(node, Streak())
+    up = down = Streak()
     fired = False
     if rules.activate is not None:
-        reading = read_level(rules.activate.above, ud, area, quiet)
-        up = Streak() if reading is None else up.above(reading.value, reading.level)
-        if reading is not None and up.count >= rules.activate.frames:
+        reading, frames = _read(now, memory, node, rules.activate.above), rules.activate.frames
+        if reading is not None:
+            above = reading.value > reading.level
+            up = memory.activate.get(node, up).then(above, reading.value, frames)
+        if reading is not None and up.count >= frames:
             chosen = _choose_to_activate(now, memory, node, rules.activate.which)
-            cause = reading.cause(rules.activate.frames, up)
+            cause = reading.cause(frames, min(up.values))
             decisions += [
                 Activated(now.frame, now.target, agent, node, cause, helpfulness)
                 for agent, helpfulness in chosen
             ]
             fired = bool(chosen)
     if rules.deactivate is not None:
-        reading = read_level(rules.deactivate.below, ud, area, quiet)
-        down = Streak() if reading is None else down.below(reading.value, reading.level)
-        if reading is not None and down.count >= rules.deactivate.frames and not fired:
+        reading, frames = _read(now, memory, node, rules.deactivate.below), rules.deactivate.frames
+        if reading is not None:
+            below = reading.value < reading.level
+            down = memory.deactivate.get(node, down).then(below, reading.value, frames)
+        if reading is not None and down.count >= frames and not fired:
             index = _drop_index(now, node, rules.deactivate.drop, decisions)
-            if len(index) > max(rules.keep, 1):
-                cause = reading.cause(rules.deactivate.frames, down)
+            if len(index) > rules.keep:
+                cause = reading.cause(frames, max(down.values))
                 largest = rules.deactivate.drop == "largest_kl"
                 agent = (max if largest else min)(index, key=lambda name: index[name])
                 decisions.append(
@@ -231,37 +252,28 @@ def _wake(now: Situation, decisions: list[Decision]) -> None:
 def _judge_status(now: Situation, memory: Memory, decisions: list[Decision]) -> Memory:
     """tracking <-> lost, after as many frames as the rule says."""
     rule = now.plate.inference(now.plate.root).lost or Lost()
-    ud = now.measures.ud_px2[now.plate.root]
-    reading = read_level(rule.above, ud, now.measures.area_px2, _quiet_level(memory, now.plate.root))
+    reading = _read(now, memory, now.plate.root, rule.above)
     too_wide = reading is not None and reading.value > reading.level
-    looks_lost = too_wide or now.measures.fit < rule.fit_below
-    value = reading.value if reading is not None else ud
-    lost = _counted(memory.lost, looks_lost, value)
-    found = _counted(memory.found, not looks_lost, value)
-    status = now.net.status
+    fits = now.measures.fit >= rule.fit_below
+    value = 0.0 if reading is None else reading.value
+    # On a frame on which nothing fits, no level of UD would have kept the target from looking lost.
+    lost = memory.lost.then(too_wide or not fits, value if fits else math.inf, rule.frames)
+    found = memory.found.then(fits and not too_wide, value, rule.frames)
+    status, turning = now.net.status, math.inf
     if status != "lost" and lost.count >= rule.frames:
-        status = "lost"
+        status, turning = "lost", min(lost.values) if too_wide else math.inf
     elif status == "lost" and found.count >= rule.frames:
-        status = "tracking"
+        status, turning = "tracking", max(found.values)
     if status != now.net.status:
-        streak = lost if status == "lost" else found
-        by_ud = reading is not None and (too_wide or status == "tracking")
-        cause = reading.cause(rule.frames, streak) if by_ud and reading is not None else None
-        reason = "" if cause is not None else _reason(now, rule)
+        by_ud = reading is not None and turning < math.inf
+        cause = reading.cause(rule.frames, turning) if by_ud and reading is not None else None
+        reason = "" if cause is not None else _reason(now, rule, fits)
         decisions.append(StatusChanged(now.frame, now.target, status, cause, reason))
     return replace(memory, lost=lost, found=found)
 
 
-def _reason(now: Situation, rule: Lost) -> str:
+def _reason(now: Situation, rule: Lost, fits: bool) -> str:
     if not now.net.active:
         return "no agent is active, so the belief is prediction only"
-    fit = f"{now.measures.fit:.3g} < {rule.fit_below:.3g}"
+    fit = f"{now.measures.fit:.3g} {'≥' if fits else '<'} {rule.fit_below:.3g}"
     return f"the best hypothesis has a likelihood of {fit} of a perfect match"
-
-
-def _counted(streak: Streak, holds: bool, value: float) -> Streak:
-    return (
-        Streak(streak.count + 1, value if streak.count == 0 else min(streak.turning, value))
-        if holds
-        else Streak()
-    )

@@ -133,7 +133,7 @@ def trees(draw: st.DrawFn) -> tuple[dict[str, object], list[str]]:
     return nodes, draw(st.lists(st.sampled_from(agents), unique=True))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(trees())
 def test_any_plan_hears_each_active_agent_once(fakes, tree):
     nodes, active = tree

@@ -47,7 +47,9 @@ def enumerated(joint):
 
 def test_a_product_is_bayes_rule_by_enumeration(fakes):
     _, evidence = at_places(
-        fakes, {"root": {"fuse": "product"}, **dict.fromkeys("abc", "root")}, {k: table(TABLES[k]) for k in "abc"}
+        fakes,
+        {"root": {"fuse": "product"}, **dict.fromkeys("abc", "root")},
+        {k: table(TABLES[k]) for k in "abc"},
     )
     expected = enumerated(np.exp(BETA) * np.exp(TABLES["a"]) * np.exp(TABLES["b"]) * np.exp(TABLES["c"]))
     np.testing.assert_allclose(posterior(evidence), expected, rtol=1e-12)
@@ -60,7 +62,13 @@ def test_a_child_that_only_multiplies_is_the_flat_net(fakes):
     _, flat = at_places(fakes, {"root": {"fuse": "product"}, **dict.fromkeys("abc", "root")}, sees)
     _, deep = at_places(
         fakes,
-        {"root": {"fuse": "product"}, "n": {"parent": "root", "fuse": "product"}, "a": "n", "b": "n", "c": "root"},
+        {
+            "root": {"fuse": "product"},
+            "n": {"parent": "root", "fuse": "product"},
+            "a": "n",
+            "b": "n",
+            "c": "root",
+        },
         sees,
     )
     np.testing.assert_allclose(deep.log_likelihood, flat.log_likelihood, rtol=1e-14)
@@ -99,10 +107,10 @@ def test_no_active_agent_says_nothing(fakes):
 FUSIONS = ("product", "pool", "latent")
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_any_tree_equals_its_recursive_definition(fakes, data):
-    """Against a recursion over the written tree that shares nothing with the compiler; latents draw one each."""
+    """Against a recursion over the written tree, which shares nothing with the compiler."""
     inner = data.draw(st.integers(1, 5))
     kinds = [data.draw(st.sampled_from(FUSIONS[: 2 if k == 0 else 3])) for k in range(inner)]
     given_ = {"latent": {"given": {"sd_px": {"x": 6.0, "y": 6.0}}}}
@@ -179,9 +187,13 @@ def two_bumps(planes, hypotheses, reference):
 
 @pytest.mark.parametrize("at", [(0.0, 0.0), (12.0, -6.0), (-9.0, 5.0)])
 def test_one_draw_is_unbiased(fakes, at):
-    """The mean of exp(message) over independent draws is the integral; 4.5 standard errors of 40 000 draws."""
+    """The mean of exp(message) over draws is the integral, up to 4.5 standard errors of 40 000 draws."""
     plate, _ = fakes.plate(
-        {"root": {}, "c": {"parent": "root", "fuse": {"latent": {"given": {"sd_px": {"x": 6.0, "y": 6.0}}}}}, "a": "c"}
+        {
+            "root": {},
+            "c": {"parent": "root", "fuse": {"latent": {"given": {"sd_px": {"x": 6.0, "y": 6.0}}}}},
+            "a": "c",
+        }
     )
     cues = {"a": fakes.Oracle(two_bumps)}
     n = 40_000
@@ -274,7 +286,7 @@ def test_the_kernel_of_a_flat_likelihood_says_nothing():
 
 
 def test_the_kernel_keeps_to_coordinates_without_noise():
-    """The size is the parent's own: with distinct sizes only the own draw is left, with two sizes two groups."""
+    """The size is the parent's own: with distinct sizes only the own draw is left, with two, two groups."""
     above, own, beta = kernel_case(40)
     likelihood = two_bumps(None, own, None)
     sizes = np.linspace(4.0, 9.0, 40)

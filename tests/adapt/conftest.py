@@ -1,0 +1,101 @@
+"""Ways to run the measures on weighed hypotheses, and the rules on sequences of UD."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bayesnet_track.adapt.measure import Measures, measure
+from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.rules import Situation, decide
+from bayesnet_track.belief.contract import BOX_FIELDS
+from bayesnet_track.belief.particles import ParticleSet, Step
+from bayesnet_track.cue import Hypotheses
+from bayesnet_track.graph.net import Net, TargetNet, apply
+from bayesnet_track.inference.compile import compile_plan
+from bayesnet_track.inference.messages import evaluate
+from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+
+
+@pytest.fixture(scope="session")
+def weigh(fakes):
+    """(nodes, sees, boxes, prior log-weights, active) -> the step and its measures."""
+
+    def run(nodes, sees, boxes, beta=None, active=None, area=400.0, best=None):
+        plate, _ = fakes.plate(nodes)
+        cues = {agent: fakes.Oracle(see) for agent, see in sees.items()}
+        plan = compile_plan(plate, cues if active is None else active, cues)
+        prior = LogWeights.uniform(len(boxes)) if beta is None else LogWeights.normalise(np.asarray(beta))[0]
+        evidence = evaluate(plan, fakes.observer(cues), Hypotheses(boxes), prior.log)
+        degenerate = None
+        try:
+            weights, log_evidence = prior.times(evidence.log_likelihood)
+        except DegenerateWeights as fault:
+            weights, log_evidence, degenerate = prior, -np.inf, str(fault)
+        posterior = ParticleSet(boxes, BOX_FIELDS, weights)
+        state = boxes[int(np.argmax(weights.log)) if best is None else best]
+        step = Step(posterior, log_evidence, prior, evidence, state, True, degenerate)
+        return step, measure(plate, plan, step, area)
+
+    return run
+
+
+class Drive:
+    """What the rules did over a sequence of frames: decisions, and the net that each frame ran with."""
+
+    def __init__(self, decisions, nets, memory):
+        self.decisions, self.nets, self.memory = decisions, nets, memory
+
+    def of(self, kind):
+        """Decisions of a kind, in order."""
+        return [decision for decision in self.decisions if isinstance(decision, kind)]
+
+    def frames(self, kind, node=None):
+        """Their frames, of one node or of all."""
+        return [d.frame for d in self.of(kind) if node is None or d.node == node]
+
+
+@pytest.fixture(scope="session")
+def drive(fakes):
+    """Run the rules of a net over a sequence of UD; frames count from 1."""
+
+    def run(
+        nodes, uds, *, active=None, net=None, kl=None, contribution=None, agent_uds=None, fits=None,
+        areas=None, costs=None, adaptable=(), memory=None,
+    ):  # fmt: skip
+        plate, _ = fakes.plate(nodes)
+        live = Net({"1": net or TargetNet("plate", frozenset(plate.agents if active is None else active))})
+        memory = memory or Memory()
+        decisions, nets = [], []
+        for k, given in enumerate(uds):
+            now = live.targets["1"]
+            ud = given(now.active) if callable(given) else given
+            on = [agent for agent in plate.agents if agent in now.active]
+            measures = Measures(
+                ud_px2={node: ud[node] if isinstance(ud, dict) else float(ud) for node in plate.children},
+                agent_ud_px2={
+                    agent: float((agent_uds or {}).get(agent, [0.0] * len(uds))[k]) for agent in on
+                },
+                kl={agent: (kl or {}).get(agent, 0.0) for agent in on},
+                contribution={agent: (contribution or {}).get(agent, 0.0) for agent in on},
+                strength={},
+                fit=1.0 if fits is None else fits[k],
+                area_px2=400.0 if areas is None else areas[k],
+            )
+            situation = Situation(
+                k + 1,
+                "1",
+                plate,
+                now,
+                measures,
+                costs or dict.fromkeys(plate.agents, 1.0),
+                frozenset(adaptable),
+            )
+            made, memory = decide(situation, memory)
+            nets.append(now)
+            for decision in made:
+                live = apply(live, decision)
+            decisions += made
+        return Drive(decisions, nets, memory)
+
+    return run

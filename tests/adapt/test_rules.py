@@ -1,0 +1,486 @@
+"""The rules that reconfigure a net, as tables of UD sequences and the decisions they must give."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.rules import read_level
+from bayesnet_track.graph.net import (
+    Activated,
+    Cause,
+    Deactivated,
+    LocallyAdapted,
+    SelfStopped,
+    StatusChanged,
+    TargetNet,
+)
+from bayesnet_track.graph.spec import Level
+
+NEVER_LOST = {"above": {"ud_px2": 1e9}}
+
+
+def net(adapt=None, checks=None, lost=NEVER_LOST, agents="ab"):
+    nodes = {"root": {"fuse": "product", "lost": lost}}
+    if adapt is not None:
+        nodes["root"]["adapt"] = adapt
+    for agent in agents:
+        nodes[agent] = {"parent": "root", "agent": agent}
+        if checks and agent in checks:
+            nodes[agent]["self_check"] = checks[agent]
+    return nodes
+
+
+def on_off(on=200.0, on_frames=3, off=130.0, off_frames=5, unit="ud_px2", **more):
+    return {
+        "activate": {"above": {unit: on}, "frames": on_frames, **more.pop("activate", {})},
+        "deactivate": {"below": {unit: off}, "frames": off_frames, **more.pop("deactivate", {})},
+        **more,
+    }
+
+
+# ------------------------------------------------------------------------------------ activation
+
+
+@pytest.mark.parametrize(
+    ("uds", "on"),
+    [
+        ([201, 201, 201], [3]),
+        ([201, 201, 200, 201, 201], []),  # 200 is not above 200
+        ([201, 201, 201, 100, 201, 201, 201], [3]),  # nothing is left to switch on
+        ([100, 300, 300, 300], [4]),
+    ],
+)
+def test_activation_after_its_delay(drive, uds, on):
+    assert drive(net(on_off()), uds, active="a").frames(Activated) == on
+
+
+@pytest.mark.parametrize(
+    ("uds", "off"),
+    [
+        ([129] * 5, [5]),
+        ([129] * 4 + [130] + [129] * 4, []),  # 130 is not below 130
+        ([129] * 12, [5]),  # one agent is left
+        ([300] * 4 + [129] * 5, [9]),
+    ],
+)
+def test_deactivation_after_its_delay(drive, uds, off):
+    assert drive(net(on_off()), uds).frames(Deactivated) == off
+
+
+def test_one_agent_is_dropped_at_a_time_down_to_those_kept(drive):
+    uds = [100] * 30
+    for keep, expected in ((1, ["c", "b"]), (2, ["c"])):
+        made = drive(net(on_off(keep=keep), agents="abc"), uds, kl={"a": 0.1, "b": 0.2, "c": 0.3})
+        assert [d.node for d in made.of(Deactivated)] == expected
+        assert made.frames(Deactivated) == [5, 10][: len(expected)]  # the delay starts again
+
+
+def test_a_switch_starts_both_delays_again(drive):
+    """On at 3; the low streak that off needs begins after it, although UD was never between the levels."""
+    made = drive(net(on_off(off_frames=2)), [100, 300, 300, 300, 100, 100, 100], active="a")
+    assert (made.frames(Activated), made.frames(Deactivated)) == ([4], [6])
+
+
+def test_asymmetric_delays_outlast_a_dip(drive):
+    """Full overlap brings UD back to quiet for 4 frames: both stay on."""
+    made = drive(net(on_off()), [300] * 3 + [100] * 4 + [300] * 6, active="a", kl={"a": 1.0, "b": 0.0})
+    assert made.frames(Activated) == [3] and made.of(Deactivated) == []
+
+
+@pytest.mark.parametrize(
+    ("drop", "dropped", "index"),
+    [
+        ("largest_kl", "b", {"a": 0.5, "b": 0.9, "c": 0.1}),
+        ("least_contribution_per_ms", "c", {"a": 0.75, "b": 0.4, "c": 0.2}),
+    ],
+)
+def test_which_agent_is_dropped(drive, drop, dropped, index):
+    made = drive(
+        net(on_off(deactivate={"drop": drop}), agents="abc"),
+        [100] * 5,
+        kl={"a": 0.5, "b": 0.9, "c": 0.1},
+        contribution={"a": 0.3, "b": 0.2, "c": 0.8},
+        costs={"a": 0.4, "b": 0.5, "c": 4.0},
+    )
+    (decision,) = made.of(Deactivated)
+    assert (decision.node, decision.drop, decision.governor) == (dropped, drop, "root")
+    assert decision.index == pytest.approx(index)
+
+
+def test_all_or_the_most_helpful_is_switched_on(drive):
+    uds = [100] * 10 + [300] * 9
+    settings_ = {"kl": {"a": 0.0, "b": 1.0, "c": 2.0}, "contribution": {"a": 1.0, "b": 0.7, "c": 0.3}}
+    every = drive(net(on_off(), agents="abc"), uds, **settings_)
+    assert [(d.frame, d.node, d.helpfulness) for d in every.of(Activated)] == [
+        (13, "b", None),
+        (13, "c", None),
+    ]
+    best = drive(net(on_off(activate={"which": "most_helpful"}), agents="abc"), uds, **settings_)
+    assert [(d.frame, d.node) for d in best.of(Activated)] == [(13, "b"), (16, "c")]
+    assert [d.helpfulness for d in best.of(Activated)] == pytest.approx([0.7, 0.3])
+
+
+def test_an_agent_never_tried_comes_first(drive):
+    made = drive(
+        net(on_off(activate={"which": "most_helpful"}), agents="abc"),
+        [100] * 5 + [300] * 3,
+        active="ab", kl={"a": 0.0, "b": 1.0}, contribution={"b": 9.0},
+    )  # fmt: skip
+    assert [(d.node, d.helpfulness) for d in made.of(Activated)] == [("c", None)]
+
+
+def test_each_inference_node_governs_its_own_agents(drive):
+    nodes = {
+        "root": {"fuse": "product", "lost": NEVER_LOST, "adapt": on_off()},
+        "color": {"parent": "root", "fuse": "pool", "adapt": on_off(on=50.0, off=40.0)},
+        "a": "color", "b": "color", "c": "root", "d": "root",
+    }  # fmt: skip
+    made = drive(
+        nodes, [{"root": 190.0, "color": 60.0}] * 3 + [{"root": 210.0, "color": 45.0}] * 3, active="ac"
+    )
+    assert [(d.frame, d.node, d.governor) for d in made.of(Activated)] == [
+        (3, "b", "color"),
+        (6, "d", "root"),
+    ]
+
+
+# ------------------------------------------------------------------------------------ units
+
+
+def test_levels_relative_to_the_box(drive):
+    """0.5 of the area: 200 px^2 of a 400 px^2 box, 100 px^2 when it has shrunk to 200 px^2."""
+    made = drive(
+        net(on_off(on=0.5, on_frames=2, off=0.1, unit="ud_box")), [150] * 4, active="a",
+        areas=[400.0, 400.0, 200.0, 200.0],
+    )  # fmt: skip
+    (decision,) = made.of(Activated)
+    assert decision.cause == Cause("ud_box", 0.5, 0.75, 2, 0.75, 150.0, 200.0)
+    assert decision.frame == 4
+
+
+def test_levels_relative_to_the_quiet_level(drive):
+    made = drive(
+        net(on_off(on=2.0, off=1.25, unit="ud_quiet")), [94] * 12 + [187] * 5 + [189] * 3, active="a"
+    )
+    (decision,) = made.of(Activated)
+    assert decision.frame == 20
+    assert decision.cause.unit == "ud_quiet" and decision.cause.scale_px2 == 94.0
+    assert decision.cause.value == pytest.approx(189 / 94)
+
+
+def test_no_rule_fires_while_the_quiet_level_is_unknown(drive):
+    made = drive(net(on_off(on=2.0, off=1.25, unit="ud_quiet")), [100] * 6 + [1e6] * 3, active="a")
+    assert made.of(Activated) == []
+    assert read_level(Level(ud_quiet=2.0), 100.0, 400.0, None) is None
+    assert read_level(Level(ud_box=2.0), 100.0, 0.0, None) is None
+
+
+def test_quiet_is_that_of_the_agents_that_stay_on(drive):
+    """Two agents have 40 px^2 together and 94 or 130 alone: the first 10 frames alone set the level, and
+    neither the lower level of both nor the drop itself makes them oscillate.
+    """
+    alone = {frozenset("a"): 94.0, frozenset("b"): 130.0}
+    made = drive(
+        net(on_off(on=1.5, off=1.25, unit="ud_quiet")),
+        [lambda active: alone.get(active, 40.0)] * 300,
+        kl={"a": 0.1, "b": 0.2},
+    )
+    assert [(d.frame, d.node) for d in made.of(Deactivated)] == [(14, "b")]
+    assert made.of(Activated) == []
+    noisy = drive(
+        net(on_off(on=1.5, off=1.25, unit="ud_quiet")),
+        [lambda active: alone.get(active, 40.0)] * 100
+        + [300.0] * 20
+        + [lambda active: alone.get(active, 40.0)] * 80,
+        kl={"a": 0.1, "b": 0.2},
+    )
+    assert noisy.frames(Activated) == [103] and noisy.frames(Deactivated) == [14, 125]
+
+
+def test_what_counts_as_quiet(drive):
+    level = lambda uds, **k: drive(net(**k), uds, active="a").memory.quiet["root"].level_px2(frozenset("a"))  # noqa: E731
+    assert level([10] * 9) is None
+    assert level([10] * 5 + [30] * 6) == 30
+    assert level([10] * 60 + [30] * 26) == 30  # the last 50 count
+    assert level([10] * 10 + [500] * 40, adapt=on_off()) == 10  # above activation
+    assert (
+        level([10] * 10 + [500] * 40, lost={"above": {"ud_px2": 400}, "frames": 5}) == 10.0
+    )  # 4 + 10, then lost
+
+
+# ------------------------------------------------------------------------------------ self-checks
+
+CHECK = {"above": {"ud_px2": 100.0}, "frames": 4, "rest": 6}
+
+
+def test_first_a_local_action_then_a_self_stop_then_a_doubling_rest(drive):
+    bad = [500.0] * 60
+    made = drive(
+        net(on_off(on=50.0, on_frames=1, off=1.0), {"a": CHECK}), [60.0] * 60, agent_uds={"a": bad},
+        adaptable="a",
+    )  # fmt: skip
+    first = [d for d in made.decisions if d.frame <= 4]
+    assert [(type(d), d.frame) for d in first] == [
+        (LocallyAdapted, 1), (LocallyAdapted, 2), (LocallyAdapted, 3), (SelfStopped, 4),
+    ]  # fmt: skip
+    assert [d.attempt for d in first[:3]] == [1, 2, 3]
+    stops, starts = made.of(SelfStopped), made.frames(Activated)
+    assert [(d.frame, d.rests_until) for d in stops] == [(4, 11), (14, 27), (30, 55), (58, 107)]
+    assert starts == [10, 26, 54]  # works in the first frame it may, the one after the decision
+    assert stops[0].cause == Cause("ud_px2", 100.0, 500.0, 4, 500.0, 500.0, 1.0)
+
+
+def test_without_a_local_action_it_only_stops(drive):
+    made = drive(net(checks={"a": CHECK}), [10.0] * 6, agent_uds={"a": [101.0] * 6})
+    assert [(type(d), d.frame) for d in made.decisions] == [(SelfStopped, 4)]
+
+
+def test_a_good_frame_ends_the_episode(drive):
+    made = drive(net(checks={"a": CHECK}), [10.0] * 7, agent_uds={"a": [101, 101, 101, 100, 101, 101, 101]},
+                 adaptable="a")  # fmt: skip
+    assert [d.attempt for d in made.of(LocallyAdapted)] == [1, 2, 3, 1, 2, 3]
+    assert made.of(SelfStopped) == []
+
+
+def test_a_streak_does_not_outlive_a_pause(drive):
+    """Off after two bad frames, on again later: the next bad frames count from one."""
+    adapt = on_off(on_frames=1, off_frames=2)
+    made = drive(
+        net(adapt, {"a": {**CHECK, "frames": 3}}),
+        [100, 100, 300, 100, 300, 150, 150],
+        kl={"a": 1.0}, agent_uds={"a": [101] * 7},
+    )  # fmt: skip
+    assert (made.frames(Deactivated), made.frames(Activated)) == ([2], [3])
+    assert made.frames(SelfStopped) == [6]
+
+
+def test_the_last_active_agent_does_not_stop_itself(drive):
+    checks = dict.fromkeys("ab", CHECK)
+    made = drive(net(checks=checks), [10.0] * 30, agent_uds=dict.fromkeys("ab", [500.0] * 30))
+    assert [(d.frame, d.node) for d in made.of(SelfStopped)] == [(4, "a")]
+    later = drive(
+        net(on_off(on=50, on_frames=1, off=1), {"a": CHECK}), [10.0] * 8 + [60.0] * 4, active="a",
+        agent_uds={"a": [500.0] * 12},
+    )  # fmt: skip
+    assert later.frames(Activated) == [9] and later.frames(SelfStopped) == [10]
+
+
+def test_one_that_stopped_itself_is_not_dropped_as_well(drive):
+    made = drive(
+        net(on_off(off_frames=4), {"a": CHECK}, agents="abc"), [100.0] * 4, agent_uds={"a": [500.0] * 4},
+        kl={"a": 9.0, "b": 0.1, "c": 0.2},
+    )  # fmt: skip
+    assert [(type(d), d.node) for d in made.decisions] == [(SelfStopped, "a"), (Deactivated, "c")]
+    assert "a" not in made.of(Deactivated)[0].index
+
+
+@settings(max_examples=40)
+@given(
+    frames=st.integers(1, 12),
+    rest=st.integers(1, 20),
+    on_frames=st.integers(1, 4),
+    length=st.integers(1, 400),
+)
+def test_an_agent_that_is_always_uncertain_does_not_oscillate(drive, frames, rest, on_frames, length):
+    """m stops take at least rest (1 + 2 + ... + 2^(m-1)) frames, so m <= log2(T / rest + 1)."""
+    check = {"above": {"ud_px2": 100.0}, "frames": frames, "rest": rest}
+    made = drive(
+        net(on_off(on=50.0, on_frames=on_frames, off=1.0), {"a": check}), [60.0] * length,
+        agent_uds={"a": [500.0] * length},
+    )  # fmt: skip
+    assert len(made.of(Activated)) <= math.log2(length / rest + 1)
+    for stop in made.of(SelfStopped):
+        back = [n for n in made.frames(Activated, "a") if n > stop.frame]
+        assert not back or back[0] + 1 >= stop.rests_until
+
+
+# ------------------------------------------------------------------------------------ who may come back
+
+
+def test_resting_and_quarantined_agents_stay_off(drive):
+    start = TargetNet("plate", frozenset("a"), rests_until={"b": 8}, quarantined=frozenset("c"))
+    made = drive(net(on_off(on_frames=1), agents="abcd"), [300.0] * 30, net=start)
+    assert [(d.frame, d.node) for d in made.of(Activated)] == [(1, "d"), (7, "b")]
+
+
+def test_with_no_agent_active_all_that_may_work_wake(drive):
+    start = TargetNet("plate", frozenset(), rests_until={"b": 4}, quarantined=frozenset("c"))
+    made = drive(net(agents="abcd"), [10.0] * 8, net=start)
+    assert [(d.frame, d.node, d.cause, d.governor) for d in made.of(Activated)] == [
+        (1, "a", None, "root"), (1, "d", None, "root"),
+    ]  # fmt: skip
+    resting = drive(net(agents="ab"), [10.0] * 8, net=TargetNet("plate", frozenset(), rests_until={"a": 6}, quarantined=frozenset("b")))  # noqa: E501  # fmt: skip
+    assert resting.frames(Activated) == [5]
+    dead = drive(
+        net(agents="ab"), [10.0] * 8, net=TargetNet("plate", frozenset(), quarantined=frozenset("ab"))
+    )
+    assert dead.of(Activated) == []
+
+
+# ------------------------------------------------------------------------------------ lost and found
+
+LOST = {"above": {"ud_px2": 100.0}, "fit_below": 0.05, "frames": 3}
+
+
+@pytest.mark.parametrize(
+    ("uds", "fits", "changes"),
+    [
+        ([101] * 3, [1.0] * 3, [(3, "lost")]),
+        ([101, 101, 100, 101, 101], [1.0] * 5, []),
+        ([10] * 3, [0.04] * 3, [(3, "lost")]),
+        ([10] * 3, [0.05] * 3, []),
+        ([101, 10, 101], [1.0, 0.01, 1.0], [(3, "lost")]),
+        ([101] * 3 + [10] * 3, [1.0] * 6, [(3, "lost"), (6, "tracking")]),
+        ([101] * 3 + [10, 10, 101, 10, 10, 10], [1.0] * 9, [(3, "lost"), (9, "tracking")]),
+        ([101] * 3 + [10] * 6, [1.0] * 5 + [0.01] + [1.0] * 3, [(3, "lost"), (9, "tracking")]),
+    ],
+)
+def test_lost_and_found_after_their_delay(drive, uds, fits, changes):
+    made = drive(net(lost=LOST), uds, fits=fits)
+    assert [(d.frame, d.status) for d in made.of(StatusChanged)] == changes
+
+
+def test_lost_says_why(drive):
+    (wide,) = drive(net(lost=LOST), [101, 130, 120]).of(StatusChanged)
+    assert wide.cause == Cause("ud_px2", 100.0, 120.0, 3, 101.0, 120.0, 1.0) and wide.reason == ""
+    (bad,) = drive(net(lost=LOST), [10] * 3, fits=[0.01, 0.02, 0.03]).of(StatusChanged)
+    assert bad.cause is None
+    assert bad.reason == "the best hypothesis has a likelihood of 0.03 < 0.05 of a perfect match"
+    (both,) = drive(net(lost=LOST), [500] * 3, fits=[0.01] * 3).of(StatusChanged)
+    assert both.cause is None  # at no level of UD would it have been kept
+    (mixed,) = drive(net(lost=LOST), [10, 500, 400], fits=[0.01, 1.0, 1.0]).of(StatusChanged)
+    assert mixed.cause.turning == 400.0
+    (nobody,) = drive(net(lost=LOST), [10] * 3, fits=[0.0] * 3, net=TargetNet("plate", frozenset(), quarantined=frozenset("ab"))).of(StatusChanged)  # noqa: E501  # fmt: skip
+    assert nobody.reason == "no agent is active, so the belief is prediction only"
+
+
+def test_found_says_why(drive):
+    gone = TargetNet("plate", frozenset("ab"), status="lost")
+    (found,) = drive(net(lost=LOST), [50, 70, 60], net=gone).of(StatusChanged)
+    assert found.cause == Cause("ud_px2", 100.0, 60.0, 3, 70.0, 60.0, 1.0)
+    unknown = {**LOST, "above": {"ud_quiet": 3.0}}
+    (found,) = drive(net(lost=unknown), [50] * 3, net=gone, fits=[0.5] * 3).of(StatusChanged)
+    assert found.cause is None
+    assert found.reason == "the best hypothesis has a likelihood of 0.5 ≥ 0.05 of a perfect match"
+
+
+# ------------------------------------------------------------------------------------ turning
+
+UDS = st.lists(st.integers(1, 12).map(float), min_size=8, max_size=25)
+LEVELS = st.integers(4, 9).map(float)
+UNITS = st.sampled_from(["ud_px2", "ud_box"])
+
+
+@settings(max_examples=150)
+@given(uds=UDS, level=LEVELS, frames=st.integers(1, 4), unit=UNITS, rest=st.integers(0, 12))
+@example(uds=[9.0, 10.0, 10.0, 10.0, 10.0], level=8.0, frames=3, unit="ud_px2", rest=6)
+def test_activation_turns_at_turning(drive, uds, level, frames, unit, rest):
+    def run(at):
+        adapt = {"activate": {"above": {unit: at}, "frames": frames}, "deactivate": {"below": {unit: 0.001}}}
+        start = TargetNet("plate", frozenset("a"), rests_until={"b": rest})
+        return drive(net(adapt), uds, net=start, areas=[2.0] * len(uds))
+
+    made = run(level / 2 if unit == "ud_box" else level)
+    if not made.of(Activated):
+        return
+    (decision,) = made.of(Activated)
+    assert run(decision.cause.turning).frames(Activated)[:1] != [decision.frame]
+    assert run(math.nextafter(decision.cause.turning, 0)).frames(Activated) == [decision.frame]
+
+
+@settings(max_examples=150)
+@given(uds=UDS, level=LEVELS, frames=st.integers(1, 4), unit=UNITS)
+def test_deactivation_turns_at_turning(drive, uds, level, frames, unit):
+    def run(at):
+        adapt = {"deactivate": {"below": {unit: at}, "frames": frames}}
+        return drive(net(adapt), uds, areas=[2.0] * len(uds)).of(Deactivated)
+
+    made = run(level / 2 if unit == "ud_box" else level)
+    if not made:
+        return
+    assert made[0].frame not in [d.frame for d in run(made[0].cause.turning)]
+    assert run(math.nextafter(made[0].cause.turning, math.inf))[0].frame == made[0].frame
+
+
+@settings(max_examples=150)
+@given(uds=UDS, level=LEVELS, frames=st.integers(1, 4), company=st.integers(1, 20))
+def test_a_self_stop_turns_at_turning(drive, uds, level, frames, company):
+    """Also when it had to wait for another agent to be there."""
+
+    def run(at):
+        check = {"above": {"ud_px2": at}, "frames": frames, "rest": 1000}
+        adapt = on_off(on=50.0, on_frames=company, off=0.001)
+        made = drive(
+            net(adapt, {"a": check}), [60.0] * len(uds), active="a", agent_uds={"a": uds}, adaptable="a"
+        )
+        return made
+
+    made = run(level)
+    for tried in made.of(LocallyAdapted):
+        assert tried.cause.turning == uds[tried.frame - 1] and tried.cause.frames == 1
+    if not made.of(SelfStopped):
+        return
+    (stop,) = made.of(SelfStopped)
+    assert stop.frame not in run(stop.cause.turning).frames(SelfStopped)
+    assert run(math.nextafter(stop.cause.turning, 0)).frames(SelfStopped) == [stop.frame]
+
+
+@settings(max_examples=150)
+@given(data=st.data(), uds=UDS, level=LEVELS, frames=st.integers(1, 4), gone=st.booleans())
+def test_a_change_of_status_turns_at_turning(drive, data, uds, level, frames, gone):
+    fits = data.draw(st.lists(st.sampled_from([0.01, 1.0]), min_size=len(uds), max_size=len(uds)))
+    start = TargetNet("plate", frozenset("ab"), status="lost" if gone else "tracking")
+
+    def run(at):
+        lost = {"above": {"ud_px2": at}, "fit_below": 0.05, "frames": frames}
+        return drive(net(lost=lost), uds, fits=fits, net=start).of(StatusChanged)
+
+    made = run(level)
+    if not made or made[0].cause is None:
+        return
+    first = made[0]
+    inside, outside = (0.0, math.inf) if first.status == "lost" else (math.inf, 0.0)
+    again = run(math.nextafter(first.cause.turning, outside))
+    assert (first.frame, first.status) not in [(d.frame, d.status) for d in again]
+    kept = run(math.nextafter(first.cause.turning, inside))[0]
+    assert (kept.frame, kept.status) == (first.frame, first.status)
+
+
+@settings(max_examples=60)
+@given(seed=st.integers(0, 1000))
+def test_any_sequence_keeps_the_promises_of_the_rules(drive, seed):
+    """At least one agent of each node stays; nobody rests or is out and works; on and off alternate."""
+    rng = np.random.default_rng(seed)
+    length = 80
+    checks = {agent: CHECK for agent in "abc" if rng.random() < 0.5}
+    adapt = on_off(
+        on_frames=int(rng.integers(1, 4)), off_frames=int(rng.integers(1, 6)), keep=int(rng.integers(1, 3))
+    )
+    uds = list(np.repeat(rng.choice([50.0, 150.0, 300.0], length // 4), 4))
+    agent_uds = {agent: rng.choice([50.0, 500.0], length, p=[0.3, 0.7]) for agent in "abc"}
+    made = drive(
+        net(adapt, checks, agents="abc"),
+        uds,
+        agent_uds=agent_uds,
+        kl=dict(zip("abc", rng.random(3), strict=True)),
+    )
+    for frame, live in enumerate(made.nets, 1):
+        assert live.active
+        assert all(live.rests_until.get(agent, 0) <= frame for agent in live.active)
+    for agent in "abc":
+        switches = [isinstance(d, Activated) for d in made.decisions if getattr(d, "node", None) == agent
+                    and not isinstance(d, LocallyAdapted)]  # fmt: skip
+        assert all(now != after for now, after in pairwise(switches))
+
+
+def test_memory_is_immutable(drive):
+    before = Memory()
+    drive(net(on_off()), [300.0] * 3, memory=before)
+    assert before == Memory()
