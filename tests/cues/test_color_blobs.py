@@ -134,3 +134,13 @@ def test_blend_turns_hue_the_short_way(ask):
     )
     assert asked.cue.blend(old, new, 0.25)["blobs"][0, 2] == pytest.approx(355)
     assert asked.cue.blend(old, new, 0.75)["blobs"][0, 2] == pytest.approx(5)
+
+
+def test_a_target_without_blobs_does_not_leave_the_frame(ask):
+    asked = ask("color_blobs")
+    gray = still(flag(GRAY, GRAY))
+    reference = asked.learn(gray, BOX)
+    boxes = np.array([[79.5, 59.5, 40, 40], [-0.5, 59.5, 40, 40], [-100, 59.5, 40, 40]])
+    p = asked.cue.parameters
+    expected = np.log(p.floor + (1 - p.floor) * np.exp([0.0, -p.unmatched / 2, -p.unmatched]))
+    assert asked.score(gray, boxes, reference) == pytest.approx(expected)

@@ -179,3 +179,11 @@ def test_three_local_actions_sharpen_alpha(ask):
         assert tuned["alpha"] == pytest.approx(0.7 * reference["alpha"])
         reference = tuned
     assert asked.cue.adapt(reference, 4) is None
+
+
+def test_alpha_is_learnt_inside_the_frame(ask):
+    asked = ask("color_histogram")
+    image = picture(120, 160)
+    image[40:80, :40] = ORANGE  # the box to its left would lie half outside, at distance 0.5
+    reference = asked.learn(still(image), np.array([19.5, 59.5, 40, 40]))
+    assert reference["alpha"] == pytest.approx(0.125)
