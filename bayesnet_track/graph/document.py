@@ -30,7 +30,15 @@ from yaml.parser import Parser
 from yaml.reader import Reader
 from yaml.scanner import Scanner
 
-from bayesnet_track.graph.messages import GraphError, GraphMessage, Path, Positions, shown, shown_name
+from bayesnet_track.graph.messages import (
+    MAX_MESSAGES,
+    GraphError,
+    GraphMessage,
+    Path,
+    Positions,
+    shown,
+    shown_name,
+)
 
 MAX_BYTES = 64 * 1024
 MAX_DEPTH = 32
@@ -247,8 +255,8 @@ class _Building:
             raise _TooMuch(event.start_mark, f"more than {MAX_NODES} values", f"at most {MAX_NODES} values")
         if depth > MAX_DEPTH and not isinstance(event, (ScalarEvent, CollectionEndEvent)):
             raise _TooMuch(event.start_mark, *_TOO_DEEP)
-        if len(self.errors) >= MAX_NODES // 20:
-            raise _TooMuch(event.start_mark, "too many errors to go on")
+        if len(self.errors) > MAX_MESSAGES:
+            raise GraphError(self.errors)
         if isinstance(event, AliasEvent):
             self._refuse(event, path, f"alias *{shown_name(event.anchor)}", "every value written out")
         elif isinstance(event, NodeEvent) and event.anchor is not None:

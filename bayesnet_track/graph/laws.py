@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from itertools import islice
 
 from bayesnet_track.cue import CueDeclaration, installed_cues
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.cue_laws import CUE_LAWS, cue_parameters
 from bayesnet_track.graph.document import MAX_BYTES
 from bayesnet_track.graph.evidence_law import evidence_counts_once
-from bayesnet_track.graph.messages import GraphError, GraphMessage, Positions
-from bayesnet_track.graph.plate import Plate
+from bayesnet_track.graph.messages import MAX_MESSAGES, GraphError, GraphMessage, Positions
+from bayesnet_track.graph.plate import Law, Plate
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.tree_laws import TREE_LAWS
 from bayesnet_track.graph.value_laws import RULE_LAWS, VALUE_LAWS
@@ -51,11 +52,14 @@ def check_graph(spec: GraphSpec, cues: Cues | None = None) -> CheckedGraph:
 
 
 def _violations(plate: Plate) -> list[GraphMessage]:
-    tree = [message for law in TREE_LAWS for message in law(plate)]
-    values = [message for law in (*CUE_LAWS, *VALUE_LAWS) for message in law(plate)]
-    if tree:
-        return tree + values
-    return values + [message for law in LAWS_OF_A_SOUND_TREE for message in law(plate)]
+    tree = _broken(plate, TREE_LAWS)
+    values = _broken(plate, (*CUE_LAWS, *VALUE_LAWS))
+    return tree + values if tree else values + _broken(plate, LAWS_OF_A_SOUND_TREE)
+
+
+def _broken(plate: Plate, laws: Iterable[Law]) -> list[GraphMessage]:
+    """What breaks these laws; of each no more than a reader is shown."""
+    return [message for law in laws for message in islice(law(plate), MAX_MESSAGES + 1)]
 
 
 def _resolved(plate: Plate) -> CheckedTarget:

@@ -151,8 +151,8 @@ def nearest(word: str, names: Iterable[str]) -> str:
 
 def listed(names: Iterable[str]) -> str:
     """Names separated by commas; a long list is cut and says so."""
-    all_names = [shown_name(name) for name in names]
-    text = ", ".join(all_names[:MAX_LISTED])
+    all_names = list(names)
+    text = ", ".join(map(shown_name, all_names[:MAX_LISTED]))
     return text if len(all_names) <= MAX_LISTED else f"{text}, ... ({len(all_names) - MAX_LISTED} more)"
 
 

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from bayesnet_track.graph.document import MAX_BYTES, Document, read_document
 from bayesnet_track.graph.explain import explain
-from bayesnet_track.graph.messages import GraphError, GraphMessage, Path, Positions
+from bayesnet_track.graph.messages import GraphError, GraphMessage, Path, Positions, shown_name
 from bayesnet_track.graph.spec import GraphSpec
 
 
@@ -60,7 +60,7 @@ def _only_in_python(document: Document) -> Iterator[GraphMessage]:
         path, value = waiting.pop()
         name = path[-1] if path else "graph"
         if value is None:
-            yield document.at.message(path, f"{name} is empty", "a value, or no such key")
+            yield document.at.message(path, f"{shown_name(name)} is empty", "a value, or no such key")
         elif name == "agent" and len(path) == 5 and isinstance(value, dict):
             if "cue" in value:
                 yield document.at.message(
