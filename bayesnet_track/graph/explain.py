@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args, get_origin
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, Tag, ValidationError
 from pydantic.fields import FieldInfo
@@ -289,5 +290,4 @@ def _tag(kind: Any) -> str | None:
 
 
 def _is_union(annotation: Any) -> bool:
-    origin = get_origin(annotation)
-    return str(origin) in ("typing.Union", "<class 'types.UnionType'>") or origin is type(int | str)
+    return get_origin(annotation) in (Union, UnionType)

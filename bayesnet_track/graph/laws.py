@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from itertools import islice
+from typing import Any
+
+from pydantic import ValidationError
 
 from bayesnet_track.cue import CueDeclaration, installed_cues
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.cue_laws import CUE_LAWS, cue_parameters
 from bayesnet_track.graph.document import MAX_BYTES
 from bayesnet_track.graph.evidence_law import evidence_counts_once
+from bayesnet_track.graph.explain import explain
 from bayesnet_track.graph.messages import MAX_MESSAGES, GraphError, GraphMessage, Positions
 from bayesnet_track.graph.plate import Law, Plate
 from bayesnet_track.graph.spec import GraphSpec
@@ -42,13 +46,21 @@ def check(spec: GraphSpec, at: Positions | None = None, cues: Cues | None = None
     return CheckedGraph(spec, {plate.name: _resolved(plate) for plate in plates}, text)
 
 
-def check_graph(spec: GraphSpec, cues: Cues | None = None) -> CheckedGraph:
-    """`check` for a graph written in Python: messages name the path of keys.
+def check_graph(graph: GraphSpec | Mapping[str, Any], cues: Cues | None = None) -> CheckedGraph:
+    """`check` for a graph written in Python, as a specification or as plain data with the words of YAML.
+
+    Messages name the path of keys, for want of a line.
 
     Raises:
-        GraphError: every violation of every law in every target.
+        GraphError: everything that is wrong with its form; else every violation of every law.
     """
-    return check(spec, Positions(), cues)
+    at = Positions()
+    if not isinstance(graph, GraphSpec):
+        try:
+            graph = GraphSpec.model_validate(graph)
+        except ValidationError as error:
+            raise GraphError(explain(error, GraphSpec, graph, at)) from None
+    return check(graph, at, cues)
 
 
 def _violations(plate: Plate) -> list[GraphMessage]:

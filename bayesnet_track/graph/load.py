@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.laws import Cues, check, check_graph
@@ -14,9 +16,9 @@ from bayesnet_track.graphs import find_graph, graph_names
 
 
 def load_graph(
-    graph: str | PathLike[str] | GraphSpec | CheckedGraph, cues: Cues | None = None
+    graph: str | PathLike[str] | GraphSpec | Mapping[str, Any] | CheckedGraph, cues: Cues | None = None
 ) -> CheckedGraph:
-    """The checked graph of an installed name (``"general"``), a file's path, or a specification.
+    """The checked graph of an installed name (``"general"``), a file's path, a specification, or plain data.
 
     A word without a dot or slash is an installed graph's name; anything else is a path.
 
@@ -25,7 +27,7 @@ def load_graph(
     """
     if isinstance(graph, CheckedGraph):
         return graph
-    if isinstance(graph, GraphSpec):
+    if isinstance(graph, GraphSpec | Mapping):
         return check_graph(graph, cues)
     if isinstance(graph, str) and not any(mark in graph for mark in "./\\"):
         if graph not in graph_names():

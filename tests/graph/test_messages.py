@@ -72,6 +72,46 @@ def test_a_graph_from_python_names_the_path_of_keys(cues):
     }
 
 
+def test_plain_data_from_python_too(cues):
+    nodes = {"s": {"motion": "constant_velocty"}, "a": {"parent": "s", "agent": "hue", "active": 1}}
+    data = {"name": "g", "targets": {"t": {"nodes": nodes}}}
+    with pytest.raises(GraphError) as error:
+        check_graph(data, cues)
+    assert str(error.value).splitlines() == [
+        "<python>:targets.t.nodes.s.motion: s: unknown motion 'constant_velocty'; allowed: random_walk, "
+        "constant_velocity, damped_velocity, constant_acceleration; nearest: constant_velocity",
+        "<python>:targets.t.nodes.a.active: a: active is 1; allowed: true or false",
+    ]
+    nodes["s"], nodes["a"]["active"] = {"motion": "constant_velocity"}, True
+    assert check_graph(data, cues).targets["t"].agents == ("a",)
+
+
+def test_a_checked_graph_knows_its_tree(cues):
+    nodes = {
+        "flow": {"parent": "s", "agent": "motion"},
+        "s": {
+            "motion": "constant_velocity",
+            "fuse": "product",
+            "adapt": {"deactivate": {"below": {"ud_box": 1}}},
+        },
+        "color": {"parent": "s", "fuse": "pool", "adapt": {"deactivate": {"below": {"ud_box": 1}}}},
+        "hist": {"parent": "color", "agent": {"hue": {"bins": 16}}},
+        "other": {"parent": "color", "agent": "blobs"},
+        "more": {"parent": "s", "agent": {"hue": {"bins": 64}}},
+    }
+    graph = check_graph({"name": "g", "targets": {"t": {"nodes": nodes}}}, cues)
+    target = graph.targets["t"]
+    assert target.root == "s"
+    assert target.order == ("s", "flow", "color", "hist", "other", "more")
+    assert target.children == {"s": ("flow", "color", "more"), "color": ("hist", "other")}
+    assert target.parent["s"] is None
+    assert target.parent["hist"] == "color"
+    assert target.governor == {"flow": "s", "hist": "color", "other": "color", "more": "s"}
+    assert target.parameters["hist"].bins == 16
+    assert target.parameters["other"].window == (3, 3)
+    assert read_graph(graph.text)[0] == graph.spec
+
+
 def test_all_errors_of_all_targets_are_reported(cues):
     plate = "{nodes: {s: {motion: constant_velocity}, a: {parent: s, agent: hu}}}"
     spec, at = read_graph(f"name: g\ntargets:\n  t: {plate}\n  u: {plate}\n", "g.yaml")
