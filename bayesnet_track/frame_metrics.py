@@ -65,7 +65,7 @@ def frame_metrics(
         learn_rate=rate,
         region50=_floats(central_region(posterior, 0.5)),
         region90=_floats(central_region(posterior, 0.9)),
-        cloud=tuple(tuple(int(v) for v in row) for row in np.rint(posterior.boxes[chosen])),
+        cloud=tuple(map(tuple, np.rint(posterior.boxes[chosen]).astype(np.int64).tolist())),
     )
 
 

@@ -96,11 +96,15 @@ class Region:
 
 def region_of_boxes(boxes: NDArray[np.float64], grow: float = 0.0) -> Region:
     """The smallest region that holds all centre boxes (N, 4), each grown by `grow` of its size per side."""
-    half = boxes[:, 2:] * (0.5 + grow)
-    low = np.floor((boxes[:, :2] - half).min(axis=0) + 0.5)
-    high = np.ceil((boxes[:, :2] + half).max(axis=0) + 0.5)
-    low, high = np.clip(low, -(2**30), 2**30), np.clip(high, -(2**30), 2**30)
-    return Region(int(low[0]), int(low[1]), int(high[0]), int(high[1]))
+    x, y, w, h = boxes.T  # column by column: numpy reduces rows of two several times slower
+    across, down = w * (0.5 + grow), h * (0.5 + grow)
+    low = [_whole(np.floor(least + 0.5)) for least in ((x - across).min(), (y - down).min())]
+    high = [_whole(np.ceil(most + 0.5)) for most in ((x + across).max(), (y + down).max())]
+    return Region(*low, *high)
+
+
+def _whole(pixels: float) -> int:
+    return int(min(max(pixels, -(2.0**30)), 2.0**30))
 
 
 @dataclass(frozen=True, eq=False)
