@@ -21,6 +21,9 @@ Clock = Callable[[], float]
 ROUNDING = 1e-6
 """How far above 0, the value of a perfect match, a log-likelihood may end by rounding."""
 
+ZERO_BELOW = -1e100
+"""A log-likelihood below this is a likelihood of zero, so that sums of them stay finite."""
+
 
 @dataclass(frozen=True, eq=False)
 class Observer:
@@ -81,9 +84,8 @@ def join_messages(
         if not weights:
             continue
         total = np.zeros(len(hypotheses))
-        with np.errstate(over="ignore"):  # what is too small for a float is zero
-            for child, weight in weights.items():
-                total = total + weight * messages[child]
+        for child, weight in weights.items():
+            total = total + weight * messages[child]
         if join.kernel is not None:
             above = _above(plan, join.node, latent, hypotheses)
             total = kernel_message(join.kernel, above, latent[join.node], prior_log, total)
@@ -194,6 +196,7 @@ def _checked(log_likelihood: Floats, size: int) -> Floats | str:
     if wrong.any():
         what = f"a log-likelihood of {log_likelihood[wrong][0]:.6g}, not at most 0,"
         return f"returned {what} for {int(wrong.sum())} of {size} hypotheses"
+    log_likelihood[log_likelihood < ZERO_BELOW] = -np.inf
     if not np.isfinite(log_likelihood).any():
         return f"returned a likelihood of zero for all {size} hypotheses"
     return log_likelihood

@@ -1,0 +1,191 @@
+"""Agents that fail: left out without a trace in what the others say, written down once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bayesnet_track.graph.net import Quarantined
+
+GIVEN = {"sd_px": {"x": 5.0, "y": 5.0}}
+
+
+def product():
+    return {"root": {"fuse": "product"}, "a": "root", "b": "root"}
+
+
+def pool(**more):
+    weights = {"a": 0.3, "b": 1.7, **more}
+    return {"root": {"fuse": "product"}, "color": {"parent": "root", "fuse": {"pool": weights}},
+            "a": "color", "b": "color", "c": "root"}  # fmt: skip
+
+
+def latent(draw):
+    return {"root": {"fuse": "product"}, "part": {"parent": "root", "fuse": {"latent": {"given": GIVEN, "draw": draw}}},
+            "a": "part", "b": "part", "c": "root"}  # fmt: skip
+
+
+def small(nodes):
+    return {**nodes, "root": {**nodes["root"], "belief": {"particles": {"size": 60}}}}
+
+
+SHAPES = {
+    "product": (product(), {**product(), "bad": "root"}),
+    "pool": (pool(), {**pool(bad=2.1), "bad": "color"}),
+    "one draw": (latent("one"), {**latent("one"), "bad": "part"}),
+    "kernel": (latent("kernel"), {**latent("kernel"), "bad": "part"}),
+}
+
+
+def raising(planes, hypotheses, reference):
+    raise ZeroDivisionError("nothing to divide by")
+
+
+def meddling(planes, hypotheses, reference):
+    """Writes into what it is given before it fails."""
+    hypotheses.boxes[:] = 0.0
+    raise KeyError("hue")
+
+
+def one(value):
+    return lambda planes, h, reference: np.where(np.arange(len(h)) == 3, value, -1.0)
+
+
+HOSTILE = {
+    "raises": (raising, "raised ZeroDivisionError: nothing to divide by"),
+    "meddles": (meddling, "raised KeyError: 'hue'"),
+    "too short": (lambda p, h, r: np.zeros(len(h) - 1), "returned an array of shape (59,) for 60 hypotheses"),
+    "two columns": (lambda p, h, r: np.zeros((len(h), 2)), "returned an array of shape (60, 2) for 60 hypotheses"),
+    "a number": (lambda p, h, r: 0.0, "returned an array of shape () for 60 hypotheses"),
+    "nothing": (lambda p, h, r: None, "returned an array of shape () for 60 hypotheses"),
+    "words": (lambda p, h, r: ["good"] * len(h), "raised ValueError: could not convert string to float: 'good'"),
+    "NaN": (one(np.nan), "returned a log-likelihood of nan, not at most 0, for 1 of 60 hypotheses"),
+    "infinity": (one(np.inf), "returned a log-likelihood of inf, not at most 0, for 1 of 60 hypotheses"),
+    "more than perfect": (one(0.5), "returned a log-likelihood of 0.5, not at most 0, for 1 of 60 hypotheses"),
+    "huge": (one(1e300), "returned a log-likelihood of 1e+300, not at most 0, for 1 of 60 hypotheses"),
+    "zero likelihood": (
+        lambda p, h, r: np.full(len(h), -np.inf),
+        "returned a likelihood of zero for all 60 hypotheses",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("fault", HOSTILE)
+def test_a_fault_leaves_no_trace_but_its_quarantine(fakes, shape, fault):
+    """Every number of every frame is, bit for bit, that of a net without the agent."""
+    without, with_bad = SHAPES[shape]
+    see, reason = HOSTILE[fault]
+    sees = {"a": fakes.gaussian(52, 41, 9), "b": fakes.gaussian(49, 37, 14), "c": fakes.gaussian(50, 42, 20)}
+    sees = {agent: see_ for agent, see_ in sees.items() if agent in without}
+    clean, _ = fakes.engine(small(without), sees)
+    dirty, _ = fakes.engine(small(with_bad), {**sees, "bad": see})
+    expected, outcomes = fakes.play(clean, 4), fakes.play(dirty, 4)
+    for k in (1, 2, 3, 4):
+        assert outcomes[k].metrics == expected[k].metrics
+        np.testing.assert_array_equal(outcomes[k].covariances["1"], expected[k].covariances["1"])
+    events = [event for outcome in outcomes for event in outcome.events[outcome is outcomes[0] :]]
+    assert events == [Quarantined(1, "1", "bad", reason)]
+    assert outcomes[-1].state.net.targets["1"].quarantined == {"bad"}
+
+
+def test_a_plane_that_cannot_be_computed_costs_only_who_needs_it(fakes):
+    sees = {"a": fakes.gaussian(52, 41, 9), "b": fakes.gaussian(49, 37, 14)}
+    broken = fakes.Oracle(fakes.flat(), (fakes.BrokenPlane("lidar"),))
+    clean, _ = fakes.engine(small(product()), sees)
+    dirty, _ = fakes.engine(small({**product(), "bad": "root"}), {**sees, "bad": broken})
+    expected, outcomes = fakes.play(clean, 3), fakes.play(dirty, 3)
+    assert [o.metrics for o in outcomes[1:]] == [o.metrics for o in expected[1:]]
+    # It could not learn either, so it is out from the start.
+    assert outcomes[0].events[1] == Quarantined(0, "1", "bad", "raised OSError while learning: no such feature")
+    assert outcomes[0].metrics[0].active == ("a", "b")
+
+
+def test_a_plane_that_breaks_later(fakes):
+    class Flaky(fakes.Plane):
+        def compute(self, frames, inputs, region):
+            if frames.current.index == 2:
+                raise OSError("gone")
+            return super().compute(frames, inputs, region)
+
+    sees = {"a": fakes.gaussian(52, 41, 9), "b": fakes.Oracle(fakes.flat(), (Flaky("lidar"),))}
+    outcomes = fakes.play(fakes.engine(small(product()), sees)[0], 4)
+    assert [o.metrics[0].active for o in outcomes] == [("a", "b"), ("a", "b"), ("a",), ("a",), ("a",)]
+    assert outcomes[2].events == (Quarantined(2, "1", "b", "raised OSError: gone"),)
+
+
+def test_a_partly_impossible_likelihood_is_no_fault(fakes):
+    """-inf is a weight of zero: lawful as long as one hypothesis is left."""
+    outcomes = fakes.play(fakes.engine(small({"root": {}, "a": "root"}), {"a": one(-np.inf)})[0], 3)
+    assert all(not outcome.events for outcome in outcomes[1:])
+
+
+def test_agents_that_rule_each_other_out_leave_the_prediction(fakes):
+    """Neither is at fault; the belief is the predicted prior, and it is written down."""
+    left = lambda p, h, r: np.where(np.arange(len(h)) < 30, 0.0, -np.inf)  # noqa: E731
+    right = lambda p, h, r: np.where(np.arange(len(h)) < 30, -np.inf, 0.0)  # noqa: E731
+    outcomes = fakes.play(fakes.engine(small(product()), {"a": left, "b": right})[0], 4)
+    assert [type(e).__name__ for e in outcomes[1].events] == ["DegenerateBelief"]
+    assert outcomes[1].metrics[0].ess == pytest.approx(60.0)
+    assert outcomes[1].metrics[0].active == ("a", "b")
+    assert outcomes[4].state.net.targets["1"].status == "lost"
+
+
+HOSTILE_VALUES = np.array(
+    [np.nan, np.inf, -np.inf, 0.0, -0.0, 1e300, -1e300, 1e-300, -1e-300, -1.7e308, 690.0, -690.0, -1.0, 5e-324]
+)
+
+
+def hostile_values(rng, size):
+    """Any mix of the values above: few or many kinds, everywhere or at a few hypotheses."""
+    kinds = rng.choice(HOSTILE_VALUES, rng.integers(1, 5))
+    values = rng.choice(kinds, size)
+    if rng.random() < 0.5:
+        values = np.where(rng.random(size) < rng.choice([0.03, 0.5]), values, rng.uniform(-5.0, 0.0, size))
+    return values
+
+
+def assert_survives(fakes, cases):
+    """So many hostile answers of up to three agents; every second run has a lawful agent beside them."""
+    rng = np.random.default_rng(11)
+    answers = 0
+
+    def hostile(planes, hypotheses, reference):
+        nonlocal answers
+        answers += 1
+        return hostile_values(rng, len(hypotheses))
+
+    nodes = {
+        "root": {"fuse": "product", "belief": {"particles": {"size": 40}}},
+        "pool": {"parent": "root", "fuse": "pool"},
+        **{"a": "pool", "b": "pool", "c": "root"},
+    }
+    run, stopped = 0, 0
+    while answers < cases:
+        run += 1
+        lawful = run % 2 == 0
+        sees = {"a": hostile, "b": hostile, "c": fakes.gaussian(50.0, 40.0, 10.0) if lawful else hostile}
+        outcomes = fakes.play(fakes.engine(nodes, sees, seed=run)[0], 3)
+        for outcome in outcomes[1:]:
+            belief, metrics = outcome.state.targets["1"].belief, outcome.metrics[0]
+            assert np.isfinite(belief.states).all()
+            assert abs(belief.weights.weights.sum() - 1.0) < 1e-9
+            assert not np.isnan(belief.weights.log).any()
+            numbers = [*metrics.box, *metrics.map, *metrics.sd, metrics.ud_px2, metrics.score, metrics.ess]
+            assert np.isfinite([*numbers, *metrics.agent_ud_px2.values()]).all()
+            assert not np.isnan([*metrics.kl.values(), *metrics.contribution.values()]).any()
+        out = outcomes[-1].state.net.targets["1"].quarantined
+        assert not (lawful and "c" in out)
+        told = [e.node for outcome in outcomes for e in outcome.events if isinstance(e, Quarantined)]
+        assert sorted(told) == sorted(out)
+        stopped += len(out)
+    assert stopped > cases / 4
+
+
+def test_hostile_likelihoods(fakes):
+    assert_survives(fakes, 200)
+
+
+@pytest.mark.slow
+def test_ten_thousand_hostile_likelihoods(fakes):
+    assert_survives(fakes, 10_000)
