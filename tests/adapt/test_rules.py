@@ -131,8 +131,10 @@ def test_an_agent_never_tried_comes_first(drive):
     made = drive(
         net(on_off(activate={"which": "most_helpful"}), agents="abc"),
         [100] * 5 + [300] * 3,
-        active="ab", kl={"a": 0.0, "b": 1.0}, contribution={"b": 9.0},
-    )  # fmt: skip
+        active="ab",
+        kl={"a": 0.0, "b": 1.0},
+        contribution={"b": 9.0},
+    )
     assert [(d.node, d.helpfulness) for d in made.of(Activated)] == [("c", None)]
 
 
@@ -140,8 +142,11 @@ def test_each_inference_node_governs_its_own_agents(drive):
     nodes = {
         "root": {"fuse": "product", "lost": NEVER_LOST, "adapt": on_off()},
         "color": {"parent": "root", "fuse": "pool", "adapt": on_off(on=50.0, off=40.0)},
-        "a": "color", "b": "color", "c": "root", "d": "root",
-    }  # fmt: skip
+        "a": "color",
+        "b": "color",
+        "c": "root",
+        "d": "root",
+    }
     made = drive(
         nodes, [{"root": 190.0, "color": 60.0}] * 3 + [{"root": 210.0, "color": 45.0}] * 3, active="ac"
     )
@@ -157,9 +162,11 @@ def test_each_inference_node_governs_its_own_agents(drive):
 def test_levels_relative_to_the_box(drive):
     """0.5 of the area: 200 px^2 of a 400 px^2 box, 100 px^2 when it has shrunk to 200 px^2."""
     made = drive(
-        net(on_off(on=0.5, on_frames=2, off=0.1, unit="ud_box")), [150] * 4, active="a",
+        net(on_off(on=0.5, on_frames=2, off=0.1, unit="ud_box")),
+        [150] * 4,
+        active="a",
         areas=[400.0, 400.0, 200.0, 200.0],
-    )  # fmt: skip
+    )
     (decision,) = made.of(Activated)
     assert decision.cause == Cause("ud_box", 0.5, 0.75, 2, 0.75, 150.0, 200.0)
     assert decision.frame == 4
@@ -223,13 +230,18 @@ CHECK = {"above": {"ud_px2": 100.0}, "frames": 4, "rest": 6}
 def test_first_a_local_action_then_a_self_stop_then_a_doubling_rest(drive):
     bad = [500.0] * 60
     made = drive(
-        net(on_off(on=50.0, on_frames=1, off=1.0), {"a": CHECK}), [60.0] * 60, agent_uds={"a": bad},
+        net(on_off(on=50.0, on_frames=1, off=1.0), {"a": CHECK}),
+        [60.0] * 60,
+        agent_uds={"a": bad},
         adaptable="a",
-    )  # fmt: skip
+    )
     first = [d for d in made.decisions if d.frame <= 4]
     assert [(type(d), d.frame) for d in first] == [
-        (LocallyAdapted, 1), (LocallyAdapted, 2), (LocallyAdapted, 3), (SelfStopped, 4),
-    ]  # fmt: skip
+        (LocallyAdapted, 1),
+        (LocallyAdapted, 2),
+        (LocallyAdapted, 3),
+        (SelfStopped, 4),
+    ]
     assert [d.attempt for d in first[:3]] == [1, 2, 3]
     stops, starts = made.of(SelfStopped), made.frames(Activated)
     assert [(d.frame, d.rests_until) for d in stops] == [(4, 11), (14, 27), (30, 55), (58, 107)]
@@ -243,8 +255,12 @@ def test_without_a_local_action_it_only_stops(drive):
 
 
 def test_a_good_frame_ends_the_episode(drive):
-    made = drive(net(checks={"a": CHECK}), [10.0] * 7, agent_uds={"a": [101, 101, 101, 100, 101, 101, 101]},
-                 adaptable="a")  # fmt: skip
+    made = drive(
+        net(checks={"a": CHECK}),
+        [10.0] * 7,
+        agent_uds={"a": [101, 101, 101, 100, 101, 101, 101]},
+        adaptable="a",
+    )
     assert [d.attempt for d in made.of(LocallyAdapted)] == [1, 2, 3, 1, 2, 3]
     assert made.of(SelfStopped) == []
 
@@ -255,8 +271,9 @@ def test_a_streak_does_not_outlive_a_pause(drive):
     made = drive(
         net(adapt, {"a": {**CHECK, "frames": 3}}),
         [100, 100, 300, 100, 300, 150, 150],
-        kl={"a": 1.0}, agent_uds={"a": [101] * 7},
-    )  # fmt: skip
+        kl={"a": 1.0},
+        agent_uds={"a": [101] * 7},
+    )
     assert (made.frames(Deactivated), made.frames(Activated)) == ([2], [3])
     assert made.frames(SelfStopped) == [6]
 
@@ -266,17 +283,21 @@ def test_the_last_active_agent_does_not_stop_itself(drive):
     made = drive(net(checks=checks), [10.0] * 30, agent_uds=dict.fromkeys("ab", [500.0] * 30))
     assert [(d.frame, d.node) for d in made.of(SelfStopped)] == [(4, "a")]
     later = drive(
-        net(on_off(on=50, on_frames=1, off=1), {"a": CHECK}), [10.0] * 8 + [60.0] * 4, active="a",
+        net(on_off(on=50, on_frames=1, off=1), {"a": CHECK}),
+        [10.0] * 8 + [60.0] * 4,
+        active="a",
         agent_uds={"a": [500.0] * 12},
-    )  # fmt: skip
+    )
     assert later.frames(Activated) == [9] and later.frames(SelfStopped) == [10]
 
 
 def test_one_that_stopped_itself_is_not_dropped_as_well(drive):
     made = drive(
-        net(on_off(off_frames=4), {"a": CHECK}, agents="abc"), [100.0] * 4, agent_uds={"a": [500.0] * 4},
+        net(on_off(off_frames=4), {"a": CHECK}, agents="abc"),
+        [100.0] * 4,
+        agent_uds={"a": [500.0] * 4},
         kl={"a": 9.0, "b": 0.1, "c": 0.2},
-    )  # fmt: skip
+    )
     assert [(type(d), d.node) for d in made.decisions] == [(SelfStopped, "a"), (Deactivated, "c")]
     assert "a" not in made.of(Deactivated)[0].index
 
@@ -292,9 +313,10 @@ def test_an_agent_that_is_always_uncertain_does_not_oscillate(drive, frames, res
     """m stops take at least rest (1 + 2 + ... + 2^(m-1)) frames, so m <= log2(T / rest + 1)."""
     check = {"above": {"ud_px2": 100.0}, "frames": frames, "rest": rest}
     made = drive(
-        net(on_off(on=50.0, on_frames=on_frames, off=1.0), {"a": check}), [60.0] * length,
+        net(on_off(on=50.0, on_frames=on_frames, off=1.0), {"a": check}),
+        [60.0] * length,
         agent_uds={"a": [500.0] * length},
-    )  # fmt: skip
+    )
     assert len(made.of(Activated)) <= math.log2(length / rest + 1)
     for stop in made.of(SelfStopped):
         back = [n for n in made.frames(Activated, "a") if n > stop.frame]
@@ -314,9 +336,14 @@ def test_with_no_agent_active_all_that_may_work_wake(drive):
     start = TargetNet("plate", frozenset(), rests_until={"b": 4}, quarantined=frozenset("c"))
     made = drive(net(agents="abcd"), [10.0] * 8, net=start)
     assert [(d.frame, d.node, d.cause, d.governor) for d in made.of(Activated)] == [
-        (1, "a", None, "root"), (1, "d", None, "root"),
-    ]  # fmt: skip
-    resting = drive(net(agents="ab"), [10.0] * 8, net=TargetNet("plate", frozenset(), rests_until={"a": 6}, quarantined=frozenset("b")))  # noqa: E501  # fmt: skip
+        (1, "a", None, "root"),
+        (1, "d", None, "root"),
+    ]
+    resting = drive(
+        net(agents="ab"),
+        [10.0] * 8,
+        net=TargetNet("plate", frozenset(), rests_until={"a": 6}, quarantined=frozenset("b")),
+    )
     assert resting.frames(Activated) == [5]
     dead = drive(
         net(agents="ab"), [10.0] * 8, net=TargetNet("plate", frozenset(), quarantined=frozenset("ab"))
@@ -357,7 +384,12 @@ def test_lost_says_why(drive):
     assert both.cause is None  # at no level of UD would it have been kept
     (mixed,) = drive(net(lost=LOST), [10, 500, 400], fits=[0.01, 1.0, 1.0]).of(StatusChanged)
     assert mixed.cause.turning == 400.0
-    (nobody,) = drive(net(lost=LOST), [10] * 3, fits=[0.0] * 3, net=TargetNet("plate", frozenset(), quarantined=frozenset("ab"))).of(StatusChanged)  # noqa: E501  # fmt: skip
+    (nobody,) = drive(
+        net(lost=LOST),
+        [10] * 3,
+        fits=[0.0] * 3,
+        net=TargetNet("plate", frozenset(), quarantined=frozenset("ab")),
+    ).of(StatusChanged)
     assert nobody.reason == "no agent is active, so the belief is prediction only"
 
 
@@ -475,8 +507,11 @@ def test_any_sequence_keeps_the_promises_of_the_rules(drive, seed):
         assert live.active
         assert all(live.rests_until.get(agent, 0) <= frame for agent in live.active)
     for agent in "abc":
-        switches = [isinstance(d, Activated) for d in made.decisions if getattr(d, "node", None) == agent
-                    and not isinstance(d, LocallyAdapted)]  # fmt: skip
+        switches = [
+            isinstance(d, Activated)
+            for d in made.decisions
+            if getattr(d, "node", None) == agent and not isinstance(d, LocallyAdapted)
+        ]
         assert all(now != after for now, after in pairwise(switches))
 
 

@@ -34,7 +34,7 @@ def graph(fuse):
 
 
 def coverage(fakes, fuse, runs, size=1000):
-    """Shares of runs in which the 50 % and the 90 % region cover h, and mean squared error over mean trace."""
+    """Shares of runs whose 50 % and 90 % regions cover h, and mean squared error over mean trace."""
     plate, _ = fakes.plate(graph(fuse))
     # Above the latent state an agent's error includes the shared one: calibrated, not sharp.
     color = COLOR if fuse in ("one", "kernel") else np.hypot(SHARED, COLOR)

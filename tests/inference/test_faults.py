@@ -16,13 +16,23 @@ def product():
 
 def pool(**more):
     weights = {"a": 0.3, "b": 1.7, **more}
-    return {"root": {"fuse": "product"}, "color": {"parent": "root", "fuse": {"pool": weights}},
-            "a": "color", "b": "color", "c": "root"}  # fmt: skip
+    return {
+        "root": {"fuse": "product"},
+        "color": {"parent": "root", "fuse": {"pool": weights}},
+        "a": "color",
+        "b": "color",
+        "c": "root",
+    }
 
 
 def latent(draw):
-    return {"root": {"fuse": "product"}, "part": {"parent": "root", "fuse": {"latent": {"given": GIVEN, "draw": draw}}},
-            "a": "part", "b": "part", "c": "root"}  # fmt: skip
+    return {
+        "root": {"fuse": "product"},
+        "part": {"parent": "root", "fuse": {"latent": {"given": GIVEN, "draw": draw}}},
+        "a": "part",
+        "b": "part",
+        "c": "root",
+    }
 
 
 def small(nodes):
@@ -55,19 +65,28 @@ HOSTILE = {
     "raises": (raising, "raised ZeroDivisionError: nothing to divide by"),
     "meddles": (meddling, "raised KeyError: 'hue'"),
     "too short": (lambda p, h, r: np.zeros(len(h) - 1), "returned an array of shape (59,) for 60 hypotheses"),
-    "two columns": (lambda p, h, r: np.zeros((len(h), 2)), "returned an array of shape (60, 2) for 60 hypotheses"),
+    "two columns": (
+        lambda p, h, r: np.zeros((len(h), 2)),
+        "returned an array of shape (60, 2) for 60 hypotheses",
+    ),
     "a number": (lambda p, h, r: 0.0, "returned an array of shape () for 60 hypotheses"),
     "nothing": (lambda p, h, r: None, "returned an array of shape () for 60 hypotheses"),
-    "words": (lambda p, h, r: ["good"] * len(h), "raised ValueError: could not convert string to float: 'good'"),
+    "words": (
+        lambda p, h, r: ["good"] * len(h),
+        "raised ValueError: could not convert string to float: 'good'",
+    ),
     "NaN": (one(np.nan), "returned a log-likelihood of nan, not at most 0, for 1 of 60 hypotheses"),
     "infinity": (one(np.inf), "returned a log-likelihood of inf, not at most 0, for 1 of 60 hypotheses"),
-    "more than perfect": (one(0.5), "returned a log-likelihood of 0.5, not at most 0, for 1 of 60 hypotheses"),
+    "more than perfect": (
+        one(0.5),
+        "returned a log-likelihood of 0.5, not at most 0, for 1 of 60 hypotheses",
+    ),
     "huge": (one(1e300), "returned a log-likelihood of 1e+300, not at most 0, for 1 of 60 hypotheses"),
     "zero likelihood": (
         lambda p, h, r: np.full(len(h), -np.inf),
         "returned a likelihood of zero for all 60 hypotheses",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -97,7 +116,9 @@ def test_a_plane_that_cannot_be_computed_costs_only_who_needs_it(fakes):
     expected, outcomes = fakes.play(clean, 3), fakes.play(dirty, 3)
     assert [o.metrics for o in outcomes[1:]] == [o.metrics for o in expected[1:]]
     # It could not learn either, so it is out from the start.
-    assert outcomes[0].events[1] == Quarantined(0, "1", "bad", "raised OSError while learning: no such feature")
+    assert outcomes[0].events[1] == Quarantined(
+        0, "1", "bad", "raised OSError while learning: no such feature"
+    )
     assert outcomes[0].metrics[0].active == ("a", "b")
 
 
@@ -132,7 +153,22 @@ def test_agents_that_rule_each_other_out_leave_the_prediction(fakes):
 
 
 HOSTILE_VALUES = np.array(
-    [np.nan, np.inf, -np.inf, 0.0, -0.0, 1e300, -1e300, 1e-300, -1e-300, -1.7e308, 690.0, -690.0, -1.0, 5e-324]
+    [
+        np.nan,
+        np.inf,
+        -np.inf,
+        0.0,
+        -0.0,
+        1e300,
+        -1e300,
+        1e-300,
+        -1e-300,
+        -1.7e308,
+        690.0,
+        -690.0,
+        -1.0,
+        5e-324,
+    ]
 )
 
 
