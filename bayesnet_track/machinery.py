@@ -1,0 +1,88 @@
+"""What a graph needs to run, made once: its cues, beliefs, motion models, prices and random streams."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from bayesnet_track.belief.contract import Motion
+from bayesnet_track.belief.motion import make_motion
+from bayesnet_track.belief.particles import ParticleFilter
+from bayesnet_track.cue import Cue, CueDeclaration, LocallyAdaptable, installed_cues
+from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
+from bayesnet_track.graph.spec import Learn, Particles
+from bayesnet_track.numerics.streams import Streams
+
+
+@dataclass(frozen=True, eq=False)
+class Machinery:
+    """What one plate needs to run, made once: cues, belief, motion model and prices.
+
+    Attributes:
+        plate: the checked plate.
+        cues: agent -> implementation.
+        belief: the root's belief.
+        motion: the root's motion model.
+        costs_ms: agent -> declared cost.
+        rate_max: agent -> largest learning rate.
+        adaptable: agents that can act locally.
+    """
+
+    plate: CheckedTarget
+    cues: Mapping[str, Cue]
+    belief: ParticleFilter
+    motion: Motion
+    costs_ms: Mapping[str, float]
+    rate_max: Mapping[str, float]
+    adaptable: frozenset[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Engine:
+    """A graph ready to run.
+
+    Attributes:
+        machinery: plate name -> what it needs.
+        streams: all randomness.
+        clock: seconds, for timings only.
+    """
+
+    machinery: Mapping[str, Machinery]
+    streams: Streams
+    clock: Callable[[], float] = time.perf_counter
+
+
+def make_engine(
+    graph: CheckedGraph, seed: int = 0, cues: Mapping[str, CueDeclaration] | None = None
+) -> Engine:
+    """Load the cues of `graph` and make it ready to run."""
+    declarations = installed_cues() if cues is None else cues
+    machinery = {name: _make_machinery(plate, declarations) for name, plate in graph.targets.items()}
+    return Engine(machinery, Streams(seed))
+
+
+def _make_machinery(plate: CheckedTarget, declarations: Mapping[str, CueDeclaration]) -> Machinery:
+    root = plate.inference(plate.root)
+    particles = root.belief.particles if root.belief is not None else None
+    of = {agent: declarations[plate.agent(agent).agent.cue] for agent in plate.agents}
+    made = {agent: of[agent].make(plate.parameters[agent]) for agent in plate.agents}
+    assert root.motion is not None
+    return Machinery(
+        plate=plate,
+        cues=made,
+        belief=ParticleFilter(particles or Particles()),
+        motion=make_motion(root.motion),
+        costs_ms={agent: of[agent].cost_ms for agent in plate.agents},
+        rate_max={agent: _rate_max(plate, agent, of[agent], root.learn) for agent in plate.agents},
+        adaptable=frozenset(agent for agent, cue in made.items() if isinstance(cue, LocallyAdaptable)),
+    )
+
+
+def _rate_max(plate: CheckedTarget, agent: str, declaration: CueDeclaration, learn: Learn | None) -> float:
+    """The agent's own rate, else its cue's, else the graph's."""
+    own = plate.agent(agent).learn_rate_max
+    for rate in (own, declaration.rate_max):
+        if rate is not None:
+            return rate
+    return learn.rate_max if learn is not None else 0.0
