@@ -125,10 +125,12 @@ class CueDeclaration:
 
 def floored(log_likelihood: Floats, floor: float) -> Floats:
     """log(floor + (1 - floor) L): a mixture with an outlier of likelihood `floor` (L at most 1)."""
-    return np.logaddexp(np.log(floor), np.log1p(-floor) + log_likelihood)
+    return np.asarray(np.logaddexp(np.log(floor), np.log1p(-floor) + log_likelihood))
 
 
-def log_size_penalty(boxes: Floats, reference_size: Floats, sd_log_area: float, sd_log_aspect: float) -> Floats:
+def log_size_penalty(
+    boxes: Floats, reference_size: Floats, sd_log_area: float, sd_log_aspect: float
+) -> Floats:
     """(N,) Gaussian penalty in the logs of the area ratio and of the aspect ratio (0 when they agree).
 
     Thesis 3.1.1 names a Gaussian in area and aspect ratio; here in their logarithms, so that half and twice
@@ -136,7 +138,9 @@ def log_size_penalty(boxes: Floats, reference_size: Floats, sd_log_area: float, 
     """
     width = np.log(boxes[:, 2] / reference_size[0])
     height = np.log(boxes[:, 3] / reference_size[1])
-    return -0.5 * (((width + height) / sd_log_area) ** 2 + ((width - height) / sd_log_aspect) ** 2)
+    return np.asarray(
+        -0.5 * (((width + height) / sd_log_area) ** 2 + ((width - height) / sd_log_aspect) ** 2)
+    )
 
 
 def blend_arrays(old: Reference, new: Reference, rate: float) -> dict[str, NDArray[Any]]:
