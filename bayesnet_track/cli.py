@@ -74,6 +74,7 @@ def make_parser() -> argparse.ArgumentParser:
 
     graph = commands.add_parser("graph", help="show what a graph compiles to")
     graph.add_argument("graph")
+    graph.add_argument("--target", metavar="NAME", help="the plate to show (default: the first)")
     graph.add_argument("--formula", action="store_true", help="print the density that the net stands for")
     graph.add_argument("--latex", action="store_true", help="print it as LaTeX")
     graph.add_argument("--svg", metavar="FILE", help="draw the net")

@@ -122,9 +122,7 @@ class RunEnded:
     reason: str
 
 
-Event = (
-    RunStarted | FramesMissing | FrameSizeChanged | SourceDamaged | DegenerateBelief | RunEnded | Decision
-)
+Event = RunStarted | FramesMissing | FrameSizeChanged | SourceDamaged | DegenerateBelief | RunEnded | Decision
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""The numerical atoms: log-weights, boxes, random streams, compiled kernels. Imports nothing of the project."""
+"""The numerical atoms: weights, boxes, random streams, compiled kernels. Imports nothing of the project."""

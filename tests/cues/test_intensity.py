@@ -3,11 +3,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from bayesnet_track.cues.intensity import CUE, IntensityCue
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayesnet_track.cue import Hypotheses, floored, log_size_penalty
+from bayesnet_track.cues.intensity import CUE, IntensityCue
 from bayesnet_track.gray_plane import GrayPlane
 from bayesnet_track.numerics.patch_kernels import MOMENTS, patch_means, patch_moments
 from bayesnet_track.planes import Frame, FramePair, PlaneCache, Planes, Region

@@ -6,7 +6,6 @@ import copy
 import json
 
 import pytest
-from bayesnet_track.graphs import find_graph, graph_names
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft7Validator
@@ -16,6 +15,7 @@ from bayesnet_track.graph.cue_laws import cue_parameters
 from bayesnet_track.graph.document import read_document
 from bayesnet_track.graph.schema import graph_schema
 from bayesnet_track.graph.spec import AgentNode, GraphSpec
+from bayesnet_track.graphs import find_graph, graph_names
 
 LENIENT = settings(max_examples=80, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 

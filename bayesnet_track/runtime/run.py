@@ -1,0 +1,244 @@
+"""The run loop: frames in, results out, everything written down as it happens."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from platform import python_version
+from types import MappingProxyType
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.engine import Engine, Outcome, State, make_engine, start_target, step
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.net import Decision
+from bayesnet_track.journal.events import (
+    JOURNAL_VERSION,
+    Event,
+    FrameMetrics,
+    RunEnded,
+    RunStarted,
+)
+from bayesnet_track.numerics.boxes import centre_from_corner
+from bayesnet_track.planes import Frame
+from bayesnet_track.runtime.frames import EndReason, SourceItem
+
+Floats = NDArray[np.float64]
+
+
+class FrameSource(Protocol):
+    """Where frames come from: an iterable of frames and notices, with what is known of it."""
+
+    @property
+    def description(self) -> str:
+        """The source as given."""
+        ...
+
+    @property
+    def expected_frames(self) -> int | None:
+        """Number of frames to come, where the source declares it."""
+        ...
+
+    @property
+    def frame_interval_s(self) -> float:
+        """Nominal seconds between frames."""
+        ...
+
+    @property
+    def end_reason(self) -> EndReason:
+        """Why it ended; end_of_source while nothing is wrong."""
+        ...
+
+    def __iter__(self) -> Iterator[SourceItem]: ...
+
+
+@dataclass(frozen=True)
+class Start:
+    """A target to start with.
+
+    Attributes:
+        box: top-left corner box x, y, w, h in px, as OpenCV has it.
+        plate: name of the plate in the graph; None for the graph's first.
+    """
+
+    box: tuple[float, float, float, float]
+    plate: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What one frame gave.
+
+    Attributes:
+        frame: the frame.
+        targets: measurements, one per live target (estimate, UD, active agents, ...).
+        covariances: target id -> covariance (D, D) of its belief.
+        decisions: what was decided in this frame, working from the next on.
+        seconds: seconds per agent and stage.
+        total_seconds: seconds of the whole step, without decoding and writing.
+    """
+
+    frame: Frame
+    targets: tuple[FrameMetrics, ...]
+    covariances: dict[str, Floats]
+    decisions: tuple[Decision, ...]
+    seconds: dict[str, float]
+    total_seconds: float = 0.0
+
+
+class Sink(Protocol):
+    """Who is told what happens, as it happens. An observer cannot change a result."""
+
+    def event(self, event: Event) -> None:
+        """A decision, a fault or a notice."""
+        ...
+
+    def frame(self, result: Result) -> None:
+        """What one frame gave, after its events."""
+        ...
+
+
+@dataclass
+class Summary:
+    """How a run went, filled in while it goes on."""
+
+    frames: int = 0
+    complete: bool = False
+    reason: str = "error"
+    seconds: float = 0.0
+    notices: list[Event] = field(default_factory=list)
+
+
+def run(
+    graph: CheckedGraph,
+    source: FrameSource,
+    starts: Sequence[Start],
+    *,
+    seed: int = 0,
+    sinks: Sequence[Sink] = (),
+    summary: Summary | None = None,
+    engine: Engine | None = None,
+) -> Generator[Result, None, None]:
+    """Track through `source`, yielding a result per frame.
+
+    Args:
+        graph: a checked graph.
+        source: where frames come from.
+        starts: boxes in the first frame, one per target; ids are "1", "2", ... in this order.
+        seed: seed of all random streams: the same graph, source, starts and seed give the same results.
+        sinks: told of every event and result.
+        summary: filled in as the run goes on.
+        engine: an engine made from `graph`, to share between runs; made here when None.
+
+    The journal is closed in order also when the caller stops iterating or an error passes through.
+    """
+    told = summary if summary is not None else Summary()
+    engine = engine or make_engine(graph, seed)
+
+    def tell(event: Event) -> None:
+        for sink in sinks:
+            sink.event(event)
+
+    state: State | None = None
+    opened = time.perf_counter()
+    try:
+        for item in source:
+            if not isinstance(item, Frame):
+                told.notices.append(item)
+                tell(item)
+                continue
+            began = time.perf_counter()
+            if state is None:
+                tell(_run_started(graph, engine, source, item, seed))
+                outcome = start_targets(graph, engine, item, starts)
+            else:
+                outcome = step(engine, state, item)
+            state = outcome.state
+            spent = time.perf_counter() - began
+            told.frames += 1
+            for event in outcome.events:
+                tell(event)
+            result = _result(item, outcome, spent)
+            for sink in sinks:
+                sink.frame(result)
+            yield result
+        told.reason = source.end_reason
+        expected = source.expected_frames
+        if told.reason == "end_of_source" and expected is not None and told.frames < expected:
+            told.reason = "source_truncated"
+        told.complete = told.reason == "end_of_source"
+    except (KeyboardInterrupt, GeneratorExit):
+        told.reason = "interrupted"
+        raise
+    finally:
+        told.seconds = time.perf_counter() - opened
+        tell(RunEnded(told.frames, source.expected_frames, told.complete, told.reason))
+
+
+def check_box(corner: NDArray[np.float64], width: int, height: int) -> None:
+    """Refuse a start box that no tracker could start from.
+
+    Raises:
+        ValueError: it is not four finite numbers, has no area, or does not touch the frame.
+    """
+    if corner.shape != (4,) or not np.isfinite(corner).all():
+        raise ValueError(f"start box {corner.tolist()}: four finite numbers x,y,w,h are needed")
+    x, y, w, h = (float(v) for v in corner)
+    if w < 1 or h < 1:
+        raise ValueError(f"start box {x:g},{y:g},{w:g},{h:g}: width and height must be at least 1 px")
+    if x >= width or y >= height or x + w <= 0 or y + h <= 0:
+        raise ValueError(
+            f"start box {x:g},{y:g},{w:g},{h:g} lies outside the {width}x{height} frame; "
+            "x,y is the top-left corner"
+        )
+
+
+def start_targets(graph: CheckedGraph, engine: Engine, frame: Frame, starts: Sequence[Start]) -> Outcome:
+    """The first frame: one net per start, ids "1", "2", ... in their order."""
+    outcome = Outcome(State(), (), ())
+    for number, start in enumerate(starts, 1):
+        check_box(np.asarray(start.box, dtype=np.float64), frame.width, frame.height)
+        plate = start.plate or next(iter(graph.targets))
+        box = centre_from_corner(start.box)
+        born = start_target(engine, outcome.state, frame, str(number), plate, box)
+        outcome = Outcome(born.state, outcome.metrics + born.metrics, outcome.events + born.events)
+    return outcome
+
+
+def _result(frame: Frame, outcome: Outcome, spent: float) -> Result:
+    decisions = tuple(event for event in outcome.events if isinstance(event, Decision))
+    return Result(frame, outcome.metrics, dict(outcome.covariances), decisions, dict(outcome.seconds), spent)
+
+
+def _run_started(
+    graph: CheckedGraph, engine: Engine, source: FrameSource, frame: Frame, seed: int
+) -> RunStarted:
+    from bayesnet_track.graph.write import graph_sha256
+
+    costs = {agent: cost for machine in engine.machinery.values() for agent, cost in machine.costs_ms.items()}
+    return RunStarted(
+        journal=JOURNAL_VERSION,
+        graph=graph.spec.name,
+        graph_sha256=graph_sha256(graph.text),
+        seed=seed,
+        source=source.description,
+        width=frame.width,
+        height=frame.height,
+        has_color=frame.has_color,
+        declared_frames=source.expected_frames,
+        frame_interval_s=source.frame_interval_s,
+        costs_ms=MappingProxyType(costs),
+        versions=_versions(),
+    )
+
+
+def _versions() -> dict[str, str]:
+    """Versions of what touches numbers."""
+    import cv2
+
+    names = ("bayesnet-track", "numpy", "numba", "av")
+    return {"python": python_version(), **{name: version(name) for name in names}, "opencv": cv2.__version__}

@@ -1,0 +1,94 @@
+"""A tracker with OpenCV's `init` and `update`, so that any harness for OpenCV's trackers runs it."""
+
+from __future__ import annotations
+
+from os import PathLike
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.engine import Engine, Outcome, State, make_engine, start_target, step
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.journal.events import Event, FrameMetrics
+from bayesnet_track.numerics.boxes import centre_from_corner, corner_from_centre
+from bayesnet_track.planes import Frame
+from bayesnet_track.runtime.images import to_bgr
+from bayesnet_track.runtime.run import check_box
+
+CornerBox = tuple[float, float, float, float]
+
+
+class Tracker:
+    """Track one target by a graph, frame by frame.
+
+    Args:
+        graph: name of a graph that is installed ("general"), path of a YAML file, or a graph in Python.
+        seed: seed of all random streams.
+
+    Example::
+
+        tracker = Tracker("general")
+        tracker.init(frame, (x, y, w, h))       # top-left corner box, BGR frame
+        ok, box = tracker.update(next_frame)    # ok is False while the target is lost
+        tracker.score                           # 0..1, an uncalibrated index of being on target
+    """
+
+    def __init__(
+        self, graph: str | PathLike[str] | GraphSpec | CheckedGraph = "general", seed: int = 0
+    ) -> None:
+        self._graph = load_graph(graph)
+        self._engine: Engine = make_engine(self._graph, seed)
+        self._state: State | None = None
+        self._next_index = 0
+        self._last: Outcome | None = None
+
+    def init(self, frame: NDArray[np.uint8], box: CornerBox) -> None:
+        """Start on the target inside `box` = (x, y, w, h), top-left corner, of the BGR or gray `frame`.
+
+        Raises:
+            ValueError: the box is empty, not finite, or does not touch the frame.
+        """
+        first = _frame(frame, 0)
+        corner = np.asarray(box, dtype=np.float64)
+        check_box(corner, first.width, first.height)
+        plate = next(iter(self._graph.targets))
+        self._last = start_target(self._engine, State(), first, "1", plate, centre_from_corner(corner))
+        self._state, self._next_index = self._last.state, 1
+
+    def update(self, frame: NDArray[np.uint8]) -> tuple[bool, CornerBox]:
+        """Process the next frame: (False while lost else True, the estimate as a top-left corner box).
+
+        Raises:
+            RuntimeError: `init` was not called.
+        """
+        if self._state is None:
+            raise RuntimeError("call init(frame, box) before update(frame)")
+        self._last = step(self._engine, self._state, _frame(frame, self._next_index))
+        self._state, self._next_index = self._last.state, self._next_index + 1
+        x, y, w, h = (float(v) for v in corner_from_centre(self.metrics.box))
+        return self._state.net.targets["1"].status != "lost", (x, y, w, h)
+
+    @property
+    def metrics(self) -> FrameMetrics:
+        """Everything measured in the last frame: UD, active agents, KL, sd, ..."""
+        if self._last is None:
+            raise RuntimeError("call init(frame, box) first")
+        return self._last.metrics[0]
+
+    @property
+    def score(self) -> float:
+        """Index in 0..1 from UD and evidence; high is sure. Uncalibrated: not a probability."""
+        return self.metrics.score
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What was decided in the last frame."""
+        return () if self._last is None else self._last.events
+
+
+def _frame(image: NDArray[np.uint8], index: int) -> Frame:
+    # A copy: the caller may reuse its buffer, and the next step looks at this frame again.
+    picture, has_color = to_bgr(np.array(image))
+    return Frame(index, float(index), picture, has_color, float(index))
