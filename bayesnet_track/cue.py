@@ -69,7 +69,8 @@ class Cue(Protocol):
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """The reference for the target inside the centre box (4,).
 
-        `planes` covers the box grown by its own size on every side, cut to the frame.
+        `planes` covers the box grown by its own size on every side, cut to the frame. All numbers in it are
+        finite; a cue that breaks this, as one that raises, is out for the rest of the run.
         """
         ...
 
@@ -82,7 +83,8 @@ class Cue(Protocol):
 
         At most 0, the value of a perfect match, and at least ``log(floor)``. `planes` covers every
         hypothesis' box as far as it lies inside the frame. The part of a box outside the frame counts
-        as not matching.
+        as not matching. A cue that raises, or returns NaN, anything above 0 or no value above -inf, is out
+        for the rest of the run.
         """
         ...
 

@@ -88,6 +88,19 @@ def test_a_switch_starts_both_delays_again(drive):
     assert (made.frames(Activated), made.frames(Deactivated)) == ([4], [6])
 
 
+def test_a_node_switches_on_or_off_but_not_both(drive):
+    """Levels in different units may hold at once: switching on comes first, and starts both delays again."""
+    adapt = {
+        "activate": {"above": {"ud_px2": 50.0}, "frames": 2},
+        "deactivate": {"below": {"ud_box": 0.5}, "frames": 2},
+    }
+    made = drive(net(adapt, agents="abc"), [100.0] * 4, active="ab", kl={"a": 0.1, "b": 0.2, "c": 0.3})
+    assert [(type(d), d.frame, d.node) for d in made.decisions] == [
+        (Activated, 2, "c"),
+        (Deactivated, 4, "c"),
+    ]
+
+
 def test_asymmetric_delays_outlast_a_dip(drive):
     """Full overlap brings UD back to quiet for 4 frames: both stay on."""
     made = drive(net(on_off()), [300] * 3 + [100] * 4 + [300] * 6, active="a", kl={"a": 1.0, "b": 0.0})
