@@ -35,6 +35,16 @@ class ToAndFro:
     frame_interval_s: float = 0.04
     end_reason: EndReason = "end_of_source"
 
+    @property
+    def width(self) -> int:
+        """Columns."""
+        return int(self.images[0].shape[1])
+
+    @property
+    def height(self) -> int:
+        """Rows."""
+        return int(self.images[0].shape[0])
+
     def __iter__(self) -> Iterator[Frame]:
         turn = 2 * (len(self.images) - 1)
         for index in range(self.expected_frames):

@@ -13,9 +13,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.engine import Engine, Outcome, State, make_engine, start_target, step
+from bayesnet_track.engine import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.net import Decision
+from bayesnet_track.graph.net import Decision, TargetStarted
 from bayesnet_track.journal.events import (
     JOURNAL_VERSION,
     Event,
@@ -23,9 +23,11 @@ from bayesnet_track.journal.events import (
     RunEnded,
     RunStarted,
 )
-from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.planes import Frame
 from bayesnet_track.runtime.frames import EndReason, SourceItem
+from bayesnet_track.runtime.starts import Start, StartError, check_starts, start_targets
+
+__all__ = ["FrameSource", "Result", "Sink", "Start", "StartError", "Summary", "run"]
 
 Floats = NDArray[np.float64]
 
@@ -49,24 +51,21 @@ class FrameSource(Protocol):
         ...
 
     @property
+    def width(self) -> int:
+        """Columns of the first frame."""
+        ...
+
+    @property
+    def height(self) -> int:
+        """Rows of the first frame."""
+        ...
+
+    @property
     def end_reason(self) -> EndReason:
         """Why it ended; end_of_source while nothing is wrong."""
         ...
 
     def __iter__(self) -> Iterator[SourceItem]: ...
-
-
-@dataclass(frozen=True)
-class Start:
-    """A target to start with.
-
-    Attributes:
-        box: top-left corner box x, y, w, h in px, as OpenCV has it.
-        plate: name of the plate in the graph; None for the graph's first.
-    """
-
-    box: tuple[float, float, float, float]
-    plate: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,9 +103,21 @@ class Sink(Protocol):
 
 @dataclass
 class Summary:
-    """How a run went, filled in while it goes on."""
+    """How a run went, filled in while it goes on.
+
+    Attributes:
+        frames: frames that were tracked.
+        decisions: decisions after the first frame.
+        lost_frames: frames in which a target was lost.
+        complete: whether the source was read to its end.
+        reason: why it ended, in the words of `RunEnded.reason`.
+        seconds: wall-clock seconds, decoding and writing included.
+        notices: what was wrong with the source.
+    """
 
     frames: int = 0
+    decisions: int = 0
+    lost_frames: int = 0
     complete: bool = False
     reason: str = "error"
     seconds: float = 0.0
@@ -135,7 +146,11 @@ def run(
         engine: an engine made from `graph`, to share between runs; made here when None.
 
     The journal is closed in order also when the caller stops iterating or an error passes through.
+
+    Raises:
+        StartError: no target can start so; nothing was told to a sink before.
     """
+    check_starts(graph, starts, source.width, source.height)
     told = summary if summary is not None else Summary()
     engine = engine or make_engine(graph, seed)
 
@@ -144,16 +159,21 @@ def run(
             sink.event(event)
 
     state: State | None = None
+    has_started = False
     opened = time.perf_counter()
     try:
         for item in source:
             if not isinstance(item, Frame):
                 told.notices.append(item)
-                tell(item)
+                if has_started:
+                    tell(item)
                 continue
             began = time.perf_counter()
             if state is None:
-                tell(_run_started(graph, engine, source, item, seed))
+                has_started = True
+                # What was found wrong before the first frame comes after the journal's first line.
+                for event in (_run_started(graph, engine, source, item, seed), *told.notices):
+                    tell(event)
                 outcome = start_targets(graph, engine, item, starts)
             else:
                 outcome = step(engine, state, item)
@@ -163,6 +183,8 @@ def run(
             for event in outcome.events:
                 tell(event)
             result = _result(item, outcome, spent)
+            told.decisions += sum(not isinstance(event, TargetStarted) for event in result.decisions)
+            told.lost_frames += any(metrics.status == "lost" for metrics in result.targets)
             for sink in sinks:
                 sink.frame(result)
             yield result
@@ -176,37 +198,8 @@ def run(
         raise
     finally:
         told.seconds = time.perf_counter() - opened
-        tell(RunEnded(told.frames, source.expected_frames, told.complete, told.reason))
-
-
-def check_box(corner: NDArray[np.float64], width: int, height: int) -> None:
-    """Refuse a start box that no tracker could start from.
-
-    Raises:
-        ValueError: it is not four finite numbers, has no area, or does not touch the frame.
-    """
-    if corner.shape != (4,) or not np.isfinite(corner).all():
-        raise ValueError(f"start box {corner.tolist()}: four finite numbers x,y,w,h are needed")
-    x, y, w, h = (float(v) for v in corner)
-    if w < 1 or h < 1:
-        raise ValueError(f"start box {x:g},{y:g},{w:g},{h:g}: width and height must be at least 1 px")
-    if x >= width or y >= height or x + w <= 0 or y + h <= 0:
-        raise ValueError(
-            f"start box {x:g},{y:g},{w:g},{h:g} lies outside the {width}x{height} frame; "
-            "x,y is the top-left corner"
-        )
-
-
-def start_targets(graph: CheckedGraph, engine: Engine, frame: Frame, starts: Sequence[Start]) -> Outcome:
-    """The first frame: one net per start, ids "1", "2", ... in their order."""
-    outcome = Outcome(State(), (), ())
-    for number, start in enumerate(starts, 1):
-        check_box(np.asarray(start.box, dtype=np.float64), frame.width, frame.height)
-        plate = start.plate or next(iter(graph.targets))
-        box = centre_from_corner(start.box)
-        born = start_target(engine, outcome.state, frame, str(number), plate, box)
-        outcome = Outcome(born.state, outcome.metrics + born.metrics, outcome.events + born.events)
-    return outcome
+        if has_started:
+            tell(RunEnded(told.frames, source.expected_frames, told.complete, told.reason))
 
 
 def _result(frame: Frame, outcome: Outcome, spent: float) -> Result:
@@ -219,7 +212,11 @@ def _run_started(
 ) -> RunStarted:
     from bayesnet_track.graph.write import graph_sha256
 
-    costs = {agent: cost for machine in engine.machinery.values() for agent, cost in machine.costs_ms.items()}
+    costs = {
+        machine.plate.agent(agent).agent.cue: cost
+        for machine in engine.machinery.values()
+        for agent, cost in machine.costs_ms.items()
+    }
     return RunStarted(
         journal=JOURNAL_VERSION,
         graph=graph.spec.name,

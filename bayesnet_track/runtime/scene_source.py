@@ -17,20 +17,33 @@ class SceneSource:
     Attributes:
         scene: the scene.
         description: how the journal names it.
+        end: frame to stop before; None is the scene's end.
     """
 
     scene: Scene
     description: str
+    end: int | None = None
     frame_interval_s: float = 0.04
     end_reason: EndReason = "end_of_source"
 
     @property
     def expected_frames(self) -> int:
         """Number of frames."""
-        return len(self.scene.frames)
+        whole = len(self.scene.frames)
+        return whole if self.end is None else min(self.end, whole)
+
+    @property
+    def width(self) -> int:
+        """Columns."""
+        return self.scene.width
+
+    @property
+    def height(self) -> int:
+        """Rows."""
+        return self.scene.height
 
     def __iter__(self) -> Iterator[Frame]:
-        for index in range(len(self.scene.frames)):
+        for index in range(self.expected_frames):
             yield Frame(
                 index, float(index), self.scene.frames[index], True, round(index * self.frame_interval_s, 9)
             )

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack
 from os import PathLike
+from typing import cast
 
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.runtime.record import Recorder
-from bayesnet_track.runtime.run import FrameSource, Result, Sink, Start, Summary, run
+from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
 from bayesnet_track.runtime.rundir import RunDirectory
 from bayesnet_track.runtime.sources import open_source
+from bayesnet_track.runtime.starts import Start, StartError, check_starts
 
 CornerBox = tuple[float, float, float, float]
 
@@ -42,6 +44,13 @@ def track(
         sinks: further observers.
         summary: filled in as the run goes on.
 
+    Raises (when the first result is asked for; nothing is written then):
+        GraphError: every error of the graph.
+        SourceError: nothing can be read from the source.
+        StartError: no target can start from the box.
+        RunDirectoryError: `out` holds something else.
+        OutputError: an output cannot be written (later, too).
+
     Each result has `targets` (box, sd, UD, status, active agents, ...), `covariances` and `decisions`::
 
         for result in track("general", "video.mp4", (57, 21, 31, 45)):
@@ -49,12 +58,13 @@ def track(
             print(result.frame.index, one.box, one.status, one.active)
     """
     checked = load_graph(graph)
-    starts = [part for part in box if isinstance(part, Start)] or [Start(_box(box))]
+    starts = _starts(box)
     with ExitStack() as stack:
         if isinstance(source, str | PathLike):
             opened: FrameSource = stack.enter_context(open_source(str(source)))
         else:
             opened = source
+        check_starts(checked, starts, opened.width, opened.height)
         told: list[Sink] = list(sinks)
         if out is not None:
             directory = RunDirectory.create(str(out), overwrite)
@@ -62,6 +72,10 @@ def track(
         yield from run(checked, opened, starts, seed=seed, sinks=told, summary=summary)
 
 
-def _box(values: Sequence[object]) -> CornerBox:
-    x, y, w, h = (float(str(value)) for value in values)
-    return x, y, w, h
+def _starts(box: CornerBox | Sequence[Start]) -> list[Start]:
+    starts = [part for part in box if isinstance(part, Start)]
+    if not starts:
+        return [Start(cast(CornerBox, box))]
+    if len(starts) < len(box):
+        raise StartError(f"start {box!r}: one box x, y, w, h, or one Start per target, not both")
+    return starts

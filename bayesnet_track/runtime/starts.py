@@ -1,0 +1,86 @@
+"""Where targets start: their boxes, what is refused, and the first frame's nets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.engine import Engine, Outcome, State, start_target
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.messages import nearest
+from bayesnet_track.numerics.boxes import centre_from_corner
+from bayesnet_track.planes import Frame
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Start:
+    """A target to start with.
+
+    Attributes:
+        box: top-left corner box x, y, w, h in px, as OpenCV has it.
+        plate: name of the plate in the graph; None for the graph's first.
+    """
+
+    box: tuple[float, float, float, float]
+    plate: str | None = None
+
+
+class StartError(ValueError):
+    """A start box or plate from which no target can be tracked."""
+
+
+def check_starts(graph: CheckedGraph, starts: Sequence[Start], width: int, height: int) -> None:
+    """Refuse starts from which no target could be tracked in a frame of this size.
+
+    Raises:
+        StartError: there is none, a plate that the graph does not have, or a box as in `check_box`.
+    """
+    if not starts:
+        raise StartError("no start box is given; at least one is needed")
+    for start in starts:
+        if start.plate is not None and start.plate not in graph.targets:
+            close = nearest(start.plate, graph.targets)
+            raise StartError(
+                f"no plate {start.plate!r} in graph {graph.spec.name}; there are {', '.join(graph.targets)}"
+                + (f"; nearest: {close}" if close else "")
+            )
+        check_box(start.box, width, height)
+
+
+def check_box(box: object, width: int, height: int) -> Floats:
+    """The corner box as an array (4,), when a tracker could start from it in a frame of this size.
+
+    Raises:
+        StartError: it is not four finite numbers, has no area, or does not touch the frame.
+    """
+    try:
+        corner = np.asarray(box, dtype=np.float64)
+    except (TypeError, ValueError):
+        corner = np.empty(0)
+    if corner.shape != (4,) or not np.isfinite(corner).all():
+        raise StartError(f"start box {box!r}: four finite numbers x,y,w,h are needed")
+    x, y, w, h = (float(v) for v in corner)
+    if w < 1 or h < 1:
+        raise StartError(f"start box {x:g},{y:g},{w:g},{h:g}: width and height must be at least 1 px")
+    if x >= width or y >= height or x + w <= 0 or y + h <= 0:
+        raise StartError(
+            f"start box {x:g},{y:g},{w:g},{h:g} lies outside the {width}x{height} frame; "
+            "x,y is the top-left corner"
+        )
+    return corner
+
+
+def start_targets(graph: CheckedGraph, engine: Engine, frame: Frame, starts: Sequence[Start]) -> Outcome:
+    """The first frame: one net per start, ids "1", "2", ... in their order."""
+    outcome = Outcome(State(), (), ())
+    for number, start in enumerate(starts, 1):
+        plate = start.plate or next(iter(graph.targets))
+        box = centre_from_corner(start.box)
+        born = start_target(engine, outcome.state, frame, str(number), plate, box)
+        outcome = Outcome(born.state, outcome.metrics + born.metrics, outcome.events + born.events)
+    return outcome
