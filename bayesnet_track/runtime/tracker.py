@@ -15,7 +15,7 @@ from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.numerics.boxes import centre_from_corner, corner_from_centre
 from bayesnet_track.planes import Frame
 from bayesnet_track.runtime.images import to_bgr
-from bayesnet_track.runtime.run import check_box
+from bayesnet_track.runtime.starts import check_box
 
 CornerBox = tuple[float, float, float, float]
 
@@ -47,12 +47,14 @@ class Tracker:
     def init(self, frame: NDArray[np.uint8], box: CornerBox) -> None:
         """Start on the target inside `box` = (x, y, w, h), top-left corner, of the BGR or gray `frame`.
 
+        May be called again, to start anew on another target or in another video.
+
         Raises:
-            ValueError: the box is empty, not finite, or does not touch the frame.
+            ValueError: the box is not four finite numbers, has no area or does not touch the frame, or the
+                frame is no picture.
         """
         first = _frame(frame, 0)
-        corner = np.asarray(box, dtype=np.float64)
-        check_box(corner, first.width, first.height)
+        corner = check_box(box, first.width, first.height)
         plate = next(iter(self._graph.targets))
         self._last = start_target(self._engine, State(), first, "1", plate, centre_from_corner(corner))
         self._state, self._next_index = self._last.state, 1
@@ -62,10 +64,14 @@ class Tracker:
 
         Raises:
             RuntimeError: `init` was not called.
+            ValueError: the frame is no picture, or not of the first one's size and channels; the tracker
+                stays as it was.
         """
         if self._state is None:
             raise RuntimeError("call init(frame, box) before update(frame)")
-        self._last = step(self._engine, self._state, _frame(frame, self._next_index))
+        now = _frame(frame, self._next_index)
+        _check_alike(now, self._state.previous)
+        self._last = step(self._engine, self._state, now)
         self._state, self._next_index = self._last.state, self._next_index + 1
         x, y, w, h = (float(v) for v in corner_from_centre(self.metrics.box))
         return self._state.net.targets["1"].status != "lost", (x, y, w, h)
@@ -89,6 +95,27 @@ class Tracker:
 
 
 def _frame(image: NDArray[np.uint8], index: int) -> Frame:
+    if not isinstance(image, np.ndarray):
+        raise ValueError(
+            f"a frame is an array of pixels, not {type(image).__name__}; could the image be read?"
+        )
     # A copy: the caller may reuse its buffer, and the next step looks at this frame again.
     picture, has_color = to_bgr(np.array(image))
     return Frame(index, float(index), picture, has_color, float(index))
+
+
+def _check_alike(now: Frame, before: Frame | None) -> None:
+    if before is None or (now.width, now.height, now.has_color) == (
+        before.width,
+        before.height,
+        before.has_color,
+    ):
+        return
+    raise ValueError(
+        f"frame {now.index} is {_size(now)}, the frames before it are {_size(before)}; "
+        "bring it to their size and channels, or call init again"
+    )
+
+
+def _size(frame: Frame) -> str:
+    return f"{frame.width}x{frame.height} {'colour' if frame.has_color else 'gray'}"
