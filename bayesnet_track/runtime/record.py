@@ -35,13 +35,15 @@ class Recorder:
         self, directory: RunDirectory, graph: CheckedGraph, frame_interval_s: float, with_video: bool = False
     ) -> None:
         self._directory, self._interval, self._with_video = directory, frame_interval_s, with_video
-        self._files = ExitStack()
-        directory.write_text(directory.graph, graph.text)
-        self._journal = self._files.enter_context(JournalWriter(directory.journal))
-        self._frames = self._files.enter_context(JournalWriter(directory.frames))
-        self._mot = self._files.enter_context(MotWriter(directory.mot))
-        self._csv = self._files.enter_context(CsvWriter(directory.csv))
-        self._timings = self._files.enter_context(LineFile(directory.timings))
+        with ExitStack() as files:
+            # The journal comes first: what holds one counts as a run, which may be overwritten.
+            self._journal = files.enter_context(JournalWriter(directory.journal))
+            directory.write_text(directory.graph, graph.text)
+            self._frames = files.enter_context(JournalWriter(directory.frames))
+            self._mot = files.enter_context(MotWriter(directory.mot))
+            self._csv = files.enter_context(CsvWriter(directory.csv))
+            self._timings = files.enter_context(LineFile(directory.timings))
+            self._files = files.pop_all()
         self._video: VideoWriter | None = None
 
     def event(self, event: Event) -> None:
@@ -58,7 +60,8 @@ class Recorder:
         spent = {name: round(seconds, 7) for name, seconds in result.seconds.items()}
         line = {"frame": result.frame.index, "seconds": round(result.total_seconds, 7), "parts": spent}
         self._timings.append(json.dumps(line))
-        for file in (self._frames, self._mot, self._csv, self._timings):
+        # A killed run has a time for every frame it measured, as scores want it.
+        for file in (self._timings, self._frames, self._mot, self._csv):
             file.flush()
         if self._with_video:
             self._draw(result)
