@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
-from collections.abc import Sequence
-from types import FrameType
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from io import TextIOWrapper
 
 EXIT_CODES = """\
 exit codes:
@@ -14,15 +14,11 @@ exit codes:
   1    an error in bayesnet-track itself
   2    wrong arguments
   3    the graph file is wrong
-  4    the source cannot be read
+  4    the source, or the run to look back at, cannot be read
   5    the source was damaged or truncated; what was read is saved
   6    an output cannot be written
   130  stopped by Ctrl-C; outputs are valid up to the last whole frame
   143  stopped by SIGTERM; the same"""
-
-
-class Terminated(KeyboardInterrupt):
-    """SIGTERM arrived: wind up as for Ctrl-C, with another exit code."""
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -38,30 +34,34 @@ def make_parser() -> argparse.ArgumentParser:
 
     demo = commands.add_parser("demo", help="track in a built-in synthetic scene; nothing to download")
     demo.add_argument(
-        "scene", nargs="?", default="two_squares", help="two_squares (default), orange_and_gray, ..."
+        "scene", nargs="?", default="two_squares", metavar="SCENE", help="default two_squares; see `list`"
     )
     demo.add_argument("--graph", help="graph to use instead of the scene's own")
-    demo.add_argument("--out", help="run directory (default runs/SCENE)")
+    demo.add_argument(
+        "--out", metavar="RUN", help="run directory (default runs/SCENE, replaced if it exists)"
+    )
+    demo.add_argument("--end", type=_whole_number(1), metavar="N", help="frame to stop before")
     _add_run_options(demo)
 
     run = commands.add_parser("run", help="track in a video with a graph")
-    run.add_argument("graph", help="path of a YAML file, or name of an installed graph")
+    run.add_argument("graph", metavar="GRAPH", help="path of a YAML file, or name of an installed graph")
     run.add_argument(
         "--source", required=True, help="video file, folder of images, glob, camera index, or URL"
     )
-    run.add_argument("--out", required=True, help="run directory to write")
+    run.add_argument("--out", metavar="RUN", required=True, help="run directory to write")
     start = run.add_mutually_exclusive_group(required=True)
     start.add_argument(
         "--init",
         action="append",
         metavar="X,Y,W,H",
-        help="start box in the first frame, top-left corner, px; PLATE:X,Y,W,H names the plate",
+        help="start box in the first frame, top-left corner, px; PLATE:X,Y,W,H names the plate; "
+        "give it again for a further target",
     )
     start.add_argument(
-        "--init-from", metavar="FILE", help="ground-truth file whose first box is the start box"
+        "--init-from", metavar="FILE", help="ground-truth file; its box of the first frame is the start box"
     )
-    run.add_argument("--start", type=int, metavar="N", help="first frame (default 0)")
-    run.add_argument("--end", type=int, metavar="N", help="frame to stop before")
+    run.add_argument("--start", type=_whole_number(0), default=0, metavar="N", help="first frame (default 0)")
+    run.add_argument("--end", type=_whole_number(1), metavar="N", help="frame to stop before")
     run.add_argument("--video", action="store_true", help="write the annotated video too (video.mkv)")
     run.add_argument(
         "--on-resize", choices=["stop", "rescale"], default="stop", help="when pictures change size"
@@ -70,10 +70,10 @@ def make_parser() -> argparse.ArgumentParser:
     _add_run_options(run)
 
     validate = commands.add_parser("validate", help="check graph files; every error with line and column")
-    validate.add_argument("graphs", nargs="+", metavar="GRAPH")
+    validate.add_argument("graphs", nargs="+", metavar="GRAPH", help="path of a YAML file, or name")
 
     graph = commands.add_parser("graph", help="show what a graph compiles to")
-    graph.add_argument("graph")
+    graph.add_argument("graph", metavar="GRAPH", help="path of a YAML file, or name of an installed graph")
     graph.add_argument("--target", metavar="NAME", help="the plate to show (default: the first)")
     graph.add_argument("--formula", action="store_true", help="print the density that the net stands for")
     graph.add_argument("--latex", action="store_true", help="print it as LaTeX")
@@ -84,22 +84,25 @@ def make_parser() -> argparse.ArgumentParser:
     commands.add_parser("list", help="list the installed graphs, cues and scenes")
 
     log = commands.add_parser("log", help="tell a run's reconfigurations as sentences")
-    log.add_argument("run", help="run directory")
+    log.add_argument("run", metavar="RUN", help="run directory")
     log.add_argument("--node", help="only this node")
     log.add_argument("--kind", help="only this kind of event: activated, deactivated, self_stopped, ...")
     log.add_argument("--frames", metavar="A:B", help="only frames A to B, B excluded")
-    log.add_argument("--why", type=int, metavar="N", help="what was active in frame N, and why")
+    log.add_argument("--why", type=_whole_number(0), metavar="N", help="what was active in frame N, and why")
     log.add_argument("--json", action="store_true", help="print the events as they stand in the journal")
 
     score = commands.add_parser("score", help="score a run against ground truth")
-    score.add_argument("run", help="run directory")
+    score.add_argument("run", metavar="RUN", help="run directory")
     score.add_argument("--truth", help="ground-truth file (default: the run's own truth.txt)")
-    score.add_argument("--json", action="store_true")
+    score.add_argument("--target", metavar="ID", help="which target, where the run has several")
+    score.add_argument("--json", action="store_true", help="print the scores as JSON")
     return parser
 
 
 def _add_run_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seed", type=int, default=0, help="seed of all randomness (default 0)")
+    parser.add_argument(
+        "--seed", type=_whole_number(0), default=0, metavar="N", help="seed of all randomness (default 0)"
+    )
     parser.add_argument(
         "--overwrite", action="store_true", help="replace an earlier run in the same directory"
     )
@@ -110,7 +113,7 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; the exit code."""
     parser = make_parser()
-    options = parser.parse_args(arguments)
+    options = parser.parse_args(_joined(sys.argv[1:] if arguments is None else arguments))
     if options.version:
         from importlib.metadata import version
 
@@ -121,20 +124,60 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
 
     from bayesnet_track import commands
+    from bayesnet_track.commands.answer import mute
+    from bayesnet_track.runtime.stop import Terminated, terminable
 
-    previous = signal.signal(signal.SIGTERM, _terminate)
     try:
-        return commands.call(options)
+        with _printable(), terminable():
+            code = commands.call(options)
+            sys.stdout.flush()
+            return code
     except Terminated:
         return 143
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:  # the reader of a pipe went away, as `head` does
-        sys.stderr.close()
+        mute(sys.stdout)
         return 0
+    except Exception:
+        import traceback
+
+        traceback.print_exc()
+        sys.stderr.write("bayesnet-track: this is an error in the program; please report the lines above\n")
+        return 1
+
+
+@contextmanager
+def _printable() -> Iterator[None]:
+    """Inside it a character that the terminal's encoding lacks is replaced instead of fatal."""
+    stream = sys.stdout
+    if not isinstance(stream, TextIOWrapper) or stream.errors != "strict":
+        yield
+        return
+    stream.reconfigure(errors="replace")
+    try:
+        yield
     finally:
-        signal.signal(signal.SIGTERM, previous)
+        stream.reconfigure(errors="strict")
 
 
-def _terminate(number: int, frame: FrameType | None) -> None:
-    raise Terminated
+def _whole_number(least: int) -> Callable[[str], int]:
+    """Parser of whole numbers from `least` on."""
+
+    def parse(text: str) -> int:
+        if not (text.isascii() and text.isdigit() and len(text) < 19 and int(text) >= least):
+            raise argparse.ArgumentTypeError(f"{text!r}: a whole number from {least} on is needed")
+        return int(text)
+
+    return parse
+
+
+def _joined(arguments: Sequence[str]) -> list[str]:
+    """The arguments, with a box that starts with a minus tied to its --init: else it looks like an option."""
+    joined: list[str] = []
+    for argument in arguments:
+        if joined and joined[-1] == "--init" and argument.startswith("-") and "," in argument:
+            joined[-1] = f"--init={argument}"
+        else:
+            joined.append(argument)
+    return joined

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any, Self
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
+class Terminated(KeyboardInterrupt):
+    """SIGTERM arrived: wind up as for Ctrl-C, with another exit code."""
+
+
 class StopRequest:
     """While entered, SIGINT and SIGTERM are noted instead of acted on; the second one acts at once.
+
+    Outside the main thread, where Python handles no signals, it notes none.
 
     Attributes:
         signal: number of the signal that arrived, or None.
@@ -26,7 +35,7 @@ class StopRequest:
         return 0 if self.signal is None else 128 + self.signal
 
     def __enter__(self) -> Self:
-        self._before = {number: signal.signal(number, self._note) for number in SIGNALS}
+        self._before = _handle(SIGNALS, self._note)
         return self
 
     def __exit__(
@@ -39,6 +48,39 @@ class StopRequest:
         self._restore()
 
     def _restore(self) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-        self._before = {}
+        before, self._before = self._before, {}
+        _put_back(before)
+
+
+@contextmanager
+def terminable() -> Iterator[None]:
+    """Inside it SIGTERM raises `Terminated`."""
+    before = _handle((signal.SIGTERM,), _terminate)
+    try:
+        yield
+    finally:
+        _put_back(before)
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    raise Terminated
+
+
+def _handle(numbers: Iterable[int], handler: Callable[[int, FrameType | None], None]) -> dict[int, Any]:
+    """Set `handler`; the handlers that it replaced.
+
+    An ignored signal stays ignored, as a shell wants it of what runs in the background, and a handler that
+    was not set by Python is left alone, since it could not be put back.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return {}
+    before = {number: signal.getsignal(number) for number in numbers}
+    replaced = {n: old for n, old in before.items() if old is not None and old is not signal.SIG_IGN}
+    for number in replaced:
+        signal.signal(number, handler)
+    return replaced
+
+
+def _put_back(before: dict[int, Any]) -> None:
+    for number, handler in before.items():
+        signal.signal(number, handler)

@@ -1,0 +1,64 @@
+"""What each command does: call the rooms below, print. What is heavy is imported where it is used."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping
+
+from bayesnet_track.commands.answer import (
+    BAD_GRAPH,
+    BAD_OUTPUT,
+    BAD_SOURCE,
+    USAGE,
+    UsageError,
+    complain,
+    words,
+)
+from bayesnet_track.commands.graphs import graph, list_installed, schema, validate
+from bayesnet_track.commands.review import log, score
+from bayesnet_track.commands.tracking import demo, run
+from bayesnet_track.graph.messages import GraphError
+
+COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
+    "demo": demo,
+    "run": run,
+    "validate": validate,
+    "graph": graph,
+    "schema": schema,
+    "list": list_installed,
+    "log": log,
+    "score": score,
+}
+
+
+def call(options: argparse.Namespace) -> int:
+    """Carry out a parsed command line; the exit code.
+
+    Expected errors become one clear message; any other is an error in the program and passes through.
+    """
+    try:
+        return COMMANDS[options.command](options)
+    except GraphError as error:
+        complain(str(error))
+        return BAD_GRAPH
+    except (OSError, ValueError) as error:
+        code = _code_of(error, options.command)
+        if code is None:
+            raise
+        complain(f"bayesnet-track {options.command}: {words(error)}")
+        return code
+
+
+def _code_of(error: Exception, command: str) -> int | None:
+    from bayesnet_track.journal.codec import JournalError
+    from bayesnet_track.journal.writer import OutputError
+    from bayesnet_track.runtime.frames import SourceError
+    from bayesnet_track.runtime.rundir import RunDirectoryError
+
+    if isinstance(error, UsageError):
+        return USAGE
+    if isinstance(error, SourceError | JournalError):
+        return BAD_SOURCE
+    if isinstance(error, RunDirectoryError):
+        return BAD_SOURCE if command in ("log", "score") else BAD_OUTPUT
+    return BAD_OUTPUT if isinstance(error, OutputError) else None

@@ -1,0 +1,52 @@
+"""How a command answers: its exit code, what it says, and what it says when the user made a mistake."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TextIO
+
+OK, FAILED, USAGE, BAD_GRAPH, BAD_SOURCE, INCOMPLETE, BAD_OUTPUT = range(7)
+
+
+class UsageError(ValueError):
+    """Arguments that make no sense, alone or together."""
+
+
+@contextmanager
+def users_mistake() -> Iterator[None]:
+    """What fails inside does so because of an argument, or of a file that one names: `UsageError`."""
+    from bayesnet_track.journal.codec import JournalError
+
+    try:
+        yield
+    except JournalError:
+        raise
+    except (OSError, ValueError) as error:
+        raise UsageError(words(error)) from error
+
+
+def words(error: Exception) -> str:
+    """An error as a message; the system's own in the form "file: what is wrong"."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror is not None:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
+
+
+def say(text: str) -> None:
+    """Print a result."""
+    sys.stdout.write(text + "\n")
+
+
+def complain(message: str) -> None:
+    """Print what is wrong."""
+    sys.stderr.write(message + "\n")
+
+
+def mute(stream: TextIO) -> None:
+    """Let what is written go nowhere: at its end the interpreter would complain of a reader that is gone."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)

@@ -1,0 +1,109 @@
+"""The commands that look at graphs and at what is installed: `validate`, `graph`, `schema`, `list`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bayesnet_track.commands.answer import BAD_GRAPH, OK, UsageError, complain, say
+from bayesnet_track.graph.messages import GraphError, nearest
+
+if TYPE_CHECKING:
+    from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
+
+
+def validate(options: argparse.Namespace) -> int:
+    """Check graph files; all errors of all files."""
+    from bayesnet_track.graph.load import load_graph
+
+    code = OK
+    for name in options.graphs:
+        try:
+            graph = load_graph(name)
+        except GraphError as error:
+            complain(str(error))
+            code = BAD_GRAPH
+            continue
+        nodes = sum(len(plate.order) for plate in graph.targets.values())
+        agents = sum(len(plate.agents) for plate in graph.targets.values())
+        say(f"{name}: ok ({graph.spec.name}: {nodes} nodes, {agents} of them agents)")
+    return code
+
+
+def graph(options: argparse.Namespace) -> int:
+    """Show plan, formula and picture of a graph."""
+    from bayesnet_track.graph.load import load_graph
+
+    loaded = load_graph(options.graph)
+    plate = _plate(loaded, options.target)
+    active = frozenset(agent for agent in plate.agents if plate.agent(agent).active)
+    if options.formula or options.latex:
+        from bayesnet_track.graph.formula import formula_latex, formula_text
+
+        say(formula_latex(plate, active) if options.latex else formula_text(plate, active))
+    if options.svg is not None:
+        from bayesnet_track.view.graph_picture import graph_svg
+
+        _write(Path(options.svg), graph_svg(plate, active).encode())
+    if options.png is not None:
+        import cv2
+
+        from bayesnet_track.view.graph_picture import graph_image
+
+        _write(Path(options.png), cv2.imencode(".png", graph_image(plate, active))[1].tobytes())
+    if not (options.formula or options.latex or options.svg or options.png):
+        from bayesnet_track.cue import installed_cues
+        from bayesnet_track.inference.compile import compile_plan, describe_plan
+
+        cues = installed_cues()
+        made = {
+            agent: cues[plate.agent(agent).agent.cue].make(plate.parameters[agent]) for agent in plate.agents
+        }
+        agents = {agent: plate.agent(agent) for agent in plate.agents}
+        say(describe_plan(compile_plan(plate, active, made), agents))
+    return OK
+
+
+def _plate(loaded: CheckedGraph, name: str | None) -> CheckedTarget:
+    if name is None:
+        return next(iter(loaded.targets.values()))
+    if name not in loaded.targets:
+        close = nearest(name, loaded.targets)
+        near = f"; nearest: {close}" if close else ""
+        raise UsageError(f"no target {name!r}; there are {', '.join(loaded.targets)}{near}")
+    return loaded.targets[name]
+
+
+def _write(path: Path, content: bytes) -> None:
+    from bayesnet_track.journal.writer import OutputError
+
+    try:
+        path.write_bytes(content)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot write: {error.strerror}") from error
+    say(f"wrote {path}")
+
+
+def schema(options: argparse.Namespace) -> int:
+    """Print the JSON Schema of graph files."""
+    import json
+
+    from bayesnet_track.graph.schema import graph_schema
+
+    say(json.dumps(graph_schema(), indent=2))
+    return OK
+
+
+def list_installed(options: argparse.Namespace) -> int:
+    """List graphs, cues and scenes."""
+    from bayesnet_track.cue import installed_cues
+    from bayesnet_track.graphs import graph_names
+    from bayesnet_track.scenes import scene_names
+
+    say("graphs:  " + ", ".join(graph_names()))
+    say("scenes:  " + ", ".join(scene_names()))
+    say("cues:")
+    for cue in installed_cues().values():
+        say(f"  {cue.name:18} {cue.summary}")
+    return OK

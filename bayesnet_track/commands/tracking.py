@@ -1,0 +1,192 @@
+"""The commands that track: `demo` and `run`."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bayesnet_track.commands.answer import INCOMPLETE, OK, UsageError, complain, mute, say, users_mistake
+
+if TYPE_CHECKING:
+    from bayesnet_track.graph.checked import CheckedGraph
+    from bayesnet_track.runtime.progress import Progress
+    from bayesnet_track.runtime.run import FrameSource, Result, Start, Summary
+
+SCENE_GRAPHS = {"orange_and_gray": "color_fusion", "gray_square": "color_fusion"}
+"""Scenes that do not run with the graph `two_squares`."""
+
+
+def demo(options: argparse.Namespace) -> int:
+    """Track in a built-in scene, then tell what happened and how well it went."""
+    from bayesnet_track.evaluate.runs import score_run
+    from bayesnet_track.evaluate.truth import format_truth
+    from bayesnet_track.graph.load import load_graph
+    from bayesnet_track.journal.explain import explain
+    from bayesnet_track.journal.reader import read_events
+    from bayesnet_track.runtime.run import Start
+    from bayesnet_track.runtime.rundir import RunDirectory
+    from bayesnet_track.runtime.scene_source import SceneSource
+    from bayesnet_track.scenes import make_scene
+
+    with users_mistake():
+        scene = make_scene(options.scene, seed=options.seed)
+    graph = load_graph(options.graph or SCENE_GRAPHS.get(options.scene, "two_squares"))
+    # Only what an earlier demo wrote there is replaced without being asked to.
+    out = Path(options.out or f"runs/{options.scene}")
+    options.overwrite = options.overwrite or options.out is None
+    source = SceneSource(scene, f"scene:{options.scene}", options.end)
+    code = _track(options, graph, source, [Start(scene.start_box)], out, video=True)
+    directory = RunDirectory.open(out)
+    directory.write_text(directory.truth, format_truth(scene.truth[: source.expected_frames]))
+    if code != OK:
+        return code
+    say("")
+    for event in read_events(directory.journal):
+        say(explain(event))
+    say("")
+    say(score_run(out, directory.truth).text())
+    told = min(29, source.expected_frames - 1)
+    say(f"\nopen {directory.video} to watch it; `bayesnet-track log {out} --why {told}` explains a frame")
+    return code
+
+
+def run(options: argparse.Namespace) -> int:
+    """Track in a video."""
+    from bayesnet_track.graph.load import load_graph
+    from bayesnet_track.runtime.sources import open_source
+
+    if options.end is not None and options.end <= options.start:
+        raise UsageError(f"--end {options.end} must be greater than --start {options.start}")
+    graph = load_graph(options.graph)
+    if options.init_from is not None:
+        starts = [read_start(Path(options.init_from), options.start)]
+    else:
+        starts = [parse_start(text) for text in options.init]
+    with open_source(
+        options.source, options.start, options.end, options.allow_network, options.on_resize
+    ) as source:
+        return _track(options, graph, source, starts, Path(options.out), video=options.video)
+
+
+def read_start(path: Path, frame: int) -> Start:
+    """The start that a ground-truth file has for `frame`.
+
+    Raises:
+        UsageError: the file cannot be read, or has no box for this frame.
+    """
+    from bayesnet_track.evaluate.truth import read_truth
+    from bayesnet_track.runtime.run import Start
+
+    with users_mistake():
+        boxes = read_truth(path)
+    if frame >= len(boxes):
+        raise UsageError(f"{path}: no box for frame {frame}; it has boxes for frames 0 to {len(boxes) - 1}")
+    x, y, w, h = (float(value) for value in boxes[frame])
+    if math.isnan(x):
+        raise UsageError(f"{path}: the target is absent in frame {frame}; choose another --start")
+    return Start((x, y, w, h))
+
+
+def parse_start(text: str) -> Start:
+    """A start from ``x,y,w,h`` or ``plate:x,y,w,h`` (top-left corner, px).
+
+    Raises:
+        UsageError: it is something else.
+    """
+    from bayesnet_track.runtime.run import Start
+
+    plate, _, numbers = text.rpartition(":")
+    try:
+        x, y, w, h = (float(part) for part in numbers.split(","))
+    except ValueError:
+        raise UsageError(f"--init {text!r}: four numbers X,Y,W,H are needed (top-left corner, px)") from None
+    return Start((x, y, w, h), plate or None)
+
+
+def _track(
+    options: argparse.Namespace,
+    graph: CheckedGraph,
+    source: FrameSource,
+    starts: Sequence[Start],
+    out: Path,
+    video: bool,
+) -> int:
+    from bayesnet_track.runtime.progress import Progress
+    from bayesnet_track.runtime.run import Summary
+    from bayesnet_track.runtime.session import track
+    from bayesnet_track.runtime.starts import StartError
+    from bayesnet_track.runtime.stop import StopRequest
+
+    progress = Progress(sys.stderr, source.expected_frames, sys.stderr.isatty(), options.log_json)
+    summary = Summary()
+    with ExitStack() as stack:
+        stop = stack.enter_context(StopRequest())
+        if not options.quiet:
+            stack.callback(_tell, progress.finish)
+        results = track(
+            graph,
+            source,
+            starts,
+            out=out,
+            seed=options.seed,
+            overwrite=options.overwrite,
+            video=video,
+            summary=summary,
+        )
+        stack.callback(results.close)
+        try:
+            for result in results:
+                if not options.quiet:
+                    _show(progress, summary, result)
+                if stop.signal is not None:
+                    break
+        except StartError as error:
+            raise UsageError(str(error)) from error
+    _say_end(out, summary)
+    if stop.signal is not None:
+        return stop.exit_code
+    return OK if summary.complete else INCOMPLETE
+
+
+def _show(progress: Progress, summary: Summary, result: Result) -> None:
+    active = dict.fromkeys(agent for metrics in result.targets for agent in metrics.active)
+    lost = [metrics.target for metrics in result.targets if metrics.status == "lost"]
+    status = "tracking" if not lost else "lost"
+    if lost and len(result.targets) > 1:
+        status = f"lost: {', '.join(lost)} of {len(result.targets)}"
+    ud_px2 = max(metrics.ud_px2 for metrics in result.targets)
+    _tell(partial(progress.update, time.monotonic(), summary.frames, tuple(active), ud_px2, status))
+
+
+def _tell(show: Callable[[], None]) -> None:
+    """Show progress; tracking goes on when nobody reads it any more."""
+    try:
+        show()
+    except BrokenPipeError:
+        mute(sys.stderr)
+
+
+def _say_end(out: Path, summary: Summary) -> None:
+    from bayesnet_track.journal.explain import explain
+
+    for notice in summary.notices:
+        complain(explain(notice))
+    rate = summary.frames / summary.seconds if summary.seconds > 0 else 0.0
+    parts = [f"{_count(summary.frames, 'frame')} in {summary.seconds:.1f} s ({rate:.0f} per second)"]
+    parts.append(_count(summary.decisions, "reconfiguration"))
+    if summary.lost_frames:
+        parts.append(f"lost in {_count(summary.lost_frames, 'frame')}")
+    if not summary.complete:
+        parts.append(f"stopped early: {summary.reason.replace('_', ' ')}")
+    say(f"{out}: {', '.join(parts)}")
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
