@@ -87,18 +87,18 @@ class FlowPlane:
 
     def _corners(self, frame: Frame, region: Region) -> NDArray[np.int64]:
         """(points, 2) x, y of the corners in the region: the best of each cell that the region touches."""
-        from bayesnet_track.numerics import flow_kernels
+        from bayesnet_track.numerics import corner_kernels
 
         cells = _aligned(region, self.spacing_px).within(frame)
-        crop = cells.grown(flow_kernels.RIM + 1).within(frame)
+        crop = cells.grown(corner_kernels.RIM + 1).within(frame)
         image = gray(crop.of(frame.image))
         scores = np.zeros(image.shape)
-        flow_kernels.corner_scores(image, self.min_gradient_gray**2, scores)
+        corner_kernels.corner_scores(image, self.min_gradient_gray**2, scores)
         origin, low = np.array([crop.x0, crop.y0]), np.array([cells.x0, cells.y0])
         high = np.array([cells.x1, cells.y1])
         across, down = -(-(high - low) // self.spacing_px)
         found = np.zeros((across * down, 2), dtype=np.int64)
-        found = found[: flow_kernels.lattice_corners(scores, origin, low, high, self.spacing_px, found)]
+        found = found[: corner_kernels.lattice_corners(scores, origin, low, high, self.spacing_px, found)]
         x, y = found[:, 0], found[:, 1]
         return found[(x >= region.x0) & (x < region.x1) & (y >= region.y0) & (y < region.y1)]
 

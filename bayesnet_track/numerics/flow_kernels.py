@@ -1,4 +1,4 @@
-"""Compiled kernels for sparse optical flow: corners of a lattice, Lucas-Kanade tracking, flow inside boxes.
+"""Compiled kernels for sparse optical flow: Lucas-Kanade tracking of points, and flow inside boxes.
 
 Whatever is computed for a point is computed from whole-number pixel positions and offsets from them, so that
 the bits of the result do not depend on where a crop starts.
@@ -9,18 +9,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.numerics.compiled import compiled, compiled_summing
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
+Singles = NDArray[np.float32]
 
-BLOCK = 2
-"""The gradient matrix of a corner sums over (2 BLOCK + 1)^2 pixels."""
-RIM = BLOCK + 1
-"""A pixel's corner score depends on the pixels up to this far away."""
-GRADIENT_SCALE = 8.0
-"""The Sobel operator gives this many times the gradient in gray levels per pixel."""
 LEVELS = 3
 """Levels of the image pyramid."""
 ITERATIONS = 20
@@ -28,112 +23,87 @@ ITERATIONS = 20
 STOP_PX = 0.03
 """A step shorter than this, in pixels of the level, ends the level."""
 
-
-@compiled
-def corner_scores(gray: Bytes, threshold: float, scores: Floats) -> None:
-    """Fill `scores` (as `gray`) with the smaller eigenvalue of the gradient matrix.
-
-    The matrix is the mean over the block, in (gray levels per pixel)^2. The score is 0 where it would not
-    exceed `threshold`, and within RIM pixels of the border.
-    """
-    height, width = gray.shape
-    scores[:] = 0.0
-    if height <= 2 * RIM or width <= 2 * RIM:
-        return
-    side = 2 * BLOCK + 1
-    limit = threshold * GRADIENT_SCALE**2 * side**2
-    xx, xy, yy = (
-        np.zeros((side, width), np.int32),
-        np.zeros((side, width), np.int32),
-        np.zeros((side, width), np.int32),
-    )
-    sum_xx, sum_xy, sum_yy = np.zeros(width, np.int32), np.zeros(width, np.int32), np.zeros(width, np.int32)
-    for j in range(1, height - 1):
-        a, b, c = gray[j - 1], gray[j], gray[j + 1]
-        slot = j % side
-        line_xx, line_xy, line_yy = xx[slot], xy[slot], yy[slot]
-        for i in range(1, width - 1):
-            gx = (
-                (np.int32(a[i + 1]) - np.int32(a[i - 1]))
-                + np.int32(2) * (np.int32(b[i + 1]) - np.int32(b[i - 1]))
-                + (np.int32(c[i + 1]) - np.int32(c[i - 1]))
-            )
-            gy = (
-                (np.int32(c[i - 1]) - np.int32(a[i - 1]))
-                + np.int32(2) * (np.int32(c[i]) - np.int32(a[i]))
-                + (np.int32(c[i + 1]) - np.int32(a[i + 1]))
-            )
-            new_xx, new_xy, new_yy = gx * gx, gx * gy, gy * gy
-            sum_xx[i] += new_xx - line_xx[i]
-            sum_xy[i] += new_xy - line_xy[i]
-            sum_yy[i] += new_yy - line_yy[i]
-            line_xx[i], line_xy[i], line_yy[i] = new_xx, new_xy, new_yy
-        centre = j - BLOCK
-        if centre < RIM:
-            continue
-        for i in range(RIM, width - RIM):
-            p, q, r = 0, 0, 0
-            for k in range(i - BLOCK, i + BLOCK + 1):
-                p += sum_xx[k]
-                q += sum_xy[k]
-                r += sum_yy[k]
-            if p > limit and r > limit and (p - limit) * (r - limit) > float(q) * float(q):
-                spread = np.sqrt(float(p - r) ** 2 + 4.0 * float(q) ** 2)
-                scores[centre, i] = 0.5 * (p + r - spread) / (GRADIENT_SCALE**2 * side**2)
+FLOW_UNITS = 2.0**20
+"""Flow is averaged in steps of one over this, pixels."""
 
 
 @compiled
-def lattice_corners(scores: Floats, origin: Ints, low: Ints, high: Ints, spacing: int, found: Ints) -> int:
-    """Fill `found` (cells, 2) with x, y of the best corner of every cell of a lattice; returns their number.
-
-    The cells are `spacing` pixels wide, the first at `low` and the last before `high` (x, y in the frame).
-    `origin` is the place of the first score; the scores must reach one pixel further than the cells, as far
-    as the frame does. A corner must be no lower than its eight neighbours. Order: by cell, rows first.
-    """
-    height, width = scores.shape
-    count = 0
-    for top in range(low[1] - origin[1], high[1] - origin[1], spacing):
-        for left in range(low[0] - origin[0], high[0] - origin[0], spacing):
-            best, x, y = 0.0, -1, -1
-            for j in range(top, min(top + spacing, high[1] - origin[1])):
-                for i in range(left, min(left + spacing, high[0] - origin[0])):
-                    if scores[j, i] > best:
-                        best, x, y = scores[j, i], i, j
-            if x < 0:
-                continue
-            peak = True
-            for j in range(max(y - 1, 0), min(y + 2, height)):
-                for i in range(max(x - 1, 0), min(x + 2, width)):
-                    peak = peak and scores[j, i] <= best
-            if peak:
-                found[count, 0] = origin[0] + x
-                found[count, 1] = origin[1] + y
-                count += 1
-    return count
-
-
-@compiled
-def _sample(level: Bytes, x: int, y: int, dx: float, dy: float, patch: Floats) -> None:
-    """Fill `patch` (n, n) with the image around (x + dx, y + dy), bilinear; edge pixels repeat outside."""
-    size = patch.shape[0]
-    half = size // 2
-    whole_x, whole_y = int(np.floor(dx)), int(np.floor(dy))
-    fx, fy = dx - whole_x, dy - whole_y
-    w00, w01, w10, w11 = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
-    left, top = x + whole_x - half, y + whole_y - half
+def _copy(level: Bytes, left: int, top: int, rows: int, stride: int, raw: Singles) -> None:
+    """Fill `raw` with `rows` rows of `stride` pixels from (left, top) on; edge pixels repeat outside."""
     height, width = level.shape
-    if left >= 0 and top >= 0 and left + size < width and top + size < height:
-        for j in range(size):
-            upper, lower = level[top + j, left : left + size + 1], level[top + j + 1, left : left + size + 1]
-            for i in range(size):
-                patch[j, i] = w00 * upper[i] + w01 * upper[i + 1] + w10 * lower[i] + w11 * lower[i + 1]
+    if left >= 0 and top >= 0 and left + stride <= width and top + rows <= height:
+        for j in range(rows):
+            source, row = level[top + j, left : left + stride], raw[j * stride : (j + 1) * stride]
+            for i in range(stride):
+                row[i] = source[i]
     else:
-        for j in range(size):
-            upper = level[min(max(top + j, 0), height - 1)]
-            lower = level[min(max(top + j + 1, 0), height - 1)]
-            for i in range(size):
-                a, b = min(max(left + i, 0), width - 1), min(max(left + i + 1, 0), width - 1)
-                patch[j, i] = w00 * upper[a] + w01 * upper[b] + w10 * lower[a] + w11 * lower[b]
+        for j in range(rows):
+            source, row = level[min(max(top + j, 0), height - 1)], raw[j * stride : (j + 1) * stride]
+            for i in range(stride):
+                row[i] = source[min(max(left + i, 0), width - 1)]
+
+
+# A window is held flat, its rows `size + 3` apart: one long loop is vectorised where many short ones are not.
+# The last three of a row are no part of it; there the gradients are 0.
+
+
+@compiled_summing
+def _gradients(
+    raw: Singles,
+    fx: float,
+    fy: float,
+    size: int,
+    mask: Singles,
+    smooth: Singles,
+    patch: Singles,
+    slopes: Singles,
+) -> tuple[float, float, float]:
+    """Fill `patch` with the source, (fx, fy) off `raw`, and `slopes` with its gradient.
+
+    `raw` is one pixel larger than the patch on each side, and one more to the right and below.
+    Returns the sums of the gradient's products: xx, xy, yy.
+    """
+    stride = size + 3
+    w00, w01, w10, w11 = _weights(fx, fy)
+    right, down, across = raw[1:], raw[stride:], raw[stride + 1 :]
+    for k in range((size + 2) * stride):
+        smooth[k] = w00 * raw[k] + w01 * right[k] + w10 * down[k] + w11 * across[k]
+    above, below = smooth[1:], smooth[2 * stride + 1 :]
+    before, centre, after = smooth[stride:], smooth[stride + 1 :], smooth[stride + 2 :]
+    slope_x, slope_y = slopes[0], slopes[1]
+    xx, xy, yy = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    for k in range(size * stride):
+        half = np.float32(0.5) * mask[k]
+        u, v = half * (after[k] - before[k]), half * (below[k] - above[k])
+        slope_x[k], slope_y[k], patch[k] = u, v, centre[k]
+        xx += u * u
+        xy += u * v
+        yy += v * v
+    return float(xx), float(xy), float(yy)
+
+
+@compiled_summing
+def _mismatch(
+    raw: Singles, fx: float, fy: float, size: int, patch: Singles, slopes: Singles
+) -> tuple[float, float]:
+    """Sums over the window of (patch - target) times the gradient; the target lies (fx, fy) off `raw`."""
+    stride = size + 3
+    w00, w01, w10, w11 = _weights(fx, fy)
+    right, down, across = raw[1:], raw[stride:], raw[stride + 1 :]
+    slope_x, slope_y = slopes[0], slopes[1]
+    bx, by = np.float32(0.0), np.float32(0.0)
+    for k in range(size * stride):
+        error = patch[k] - (w00 * raw[k] + w01 * right[k] + w10 * down[k] + w11 * across[k])
+        bx += error * slope_x[k]
+        by += error * slope_y[k]
+    return float(bx), float(by)
+
+
+@compiled
+def _weights(fx: float, fy: float) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    """Bilinear weights of a pixel, the one right of it, the one below, and the one below that."""
+    gx, gy = 1.0 - fx, 1.0 - fy
+    return np.float32(gx * gy), np.float32(fx * gy), np.float32(gx * fy), np.float32(fx * fy)
 
 
 @compiled
@@ -144,37 +114,30 @@ def _track_level(
     y: int,
     start: Floats,
     flow: Floats,
-    padded: Floats,
-    patch: Floats,
-    gradients: Floats,
+    size: int,
+    mask: Singles,
+    windows: Singles,
     limit: float,
 ) -> bool:
     """One level of Lucas-Kanade: moves `flow` so that target(p + start + flow) looks like source(p + start).
 
     False when the patch has no texture, or when start + flow exceeds `limit` pixels of this level.
     """
-    size = patch.shape[0]
-    _sample(source, x, y, start[0], start[1], padded)
-    xx, xy, yy = 0.0, 0.0, 0.0
-    for j in range(size):
-        for i in range(size):
-            gx = 0.5 * (padded[j + 1, i + 2] - padded[j + 1, i])
-            gy = 0.5 * (padded[j + 2, i + 1] - padded[j, i + 1])
-            gradients[0, j, i], gradients[1, j, i] = gx, gy
-            xx += gx * gx
-            xy += gx * gy
-            yy += gy * gy
+    half, stride = size // 2, size + 3
+    raw, smooth, patch, slopes = windows[0], windows[1], windows[2], windows[3:]
+    whole_x, whole_y = int(np.floor(start[0])), int(np.floor(start[1]))
+    _copy(source, x + whole_x - half - 1, y + whole_y - half - 1, stride, stride, raw)
+    xx, xy, yy = _gradients(raw, start[0] - whole_x, start[1] - whole_y, size, mask, smooth, patch, slopes)
     determinant = xx * yy - xy * xy
     if determinant <= 1e-6 * (xx + yy) ** 2 or determinant <= 0.0:
         return False
-    for _ in range(ITERATIONS):
-        _sample(target, x, y, start[0] + flow[0], start[1] + flow[1], patch)
-        bx, by = 0.0, 0.0
-        for j in range(size):
-            for i in range(size):
-                error = padded[j + 1, i + 1] - patch[j, i]
-                bx += error * gradients[0, j, i]
-                by += error * gradients[1, j, i]
+    for step in range(ITERATIONS):
+        at_x, at_y = start[0] + flow[0], start[1] + flow[1]
+        pixel_x, pixel_y = int(np.floor(at_x)), int(np.floor(at_y))
+        if step == 0 or pixel_x != whole_x or pixel_y != whole_y:
+            whole_x, whole_y = pixel_x, pixel_y
+            _copy(target, x + whole_x - half, y + whole_y - half, size + 1, stride, raw)
+        bx, by = _mismatch(raw, at_x - whole_x, at_y - whole_y, size, patch, slopes)
         step_x = (yy * bx - xy * by) / determinant
         step_y = (xx * by - xy * bx) / determinant
         flow[0] += step_x
@@ -214,8 +177,11 @@ def track_points(
         origin: column and row in the frame of the crop's first pixel, multiples of 4.
         window: odd side of the compared patch, pixels of each level.
     """
-    padded, patch = np.empty((window + 2, window + 2)), np.empty((window, window))
-    gradients = np.empty((2, window, window))
+    stride = window + 3
+    windows = np.zeros((5, (window + 5) * stride), np.float32)
+    mask = np.zeros(window * stride, np.float32)
+    for j in range(window):
+        mask[j * stride : j * stride + window] = np.float32(1.0)
     start, there, back = np.zeros(2), np.zeros(2), np.zeros(2)
     height, width = fine_source.shape
     for n in range(points.shape[0]):
@@ -234,9 +200,9 @@ def track_points(
                 y // scale,
                 start,
                 there,
-                padded,
-                patch,
-                gradients,
+                window,
+                mask,
+                windows,
                 reach / scale + 1.0,
             )
         flows[n, 0], flows[n, 1] = there[0], there[1]
@@ -257,9 +223,9 @@ def track_points(
                 y // scale,
                 start,
                 back,
-                padded,
-                patch,
-                gradients,
+                window,
+                mask,
+                windows,
                 reach / scale + 1.0,
             )
         error_x, error_y = there[0] + back[0], there[1] + back[1]
@@ -267,23 +233,36 @@ def track_points(
             valid[n] = 1
 
 
-@compiled
+@compiled_summing
 def flow_in_boxes(points: Floats, boxes: Floats, counts: Floats, means: Floats) -> None:
     """Fill `counts` (N,) and `means` (N, 2): how many points lie in each box, and their mean flow.
 
     `points` (P, 4) x, y, dx, dy, `boxes` (N, 4) centre boxes, edges included. Without a point the mean is 0.
-    Sums run in the order of the points.
+    Flow is rounded to 1 / FLOW_UNITS pixel, so that sums are exact: points outside a box cannot touch them.
     """
+    size = points.shape[0]
+    xs, ys, dxs, dys = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    lowest, highest = np.empty(size), np.empty(size)  # y from here on, and up to here
+    for k in range(size):
+        xs[k], ys[k] = points[k, 0], points[k, 1]
+        dxs[k] = np.rint(points[k, 2] * FLOW_UNITS) / FLOW_UNITS
+        dys[k] = np.rint(points[k, 3] * FLOW_UNITS) / FLOW_UNITS
+        highest[k] = max(highest[k - 1], ys[k]) if k > 0 else ys[k]
+    for k in range(size - 1, -1, -1):
+        lowest[k] = min(lowest[k + 1], ys[k]) if k + 1 < size else ys[k]
     for n in range(boxes.shape[0]):
         half_w, half_h = 0.5 * boxes[n, 2], 0.5 * boxes[n, 3]
         left, right = boxes[n, 0] - half_w, boxes[n, 0] + half_w
         top, bottom = boxes[n, 1] - half_h, boxes[n, 1] + half_h
-        count, sum_x, sum_y = 0, 0.0, 0.0
-        for k in range(points.shape[0]):
-            if left <= points[k, 0] <= right and top <= points[k, 1] <= bottom:
-                count += 1
-                sum_x += points[k, 2]
-                sum_y += points[k, 3]
+        # Points come in rows of the lattice, so that those as high as the box follow each other.
+        first, past = np.searchsorted(highest, top), np.searchsorted(lowest, bottom, side="right")
+        x, y, dx, dy = xs[first:past], ys[first:past], dxs[first:past], dys[first:past]
+        count, sum_x, sum_y = 0.0, 0.0, 0.0
+        for k in range(past - first):
+            inside = (left <= x[k]) & (x[k] <= right) & (top <= y[k]) & (y[k] <= bottom)
+            count += 1.0 if inside else 0.0
+            sum_x += dx[k] if inside else 0.0
+            sum_y += dy[k] if inside else 0.0
         counts[n] = count
-        means[n, 0] = sum_x / count if count > 0 else 0.0
-        means[n, 1] = sum_y / count if count > 0 else 0.0
+        means[n, 0] = sum_x / count if count > 0.0 else 0.0
+        means[n, 1] = sum_y / count if count > 0.0 else 0.0
