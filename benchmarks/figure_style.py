@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
+import matplotlib.colors
 import matplotlib.pyplot as plt
+import matplotlib.ticker
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+Axes = Any  # matplotlib's axes in 2-D or 3-D
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
@@ -21,6 +24,9 @@ COLOURS = ("#64748b", "#1e293b", "#94a3b8", "#cbd5e1", "#e08a1e", "#a3521b", "#2
 """For stacked parts, in a fixed order."""
 
 INK, QUIET, CLOUD, BEST, PEER, WARNING = "#1f2937", "#9ca3af", "#0e7490", "#1d4ed8", "#be185d", "#b91c1c"
+SURFACE = mpl.colors.LinearSegmentedColormap.from_list(
+    "surface", ["#eef2f7", "#7dd3d8", "#0e7490", "#1e3a8a", "#3b0764"]
+)
 AGENTS = {
     "color": "#e08a1e",
     "histogram": "#e08a1e",
@@ -51,9 +57,8 @@ mpl.rcParams.update(
 )
 
 
-def save(figure: Figure, folder: Path, name: str) -> None:
+def save(figure: Figure, path: Path) -> None:
     """Write one figure, the same bytes for the same content; pictures as PNG of few colours, plots as SVG."""
-    path = folder / name
     metadata = {"Date": None} if path.suffix == ".svg" else {"Software": None}
     figure.savefig(path, metadata=metadata)
     plt.close(figure)
@@ -65,13 +70,16 @@ def _fewer_colours(path: Path) -> None:
     from PIL import Image as Picture
 
     with Picture.open(path) as picture:
-        picture.convert("RGB").quantize(192, dither=Picture.Dither.NONE).save(path, optimize=True)
+        picture.convert("RGB").quantize(200, Picture.Quantize.MAXCOVERAGE, dither=Picture.Dither.NONE).save(
+            path, optimize=True
+        )
 
 
 def show(axes: Axes, image: Image, title: str, with_ticks: bool = True) -> None:
-    """A BGR picture in pixel coordinates."""
+    """A BGR picture in pixel coordinates, its noise coarsened to steps of 12 so that files stay small."""
     height, width = image.shape[:2]
-    axes.imshow(image[:, :, ::-1], extent=(-0.5, width - 0.5, height - 0.5, -0.5), interpolation="nearest")
+    shown = np.minimum(image.astype(int) // 12 * 12 + 6, 255).astype(np.uint8)
+    axes.imshow(shown[:, :, ::-1], extent=(-0.5, width - 0.5, height - 0.5, -0.5), interpolation="nearest")
     axes.set_title(title)
     axes.spines[:].set_visible(False)
     axes.set_xlim(-0.5, width - 0.5)
@@ -93,6 +101,37 @@ def boxes(axes: Axes, centres: Floats, colour: str, alpha: float = 1.0, width: f
     )
 
 
+def logarithmic(axes: Axes, ticks: Sequence[float] = (50, 100, 200, 500, 1000, 2000, 5000)) -> None:
+    """A logarithmic vertical axis with plain numbers."""
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    axes.set_yticks([tick for tick in ticks if low <= tick <= high])
+    axes.yaxis.set_major_formatter(mpl.ticker.ScalarFormatter())
+    axes.yaxis.set_minor_locator(mpl.ticker.NullLocator())
+
+
+def level(axes: Axes, value: float, text: str, colour: str, style: str = "--") -> None:
+    """A horizontal line, named in the right margin."""
+    axes.axhline(value, color=colour, linestyle=style, linewidth=1)
+    axes.text(
+        1.01, value, text, transform=axes.get_yaxis_transform(), va="center", fontsize=8.5, color=colour
+    )
+
+
+def shaded(axes: Axes, where: NDArray[np.bool_], text: str) -> None:
+    """Gray bands over the frames where something holds."""
+    for k, (start, end) in enumerate(_stretches(where)):
+        axes.axvspan(
+            start - 0.5, end - 0.5, color=QUIET, alpha=0.25, linewidth=0, label=text if k == 0 else None
+        )
+
+
+def _stretches(where: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    steps = np.diff(np.concatenate([[0], where.astype(int), [0]]))
+    starts, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
+    return [(int(start), int(end)) for start, end in zip(starts, ends, strict=True)]
+
+
 def label(axes: Axes, centre: Floats, text: str) -> None:
     """A name in the middle of an object."""
     axes.text(
@@ -108,55 +147,49 @@ def label(axes: Axes, centre: Floats, text: str) -> None:
     )
 
 
-def activity(
-    axes: Axes, active: Sequence[Sequence[str]], agents: Sequence[str], names: Mapping[str, str] | None = None
-) -> None:
+def activity(axes: Axes, active: Sequence[Sequence[str]], agents: Sequence[str]) -> None:
     """A bar per agent over the frames in which it was active; active[i] belongs to frame i."""
     for place, agent in enumerate(reversed(agents)):
-        on = np.array([agent in working for working in active], dtype=int)
-        steps = np.diff(np.concatenate([[0], on, [0]]))
-        starts, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
-        spans = [(start - 0.5, end - start) for start, end in zip(starts, ends, strict=True)]
+        on = np.array([agent in working for working in active])
+        spans = [(start - 0.5, end - start) for start, end in _stretches(on)]
         axes.broken_barh(spans, (place - 0.32, 0.64), color=AGENTS[agent])
-    axes.set_yticks(range(len(agents)), [(names or {}).get(agent, agent) for agent in reversed(agents)])
+    axes.set_yticks(range(len(agents)), list(reversed(agents)))
     axes.set_ylim(-0.6, len(agents) - 0.4)
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
 
 
-def density(states: Floats, weights: Floats, width: int, height: int, sd: float = 4.0) -> tuple[Floats, ...]:
-    """Columns, rows and the density (px^-2) of the centre, the weighted hypotheses smoothed by a Gaussian."""
-    x, y = np.arange(0.0, width, 4.0), np.arange(0.0, height, 4.0)
+def density(
+    states: Floats, weights: Floats, window: tuple[int, int, int, int], sd: float = 3.0
+) -> tuple[Floats, Floats, Floats]:
+    """Columns, rows and the density (10^-3 px^-2) of the centre: the weighted hypotheses, smoothed.
+
+    `window` is x from, x to, y from, y to in px; `sd` that of the Gaussian which smooths, in px.
+    """
+    x, y = np.arange(window[0], window[1], 2.0), np.arange(window[2], window[3], 2.0)
     across = np.exp(-0.5 * ((x - states[:, :1]) / sd) ** 2)
     down = np.exp(-0.5 * ((y - states[:, 1:2]) / sd) ** 2)
-    return x, y, (down * weights[:, None]).T @ across / (2.0 * np.pi * sd**2)
+    return x, y, 1e3 * (down * weights[:, None]).T @ across / (2.0 * np.pi * sd**2)
 
 
-def surface(axes: Axes, grid: tuple[Floats, ...], title: str, top: float | None = None) -> None:
-    """The density over the picture, in 3-D."""
+def surface(axes: Axes, grid: tuple[Floats, Floats, Floats], title: str) -> None:
+    """A density in 3-D; the vertical axis has a scale of its own."""
     x, y, values = grid
     columns, rows = np.meshgrid(x, y)
-    height = top or float(values.max())
-    axes.plot_surface(  # type: ignore[attr-defined]
-        columns,
-        rows,
-        values * 1e3,
-        cmap="viridis",
-        rcount=len(y),
-        ccount=len(x),
-        linewidth=0,
-        antialiased=True,
-        vmin=0.0,
-        vmax=height * 1e3,
+    axes.plot_surface(
+        columns, rows, values, cmap=SURFACE, rcount=len(y), ccount=len(x), linewidth=0, antialiased=False
     )
-    axes.set_zlim(0.0, height * 1e3)  # type: ignore[attr-defined]
-    axes.set_xlim(0, x[-1])
-    axes.set_ylim(y[-1], 0)
-    axes.set_xlabel("x [px]", labelpad=-4)
-    axes.set_ylabel("y [px]", labelpad=-4)
-    axes.set_title(title, y=0.98)
-    axes.tick_params(labelsize=7, pad=-2)
-    axes.view_init(elev=34, azim=-62)  # type: ignore[attr-defined]
-    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):  # type: ignore[attr-defined]
+    axes.set_xlim(x[0], x[-1])
+    axes.set_ylim(y[-1], y[0])
+    axes.set_zlim(0.0, 1.05 * float(values.max()))
+    for axis, most in ((axes.xaxis, 4), (axes.yaxis, 3), (axes.zaxis, 3)):
+        axis.set_major_locator(mpl.ticker.MaxNLocator(most))
+    axes.set_xlabel("x [px]", labelpad=-6, fontsize=9)
+    axes.set_ylabel("y [px]", labelpad=-6, fontsize=9)
+    axes.set_title(title, y=1.0)
+    axes.tick_params(labelsize=8, pad=-3)
+    axes.view_init(elev=32, azim=-62)
+    axes.set_box_aspect((4, 3, 2.2), zoom=1.12)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
         axis._axinfo["grid"]["color"] = "#e5e7eb"
