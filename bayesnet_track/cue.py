@@ -57,9 +57,17 @@ class Hypotheses:
         return int(self.boxes.shape[0])
 
 
+CONTEXT = 1.0
+"""How many box sizes beyond each side of the box a cue may look when it learns, unless it says otherwise."""
+
+
 @runtime_checkable
 class Cue(Protocol):
-    """A cue at work: pure functions of planes, hypotheses and reference. Holds no state of its own."""
+    """A cue at work: pure functions of planes, hypotheses and reference. Holds no state of its own.
+
+    A cue may have a further attribute ``context: float``: how many box sizes beyond each side of the box
+    `learn` looks, `CONTEXT` when it has none. The less, the likelier the planes are there already.
+    """
 
     @property
     def needs(self) -> tuple[Plane, ...]:
@@ -99,6 +107,11 @@ class LocallyAdaptable(Protocol):
         `attempt` counts from 1 within one episode of high uncertainty.
         """
         ...
+
+
+def context_of(cue: Cue) -> float:
+    """How many box sizes beyond each side of the box the cue looks when it learns."""
+    return float(getattr(cue, "context", CONTEXT))
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ Each blob of the reference, the largest first, is matched with at most one of th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +77,7 @@ class ColorBlobs:
     """
 
     parameters: ColorBlobsParameters
+    context: ClassVar[float] = 0.0
 
     @property
     def _plane(self) -> Hue:

@@ -9,6 +9,7 @@ starts, and normalises by the coloured pixels only, which makes every part of a 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +75,7 @@ class ColorHistogram:
     """
 
     parameters: ColorHistogramParameters
+    context: ClassVar[float] = 0.5  # boxes half a box away
 
     @property
     def _plane(self) -> HueBins:

@@ -6,7 +6,7 @@ Thesis 3.4, eq. 3.8, corrected (the mask weighs the squared differences, and the
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,6 +87,7 @@ class IntensityCue:
 
     parameters: IntensityParameters
     gray: GrayPlane
+    context: ClassVar[float] = 0.0
 
     @property
     def needs(self) -> tuple[Plane, ...]:

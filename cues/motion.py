@@ -6,7 +6,7 @@ Thesis 3.5, eq. 3.9, corrected (both terms of the exponent are negative, each wi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -78,6 +78,7 @@ class MotionCue:
 
     parameters: MotionParameters
     flow: FlowPlane
+    context: ClassVar[float] = 0.0
 
     @property
     def needs(self) -> tuple[Plane, ...]:
@@ -133,7 +134,7 @@ class MotionCue:
 def _make(parameters: MotionParameters) -> MotionCue:
     import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
 
-    from bayesnet_track.numerics import flow_kernels  # noqa: F401
+    from bayesnet_track.numerics import corner_kernels, flow_kernels  # noqa: F401
 
     plane = FlowPlane(
         spacing_px=parameters.spacing_px,

@@ -8,12 +8,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from bayesnet_track.adapt.rules import read_level
-from bayesnet_track.cue import Cue, Floats, LocallyAdaptable, Reference
+from bayesnet_track.cue import Cue, Floats, LocallyAdaptable, Reference, context_of
 from bayesnet_track.graph.spec import Learn
 from bayesnet_track.planes import PlaneCache, region_of_boxes
-
-CONTEXT = 1.0
-"""A reference may look this many box sizes beyond each side of the box."""
 
 
 def learning_rate(rule: Learn | None, ud_px2: float, area_px2: float, quiet_px2: float | None) -> float:
@@ -49,8 +46,8 @@ def learn_references(
 ) -> tuple[dict[str, Reference], dict[str, str]]:
     """The references of all agents, active or not, each moved by its rate toward what the box holds now.
 
-    Planes of inactive agents are computed here only, on the estimate's surroundings. An agent that fails
-    keeps its reference; the second mapping says what was wrong.
+    Planes are computed on the estimate and as much around it as the agent asks for, unless the hypotheses'
+    own region holds that. An agent that fails keeps its reference; the second mapping says what was wrong.
     """
     moved, faults = _sorted_out(
         {
@@ -75,8 +72,8 @@ def _learnt(
     cue: Cue, cache: PlaneCache, box: Floats, old: Reference | None = None, rate: float = 1.0
 ) -> Reference | str:
     """What the cue sees in the box, blended into the old reference; or what went wrong."""
-    region = region_of_boxes(box[None, :], grow=CONTEXT)
     try:
+        region = region_of_boxes(box[None, :], grow=context_of(cue))
         seen = cue.learn(cache.planes(cue.needs, region), box.copy())
         return _checked(seen if old is None else cue.blend(old, seen, rate))
     except Exception as error:  # as in evaluation: a cue's fault must not end the run

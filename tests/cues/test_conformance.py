@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cue import Cue, CueParameters, LocallyAdaptable
+from bayesnet_track.cue import Cue, CueParameters, LocallyAdaptable, context_of
 from bayesnet_track.planes import PlaneCache, Region, region_of_boxes
 
 
@@ -53,6 +53,18 @@ def test_planes_are_values(asked):
     again = asked.declaration.make(asked.declaration.parameters())
     assert again.needs == asked.cue.needs
     assert hash(again.needs) == hash(asked.cue.needs)
+
+
+def test_learns_from_no_more_than_its_context(asked, scene):
+    """The same reference, bit for bit, from the context that it asks for and from the whole frame."""
+    pair, context = scene.pair(), context_of(asked.cue)
+    for box in (scene.box(), scene.box((0.37, -0.81)), np.array([20.0, 230.0, 61.3, 44.9])):
+        near = asked.planes(pair, region_of_boxes(box[None], context))
+        wide = asked.planes(pair, Region(0, 0, scene.width, scene.height))
+        one, other = asked.cue.learn(near, box), asked.cue.learn(wide, box)
+        assert one.keys() == other.keys()
+        for name in one:
+            np.testing.assert_array_equal(one[name], other[name], err_msg=name)
 
 
 def test_values_are_bounded(asked, scene):
