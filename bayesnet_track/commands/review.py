@@ -84,5 +84,5 @@ def score(options: argparse.Namespace) -> int:
         raise UsageError(f"no ground truth at {truth}; name one with --truth FILE")
     with users_mistake():
         result = score_run(directory.path, truth, options.target)
-    say(result.json() if options.json else result.text())
+    say(result.json() if options.json else result.text(explained=True))
     return OK

@@ -47,11 +47,11 @@ def demo(options: argparse.Namespace) -> int:
     directory.write_text(directory.truth, format_truth(scene.truth[: source.expected_frames]))
     if code != OK:
         return code
-    say("")
+    say("\nwhat was decided, and why:")
     for event in read_events(directory.journal):
         say(explain(event))
-    say("")
-    say(score_run(out, directory.truth).text())
+    say("\nagainst the true boxes:")
+    say(score_run(out, directory.truth).text(explained=True))
     told = min(29, source.expected_frames - 1)
     say(f"\nopen {directory.video} to watch it; `bayesnet-track log {out} --why {told}` explains a frame")
     return code

@@ -18,6 +18,25 @@ PRECISION_PX = 20.0
 EPISODE_FRAMES = 5
 
 
+MEANINGS: Mapping[str, str] = {
+    "frames": "",
+    "scored_frames": "frames with a true box",
+    "auc": "OTB success: share of frames whose IoU is above 0, 0.05 .. 1, on average",
+    "auc_strict": "the same, with IoU 0 where the target was reported as lost",
+    "precision20": "share of frames whose centre is within 20 px",
+    "mean_iou": "mean overlap with the true box",
+    "lost_episodes": "stretches of 5 frames or more without any overlap",
+    "first_lost": "frame in which the first of them begins",
+    "reported_lost": "frames in which the target was reported as lost",
+    "lost_when_off": "share of the frames without overlap that were reported as lost",
+    "lost_when_on": "share of the frames with overlap that were reported as lost",
+    "fps": "frames per second, without decoding and writing",
+    "mean_active": "agents per frame",
+    "coverage50": "share of frames with the true centre in the 50 % region, in x and in y",
+    "coverage90": "the same for the 90 % region",
+}
+
+
 @dataclass(frozen=True)
 class Score:
     """How well a target was followed. Shares are 0..1; None where there was nothing to measure.
@@ -57,10 +76,13 @@ class Score:
     coverage50: tuple[float, float] | None = None
     coverage90: tuple[float, float] | None = None
 
-    def text(self) -> str:
-        """One figure a line: its name and value."""
-        lines = ((f.name, _shown(getattr(self, f.name))) for f in fields(self))
-        return "\n".join(f"{name:<14} {value}" for name, value in lines)
+    def text(self, explained: bool = False) -> str:
+        """One figure a line: its name and value, and with `explained` what it says."""
+        lines = []
+        for field in fields(self):
+            line = f"{field.name:<14} {_shown(getattr(self, field.name))}"
+            lines.append(f"{line:<26} {MEANINGS[field.name]}".rstrip() if explained else line)
+        return "\n".join(lines)
 
     def json(self) -> str:
         """One JSON object, keys in the order of the class."""
