@@ -201,10 +201,11 @@ def _step_target(
     degenerate = (
         () if stepped.degenerate is None else (DegenerateBelief(frame.index, target, stepped.degenerate),)
     )
+    spread = covariance(stepped.posterior)
     metrics = frame_metrics(
-        frame, target, machine.plate, live.status, stepped, measures, box, quiet, rate, stream
+        frame, target, machine.plate, live.status, stepped, measures, box, spread, quiet, rate, stream
     )
-    return _TargetOutcome(after, metrics, (*faults, *decisions), degenerate, covariance(stepped.posterior))
+    return _TargetOutcome(after, metrics, (*faults, *decisions), degenerate, spread)
 
 
 def _learn(

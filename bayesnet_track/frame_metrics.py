@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.measure import Measures
 from bayesnet_track.belief.contract import Stream
-from bayesnet_track.belief.estimate import central_region, covariance
+from bayesnet_track.belief.estimate import central_region
 from bayesnet_track.belief.particles import ParticleSet, Step
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.journal.events import FrameMetrics
@@ -33,14 +33,15 @@ def frame_metrics(
     stepped: Step,
     measures: Measures,
     box: Floats,
+    covariance: Floats,
     quiet_px2: float | None,
     rate: float,
     stream: Stream,
 ) -> FrameMetrics:
-    """The measurements of a step, `box` being the estimate and `status` the one it ran with."""
+    """The measurements of a step: `box` and `covariance` of its belief, `status` the one it ran with."""
     posterior = stepped.posterior
     chosen = resample("systematic", posterior.weights.weights, CLOUD_SIZE, stream("cloud"))
-    spread = np.sqrt(np.clip(np.diag(covariance(posterior))[:4], 0.0, None))
+    spread = np.sqrt(np.clip(np.diag(covariance)[:4], 0.0, None))
     root = plate.root
     return FrameMetrics(
         frame=frame.index,
