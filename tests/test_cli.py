@@ -1,0 +1,682 @@
+"""The command line: every command, every exit code, and what it says when something is wrong."""
+
+import copy
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import threading
+import xml.etree.ElementTree as ET
+from fractions import Fraction
+
+import av
+import cv2
+import jsonschema
+import numpy as np
+import pytest
+import yaml
+
+from bayesnet_track import commands
+from bayesnet_track.cli import main
+from bayesnet_track.cue import installed_cues
+from bayesnet_track.graphs import find_graph, graph_names
+from bayesnet_track.journal.reader import read_events, read_metrics
+from bayesnet_track.runtime.stop import Terminated
+from bayesnet_track.scenes import make_scene, scene_names
+
+RUN_FILES = {"journal.jsonl", "frames.jsonl", "tracks.txt", "tracks.csv", "timings.jsonl", "graph.yaml"}
+BOX = "20,14,16,12"
+
+
+def pictures(count=8, size=(72, 56)):
+    """An orange box on noise; its corner is at (20 + 2 n, 14)."""
+    rng = np.random.default_rng(5)
+    background = rng.integers(60, 100, (size[1], size[0], 3), dtype=np.uint8)
+    for number in range(count):
+        image = background.copy()
+        image[14:26, 20 + 2 * number : 36 + 2 * number] = (30, 130, 240)
+        yield image
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("images")
+    for number, image in enumerate(pictures()):
+        cv2.imwrite(str(folder / f"{number:04d}.png"), image)
+    truth = "".join(f"{20 + 2 * n},14,16,12\n" for n in range(8))
+    (folder / "groundtruth.txt").write_text(truth)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory):
+    path = tmp_path_factory.mktemp("video") / "in.mkv"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 72, 56, "yuv420p"
+        stream.codec_context.time_base = Fraction(1, 25)
+        stream.codec_context.gop_size = 2
+        for image in pictures():
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
+        container.mux(stream.encode())
+    return path
+
+
+@pytest.fixture(scope="module")
+def two_plates(tmp_path_factory):
+    graph = yaml.safe_load(find_graph("two_squares").read_text())
+    plate = graph["targets"].pop("square")
+    graph |= {"name": "pair", "targets": {"ball": plate, "bat": copy.deepcopy(plate)}}
+    path = tmp_path_factory.mktemp("graph") / "pair.yaml"
+    path.write_text(yaml.safe_dump(graph, sort_keys=False))
+    return path
+
+
+@pytest.fixture(scope="module")
+def demo_run(tmp_path_factory):
+    """The first 60 frames of the demo: motion goes off and comes back twice."""
+    out = tmp_path_factory.mktemp("demo") / "run"
+    assert main(["demo", "--end", "60", "--quiet", "--out", str(out)]) == 0
+    return out
+
+
+@pytest.fixture
+def cli(capsys):
+    """One line of arguments -> (exit code, what it printed, what it complained of)."""
+
+    def call(line="", *more):
+        capsys.readouterr()
+        try:
+            code = main([*shlex.split(line), *map(str, more)])
+        except SystemExit as end:
+            code = end.code
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return call
+
+
+def lines_of(path):
+    text = path.read_text(encoding="utf-8")
+    assert text.endswith("\n")
+    return text.splitlines()
+
+
+def column(path, name):
+    head, *rows = (line.split(",") for line in lines_of(path / "tracks.csv"))
+    return [row[head.index(name)] for row in rows]
+
+
+# ------------------------------------------------------------------------------------ help and version
+
+
+def test_help_names_every_command_and_exit_code(cli):
+    code, out, _ = cli("--help")
+    assert code == 0
+    for command in ("demo", "run", "validate", "graph", "schema", "list", "log", "score"):
+        assert f"\n    {command} " in out
+        assert cli(f"{command} --help")[0] == 0
+    codes = [int(number) for number in re.findall(r"^  (\d+) ", out.split("exit codes:")[1], re.MULTILINE)]
+    assert codes == [0, 1, 2, 3, 4, 5, 6, 130, 143]
+
+
+def test_without_a_command_it_shows_help_and_fails(cli):
+    code, out, _ = cli()
+    assert code == 2 and out.startswith("usage: bayesnet-track")
+
+
+def test_version(cli):
+    code, out, _ = cli("--version")
+    assert code == 0 and re.fullmatch(r"bayesnet-track \d+\.\d+\.\d+\S*\n", out)
+
+
+# ------------------------------------------------------------------------------------ demo
+
+
+@pytest.mark.parametrize("scene", scene_names())
+def test_every_scene_is_a_demo(cli, tmp_path, scene):
+    out = tmp_path / "run"
+    code, said, progress = cli(f"demo {scene} --end 4 --out", out)
+    assert code == 0
+    assert {file.name for file in out.iterdir()} == RUN_FILES | {"video.mkv", "truth.txt"}
+    assert column(out, "frame") == ["0", "1", "2", "3"]
+    truth = np.loadtxt(out / "truth.txt", delimiter=",")
+    np.testing.assert_array_equal(truth, make_scene(scene).truth[:4])
+    with av.open(str(out / "video.mkv")) as container:
+        assert sum(1 for _ in container.decode(video=0)) == 4
+    assert f"{out}: 4 frames in " in said and "what was decided, and why:\nrun of " in said
+    assert "scored_frames  4 " in said and f"`bayesnet-track log {out} --why 3`" in said
+    assert progress.startswith("frame 4/4 | ")
+
+
+def test_a_demo_replaces_its_default_folder_only(cli, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        assert cli("demo --end 2 --quiet")[0] == 0
+    assert (tmp_path / "runs/two_squares/journal.jsonl").is_file()
+    code, _, err = cli("demo --end 2 --quiet --out runs/two_squares")
+    assert code == 6 and "a run is there already" in err
+    assert cli("demo --end 2 --quiet --out runs/two_squares --overwrite")[0] == 0
+
+
+def test_a_demo_takes_another_graph_and_seed(cli, tmp_path):
+    assert cli("demo --end 3 --quiet --graph general --seed 4 --out", tmp_path / "run")[0] == 0
+    started = next(read_events(tmp_path / "run/journal.jsonl"))
+    assert (started.graph, started.seed, started.source) == ("general", 4, "scene:two_squares")
+
+
+# ------------------------------------------------------------------------------------ run
+
+
+def test_run_on_a_folder_of_images(cli, images, tmp_path):
+    out = tmp_path / "run"
+    code, said, progress = cli(f"run general --source {images} --init {BOX} --out", out)
+    assert code == 0
+    assert {file.name for file in out.iterdir()} == RUN_FILES
+    assert re.fullmatch(
+        rf"{re.escape(str(out))}: 8 frames in \d+\.\d s \(\d+ per second\), \d+ reconfigurations?\n", said
+    )
+    assert re.fullmatch(
+        r"frame 8/8 \| [\d.]+ fps \| 0:00 left \| [a-z, ]+ \| UD \d+ px² \| tracking\n", progress
+    )
+    assert [len(lines_of(out / name)) for name in ("tracks.txt", "frames.jsonl", "timings.jsonl")] == [8] * 3
+    assert [float(v) for v in lines_of(out / "tracks.txt")[0].split(",")[:6]] == [1, 1, 20, 14, 16, 12]
+    # It moves by two pixels a frame; a tracker that stands still would be 14 px off in the last.
+    assert abs(float(column(out, "x")[-1]) - 34) < 5
+
+
+def test_run_on_a_video_with_an_annotated_one(cli, video, tmp_path):
+    out = tmp_path / "run"
+    code, *_ = cli(f"run general --source {video} --init {BOX} --video --quiet --out", out)
+    assert code == 0
+    assert {file.name for file in out.iterdir()} == RUN_FILES | {"video.mkv"}
+    assert float(column(out, "time_s")[-1]) == pytest.approx(7 / 25)
+    with av.open(str(out / "video.mkv")) as container:
+        frames = [frame.to_ndarray(format="bgr24") for frame in container.decode(video=0)]
+    assert len(frames) == 8 and frames[0].shape == (56, 72, 3)
+    assert np.abs(frames[0].astype(int) - next(pictures())).max() > 80  # something is drawn
+
+
+def test_gray_images_are_tracked_by_what_is_not_colour(cli, images, tmp_path):
+    folder = tmp_path / "gray"
+    folder.mkdir()
+    for path in images.glob("*.png"):
+        cv2.imwrite(str(folder / path.name), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+    out = tmp_path / "run"
+    assert cli(f"run general --source {folder} --init {BOX} --quiet --out", out)[0] == 0
+    assert next(read_events(out / "journal.jsonl")).has_color is False
+    for metrics in list(read_metrics(out / "frames.jsonl"))[1:]:
+        assert metrics.status == "tracking" and metrics.strength["intensity"] > 0.1
+        assert metrics.strength.get("histogram", 0.0) < 0.05 and metrics.strength.get("blobs", 0.0) < 0.05
+    assert abs(float(column(out, "x")[-1]) - 34) < 5
+
+
+def test_several_targets_with_plates(cli, images, two_plates, tmp_path):
+    out = tmp_path / "run"
+    line = f"run {two_plates} --source {images} --init {BOX} --init bat:40,30,10,10 --init ball:2,2,9,9"
+    code, _, progress = cli(f"{line} --out", out)
+    assert code == 0 and progress.startswith("frame 8/8 | ")
+    assert column(out, "target") == ["1", "2", "3"] * 8
+    started = [event for event in read_events(out / "journal.jsonl") if hasattr(event, "template")]
+    assert [(event.target, event.template) for event in started] == [
+        ("1", "ball"),
+        ("2", "bat"),
+        ("3", "ball"),
+    ]
+    assert {line.split(",")[1] for line in lines_of(out / "tracks.txt")} == {"1", "2", "3"}
+
+
+@pytest.mark.parametrize("init", ["--init -3,14,16,12", "--init=-3,14,16,12", "--init ' -3, 14, 16, 12'"])
+def test_a_start_box_may_lie_partly_outside(cli, images, tmp_path, init):
+    assert cli(f"run general --source {images} {init} --end 2 --quiet --out", tmp_path / "run")[0] == 0
+    assert float(column(tmp_path / "run", "x")[0]) == -3
+
+
+def test_start_end_and_the_start_box_from_a_file(cli, images, tmp_path):
+    out = tmp_path / "run"
+    init = f"--init-from {images / 'groundtruth.txt'}"
+    assert cli(f"run general --source {images} {init} --start 3 --end 6 --quiet --out", out)[0] == 0
+    assert column(out, "frame") == ["3", "4", "5"]
+    assert float(column(out, "x")[0]) == 26
+    events = list(read_events(out / "journal.jsonl"))
+    assert (events[0].declared_frames, events[-1].frames, events[-1].complete) == (3, 3, True)
+
+
+def test_an_earlier_run_is_replaced_only_when_asked(cli, images, tmp_path):
+    line = f"run general --source {images} --init {BOX} --end 2 --quiet --out {tmp_path / 'run'}"
+    assert [cli(line)[0], cli(line)[0], cli(f"{line} --overwrite")[0]] == [0, 6, 0]
+
+
+def test_progress_as_json(cli, images, tmp_path):
+    code, _, err = cli(f"run general --source {images} --init {BOX} --log-json --out", tmp_path / "run")
+    last = json.loads(err.splitlines()[-1])
+    assert code == 0 and (last["progress"], last["total"], last["status"]) == (8, 8, "tracking")
+    assert "histogram" in last["active"] and last["ud_px2"] > 0
+
+
+def test_quiet_leaves_the_summary(cli, images, tmp_path):
+    code, out, err = cli(
+        f"run general --source {images} --init {BOX} --end 2 --quiet --out", tmp_path / "run"
+    )
+    assert code == 0 and err == "" and out.count("\n") == 1
+
+
+@pytest.mark.parametrize(("option", "code", "frames"), [("", 5, 4), (" --on-resize rescale", 0, 8)])
+def test_a_change_of_size_stops_or_is_rescaled(cli, images, tmp_path, option, code, frames):
+    folder = tmp_path / "sizes"
+    folder.mkdir()
+    for number, image in enumerate(pictures()):
+        cv2.imwrite(str(folder / f"{number}.png"), image if number < 4 else cv2.resize(image, (144, 112)))
+    out = tmp_path / "run"
+    found, said, err = cli(f"run general --source {folder} --init {BOX} --quiet{option} --out", out)
+    assert found == code and len(column(out, "frame")) == frames
+    action = "the run stops" if code else "they are scaled to the first frame's size"
+    assert err == f"frame 4: the pictures change to 144x112; {action}\n"
+    assert ("stopped early: frame size changed" in said) == bool(code)
+
+
+# ------------------------------------------------------------------------------------ exit codes
+
+
+def test_exit_1_is_an_error_of_the_program(cli, monkeypatch):
+    def broken(options):
+        raise ValueError("operands could not be broadcast")
+
+    monkeypatch.setitem(commands.COMMANDS, "list", broken)
+    code, _, err = cli("list")
+    assert code == 1
+    assert "Traceback" in err and "ValueError: operands could not be broadcast" in err
+    assert err.endswith("this is an error in the program; please report the lines above\n")
+
+
+@pytest.mark.parametrize(("interrupt", "code"), [(KeyboardInterrupt, 130), (Terminated, 143)])
+def test_interrupts_before_the_first_frame(cli, monkeypatch, interrupt, code):
+    def interrupted(options):
+        raise interrupt
+
+    monkeypatch.setitem(commands.COMMANDS, "list", interrupted)
+    assert cli("list") == (code, "", "")
+
+
+SOURCES = "a video file, a folder of images, a glob of images, a camera index such as 0, an http or rtsp URL"
+GRAPHS = ", ".join(graph_names())
+
+MISTAKES = {
+    # wrong arguments
+    "demo two_square": (
+        2,
+        "bayesnet-track demo: no scene is called 'two_square'; there are "
+        f"{', '.join(scene_names())}; did you mean two_squares?",
+    ),
+    "run general --source {images} --out {out} --init 1,2,3": (
+        2,
+        "bayesnet-track run: --init '1,2,3': four numbers X,Y,W,H are needed (top-left corner, px)",
+    ),
+    "run general --source {images} --out {out} --init 1,2,3,nan": (
+        2,
+        "bayesnet-track run: start box (1.0, 2.0, 3.0, nan): four finite numbers x,y,w,h are needed",
+    ),
+    "run general --source {images} --out {out} --init 1,2,0,5": (
+        2,
+        "bayesnet-track run: start box 1,2,0,5: width and height must be at least 1 px",
+    ),
+    "run general --source {images} --out {out} --init 72,2,5,5": (
+        2,
+        "bayesnet-track run: start box 72,2,5,5 lies outside the 72x56 frame; x,y is the top-left corner",
+    ),
+    "run general --source {images} --out {out} --init targt:1,2,5,5": (
+        2,
+        "bayesnet-track run: no plate 'targt' in graph general; there are target; nearest: target",
+    ),
+    "run general --source {images} --out {out} --init 1,2,5,5 --start 3 --end 3": (
+        2,
+        "bayesnet-track run: --end 3 must be greater than --start 3",
+    ),
+    "run general --source {images} --out {out} --init-from {images}/none.txt": (
+        2,
+        "bayesnet-track run: {images}/none.txt: No such file or directory",
+    ),
+    "run general --source {images} --out {out} --init-from {images}/groundtruth.txt --start 9": (
+        2,
+        "bayesnet-track run: {images}/groundtruth.txt: no box for frame 9; it has boxes for frames 0 to 7",
+    ),
+    "run general --source {images} --out {out} --init-from {wrong}/absent.txt": (
+        2,
+        "bayesnet-track run: {wrong}/absent.txt: the target is absent in frame 0; choose another --start",
+    ),
+    "run general --source {images} --out {out} --init-from {wrong}/words.txt": (
+        2,
+        "bayesnet-track run: {wrong}/words.txt:1: 'no' is not a number; expected x,y,w,h",
+    ),
+    "graph general --target targt": (
+        2,
+        "bayesnet-track graph: no target 'targt'; there are target; nearest: target",
+    ),
+    "log {demo} --frames 5:x": (
+        2,
+        "bayesnet-track log: --frames '5:x': A:B with A < B is needed (or :B, or A:, or one A)",
+    ),
+    "log {demo} --frames 7:5": (
+        2,
+        "bayesnet-track log: --frames '7:5': A:B with A < B is needed (or :B, or A:, or one A)",
+    ),
+    "log {demo} --node colour": (
+        2,
+        "bayesnet-track log: no node 'colour' in the run's graph; there are square, color, motion; "
+        "nearest: color",
+    ),
+    "log {demo} --why 60": (2, "bayesnet-track log: frame 60 is not in this run; it has frames 0 to 59"),
+    "score {wrong}/untrue": (
+        2,
+        "bayesnet-track score: no ground truth at {wrong}/untrue/truth.txt; name one with --truth FILE",
+    ),
+    "score {demo} --target 2": (2, "bayesnet-track score: {demo}: no target '2'; there are 1"),
+    "score {demo} --truth {wrong}/words.txt": (
+        2,
+        "bayesnet-track score: {wrong}/words.txt:1: 'no' is not a number; expected x,y,w,h",
+    ),
+    # a wrong graph
+    "run generl --source {images} --out {out} --init 1,2,3,4": (
+        3,
+        f"generl:1:1: graph: no installed graph of this name; allowed: {GRAPHS}, or a path to a file; "
+        "nearest: general",
+    ),
+    "validate {wrong}/none.yaml": (
+        3,
+        "{wrong}/none.yaml:1:1: graph: cannot be read: No such file or directory",
+    ),
+    "demo --graph {wrong}/bad.yaml": (
+        3,
+        "{wrong}/bad.yaml:1:1: graph: key 'targets' is missing; allowed: a mapping, each a mapping with "
+        "state, nodes\n{wrong}/bad.yaml:3:1: graph: unknown key 'targts'; allowed: bayesnet, name, about, targets; "
+        "nearest: targets",
+    ),
+    # a source, or a run, that cannot be read
+    "run general --source {wrong}/nothing --out {out} --init 1,2,3,4": (
+        4,
+        f"bayesnet-track run: source '{{wrong}}/nothing': no such file or folder; allowed: {SOURCES}; "
+        "check the name",
+    ),
+    "run general --source {wrong}/words.txt --out {out} --init 1,2,3,4": (
+        4,
+        "bayesnet-track run: source '{wrong}/words.txt': not a readable video: Invalid data found when "
+        "processing input; allowed: videos that FFmpeg reads and that stand on their own (MP4, MKV, AVI, TS, "
+        "...); check that the file is whole; an MP4 whose writing was cut short has lost its index",
+    ),
+    "run general --source http://localhost/x.mp4 --out {out} --init 1,2,3,4": (
+        4,
+        "bayesnet-track run: source 'http://localhost/x.mp4': it is on the network; allowed: network sources "
+        "with --allow-network (allow_network=True); add that",
+    ),
+    "log {wrong}/nothing": (4, "bayesnet-track log: {wrong}/nothing: not a run directory: no such folder"),
+    "score {images}": (4, "bayesnet-track score: {images}: not a run directory: no journal.jsonl in it"),
+    "log {wrong}/garbled": (
+        4,
+        'bayesnet-track log: {wrong}/garbled/journal.jsonl:1: no object with a key "event": []',
+    ),
+    # an output that cannot be written
+    "run general --source {images} --init 1,2,5,5 --out {images}": (
+        6,
+        "bayesnet-track run: {images}: the folder is not empty and not a run; give a new or an empty folder",
+    ),
+    "graph general --svg {wrong}/none/net.svg": (
+        6,
+        "bayesnet-track graph: {wrong}/none/net.svg: cannot write: No such file or directory",
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def places(images, demo_run, tmp_path_factory):
+    wrong = tmp_path_factory.mktemp("wrong")
+    (wrong / "words.txt").write_text("no,boxes,in,here\n")
+    (wrong / "absent.txt").write_text("nan,nan,nan,nan\n1,2,3,4\n")
+    (wrong / "bad.yaml").write_text("bayesnet: 1\nname: bad\ntargts: {}\n")
+    for name, text in (("untrue", ""), ("garbled", "[]\n")):
+        (wrong / name).mkdir()
+        (wrong / name / "journal.jsonl").write_text(text)
+    return {"images": images, "demo": demo_run, "wrong": wrong}
+
+
+@pytest.mark.parametrize("line", MISTAKES)
+def test_a_mistake_has_its_exit_code_and_one_clear_message(cli, places, tmp_path, line):
+    places = {**places, "out": tmp_path / "run"}
+    code, message = MISTAKES[line]
+    found = cli(line.format(**places))
+    assert found == (code, "", message.format(**places) + "\n")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("frobnicate", "argument COMMAND: invalid choice: 'frobnicate'"),
+        ("run general --source x --out y", "one of the arguments --init --init-from is required"),
+        ("run general --init 1,2,3,4 --out y", "the following arguments are required: --source"),
+        (
+            "run general --init 1,2,3,4 --init-from z --source x --out y",
+            "--init-from: not allowed with argument",
+        ),
+        ("demo --seed -1", "argument --seed: '-1': a whole number from 0 on is needed"),
+        ("demo --end 0", "argument --end: '0': a whole number from 1 on is needed"),
+        ("demo --end ٣", "argument --end: '٣': a whole number from 1 on is needed"),
+        (
+            "run g --source x --out y --init 1,2,3,4 --start -1",
+            "argument --start: '-1': a whole number from 0",
+        ),
+        ("run g --source x --out y --init 1,2,3,4 --on-resize crop", "argument --on-resize: invalid choice"),
+    ],
+)
+def test_what_the_parser_refuses(cli, line, message):
+    code, _, err = cli(line)
+    assert code == 2 and message in err and err.startswith("usage: ")
+
+
+@pytest.mark.parametrize(
+    "probe", ["concat:{a}|{a}", "subfile,,start,0,end,9,,:{a}", "file:{a}", "pipe:0", "data:,x"]
+)
+def test_protocols_are_refused(cli, video, tmp_path, probe):
+    source = probe.format(a=video)
+    code, _, err = cli(f"run general --init {BOX} --out {tmp_path / 'run'} --source", source)
+    assert code == 4 and "is refused; allowed: " in err
+    assert not (tmp_path / "run").exists()
+
+
+def test_exit_5_says_how_far_it_came_and_keeps_what_was_read(cli, video, tmp_path):
+    cut = tmp_path / "cut.mkv"
+    cut.write_bytes(video.read_bytes()[: video.stat().st_size * 9 // 10])
+    out = tmp_path / "run"
+    code, said, err = cli(f"run general --source {cut} --init {BOX} --quiet --out", out)
+    read = len(column(out, "frame"))
+    assert code == 5 and 1 < read < 8
+    assert f"the file is truncated: read {read} of 8 frames" in err
+    assert said.endswith("stopped early: source truncated\n")
+    ended = list(read_events(out / "journal.jsonl"))[-1]
+    assert (ended.frames, ended.complete, ended.reason) == (read, False, "source_truncated")
+
+
+# ------------------------------------------------------------------------------------ graphs
+
+
+def test_validate_installed_graphs(cli):
+    code, out, err = cli(f"validate {' '.join(graph_names())}")
+    assert code == 0 and err == ""
+    assert "two_squares: ok (two_squares: 3 nodes, 2 of them agents)\n" in out
+    assert len(out.splitlines()) == len(graph_names())
+
+
+def test_validate_tells_all_errors_of_all_files(cli, places):
+    bad = places["wrong"] / "bad.yaml"
+    worse = places["wrong"] / "worse.yaml"
+    worse.write_text("bayesnet: 2\nname: 'worse'\n")
+    code, out, err = cli("validate", bad, "general", worse)
+    assert code == 3
+    assert out == "general: ok (general: 6 nodes, 4 of them agents)\n"
+    assert len([line for line in err.splitlines() if line.startswith(f"{bad}:")]) == 2
+    assert len([line for line in err.splitlines() if line.startswith(f"{worse}:")]) == 2
+    assert all(re.match(r"\S+:\d+:\d+: graph: ", line) for line in err.splitlines())
+
+
+def test_graph_prints_the_plan(cli):
+    code, out, _ = cli("graph color_fusion")
+    assert code == 0 and out.startswith("target square\n  plane ")
+    assert "  join     color = pool(histogram^0.5, blobs^0.5)\n" in out
+
+
+def test_graph_prints_the_density(cli):
+    text, latex = cli("graph two_squares --formula")[1], cli("graph two_squares --latex")[1]
+    assert "p(e_motion | square_t)" in text and "∝" in text
+    assert r"\propto" in latex and latex.count("{") == latex.count("}")
+
+
+def test_graph_draws_the_net(cli, tmp_path):
+    code, out, _ = cli(f"graph color_fusion --svg {tmp_path / 'net.svg'} --png {tmp_path / 'net.png'}")
+    assert code == 0 and out == f"wrote {tmp_path / 'net.svg'}\nwrote {tmp_path / 'net.png'}\n"
+    words = "".join(ET.parse(tmp_path / "net.svg").getroot().itertext())
+    assert all(node in words for node in ("square", "color", "histogram", "blobs", "motion"))
+    assert cv2.imread(str(tmp_path / "net.png")).std() > 10
+
+
+def test_graph_shows_another_plate(cli, two_plates):
+    assert cli("graph", two_plates)[1].startswith("target ball\n")
+    assert cli("graph --target bat", two_plates)[1].startswith("target bat\n")
+
+
+def test_schema_is_draft_7_and_accepts_the_installed_graphs(cli):
+    code, out, _ = cli("schema")
+    schema = json.loads(out)
+    assert code == 0
+    jsonschema.Draft7Validator.check_schema(schema)
+    for name in graph_names():
+        jsonschema.Draft7Validator(schema).validate(yaml.safe_load(find_graph(name).read_text()))
+
+
+def test_list_names_what_is_installed(cli):
+    code, out, _ = cli("list")
+    assert code == 0
+    assert all(name in out for name in (*graph_names(), *scene_names(), *installed_cues()))
+
+
+# ------------------------------------------------------------------------------------ looking back
+
+
+def test_log_tells_the_run_as_sentences(cli, demo_run):
+    code, out, err = cli("log", demo_run)
+    lines = out.splitlines()
+    assert code == 0 and err == ""
+    assert (
+        lines[0].startswith("run of two_squares (")
+        and lines[-1] == "run ended after 60 frames: end of source"
+    )
+    assert lines[1].startswith("frame 0: target 1 starts as square")
+    assert re.match(r"frame \d+: UD \S+ px² < 130 for 5 frames → motion off \(largest KL ", lines[2])
+    assert len(lines) == len(list(read_events(demo_run / "journal.jsonl")))
+
+
+def test_log_filters(cli, demo_run):
+    events = list(read_events(demo_run / "journal.jsonl"))
+    on = [event.frame for event in events if type(event).__name__ == "Activated"]
+    off = [event.frame for event in events if type(event).__name__ == "Deactivated"]
+    assert on and off
+
+    def frames(filters):
+        return [
+            int(line.split(":")[0].split()[1]) for line in cli(f"log {demo_run} {filters}")[1].splitlines()
+        ]
+
+    assert frames("--kind activated") == on
+    assert frames("--node motion") == frames("--node square") == sorted(on + off)
+    assert frames(f"--frames {on[0]}") == [on[0]]
+    assert frames(f"--frames {on[0]}:{on[0] + 1}") == [on[0]]
+    assert frames(f"--frames :{on[0]} --node motion") == [frame for frame in off if frame < on[0]]
+    assert frames(f"--frames {on[0]}: --kind activated") == on
+
+
+def test_log_as_json_is_the_journal(cli, demo_run):
+    assert cli(f"log {demo_run} --json")[1] == (demo_run / "journal.jsonl").read_text()
+
+
+def test_log_explains_a_frame(cli, demo_run):
+    on = next(e for e in read_events(demo_run / "journal.jsonl") if type(e).__name__ == "Activated")
+    before, after = (cli(f"log {demo_run} --why {on.frame + late}")[1] for late in (0, 1))
+    assert re.search(r"^  motion     off  gave no evidence$", before, re.MULTILINE)
+    assert re.search(r"^  from here  UD .* → motion on; ", before, re.MULTILINE)
+    assert re.search(rf"^  motion     on .*\n +frame {on.frame}: UD .* → motion on;", after, re.MULTILINE)
+
+
+def test_log_says_when_nothing_is_left(cli, demo_run):
+    assert cli(f"log {demo_run} --kind quarantined") == (0, "", "no event is left by these filters\n")
+
+
+def test_a_torn_last_line_is_dropped_with_a_notice(cli, demo_run, tmp_path):
+    for name in ("journal.jsonl", "frames.jsonl", "timings.jsonl", "graph.yaml", "truth.txt"):
+        data = (demo_run / name).read_bytes()
+        (tmp_path / name).write_bytes(data[:-7] if name.endswith("jsonl") else data)
+    code, out, err = cli("log", tmp_path)
+    assert code == 0 and "run ended" not in out
+    assert re.fullmatch(r"\S+journal\.jsonl:\d+: the last line is torn \(\d+ bytes\) and was dropped\n", err)
+    assert cli(f"log {tmp_path} --why 58")[0] == 0
+    code, out, _ = cli("score", tmp_path)
+    assert code == 0 and out.startswith("frames         59")
+
+
+def test_score(cli, demo_run):
+    code, out, _ = cli("score", demo_run)
+    figures = json.loads(cli(f"score {demo_run} --json")[1])
+    assert code == 0 and figures["frames"] == 60 and figures["auc"] > 0.6
+    assert set(figures) == {line.split()[0] for line in out.splitlines()}
+    assert f"auc            {figures['auc']:.4g} " in out
+    assert "share of frames whose centre is within 20 px" in out
+
+
+def test_score_of_one_of_several_targets(cli, images, tmp_path):
+    out, truth = tmp_path / "run", images / "groundtruth.txt"
+    assert cli(f"run general --source {images} --init {BOX} --init 50,40,9,9 --quiet --out", out)[0] == 0
+    code, _, err = cli(f"score {out} --truth {truth}")
+    assert code == 2 and "several targets (1, 2); name one" in err
+    near, far = (json.loads(cli(f"score {out} --truth {truth} --target {n} --json")[1]) for n in "12")
+    assert near["mean_iou"] > 0.4 > far["mean_iou"]
+
+
+# ------------------------------------------------------------------------------------ as a process
+
+
+def command(*arguments, **settings):
+    return subprocess.Popen([sys.executable, "-m", "bayesnet_track", *map(str, arguments)], **settings)
+
+
+def test_a_reader_that_goes_away_is_no_error(demo_run):
+    process = command("log", demo_run, "--json", stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.close()
+    assert process.communicate()[1] == b""
+    assert process.returncode == 0
+
+
+def test_nobody_reads_the_progress_and_tracking_goes_on(images, tmp_path):
+    read, write = os.pipe()
+    os.close(read)
+    line = ("run", "general", "--source", images, "--init", BOX, "--out", tmp_path / "run")
+    process = command(*line, stdout=subprocess.PIPE, stderr=write)
+    os.close(write)
+    assert b"8 frames" in process.communicate()[0]
+    assert process.returncode == 0
+
+
+def test_a_terminal_without_the_letters(demo_run):
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"}
+    process = command("log", demo_run, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    out, err = process.communicate()
+    assert (process.returncode, err) == (0, b"")
+    assert b" px? < 130 for 5 frames ? motion off" in out
+
+
+def test_it_works_from_another_thread(images, tmp_path):
+    """Signals cannot be handled there."""
+    codes = []
+    line = f"run general --source {images} --init {BOX} --out {tmp_path / 'run'} --quiet"
+    thread = threading.Thread(target=lambda: codes.append(main(shlex.split(line))))
+    thread.start()
+    thread.join()
+    assert codes == [0]
