@@ -44,6 +44,6 @@ def _read(path: Path, notice: Notice | None) -> Iterator[tuple[str, Event | Fram
                     notice(f"{where}: the last line is torn ({len(line)} bytes) and was dropped")
                 return
             try:
-                yield where, from_json(line.decode("utf-8"))
+                yield where, from_json(line[:-1].decode("utf-8"))
             except (JournalError, UnicodeDecodeError) as error:
                 raise JournalError(f"{where}: {error}") from error
