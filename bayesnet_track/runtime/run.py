@@ -189,9 +189,6 @@ def run(
                 sink.frame(result)
             yield result
         told.reason = source.end_reason
-        expected = source.expected_frames
-        if told.reason == "end_of_source" and expected is not None and told.frames < expected:
-            told.reason = "source_truncated"
         told.complete = told.reason == "end_of_source"
     except (KeyboardInterrupt, GeneratorExit):
         told.reason = "interrupted"
