@@ -390,7 +390,8 @@ MISTAKES = {
     "demo --graph {wrong}/bad.yaml": (
         3,
         "{wrong}/bad.yaml:1:1: graph: key 'targets' is missing; allowed: a mapping, each a mapping with "
-        "state, nodes\n{wrong}/bad.yaml:3:1: graph: unknown key 'targts'; allowed: bayesnet, name, about, targets; "
+        "state, nodes\n"
+        "{wrong}/bad.yaml:3:1: graph: unknown key 'targts'; allowed: bayesnet, name, about, targets; "
         "nearest: targets",
     ),
     # a source, or a run, that cannot be read
