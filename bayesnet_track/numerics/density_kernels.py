@@ -1,4 +1,9 @@
-"""Compiled sums of Gaussians at many points: fast with a bounded error, or to floating-point accuracy."""
+"""Compiled search for the point at which a weighted mixture of Gaussians is largest.
+
+A sum over all components in double precision is dear. So a likely winner sets the value to beat; points that
+cannot reach it by an upper bound are given up; sums in single precision, of a known error, give up nearly
+all that are left; the last few are summed exactly. The result is that of exact sums everywhere.
+"""
 
 from __future__ import annotations
 
@@ -8,61 +13,192 @@ from numpy.typing import NDArray
 from bayesnet_track.numerics.compiled import compiled
 
 Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Ints = NDArray[np.int64]
 
-FAST_ERROR = 4e-7
-"""Largest error of `fast_sums`, as a share of the sum of peaks: exp(-x) is taken to be the 32nd power of the
-fourth-order series at x / 32, whose error is about max x^5 e^-x / (32^4 5!) = 1.7e-7."""
+FAST_ERROR = 1e-5
+"""Largest error of `add_sums`, as a share of the sum of peaks, for coordinates without rounding.
+
+exp(-x) is taken to be the 32nd power of the fourth-order series at x / 32: an error of about
+max x^5 e^-x / (32^4 5!) = 2e-7. The powers enlarge the rounding of a single (6e-8) 64 times, 4e-6; groups of
+32 sum with 2e-6."""
+
+_SLACK = 1e-9
+"""Bounds are compared with this much room for the rounding of double precision, nats."""
 
 _BLOCK = 256
+_GROUP = 32
+_HEAVY = 0.1
+"""Components with more than this share of the largest peak come first: they alone give up most points."""
 
 
 @compiled
-def fast_sums(points: Floats, peaks: Floats, means: Floats, precisions: Floats) -> Floats:
-    """(M,) sum_n peaks_n exp(-|(point - means_n) precisions_n|^2 / 2), within `FAST_ERROR`.
+def add_sums(points: Singles, peaks: Singles, means: Singles, precisions: Singles, sums: Floats) -> None:
+    """Add sum_n peaks_n exp(-|(point - means_n) precisions_n|^2 / 2) to `sums` (M,), see `FAST_ERROR`.
 
-    `points` is (K, M), one row per dimension: the inner loops run over points, so that the compiler can use
-    vector instructions without leave to reorder a sum. Two dimensions a turn: K is even (add a row of zeros).
-    peaks (N,), means and precisions (1 / sd) (N, K).
+    `points` is (K, M), C order, one row per dimension: the inner loops run over points, so that the compiler
+    can use vector instructions without leave to reorder a sum. Two dimensions a turn: K is even (add a row of
+    zeros). peaks (N,), means and precisions (1 / sd) (N, K).
     """
     size, count = points.shape
-    sums = np.zeros(count)
-    y = np.empty(_BLOCK)
+    y, part = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+    one, half, sixth, last = np.float32(1), np.float32(1 / 2), np.float32(1 / 6), np.float32(1 / 24)
+    most = np.float32(0.6)  # beyond, exp(-32 * 0.6) is below the error
+    eighth = np.float32(0.125)
     for first in range(0, count, _BLOCK):
         width = min(_BLOCK, count - first)
-        block = sums[first : first + width]
-        for n in range(peaks.shape[0]):
-            peak = peaks[n]
-            for m in range(width):
-                y[m] = 0.0
-            for k in range(0, size, 2):
-                row, other = points[k, first : first + width], points[k + 1, first : first + width]
-                mean, scale = means[n, k], precisions[n, k] / 8.0
-                other_mean, other_scale = means[n, k + 1], precisions[n, k + 1] / 8.0
+        for start in range(0, peaks.shape[0], _GROUP):
+            part[:] = np.float32(0)
+            for n in range(start, min(start + _GROUP, peaks.shape[0])):
+                peak = peaks[n]
+                y[:] = np.float32(0)
+                for k in range(0, size, 2):
+                    row, other = points[k, first : first + width], points[k + 1, first : first + width]
+                    mean, scale = means[n, k], precisions[n, k] * eighth
+                    other_mean, other_scale = means[n, k + 1], precisions[n, k + 1] * eighth
+                    for m in range(width):
+                        away, other_away = (row[m] - mean) * scale, (other[m] - other_mean) * other_scale
+                        y[m] += away * away + other_away * other_away
                 for m in range(width):
-                    away, other_away = (row[m] - mean) * scale, (other[m] - other_mean) * other_scale
-                    y[m] += away * away + other_away * other_away
+                    t = min(y[m], most)
+                    e = one - t * (one - t * (half - t * (sixth - t * last)))
+                    e *= e
+                    e *= e
+                    e *= e
+                    e *= e
+                    e *= e
+                    part[m] += peak * e
             for m in range(width):
-                t = min(y[m], 0.6)  # beyond, exp(-32 * 0.6) is below the error
-                e = 1.0 - t * (1.0 - t * (1 / 2 - t * (1 / 6 - t * (1 / 24))))
-                e *= e
-                e *= e
-                e *= e
-                e *= e
-                e *= e
-                block[m] += peak * e
-    return sums
+                sums[first + m] += part[m]
 
 
 @compiled
-def exact_sums(points: Floats, peaks: Floats, means: Floats, precisions: Floats) -> Floats:
-    """(M,) the same sums in full accuracy; `points` is (M, K)."""
-    count, size = points.shape
-    sums = np.zeros(count)
-    for m in range(count):
-        for n in range(peaks.shape[0]):
-            square = 0.0
-            for k in range(size):
-                away = (points[m, k] - means[n, k]) * precisions[n, k]
-                square += away * away
-            sums[m] += peaks[n] * np.exp(-0.5 * square)
-    return sums
+def exact_sum(point: Floats, peaks: Floats, means: Floats, precisions: Floats) -> float:
+    """The same sum at one point (K,), in full accuracy; means and precisions (N, K)."""
+    total = 0.0
+    for n in range(peaks.shape[0]):
+        square = 0.0
+        for k in range(point.shape[0]):
+            away = (point[k] - means[n, k]) * precisions[n, k]
+            square += away * away
+        total += peaks[n] * np.exp(-0.5 * square)
+    return total
+
+
+@compiled
+def _peaks(log_weights: Floats, precisions: Floats) -> Floats:
+    """(N,) heights of the components, the largest 1, so that sums stay finite."""
+    log_peaks = np.empty(log_weights.shape[0])
+    for n in range(log_weights.shape[0]):
+        density = 1.0
+        for k in range(precisions.shape[1]):
+            density *= precisions[n, k]
+        log_peaks[n] = log_weights[n] + np.log(density)
+    peaks: Floats = np.exp(log_peaks - log_peaks.max())
+    return peaks
+
+
+@compiled
+def _moments(peaks: Floats, means: Floats, precisions: Floats) -> tuple[Floats, Floats]:
+    """(K,) mean and variance of the components, each counted by its peak."""
+    total, size = peaks.sum(), means.shape[1]
+    centre, spread = np.zeros(size), np.zeros(size)
+    for n in range(means.shape[0]):
+        for k in range(size):
+            centre[k] += peaks[n] / total * means[n, k]
+    for n in range(means.shape[0]):
+        for k in range(size):
+            away = means[n, k] - centre[k]
+            spread[k] += peaks[n] / total * (away * away + 1.0 / precisions[n, k] ** 2)
+    return centre, spread
+
+
+@compiled
+def _likely(log_factors: Floats, points: Floats, centre: Floats, spread: Floats) -> int:
+    """The winner if the mixture were one Gaussian."""
+    guess, best = 0, -np.inf
+    half = 0.5 / spread
+    for m in range(points.shape[0]):
+        value = log_factors[m]
+        for k in range(points.shape[1]):
+            away = points[m, k] - centre[k]
+            value -= half[k] * away * away
+        if value > best:
+            guess, best = m, value
+    return guess
+
+
+@compiled
+def _add_some(
+    least: float,
+    most: float,
+    points: Floats,
+    chosen: Ints,
+    peaks: Floats,
+    means: Floats,
+    precisions: Floats,
+    centre: Floats,
+    sums: Floats,
+) -> tuple[float, float]:
+    """Add the components with least < peak <= most to the sums of the `chosen` points.
+
+    Returns their sum of peaks, and the largest error of `sums` by rounding coordinates, as a share of it.
+    """
+    size = points.shape[1]
+    even = size + size % 2
+    some = np.flatnonzero((peaks > least) & (peaks <= most))
+    rows = np.zeros((even, chosen.shape[0]), np.float32)
+    mus, scales = np.zeros((some.shape[0], even), np.float32), np.ones((some.shape[0], even), np.float32)
+    heights, weight, steepest = np.empty(some.shape[0], np.float32), 0.0, 0.0
+    extent = np.zeros(size)
+    for k in range(size):
+        row = rows[k]
+        for m in range(chosen.shape[0]):
+            away = points[chosen[m], k] - centre[k]
+            row[m] = away
+            extent[k] = max(extent[k], abs(away))
+    for i in range(some.shape[0]):
+        n = some[i]
+        heights[i] = peaks[n]
+        weight += peaks[n]
+        for k in range(size):
+            away = means[n, k] - centre[k]
+            mus[i, k], scales[i, k] = away, precisions[n, k]
+            steepest = max(steepest, (extent[k] + abs(away)) * precisions[n, k])
+    add_sums(rows, heights, mus, scales, sums)
+    # A coordinate, its mean and their difference are rounded to 2^-24; the slope of exp(-a^2 / 2) is < .61.
+    return weight, 0.61 * 2.0 * 2.0**-24 * size * steepest
+
+
+@compiled
+def likeliest(
+    log_factors: Floats, points: Floats, log_weights: Floats, means: Floats, precisions: Floats
+) -> int:
+    """argmax_m of log_factors_m + log sum_n w_n N(points_m; means_n, 1 / precisions_n^2), the first of equal.
+
+    -1 when all of these are 0 in double precision. All arrays in C order, means and precisions (N, K).
+    """
+    peaks = _peaks(log_weights, precisions)
+    total = peaks.sum()
+    centre, spread = _moments(peaks, means, precisions)
+    guess = _likely(log_factors, points, centre, spread)
+    beat = log_factors[guess] + np.log(exact_sum(points[guess], peaks, means, precisions))
+    chosen = np.flatnonzero(log_factors + np.log(total) >= beat - _SLACK)
+    sums = np.zeros(chosen.shape[0])
+    rest, rounding = total, 0.0
+    for least, most in ((_HEAVY, 1.0), (FAST_ERROR / peaks.shape[0], _HEAVY)):
+        if chosen.shape[0] < 2:
+            break
+        weight, worst = _add_some(least, most, points, chosen, peaks, means, precisions, centre, sums)
+        rest, rounding = max(rest - weight, 0.0), max(rounding, worst)
+        error = total * (FAST_ERROR + rounding)
+        factors = log_factors[chosen]
+        beat = max(beat, (factors + np.log(np.maximum(sums - error, 0.0))).max())
+        left = factors + np.log(sums + (error + rest)) >= beat - _SLACK
+        chosen, sums = chosen[left], sums[left]
+    best, where = -np.inf, -1
+    for m in chosen:
+        value = log_factors[m] + np.log(exact_sum(points[m], peaks, means, precisions))
+        if value > best:
+            best, where = value, int(m)
+    return where
