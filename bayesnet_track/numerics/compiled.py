@@ -13,7 +13,7 @@ Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 def compiled(function: Kernel) -> Kernel:
     """`function` compiled in no-Python mode, serial, releasing the interpreter lock.
 
-    A read-only installation without a writable cache folder compiles in memory instead of failing.
+    Where the cache on disk cannot be written (read-only, full) or read (damaged), it compiles in memory.
     """
     return _compiled(function, False)
 
@@ -29,7 +29,24 @@ def compiled_summing(function: Kernel) -> Kernel:
 
 def _compiled(function: Kernel, relaxed: bool | set[str]) -> Kernel:
     try:
-        kernel: Kernel = numba.njit(cache=True, nogil=True, fastmath=relaxed)(function)
+        kernel: Any = numba.njit(cache=True, nogil=True, fastmath=relaxed)(function)
     except RuntimeError:  # Numba found no folder that it may write
         kernel = numba.njit(cache=False, nogil=True, fastmath=relaxed)(function)
-    return kernel
+    # Numba itself lets a full disk or a damaged file end the call that only wanted the kernel.
+    cache = kernel._cache
+    for name in ("load_overload", "save_overload"):
+        setattr(cache, name, _at_best(getattr(cache, name)))
+    compiled_kernel: Kernel = kernel
+    return compiled_kernel
+
+
+def _at_best(use: Callable[..., Any]) -> Callable[..., Any]:
+    """`use` of a cache, with None for what cannot be used."""
+
+    def tried(*arguments: Any) -> Any:
+        try:
+            return use(*arguments)
+        except Exception:
+            return None
+
+    return tried

@@ -1,0 +1,96 @@
+"""Compiled kernels: cached where possible, in memory where not, never an error of the cache."""
+
+import importlib.util
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+SOURCE = """
+from bayesnet_track.numerics.compiled import compiled, compiled_summing
+
+@compiled
+def double(x):
+    return 2.0 * x
+
+@compiled_summing
+def total(values):
+    sum_ = 0.0
+    for value in values:
+        sum_ += value
+    return sum_
+"""
+
+
+@pytest.fixture
+def load(tmp_path, monkeypatch):
+    """Loads the kernels from a file of their own, as a fresh process would; their cache is beside it."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    path = tmp_path / "kernels.py"
+    path.write_text(SOURCE)
+
+    def make():
+        spec = importlib.util.spec_from_file_location("kernels", path)
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    return make
+
+
+def cached(folder):
+    return sorted((folder / "__pycache__").glob("*.nb?"))
+
+
+def test_kernels_are_cached_and_found_again(load, tmp_path):
+    assert load().double(2.5) == 5.0
+    _, data = cached(tmp_path)
+    stamp = data.stat().st_mtime_ns
+    again = load()
+    assert again.double(2.5) == 5.0 and again.double.stats.cache_hits
+    assert data.stat().st_mtime_ns == stamp
+
+
+def test_without_a_folder_for_the_cache_they_compile_in_memory(load, tmp_path, monkeypatch):
+    def denied(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", denied)  # how Numba tries whether it may write
+    kernels = load()
+    assert kernels.double(2.5) == 5.0 and kernels.total((1.0, 2.0)) == 3.0
+    assert cached(tmp_path) == []
+
+
+def test_a_full_disk_loses_the_cache_only(load, tmp_path, monkeypatch):
+    kernels = load()
+
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("numba.core.caching.IndexDataCacheFile.save", full)
+    assert kernels.double(2.5) == 5.0
+    assert cached(tmp_path) == []
+
+
+@pytest.mark.parametrize("damage", [b"", b"garbage", None])
+def test_a_damaged_cache_is_not_used(load, tmp_path, damage):
+    load().double(2.5)
+    for path in cached(tmp_path):
+        path.write_bytes(path.read_bytes()[:-20] if damage is None else damage)
+    assert load().double(2.5) == 5.0
+
+
+def test_importing_the_kernels_of_the_library_does_not_need_a_cache(tmp_path):
+    """In a fresh process, with every place that Numba tries for its cache out of reach."""
+    nowhere = "/dev/null/nowhere"
+    code = (
+        "import tempfile\n"
+        "def denied(*_, **__): raise PermissionError(13, 'Permission denied')\n"
+        "tempfile.TemporaryFile = denied\n"
+        "from bayesnet_track.numerics import density_kernels\n"
+    )
+    environment = {"PATH": "", "NUMBA_CACHE_DIR": nowhere, "HOME": nowhere, "XDG_CACHE_HOME": nowhere}
+    folder = Path(__file__).parents[2]
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True, cwd=folder)
