@@ -127,42 +127,20 @@ class ColorHistogram:
         return None if attempt > ATTEMPTS else {**reference, "alpha": reference["alpha"] * SHARPEN}
 
     def _distances(self, planes: Planes, boxes: Floats, shares: Floats) -> tuple[Floats, Floats]:
-        """(N,) distances to the reference's shares, 0..1, and the share of each box outside the frame.
-
-        Coloured pixels go to coloured ones, colourless to colourless, as far as both have them; what is left
-        over has changed between colour and no colour.
-        """
-        from bayesnet_track.numerics.histogram_kernels import circular_distances
+        """(N,) distances to the reference's shares, 0..1, and the share of each box outside the frame."""
+        from bayesnet_track.numerics.histogram_kernels import color_distances
 
         counts, visible, nominal = self._count(planes, boxes)
-        colored = counts.sum(axis=1)
-        own_hue, own_gray = colored / nominal, (visible - colored) / nominal
-        hue, gray = float(shares[:-1].sum()), float(shares[-1])
-        outside = 1.0 - visible / nominal
-        both_hue, both_gray = np.minimum(own_hue, hue), np.minimum(own_gray, gray)
-        moved = both_hue * circular_distances(counts, np.cumsum(shares[:-1]) / (hue or 1.0))
-        changed = np.clip(1.0 - both_hue - both_gray - outside, 0.0, None)
-        return moved + self.parameters.achromatic_distance * changed + outside, outside
+        return color_distances(counts, visible, nominal, shares, self.parameters.achromatic_distance)
 
     def _count(self, planes: Planes, boxes: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
-        """(N, bins) coloured pixels, (N,) pixels inside the frame, (N,) pixels of the whole box.
+        """(N, bins) coloured pixels, (N,) pixels inside the frame, (N,) pixels of the whole box."""
+        from bayesnet_track.numerics.histogram_kernels import count_in_boxes, pixels_of_boxes
 
-        A pixel is in a box when low edge <= its centre < high edge; every box has at least the nearest one.
-        """
-        from bayesnet_track.numerics.histogram_kernels import count_in_boxes
-
-        half = boxes[:, 2:] / 2
-        low, high = np.ceil(boxes[:, :2] - half), np.ceil(boxes[:, :2] + half)
-        empty = high <= low
-        low = np.where(empty, np.floor(boxes[:, :2] + 0.5), low)
-        high = np.where(empty, low + 1.0, high)
-        region = planes.region
-        first = np.array([region.x0, region.y0], dtype=np.float64)
-        extent = np.array([region.x1 - region.x0, region.y1 - region.y0], dtype=np.float64)
-        corners = np.clip(np.concatenate([low - first, high - first], axis=1), 0.0, np.tile(extent, 2))
-        visible = np.prod(corners[:, 2:] - corners[:, :2], axis=1)
-        counts = count_in_boxes(planes[self._plane], corners.astype(np.int64), self.parameters.bins)
-        return counts, visible, np.prod(high - low, axis=1)
+        r = planes.region
+        boxes = np.ascontiguousarray(boxes)  # one compiled version only
+        corners, visible, nominal = pixels_of_boxes(boxes, r.x0, r.y0, r.x1 - r.x0, r.y1 - r.y0)
+        return count_in_boxes(planes[self._plane], corners, self.parameters.bins), visible, nominal
 
 
 def _make(parameters: ColorHistogramParameters) -> Cue:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.numerics.compiled import compiled, compiled_summing
 
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int32]
@@ -14,6 +14,38 @@ Corners = NDArray[np.int64]
 
 INTEGRAL_SHARE = 0.04
 """An integral histogram is cheaper where the crop has less than this share of all boxes' pixels."""
+
+
+@compiled
+def pixels_of_boxes(
+    boxes: Floats, left: int, top: int, columns: int, rows: int
+) -> tuple[Corners, Floats, Floats]:
+    """(N, 4) corners of each box as `count_in_boxes` takes them, (N,) pixels in the crop, (N,) pixels in all.
+
+    A pixel is in a box when low edge <= its centre < high edge; every box has at least the nearest one.
+
+    Args:
+        boxes: (N, 4) centre boxes, px.
+        left, top: column and row of the frame at the crop's first pixel.
+        columns, rows: size of the crop.
+    """
+    size = boxes.shape[0]
+    corners = np.zeros((size, 4), np.int64)
+    visible, nominal = np.ones(size), np.ones(size)
+    for n in range(size):
+        for axis in range(2):
+            first, extent = (left, columns) if axis == 0 else (top, rows)
+            half = boxes[n, 2 + axis] / 2
+            low, high = np.ceil(boxes[n, axis] - half), np.ceil(boxes[n, axis] + half)
+            if not high > low:
+                low = np.floor(boxes[n, axis] + 0.5)
+                high = low + 1.0
+            nominal[n] *= high - low
+            # In this order NaN becomes 0: no index may leave the crop.
+            begin, end = min(max(0.0, low - first), float(extent)), min(max(0.0, high - first), float(extent))
+            corners[n, axis], corners[n, 2 + axis] = int(begin), int(end)
+            visible[n] *= end - begin
+    return corners, visible, nominal
 
 
 def count_in_boxes(binned: Bins, corners: Corners, bins: int) -> Counts:
@@ -106,24 +138,79 @@ def circular_distances(counts: Counts, cumulative: Floats) -> Floats:
             zeros, which means nothing.
         cumulative: (B,) cumulative shares of the reference.
     """
-    bins = counts.shape[1]
-    difference = _cumulative_differences(counts, cumulative)
-    difference.sort(axis=1)  # the halves above and below the median
-    spread = difference[:, bins // 2 :].sum(axis=1) - difference[:, : bins // 2].sum(axis=1)
-    return np.asarray(2.0 / bins * spread)
+    difference, _ = _cumulative_differences(counts, cumulative)
+    difference.sort(axis=1)
+    return _spread(difference)
+
+
+def color_distances(
+    counts: Counts, visible: Floats, nominal: Floats, shares: Floats, achromatic: float
+) -> tuple[Floats, Floats]:
+    """(N,) cost of moving each histogram into a reference, 0..1, and (N,) the share of each box outside.
+
+    Coloured pixels go to coloured ones, colourless to colourless, as far as both have them; what is left over
+    has changed between colour and no colour. Pixels outside cost 1 each.
+
+    Args:
+        counts: (N, B) coloured pixels in each bin.
+        visible: (N,) pixels inside the frame.
+        nominal: (N,) pixels of the whole box.
+        shares: (B + 1,) of the reference, without colour last.
+        achromatic: price of a change between colour and no colour.
+    """
+    hue = float(shares[:-1].sum())
+    difference, colored = _cumulative_differences(counts, np.cumsum(shares[:-1]) / (hue or 1.0))
+    difference.sort(axis=1)  # NumPy sorts many short rows faster than compiled code
+    return _priced(_spread(difference), colored, visible, nominal, hue, float(shares[-1]), achromatic)
 
 
 @compiled
-def _cumulative_differences(counts: Counts, cumulative: Floats) -> Floats:
+def _cumulative_differences(counts: Counts, cumulative: Floats) -> tuple[Floats, Floats]:
+    """(N, B) differences of the cumulative shares, and (N,) pixels counted."""
     size, bins = counts.shape
-    difference = np.empty((size, bins))
+    difference, totals = np.empty((size, bins)), np.empty(size)
     for n in range(size):
         total = 0
         for k in range(bins):
             total += counts[n, k]
+        totals[n] = total
         scale = 1.0 / max(total, 1)
         below = 0
         for k in range(bins):
             below += counts[n, k]
             difference[n, k] = below * scale - cumulative[k]
-    return difference
+    return difference, totals
+
+
+@compiled_summing
+def _spread(ordered: Floats) -> Floats:
+    """(N,) 2/B times the sum of distances from the median, of rows (N, B) in ascending order."""
+    size, bins = ordered.shape
+    spread = np.empty(size)
+    for n in range(size):
+        low, high = ordered[n, : bins // 2], ordered[n, bins // 2 :]
+        total = 0.0
+        for k in range(bins // 2):
+            total += high[k] - low[k]
+        spread[n] = 2.0 / bins * total
+    return spread
+
+
+@compiled
+def _priced(
+    circular: Floats,
+    colored: Floats,
+    visible: Floats,
+    nominal: Floats,
+    hue: float,
+    gray: float,
+    achromatic: float,
+) -> tuple[Floats, Floats]:
+    distances, outside = np.empty(circular.shape[0]), np.empty(circular.shape[0])
+    for n in range(circular.shape[0]):
+        outside[n] = 1.0 - visible[n] / nominal[n]
+        both_hue = min(colored[n] / nominal[n], hue)
+        both_gray = min((visible[n] - colored[n]) / nominal[n], gray)
+        changed = max(1.0 - both_hue - both_gray - outside[n], 0.0)
+        distances[n] = both_hue * circular[n] + achromatic * changed + outside[n]
+    return distances, outside
