@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.numerics.compiled import compiled, compiled_summing
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -121,6 +121,18 @@ def patch_means(
         _cell_means(sums, x_units, y_units, x_spans, y_spans, means, shares)
 
 
+@compiled_summing
+def _weighted_sums(values: Floats, weights: Floats, weighted_reference: Floats) -> tuple[float, float, float]:
+    """Sums of w v, w r v and w v v over all cells."""
+    sv, srv, svv = 0.0, 0.0, 0.0
+    for k in range(values.shape[0]):
+        weighted = weights[k] * values[k]
+        sv += weighted
+        srv += weighted_reference[k] * values[k]
+        svv += weighted * values[k]
+    return sv, srv, svv
+
+
 @compiled
 def patch_moments(
     integral: Floats,
@@ -152,10 +164,13 @@ def patch_moments(
     column_parts, row_parts = np.empty(cells + 1), np.empty(cells + 1)
     sums = np.empty((cells + 1, cells + 1))
     means, shares = np.empty((cells, cells)), np.empty((cells, cells))
-    per_length = np.empty(cells)
+    per_length, values = np.empty(cells), np.empty(cells * cells)
+    flat_weights, weighted_reference = np.empty(cells * cells), np.empty(cells * cells)
     whole_w, whole_r, whole_rr = 0.0, 0.0, 0.0
     for j in range(cells):
         for i in range(cells):
+            flat_weights[j * cells + i] = weights[j, i]
+            weighted_reference[j * cells + i] = weights[j, i] * reference[j, i]
             whole_w += weights[j, i]
             whole_r += weights[j, i] * reference[j, i]
             whole_rr += weights[j, i] * reference[j, i] * reference[j, i]
@@ -179,13 +194,11 @@ def patch_moments(
                 per_length[i] = UNITS / (x_units[i + 1] - x_units[i])
             for j in range(cells):
                 scale = UNITS / (y_units[j + 1] - y_units[j])
+                above, below, row = sums[j], sums[j + 1], values[j * cells : (j + 1) * cells]
                 for i in range(cells):
-                    total = (sums[j + 1, i + 1] - sums[j + 1, i]) - (sums[j, i + 1] - sums[j, i])
-                    v = total * (scale * per_length[i])
-                    weighted = weights[j, i] * v
-                    sv += weighted
-                    srv += weighted * reference[j, i]
-                    svv += weighted * v
+                    total = (below[i + 1] - below[i]) - (above[i + 1] - above[i])
+                    row[i] = total * (scale * per_length[i])
+            sv, srv, svv = _weighted_sums(values, flat_weights, weighted_reference)
         else:
             _cell_means(sums, x_units, y_units, x_spans, y_spans, means, shares)
             for j in range(cells):
