@@ -187,10 +187,10 @@ def _part(cost: Cost, part: str) -> str:
 
 def plot(results: dict[str, list[tuple[float, Cost]]], path: Path) -> None:
     """One panel per thing that varies, the parts stacked."""
-    from figure_style import COLOURS, plt
+    from figure_style import COLOURS, plt, save
 
-    figure, panels = plt.subplots(1, len(results), figsize=(11, 3.2), layout="constrained", sharey=True)
-    for panel, (name, points) in zip(panels, results.items(), strict=True):
+    figure, panels = plt.subplots(2, 2, figsize=(8, 5.2), layout="constrained", sharey=True)
+    for panel, (name, points) in zip(panels.flat, results.items(), strict=True):
         places = np.arange(len(points))
         below = np.zeros(len(points))
         for colour, part in zip(COLOURS, (*STAGES, *FOUR_AGENTS, "rest"), strict=False):
@@ -199,10 +199,11 @@ def plot(results: dict[str, list[tuple[float, Cost]]], path: Path) -> None:
             below += heights
         panel.set_xticks(places, [f"{value:g}" for value, _ in points])
         panel.set_xlabel(name)
-    panels[0].set_ylabel("ms per frame, one core")
-    handles, labels = panels[0].get_legend_handles_labels()
+    for panel in panels[:, 0]:
+        panel.set_ylabel("CPU time per frame [ms]")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles[::-1], labels[::-1], loc="outside right center", frameon=False)
-    figure.savefig(path)
+    save(figure, path)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
