@@ -139,8 +139,10 @@ class CueDeclaration:
 
 
 def floored(log_likelihood: Floats, floor: float) -> Floats:
-    """log(floor + (1 - floor) L): a mixture with an outlier of likelihood `floor` (L at most 1)."""
-    return np.asarray(np.logaddexp(np.log(floor), np.log1p(-floor) + log_likelihood))
+    """log(floor + (1 - floor) L), at most 0: a mixture with an outlier of likelihood `floor` (L at most 1)."""
+    # Nothing overflows, so that np.logaddexp is not needed, which takes three times as long.
+    mixed = np.log(floor + (1.0 - floor) * np.exp(log_likelihood))
+    return np.asarray(np.minimum(mixed, 0.0))  # rounding may exceed a perfect 0
 
 
 def log_size_penalty(

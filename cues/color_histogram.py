@@ -120,7 +120,7 @@ class ColorHistogram:
         distances, _ = self._distances(planes, hypotheses.boxes, reference["shares"])
         similarity = np.logaddexp(0.0, -4.0) - np.logaddexp(0.0, 4.0 * (distances - alpha) / alpha)
         size = log_size_penalty(hypotheses.boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
-        return np.minimum(floored(similarity + size, p.floor), 0.0)  # rounding may exceed a perfect 0
+        return floored(similarity + size, p.floor)
 
     def adapt(self, reference: Reference, attempt: int) -> Reference | None:
         """A sharper likelihood: alpha times 0.7, three times at most."""

@@ -162,7 +162,7 @@ class IntensityCue:
 
 def _central(moments: Floats) -> tuple[Floats, ...]:
     """Share inside, means of reference and patch, and their variances and covariance over the part inside."""
-    share, r, v, rr, rv, vv = moments.T
+    share, r, v, rr, rv, vv = np.ascontiguousarray(moments.T)
     share = np.minimum(share, 1.0)
     inside = np.where(share > 0, share, 1.0)
     mean_r, mean_v = r / inside, v / inside
