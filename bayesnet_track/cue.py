@@ -139,7 +139,7 @@ class CueDeclaration:
 
 
 def floored(log_likelihood: Floats, floor: float) -> Floats:
-    """log(floor + (1 - floor) L), at most 0: a mixture with an outlier of likelihood `floor` (L at most 1)."""
+    """log(floor + (1 - floor) L), at most 0: a mixture with an outlier of likelihood `floor`."""
     # Nothing overflows, so that np.logaddexp is not needed, which takes three times as long.
     mixed = np.log(floor + (1.0 - floor) * np.exp(log_likelihood))
     return np.asarray(np.minimum(mixed, 0.0))  # rounding may exceed a perfect 0

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.blob_words import MOST_CELLS, grow_in_words
 from bayesnet_track.numerics.compiled import compiled
 
 Floats = NDArray[np.float64]
@@ -50,7 +51,8 @@ def grow_blobs(
     found: NDArray[np.int64] = np.zeros(len(boxes), np.int64)
     tolerance = int(tolerance_deg * 256 / 360)
     least = max(math.ceil(min_share * cells * cells), 1)
-    _grow(
+    grow = grow_in_words if cells * cells <= MOST_CELLS else grow_in_runs
+    grow(
         np.ascontiguousarray(hue),
         np.ascontiguousarray(boxes),
         origin[0],
@@ -67,7 +69,7 @@ def grow_blobs(
 
 
 @compiled
-def _grow(
+def grow_in_runs(
     hue: NDArray[np.int16],
     boxes: Floats,
     left: int,
@@ -80,6 +82,7 @@ def _grow(
     blobs: Floats,
     found: NDArray[np.int64],
 ) -> None:
+    """`grow_blobs` by joining runs of cells side by side, for any number of cells."""
     # Written almost without branches, which a grid of real hues makes unpredictable.
     rows, columns = hue.shape
     size = cells * cells

@@ -2,7 +2,15 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from bayesnet_track.numerics.blob_kernels import blob_costs, grow_blobs, match_blobs
+from bayesnet_track.numerics.blob_kernels import (
+    _COSINES,
+    _SINES,
+    blob_costs,
+    grow_blobs,
+    grow_in_runs,
+    match_blobs,
+)
+from bayesnet_track.numerics.blob_words import grow_in_words
 from bayesnet_track.planes import Frame, FramePair
 
 RED, GREEN, BLUE, GRAY = (0, 0, 255), (0, 255, 0), (255, 0, 0), (90, 90, 90)
@@ -25,7 +33,7 @@ def flag(left=RED, right=BLUE, at=(60, 40)):
 BOX = np.array([79.5, 59.5, 40.0, 40.0])
 
 
-@pytest.mark.parametrize("cells", [4, 10, 17])
+@pytest.mark.parametrize("cells", [4, 8, 10, 17])
 def test_blobs_are_the_connected_components_of_the_grid(cells):
     rng = np.random.default_rng(4)
     for _ in range(30):
@@ -45,6 +53,24 @@ def test_blobs_are_the_connected_components_of_the_grid(cells):
             map(tuple, np.array(expected).reshape(-1, 4).round(3))
         )
         assert (np.diff(blobs[0, : found[0], 3]) <= 0).all()
+
+
+@pytest.mark.parametrize("cells", [4, 5, 7, 8])
+def test_words_and_runs_grow_the_same_blobs(cells):
+    """Bit for bit: on noise, on patches of similar hues, and where boxes leave the picture."""
+    rng = np.random.default_rng(cells)
+    noise = rng.integers(-1, 256, (60, 80))
+    patches = np.kron(rng.choice([-1, 3, 10, 250, 128], (12, 16)), np.ones((5, 5), int))
+    boxes = np.column_stack([rng.uniform(-10, 90, (400, 2)), rng.uniform(2, 50, (400, 2))])
+    for hue in (noise, patches, np.full((60, 80), 40), np.full((60, 80), -1)):
+        for most, least in ((6, 2), (1, 1), (64, 1)):
+            grown = []
+            for grow in (grow_in_words, grow_in_runs):
+                blobs, found = np.zeros((400, most, 4)), np.zeros(400, np.int64)
+                grow(hue.astype(np.int16), boxes, 3, 2, cells, 10, least, _COSINES, _SINES, blobs, found)
+                grown.append((blobs, found))
+            for one, other in zip(*grown, strict=True):
+                np.testing.assert_array_equal(one, other)
 
 
 def test_neighbours_join_across_the_start_of_the_hue_circle():
