@@ -28,10 +28,13 @@ def compiled_summing(function: Kernel) -> Kernel:
 
 
 def _compiled(function: Kernel, relaxed: bool | set[str]) -> Kernel:
+    # A kernel that another one calls exists twice, alone and within the caller, and sums of the two may be
+    # ordered differently. Which of them is called depends on what came from the cache, unless it is inlined.
+    settings: dict[str, Any] = {"nogil": True, "fastmath": relaxed, "forceinline": True}
     try:
-        kernel: Any = numba.njit(cache=True, nogil=True, fastmath=relaxed)(function)
+        kernel: Any = numba.njit(cache=True, **settings)(function)
     except RuntimeError:  # Numba found no folder that it may write
-        kernel = numba.njit(cache=False, nogil=True, fastmath=relaxed)(function)
+        kernel = numba.njit(cache=False, **settings)(function)
     # Numba itself lets a full disk or a damaged file end the call that only wanted the kernel.
     cache = kernel._cache
     for name in ("load_overload", "save_overload"):

@@ -118,6 +118,22 @@ def test_another_process_gives_the_same_bytes(recorded, tmp_path):
     assert digests(tmp_path / "run") == digests(recorded[0])
 
 
+@pytest.mark.slow
+def test_kernels_from_the_cache_give_the_same_bytes_as_those_just_compiled(tmp_path):
+    """Also where nothing can be cached."""
+    line = ["demo", "--graph", "general", "--end", "40", "--quiet", "--out"]
+    run_it = "import sys; from bayesnet_track.cli import main; sys.exit(main(sys.argv[1:]))"
+    # How Numba tries whether it may write somewhere.
+    denied = "def denied(**_): raise PermissionError(13, 'denied')\n"
+    denied += "import tempfile; tempfile.TemporaryFile = denied\n"
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    found = []
+    for name, code in (("compiled", run_it), ("cached", run_it), ("in_memory", denied + run_it)):
+        subprocess.run([sys.executable, "-c", code, *line, str(tmp_path / name)], env=environment, check=True)
+        found.append(digests(tmp_path / name))
+    assert found[0] == found[1] == found[2]
+
+
 def test_a_tracker_fed_with_the_same_frames_gives_the_same_boxes(recorded):
     scene = make_scene("two_squares")
     tracker = Tracker("two_squares")
