@@ -2,8 +2,8 @@
 
     python benchmarks/map.py
 
-Beside it the sum that it stands for, log sum_k beta_k p(x_i | x_k) for all i, by NumPy: N x N densities (for up
-to 2000 hypotheses). Beliefs have settled for four frames on a sharp likelihood, one with a floor, or a flat one,
+Beside it the sum that it stands for, log sum_k beta_k p(x_i | x_k) for all i, written out in NumPy for up to
+2000 hypotheses. Beliefs have settled for four frames on a sharp likelihood, one with a floor, or a flat one,
 under noise in pixels and under the mixture of narrow and wide noise of the general graph.
 """
 
