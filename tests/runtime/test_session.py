@@ -1,0 +1,139 @@
+"""Tracking in one call: what may be given as graph, source and box, and that nothing is written too early."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bayesnet_track
+from bayesnet_track import Result, Start, load_graph, track
+from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.runtime.run import StartError, Summary
+from bayesnet_track.runtime.rundir import FILES, RunDirectoryError
+from bayesnet_track.runtime.sources import SourceError, open_source
+
+SQUARE = (0, 5, 10, 10)
+"""Corner box of the bright square in the first picture of this folder's videos; it moves 2 px a frame."""
+
+
+@pytest.fixture(scope="module")
+def video(whole_videos):
+    return whole_videos["h264.mkv"]
+
+
+def test_an_iterator_over_frames(video):
+    results = track("general", video, SQUARE)
+    first, second = next(results), next(results)
+    results.close()
+    assert isinstance(first, Result)
+    assert [first.frame.index, second.frame.index] == [0, 1]
+    (target,) = second.targets
+    assert len(target.box) == 4 and target.status == "tracking" and target.active
+    assert second.covariances["1"].shape[0] >= 4
+    assert np.diag(second.covariances["1"])[:2] == pytest.approx(np.square(target.sd[:2]))
+    assert second.total_seconds >= max(second.seconds.values()) > 0
+
+
+def test_every_kind_of_graph_source_and_box(video, tmp_path):
+    def boxes(graph, source, box):
+        results = track(graph, source, box)
+        found = [next(results).targets[0].box for _ in range(3)]
+        results.close()
+        return found
+
+    wanted = boxes("general", video, SQUARE)
+    graph = load_graph("general")
+    path = tmp_path / "copy.yaml"
+    path.write_text(graph.text)
+    assert boxes(path, str(video), list(SQUARE)) == wanted
+    assert boxes(graph.spec, video, np.array(SQUARE)) == wanted
+    with open_source(str(video)) as source:
+        assert boxes(graph, source, [Start(SQUARE, "target")]) == wanted
+
+
+def test_several_targets(video):
+    result = next(track("general", video, [Start(SQUARE), Start((30, 20, 10, 10))]))
+    assert [(target.target, target.box) for target in result.targets] == [
+        ("1", (4.5, 9.5, 10.0, 10.0)),
+        ("2", (34.5, 24.5, 10.0, 10.0)),
+    ]
+
+
+def test_nothing_is_written_without_a_folder(video, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert next(track("general", video, SQUARE)).targets
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_directory_with_a_video(video, tmp_path):
+    summary = Summary()
+    for result in track("general", video, SQUARE, out=tmp_path / "run", video=True, summary=summary):
+        if result.frame.index == 5:
+            break
+    assert {path.name for path in (tmp_path / "run").iterdir()} == set(FILES.values()) - {
+        "truth.txt",
+        "inputs.jsonl",
+    }
+    assert (summary.frames, summary.reason) == (6, "interrupted")
+
+
+@pytest.mark.parametrize(
+    ("changed", "error", "message"),
+    [
+        ({"graph": "generl"}, GraphError, "no installed graph of this name"),
+        ({"source": "nothing.mp4"}, SourceError, "no such file or folder"),
+        ({"box": (64, 5, 10, 10)}, StartError, "lies outside the 64x48 frame"),
+        ({"box": (1, 2, 3)}, StartError, r"start box \(1, 2, 3\): four finite numbers x,y,w,h are needed"),
+        ({"box": []}, StartError, r"start box \[\]: four finite numbers"),
+        ({"box": [Start(SQUARE, "ball")]}, StartError, "no plate 'ball' in graph general; there are target"),
+        (
+            {"box": [Start(SQUARE), SQUARE]},
+            StartError,
+            "one box x, y, w, h, or one Start per target, not both",
+        ),
+        ({"box": [Start(SQUARE), Start((0, 0, 0, 0))]}, StartError, "width and height must be at least 1 px"),
+    ],
+)
+def test_a_mistake_is_told_before_anything_is_written(video, tmp_path, changed, error, message):
+    given = {"graph": "general", "source": video, "box": SQUARE, **changed}
+    with pytest.raises(error, match=message):
+        next(track(**given, out=tmp_path / "run"))
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_mistake_does_not_cost_an_earlier_run(video, tmp_path):
+    for _ in track("general", video, SQUARE, out=tmp_path / "run"):
+        break
+    before = (tmp_path / "run/journal.jsonl").read_bytes()
+    with pytest.raises(StartError):
+        next(track("general", video, (64, 0, 9, 9), out=tmp_path / "run", overwrite=True))
+    with pytest.raises(RunDirectoryError, match="a run is there already"):
+        next(track("general", video, SQUARE, out=tmp_path / "run"))
+    assert (tmp_path / "run/journal.jsonl").read_bytes() == before
+
+
+def test_a_source_opened_here_is_closed_here(video, monkeypatch):
+    closed = []
+    source = open_source(str(video))
+    monkeypatch.setattr("bayesnet_track.runtime.session.open_source", lambda _: source)
+    close = source.close
+    monkeypatch.setattr(source, "close", lambda: (closed.append(True), close()))
+    results = track("general", video, SQUARE)
+    next(results)
+    results.close()
+    assert closed
+    own = open_source(str(video))  # the caller's own stays open
+    results = track("general", own, SQUARE)
+    next(results)
+    results.close()
+    assert next(iter(own)).index == 1
+    own.close()
+
+
+def test_the_package_offers_these_names():
+    assert dir(bayesnet_track) == sorted(bayesnet_track.__all__)
+    for name in bayesnet_track.__all__:
+        assert getattr(bayesnet_track, name).__name__ == name
+    with pytest.raises(AttributeError, match="has no attribute 'Traker'"):
+        _ = bayesnet_track.Traker
+    assert Path(bayesnet_track.__file__).with_name("py.typed").exists()
