@@ -1,0 +1,244 @@
+"""The package from outside: what is in the wheel, what imports cost, and cues of other packages."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from bayesnet_track.cli import main
+from bayesnet_track.cue import installed_cues
+from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.journal.reader import read_metrics
+
+ROOT = Path(__file__).parents[1]
+BUILT_IN = ["color_blobs", "color_histogram", "intensity", "motion"]
+
+
+def python(*arguments, **settings):
+    return subprocess.run([sys.executable, *map(str, arguments)], capture_output=True, text=True, **settings)
+
+
+# ------------------------------------------------------------------------------------ imports
+
+PIXELS = {"cv2", "av", "numba", "scipy", "matplotlib"}
+EVERYTHING = {*PIXELS, "numpy", "pydantic", "yaml"}
+
+
+@pytest.mark.parametrize(
+    ("code", "absent"),
+    [
+        ("import bayesnet_track", EVERYTHING),
+        ("from bayesnet_track.cli import main, make_parser; make_parser().format_help()", EVERYTHING),
+        ("from bayesnet_track.cli import main; main(['--version'])", EVERYTHING),
+        ("from bayesnet_track.cli import main; main(['validate', 'general', 'two_squares'])", PIXELS),
+        ("from bayesnet_track.cli import main; main(['schema'])", PIXELS),
+        ("from bayesnet_track.cli import main; main(['list'])", PIXELS),
+        ("from bayesnet_track.cli import main; main(['graph', 'general', '--formula'])", PIXELS),
+        ("from bayesnet_track.cue import installed_cues; installed_cues()", PIXELS),
+        ("from bayesnet_track.journal import reader, explain, writer", PIXELS),
+        ("import bayesnet_track.evaluate.runs", PIXELS),
+        ("import bayesnet_track.runtime.sources", PIXELS),
+    ],
+)
+def test_what_is_heavy_is_not_imported(code, absent):
+    done = python(
+        "-c", f"{code}\nimport sys; print(); print(*sorted(set(sys.modules) & {absent!r}))", check=True
+    )
+    assert done.stdout.splitlines()[-1] == ""
+
+
+def test_the_command_and_the_module_are_the_same():
+    module = python("-m", "bayesnet_track", "--help", check=True).stdout
+    assert module.startswith("usage: bayesnet-track ")
+    command = shutil.which("bayesnet-track", path=str(Path(sys.executable).parent))
+    assert command is not None
+    assert subprocess.run([command, "--help"], capture_output=True, text=True, check=True).stdout == module
+
+
+# ------------------------------------------------------------------------------------ other packages' cues
+
+CUE = '''
+"""How bright the middle of the box is, with a plane of its own."""
+from dataclasses import dataclass
+import numpy as np
+from pydantic import Field
+from bayesnet_track.cue import CueDeclaration, CueParameters, blend_arrays, floored
+
+
+@dataclass(frozen=True)
+class Brightness:
+    inputs = ()
+    margin = 0
+    is_points = False
+
+    def __str__(self):
+        return "Brightness()"
+
+    def compute(self, frames, inputs, region):
+        return region.of(frames.current.image).mean(axis=2)
+
+
+class GlowParameters(CueParameters):
+    sd: float = Field(default=20.0, gt=0, description="spread, gray levels")
+
+
+@dataclass(frozen=True)
+class Glow:
+    parameters: GlowParameters
+    needs = (Brightness(),)
+
+    def _at(self, planes, boxes):
+        plane, region = planes[self.needs[0]], planes.region
+        x = np.clip(np.rint(boxes[:, 0]).astype(int) - region.x0, 0, plane.shape[1] - 1)
+        y = np.clip(np.rint(boxes[:, 1]).astype(int) - region.y0, 0, plane.shape[0] - 1)
+        return plane[y, x]
+
+    def learn(self, planes, box):
+        return {"level": self._at(planes, box[None])}
+
+    def blend(self, old, new, rate):
+        return blend_arrays(old, new, rate)
+
+    def log_likelihood(self, planes, hypotheses, reference):
+        off = (self._at(planes, hypotheses.boxes) - reference["level"]) / self.parameters.sd
+        return floored(-0.5 * off**2, self.parameters.floor)
+
+
+GLOW = CueDeclaration("glow", "How bright the middle of the box is.", GlowParameters, Glow)
+SAME = CueDeclaration("motion", "Another one.", GlowParameters, Glow)
+WRONG = "no declaration"
+'''
+
+GRAPH = """\
+bayesnet: 1
+name: glowing
+targets:
+  spot:
+    nodes:
+      spot: {motion: {random_walk: {sd_px: {x: 8, y: 8}}}}
+      glow: {parent: spot, agent: {glow: {sd: %s}}}
+"""
+
+
+@pytest.fixture
+def install(tmp_path, monkeypatch):
+    """Installs a package `glow_cue` with these entry points, for this test."""
+
+    def make(**points):
+        site = tmp_path / "site"
+        about = site / "glow_cue-1.0.dist-info"
+        about.mkdir(parents=True)
+        (site / "glow_cue.py").write_text(CUE)
+        (about / "METADATA").write_text("Metadata-Version: 2.1\nName: glow-cue\nVersion: 1.0\n")
+        lines = "".join(f"{name} = {value}\n" for name, value in points.items())
+        (about / "entry_points.txt").write_text(f"[bayesnet_track.cues]\n{lines}")
+        monkeypatch.syspath_prepend(str(site))
+        installed_cues.cache_clear()
+
+    yield make
+    monkeypatch.undo()
+    sys.modules.pop("glow_cue", None)
+    installed_cues.cache_clear()
+
+
+def test_built_in_cues_are_found():
+    assert sorted(installed_cues()) == BUILT_IN
+
+
+def test_a_cue_of_another_package_is_found_checked_and_run(install, tmp_path, capsys):
+    install(glow="glow_cue:GLOW")
+    assert sorted(installed_cues()) == sorted([*BUILT_IN, "glow"])
+    good, bad = tmp_path / "good.yaml", tmp_path / "bad.yaml"
+    good.write_text(GRAPH % "15")
+    bad.write_text(GRAPH % "-1")
+    assert main(["validate", str(good)]) == 0
+    assert main(["validate", str(bad)]) == 3
+    out, err = capsys.readouterr()
+    assert "2 nodes, 1 of them agents" in out
+    assert err.startswith(f"{bad}:7:47: glow: ") and "spread, gray levels" in err
+    assert main(["list"]) == 0 and main(["schema"]) == 0 and main(["graph", str(good)]) == 0
+    out = capsys.readouterr().out
+    assert "How bright the middle of the box is." in out and "plane    Brightness()" in out
+    run = tmp_path / "run"
+    assert main(["demo", "--graph", str(good), "--end", "5", "--quiet", "--out", str(run)]) == 0
+    assert [metrics.active for metrics in read_metrics(run / "frames.jsonl")] == [("glow",)] * 5
+
+
+@pytest.mark.parametrize(
+    ("point", "said"),
+    [
+        ("glow_cue:GONE", "module 'glow_cue' has no attribute 'GONE'"),
+        ("not_there:CUE", "No module named 'not_there'"),
+        ("glow_cue:WRONG", "glow_cue:WRONG is a str, not a CueDeclaration"),
+        ("glow_cue:SAME", "another cue has the name 'motion'"),
+    ],
+)
+def test_a_broken_package_does_not_keep_other_graphs_from_running(install, tmp_path, point, said):
+    install(glow=point)
+    with pytest.warns(RuntimeWarning, match=re.escape(f"the cue 'glow' of glow-cue is left out: {said}")):
+        cues = installed_cues()
+    assert sorted(cues) == BUILT_IN and cues["motion"].summary != "Another one."
+    load_graph("general")
+    path = tmp_path / "glow.yaml"
+    path.write_text(GRAPH % "1")
+    with pytest.raises(GraphError, match="glow"):
+        load_graph(path)
+
+
+# ------------------------------------------------------------------------------------ the wheel
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("build")
+    wanted = ("pyproject.toml", "README.md", "LICENSE", "bayesnet_track", "cues", "graphs")
+    for name in wanted:
+        source = ROOT / name
+        if source.is_dir():
+            shutil.copytree(source, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(source, folder)
+    python("-m", "pip", "wheel", "--no-deps", "--wheel-dir", folder / "dist", folder, check=True)
+    (built,) = (folder / "dist").glob("*.whl")
+    return built
+
+
+@pytest.mark.slow
+def test_the_wheel_holds_everything_that_a_run_needs(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+        (about,) = {name.split("/")[0] for name in names if ".dist-info/" in name}
+        points = archive.read(f"{about}/entry_points.txt").decode()
+    modules = {
+        f"bayesnet_track/{path.relative_to(ROOT / 'bayesnet_track')}"
+        for path in (ROOT / "bayesnet_track").rglob("*.py")
+    }
+    modules |= {f"bayesnet_track/cues/{path.name}" for path in (ROOT / "cues").glob("*.py")}
+    graphs = {
+        f"bayesnet_track/graphs/{path.name}" for path in (ROOT / "graphs").glob("*.*") if path.is_file()
+    }
+    others = {"bayesnet_track/py.typed", f"{about}/licenses/LICENSE"}
+    assert modules | graphs | others <= names
+    assert {name.split("/")[0] for name in names} == {"bayesnet_track", about}
+    assert "bayesnet-track = bayesnet_track.cli:main" in points
+    assert all(f"{cue} = bayesnet_track.cues.{cue}:CUE" in points for cue in BUILT_IN)
+
+
+@pytest.mark.slow
+def test_the_wheel_works_where_nothing_else_of_the_project_is(wheel, tmp_path):
+    site = tmp_path / "site"
+    python("-m", "pip", "install", "--no-deps", "--target", site, wheel, check=True)
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    where = "import json, bayesnet_track, bayesnet_track.cues as c, bayesnet_track.graphs as g;"
+    where += "print(json.dumps([m.__file__ for m in (bayesnet_track, c, g)]))"
+    found = python("-c", where, cwd=tmp_path, env=environment, check=True)
+    assert all(Path(name).is_relative_to(site) for name in json.loads(found.stdout))
+    line = ("-m", "bayesnet_track", "demo", "--end", "3", "--out", tmp_path / "run")
+    assert python(*line, cwd=tmp_path, env=environment).returncode == 0
