@@ -8,9 +8,6 @@ from hypothesis.extra import numpy as hnp
 
 from bayesnet_track.numerics.divergence import (
     kl,
-    kl_to_agent,
-    leave_one_out,
-    message_strength,
     uncertainty_deviation,
 )
 from bayesnet_track.numerics.log_weights import LogWeights
@@ -46,83 +43,6 @@ def test_zeros_of_kl():
         assert kl(f, g) == np.inf
         assert kl(f, np.log([0.25, 0.25, 0.5])) == pytest.approx(np.log(2))
     assert kl(np.array([0.0, -2000.0]), np.array([0.0, -np.inf])) == np.inf
-
-
-@given(logs, logs, logs)
-def test_kl_to_an_agent_uses_the_prior_weights(prior_log, own, others):
-    prior = normal(prior_log)
-    posterior, _ = prior.times(own + others)
-    alone = prior.weights * np.exp(own - own.max())
-    expected = plain_kl(posterior.weights, alone / alone.sum())
-    assert kl_to_agent(posterior, prior, own) == pytest.approx(expected, rel=1e-6, abs=1e-9)
-
-
-@given(logs, logs)
-def test_with_one_agent_the_belief_is_the_agent(prior_log, own):
-    prior = normal(prior_log)
-    posterior, _ = prior.times(own)
-    assert kl_to_agent(posterior, prior, own) == pytest.approx(0, abs=1e-12)
-    assert leave_one_out(prior, own, own) == pytest.approx(message_strength(prior, own), abs=1e-9)
-
-
-def test_ignoring_the_prior_weights_would_be_wrong():
-    """A prior that has seen the frame's cue before makes the agent look better than equal weights do."""
-    prior = normal(np.log([0.7, 0.2, 0.1]))
-    own, other = np.log([0.9, 0.3, 0.1]), np.log([0.2, 0.9, 0.4])
-    posterior, _ = prior.times(own + other)
-    assert kl_to_agent(posterior, prior, own) == pytest.approx(
-        plain_kl(posterior.weights, np.array([0.63, 0.06, 0.01]) / 0.7)
-    )
-    assert kl_to_agent(posterior, prior, own) != pytest.approx(
-        kl_to_agent(posterior, LogWeights.uniform(3), own), rel=0.2
-    )
-
-
-@given(logs, logs, logs)
-def test_leaving_one_out_is_the_belief_of_the_others(prior_log, own, others):
-    prior = normal(prior_log)
-    belief, _ = prior.times(own + others)
-    rest, _ = prior.times(others)
-    expected = plain_kl(belief.weights, rest.weights)
-    assert leave_one_out(prior, own + others, own) == pytest.approx(expected, rel=1e-6, abs=1e-9)
-
-
-def test_a_duplicate_contributes_less_than_its_distance_says():
-    prior = LogWeights.uniform(4)
-    same, other = np.log([0.9, 0.5, 0.1, 0.1]), np.log([0.5, 0.9, 0.2, 0.1])
-    total = 2 * same + other
-    assert leave_one_out(prior, total, same) < message_strength(prior, same)
-
-
-def test_what_is_ruled_out_by_the_child_is_left_out():
-    prior = LogWeights.uniform(3)
-    own = np.array([-1.0, -2.0, -np.inf])
-    total = own + np.array([-0.5, 0.0, 0.0])
-    assert leave_one_out(prior, total, own) == pytest.approx(
-        kl(normal(total[:2]).log, normal(np.array([-0.5, 0.0])).log)
-    )
-
-
-def test_messages_that_rule_everything_out():
-    prior, nothing = LogWeights.uniform(3), np.full(3, -np.inf)
-    assert kl_to_agent(prior, prior, nothing) == np.inf
-    assert message_strength(prior, nothing) == np.inf
-    assert np.isnan(leave_one_out(prior, nothing, nothing))
-
-
-@given(logs, logs)
-def test_strength_of_a_message(prior_log, message):
-    prior = normal(prior_log)
-    updated, _ = prior.times(message)
-    expected = plain_kl(updated.weights, prior.weights)
-    assert message_strength(prior, message) == pytest.approx(expected, rel=1e-6, abs=1e-9)
-    assert message_strength(prior, np.full(len(prior), -3.0)) == pytest.approx(0, abs=1e-12)
-
-
-def test_strength_is_at_most_log_n_for_equal_weights():
-    sharp = np.full(50, -800.0)
-    sharp[7] = 0.0
-    assert message_strength(LogWeights.uniform(50), sharp) == pytest.approx(np.log(50))
 
 
 def test_two_equal_modes_have_twice_the_trace():
