@@ -180,7 +180,7 @@ def _say_end(out: Path, summary: Summary) -> None:
         complain(explain(notice))
     rate = summary.frames / summary.seconds if summary.seconds > 0 else 0.0
     parts = [f"{_count(summary.frames, 'frame')} in {summary.seconds:.1f} s ({rate:.0f} per second)"]
-    parts.append(_count(summary.decisions, "reconfiguration"))
+    parts.append(_count(summary.reconfigurations, "reconfiguration"))
     if summary.lost_frames:
         parts.append(f"lost in {_count(summary.lost_frames, 'frame')}")
     if not summary.complete:

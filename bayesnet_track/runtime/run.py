@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.engine import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.net import Decision, TargetStarted
+from bayesnet_track.graph.net import Activated, Deactivated, Decision, Quarantined, SelfStopped
 from bayesnet_track.journal.events import (
     JOURNAL_VERSION,
     Event,
@@ -30,6 +30,8 @@ from bayesnet_track.runtime.starts import Start, StartError, check_starts, start
 __all__ = ["FrameSource", "Result", "Sink", "Start", "StartError", "Summary", "run"]
 
 Floats = NDArray[np.float64]
+
+SWITCHES = (Activated, Deactivated, SelfStopped, Quarantined)
 
 
 class FrameSource(Protocol):
@@ -107,7 +109,7 @@ class Summary:
 
     Attributes:
         frames: frames that were tracked.
-        decisions: decisions after the first frame.
+        reconfigurations: how many times an agent was switched on or off.
         lost_frames: frames in which a target was lost.
         complete: whether the source was read to its end.
         reason: why it ended, in the words of `RunEnded.reason`.
@@ -116,7 +118,7 @@ class Summary:
     """
 
     frames: int = 0
-    decisions: int = 0
+    reconfigurations: int = 0
     lost_frames: int = 0
     complete: bool = False
     reason: str = "error"
@@ -183,7 +185,7 @@ def run(
             for event in outcome.events:
                 tell(event)
             result = _result(item, outcome, spent)
-            told.decisions += sum(not isinstance(event, TargetStarted) for event in result.decisions)
+            told.reconfigurations += sum(isinstance(event, SWITCHES) for event in result.decisions)
             told.lost_frames += any(metrics.status == "lost" for metrics in result.targets)
             for sink in sinks:
                 sink.frame(result)

@@ -12,7 +12,7 @@ import pytest
 
 from bayesnet_track import Tracker
 from bayesnet_track.graph.load import load_graph
-from bayesnet_track.graph.net import Decision, TargetStarted, replay
+from bayesnet_track.graph.net import Activated, Deactivated, Decision, TargetStarted, replay
 from bayesnet_track.journal.events import FrameSizeChanged, FramesMissing, RunEnded, RunStarted, SourceDamaged
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.numerics.boxes import corner_from_centre
@@ -226,10 +226,11 @@ def test_the_source_decides_whether_it_was_whole(general):
         assert told.events[-1] == RunEnded(3, 5, reason == "end_of_source", reason)
 
 
-def test_the_summary_counts_decisions_and_lost_frames(recorded):
+def test_the_summary_counts_reconfigurations_and_lost_frames(recorded):
     scene, summary = make_scene("two_squares"), Summary()
     list(track("two_squares", SceneSource(scene, "scene", 45), scene.start_box, summary=summary))
-    assert summary.decisions == sum(len(result.decisions) for result in recorded[1][1:]) > 2
+    switched = [e for e in read_events(recorded[0] / "journal.jsonl") if type(e) in (Activated, Deactivated)]
+    assert summary.reconfigurations == len(switched) > 2
     assert summary.lost_frames == 0 and summary.seconds > 0
 
     dark = [frame(n) if n < 3 else Frame(n, float(n), np.zeros((48, 64, 3), np.uint8)) for n in range(20)]
