@@ -70,9 +70,10 @@ def _run_started(event: RunStarted) -> str:
 
 def _run_ended(event: RunEnded) -> str:
     declared = event.declared_frames
-    of = "" if declared is None or declared == event.frames else f" of {declared}"
+    whole = declared is None or declared == event.frames
+    frames = _plural(event.frames, "frame") if whole else f"{event.frames} of {declared} frames"
     how = "ended" if event.complete else "ended early"
-    return f"run {how} after {event.frames}{of} frames: {event.reason.replace('_', ' ')}"
+    return f"run {how} after {frames}: {event.reason.replace('_', ' ')}"
 
 
 def happened(event: Decision | DegenerateBelief) -> str:
