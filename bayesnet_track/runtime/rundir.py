@@ -79,7 +79,8 @@ class RunDirectory:
             )
         if not overwrite:
             raise RunDirectoryError(
-                f"{self.path}: a run is there already; give another folder, or overwrite it (--overwrite, overwrite=True)"
+                f"{self.path}: a run is there already; give another folder, or overwrite it "
+                "(--overwrite, overwrite=True)"
             )
         # The journal goes last: a half-cleared folder still counts as a run.
         for name in sorted(held & set(FILES.values()), key=lambda name: name == FILES["journal"]):
