@@ -23,7 +23,6 @@ from figure_style import (
 from figures_two_squares import levels, ud_and_activity
 from traces import Trace, mean_shift, trace
 
-from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.net import LocallyAdapted, SelfStopped
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.runtime.run import Start
@@ -58,15 +57,10 @@ GRAY_PLATE = {
 
 @cache
 def hidden() -> tuple[Scene, Trace]:
-    """Both squares of Example 2: the orange one by `color_fusion`, the gray one by a plate of its own."""
+    """Both squares of Example 2, each with a copy of the library's `color_fusion`."""
     scene = make_scene("orange_and_gray", 0)
-    orange = load_graph("color_fusion").spec.model_dump(exclude_none=True)["targets"]["square"]
-    graph = GraphSpec.model_validate(
-        {"name": "orange_and_gray", "targets": {"orange": orange, "gray": GRAY_PLATE}}
-    )
     x, y, w, h = (float(value) for value in scene.others[0][0])
-    starts = [Start(scene.start_box, "orange"), Start((x, y, w, h), "gray")]
-    return scene, trace(graph, scene, 0, starts, frames=60)
+    return scene, trace("color_fusion", scene, 0, [Start(scene.start_box), Start((x, y, w, h))], frames=60)
 
 
 def occlusion_tracks() -> Figure:
@@ -80,7 +74,7 @@ def occlusion_tracks() -> Figure:
         boxes(upper, run.first[index].box, BEST, width=2.0)
         show(lower, run.first[index].image, f"frame {index}", with_ticks=False)
         boxes(lower, shifted[index], PEER, width=2.0)
-    panels[0, 0].set_ylabel("the nets")
+    panels[0, 0].set_ylabel("color_fusion")
     panels[1, 0].set_ylabel("mean shift")
     handles = [
         plt.Line2D([], [], color=colour, linewidth=2, label=name)

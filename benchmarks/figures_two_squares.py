@@ -228,10 +228,9 @@ def surfaces() -> Figure:
         flat.set_xlabel("x [px]", fontsize=9)
         flat.tick_params(labelsize=8)
     figure.axes[1].set_ylabel("y [px]", fontsize=9)
-    figure.text(
-        0.995, 0.985, "vertical: density of the centre [10⁻³ px⁻²]", ha="right", va="top", fontsize=8.5
-    )
-    figure.subplots_adjust(left=0.06, right=0.98, bottom=0.08, top=0.9, wspace=0.3, hspace=0.12)
+    note = "frame: active agents; vertical: density of the centre [10⁻³ px⁻²]"
+    figure.text(0.99, 0.985, note, ha="right", va="top", fontsize=8.5)
+    figure.subplots_adjust(left=0.065, right=0.955, bottom=0.08, top=0.89, wspace=0.28, hspace=0.12)
     return figure
 
 
