@@ -95,9 +95,9 @@ def opencv_run(shift: Callable[..., tuple[object, tuple[int, int, int, int]]], s
 
 TRACKERS: dict[str, Callable[[Scene, int], Held]] = {
     "colour only": lambda scene, seed: engine_run(without_adaptation(frozenset({"color"})), scene, seed),
-    "motion only": lambda scene, seed: engine_run(without_adaptation(frozenset({"flow"})), scene, seed),
+    "motion only": lambda scene, seed: engine_run(without_adaptation(frozenset({"motion"})), scene, seed),
     "both always": lambda scene, seed: engine_run(
-        without_adaptation(frozenset({"color", "flow"})), scene, seed
+        without_adaptation(frozenset({"color", "motion"})), scene, seed
     ),
     "adaptive": lambda scene, seed: engine_run("two_squares", scene, seed),
     "cv2.meanShift": lambda scene, seed: opencv_run(cv2.meanShift, scene),
