@@ -1,12 +1,14 @@
-"""Motion cue: the mean optical flow inside a box against that of the target.
+"""Motion cue: the optical flow inside a box against that of the target.
 
-Thesis 3.5, eq. 3.9, corrected (both terms of the exponent are negative, each with its own deviation).
+Thesis 3.5, eq. 3.9, corrected (both terms of the exponent are negative, each with its own deviation). The
+thesis compares the mean flow of the box. Where two things overlap the mean is the flow of neither; then it
+is better to compare each vector, so that a box scores the share of it that moves as the target does.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -29,11 +31,15 @@ if TYPE_CHECKING:
 class MotionParameters(CueParameters):
     """Parameters of the motion cue."""
 
+    compare: Literal["mean", "each"] = Field(
+        default="mean",
+        description="What is compared with the target's flow: the box's mean flow, or each of its vectors.",
+    )
     sd_x_px: float = Field(
-        default=2.0, gt=0, description="Standard deviation of the mean flow in x, pixels per frame interval."
+        default=2.0, gt=0, description="Standard deviation of that flow in x, pixels per frame interval."
     )
     sd_y_px: float = Field(
-        default=2.0, gt=0, description="Standard deviation of the mean flow in y, pixels per frame interval."
+        default=2.0, gt=0, description="Standard deviation of that flow in y, pixels per frame interval."
     )
     spacing_px: int = Field(
         default=12, ge=4, le=128, description="Width of the lattice cells that hold one corner each, pixels."
@@ -56,6 +62,12 @@ class MotionParameters(CueParameters):
         default=1.0,
         gt=0,
         description="Largest distance between a point and where tracking there and back takes it, pixels.",
+    )
+    coherent_px: float | None = Field(
+        default=None,
+        gt=0,
+        description="Learn the flow only where the vectors in the box agree: largest root mean square "
+        "distance from their mean, pixels per frame interval; always when absent.",
     )
     sharpness: float = Field(
         default=1.0, gt=0, description="Factor on the log-likelihood before the floor (no unit)."
@@ -86,13 +98,17 @@ class MotionCue:
         return (self.flow,)
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
-        """The mean flow inside the centre box (4,); unknown when it holds no valid vector."""
-        counts, means = self._inside(planes, np.asarray(box, dtype=np.float64)[None])
+        """The mean flow inside the centre box (4,); unknown without a valid vector, or when they disagree.
+
+        Where two things overlap, their vectors disagree, and the mean is the flow of neither.
+        """
+        counts, means = self._inside(planes[self.flow], np.asarray(box, dtype=np.float64)[None])
+        known = counts[0] > 0 and self._agrees(planes[self.flow], box, means[0])
         return {
             "flow": means[0],
             "valid": np.array(counts[0]),
             "size": np.array(box[2:], dtype=np.float64),
-            "known": np.array(float(counts[0] > 0)),
+            "known": np.array(float(known)),
         }
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
@@ -107,27 +123,45 @@ class MotionCue:
         """(N,) log of min(n / n_ref, 1) exp(-(dx^2 / 2 sd_x^2 + dy^2 / 2 sd_y^2)), thesis eq. 3.9, corrected.
 
         n counts the valid vectors inside the box: it multiplies the likelihood, so that a box without flow
-        does not match. All 0 (no evidence) when the reference is unknown.
+        does not match. dx, dy is the mean flow less the target's; comparing `each`, the exponential is taken
+        of every vector and averaged over the box. All 0 (no evidence) when the reference is unknown.
         """
         if not reference["known"]:
             return np.zeros(len(hypotheses))
         settings = self.parameters
-        counts, means = self._inside(planes, hypotheses.boxes)
-        share = np.minimum(counts / reference["valid"], 1.0)
+        vectors = planes[self.flow]
         with np.errstate(divide="ignore"):
-            log = np.log(share)
-        off = (means - reference["flow"]) / np.array([settings.sd_x_px, settings.sd_y_px])
-        log = log - 0.5 * (off**2).sum(axis=1)
+            if settings.compare == "each":
+                agreement = np.exp(self._log_agreement(vectors[:, 2:4], reference))
+                points = np.column_stack([vectors[:, :2], agreement, agreement])
+                counts, means = self._inside(points, hypotheses.boxes)
+                log = np.log(means[:, 0])
+            else:
+                counts, means = self._inside(vectors, hypotheses.boxes)
+                log = self._log_agreement(means, reference)
+            log = np.log(np.minimum(counts / reference["valid"], 1.0)) + log
         penalty = log_size_penalty(
             hypotheses.boxes, reference["size"], settings.sd_log_area, settings.sd_log_aspect
         )
         return floored(settings.sharpness * log + penalty, settings.floor)
 
-    def _inside(self, planes: Planes, boxes: Floats) -> tuple[Floats, Floats]:
+    def _agrees(self, vectors: Floats, box: Floats, mean: Floats) -> bool:
+        limit = self.parameters.coherent_px
+        if limit is None:
+            return True
+        inside = (np.abs(vectors[:, :2] - box[:2]) <= box[2:] / 2).all(axis=1)
+        return bool(np.mean(np.sum((vectors[inside, 2:4] - mean) ** 2, axis=1)) <= limit**2)
+
+    def _log_agreement(self, flows: Floats, reference: Reference) -> Floats:
+        off = (flows - reference["flow"]) / np.array([self.parameters.sd_x_px, self.parameters.sd_y_px])
+        return np.asarray(-0.5 * (off**2).sum(axis=1))
+
+    def _inside(self, points: Floats, boxes: Floats) -> tuple[Floats, Floats]:
+        """(N,) points x, y, u, v inside each box, and (N, 2) their mean u and v."""
         from bayesnet_track.numerics.flow_kernels import flow_in_boxes
 
         counts, means = np.zeros(len(boxes)), np.zeros((len(boxes), 2))
-        flow_in_boxes(planes[self.flow], np.ascontiguousarray(boxes, dtype=np.float64), counts, means)
+        flow_in_boxes(points, np.ascontiguousarray(boxes, dtype=np.float64), counts, means)
         return counts, means
 
 

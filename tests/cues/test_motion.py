@@ -161,6 +161,33 @@ def test_likelihood_is_the_thesis_formula_times_the_count_ratio() -> None:
     assert found[2] == pytest.approx(np.log(0.02))
 
 
+def test_comparing_each_vector_scores_the_share_that_moves_as_the_target() -> None:
+    """Half of the box moves as the target, half the other way: their mean is the flow of neither."""
+    box = np.array([100.0, 100.0, 30.0, 30.0])
+    target = [[95, 95, 4, 0], [105, 105, 4, 0]]
+    mixed = planes_with(made(), [*target, [95, 105, -4, 0], [105, 95, -4, 0]])
+    for compare, expected in (("mean", np.exp(-(4.0**2) / 2)), ("each", 0.5 + 0.5 * np.exp(-(8.0**2) / 2))):
+        cue = made(compare=compare, sd_x_px=1.0, sd_y_px=1.0, floor=0.01)
+        reference = cue.learn(planes_with(cue, target), box)
+        found = cue.log_likelihood(mixed, Hypotheses(box[None]), reference)
+        assert np.exp(found) == pytest.approx(0.01 + 0.99 * expected, rel=1e-5)
+        few = planes_with(cue, target[:1])
+        assert np.exp(cue.log_likelihood(few, Hypotheses(box[None]), reference)) == pytest.approx(0.505)
+        none = planes_with(cue, [])
+        assert np.exp(cue.log_likelihood(none, Hypotheses(box[None]), reference)) == pytest.approx(0.01)
+
+
+def test_flow_is_learnt_where_the_vectors_agree() -> None:
+    """Vectors 2 px from their mean: learnt at a limit of 2 px or without one, not below."""
+    box = np.array([100.0, 100.0, 30.0, 30.0])
+    for limit, known in ((None, 1), (2.0, 1), (1.9, 0)):
+        cue = made(coherent_px=limit)
+        planes = planes_with(cue, [[95, 95, 3, 1], [105, 105, -1, 1], [180, 100, 90, 90]])
+        reference = cue.learn(planes, box)
+        assert reference["known"] == known
+        assert reference["flow"].tolist() == [1.0, 1.0]
+
+
 def test_points_on_the_edge_count_and_order_of_hypotheses_does_not_matter() -> None:
     cue = made()
     planes = planes_with(cue, [[90, 100, 1, 0], [110, 100, 1, 0], [110.5, 100, 9, 9]])
