@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
 from io import TextIOWrapper
 
 EXIT_CODES = """\
@@ -74,7 +75,9 @@ def make_parser() -> argparse.ArgumentParser:
 
     graph = commands.add_parser("graph", help="show what a graph compiles to")
     graph.add_argument("graph", metavar="GRAPH", help="path of a YAML file, or name of an installed graph")
-    graph.add_argument("--target", metavar="NAME", help="the plate to show (default: the first)")
+    graph.add_argument(
+        "--target", metavar="NAME", help="the plate to show (default: all; of a drawing, the first)"
+    )
     graph.add_argument("--formula", action="store_true", help="print the density that the net stands for")
     graph.add_argument("--latex", action="store_true", help="print it as LaTeX")
     graph.add_argument("--svg", metavar="FILE", help="draw the net")
@@ -112,6 +115,17 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; the exit code."""
+    try:
+        with _streams():
+            return _main(arguments)
+    except BrokenPipeError:  # the reader of a pipe went away, as `head` does
+        from bayesnet_track.commands.answer import mute
+
+        mute(sys.stdout)
+        return 0
+
+
+def _main(arguments: Sequence[str] | None) -> int:
     parser = make_parser()
     options = parser.parse_args(_joined(sys.argv[1:] if arguments is None else arguments))
     if options.version:
@@ -124,11 +138,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
 
     from bayesnet_track import commands
-    from bayesnet_track.commands.answer import mute
     from bayesnet_track.runtime.stop import Terminated, terminable
 
     try:
-        with _printable(), terminable():
+        with terminable():
             code = commands.call(options)
             sys.stdout.flush()
             return code
@@ -136,9 +149,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 143
     except KeyboardInterrupt:
         return 130
-    except BrokenPipeError:  # the reader of a pipe went away, as `head` does
-        mute(sys.stdout)
-        return 0
+    except BrokenPipeError:
+        raise
     except Exception:
         import traceback
 
@@ -148,17 +160,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 @contextmanager
-def _printable() -> Iterator[None]:
-    """Inside it a character that the terminal's encoding lacks is replaced instead of fatal."""
-    stream = sys.stdout
-    if not isinstance(stream, TextIOWrapper) or stream.errors != "strict":
+def _streams() -> Iterator[None]:
+    """Inside it both streams are there, and characters that the terminal lacks are replaced, not fatal."""
+    with ExitStack() as stack:
+        # A process started without them (as a service may be) has None.
+        for stream, redirect in ((sys.stdout, redirect_stdout), (sys.stderr, redirect_stderr)):
+            if stream is None:
+                from pathlib import Path
+
+                nowhere = stack.enter_context(Path(os.devnull).open("w", encoding="utf-8"))
+                stack.enter_context(redirect(nowhere))
+        out = sys.stdout
+        if isinstance(out, TextIOWrapper) and out.errors == "strict":
+            out.reconfigure(errors="replace")
+            stack.callback(out.reconfigure, errors="strict")
         yield
-        return
-    stream.reconfigure(errors="replace")
-    try:
-        yield
-    finally:
-        stream.reconfigure(errors="strict")
 
 
 def _whole_number(least: int) -> Callable[[str], int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TextIO
 
@@ -42,7 +42,15 @@ def say(text: str) -> None:
 
 def complain(message: str) -> None:
     """Print what is wrong."""
-    sys.stderr.write(message + "\n")
+    unheard(lambda: sys.stderr.write(message + "\n"))
+
+
+def unheard(show: Callable[[], object]) -> None:
+    """Write to stderr; that nobody reads it any more stops nothing."""
+    try:
+        show()
+    except BrokenPipeError:
+        mute(sys.stderr)
 
 
 def mute(stream: TextIO) -> None:

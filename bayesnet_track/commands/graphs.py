@@ -35,13 +35,11 @@ def graph(options: argparse.Namespace) -> int:
     """Show plan, formula and picture of a graph."""
     from bayesnet_track.graph.load import load_graph
 
-    loaded = load_graph(options.graph)
-    plate = _plate(loaded, options.target)
-    active = frozenset(agent for agent in plate.agents if plate.agent(agent).active)
-    if options.formula or options.latex:
-        from bayesnet_track.graph.formula import formula_latex, formula_text
-
-        say(formula_latex(plate, active) if options.latex else formula_text(plate, active))
+    plates = _plates(load_graph(options.graph), options.target)
+    text = _density if options.formula or options.latex else _plan
+    if options.formula or options.latex or not (options.svg or options.png):
+        say("\n\n".join(text(plate, _active(plate), options.latex) for plate in plates))
+    plate, active = plates[0], _active(plates[0])
     if options.svg is not None:
         from bayesnet_track.view.graph_picture import graph_svg
 
@@ -52,27 +50,37 @@ def graph(options: argparse.Namespace) -> int:
         from bayesnet_track.view.graph_picture import graph_image
 
         _write(Path(options.png), cv2.imencode(".png", graph_image(plate, active))[1].tobytes())
-    if not (options.formula or options.latex or options.svg or options.png):
-        from bayesnet_track.cue import installed_cues
-        from bayesnet_track.inference.compile import compile_plan, describe_plan
-
-        cues = installed_cues()
-        made = {
-            agent: cues[plate.agent(agent).agent.cue].make(plate.parameters[agent]) for agent in plate.agents
-        }
-        agents = {agent: plate.agent(agent) for agent in plate.agents}
-        say(describe_plan(compile_plan(plate, active, made), agents))
     return OK
 
 
-def _plate(loaded: CheckedGraph, name: str | None) -> CheckedTarget:
+def _active(plate: CheckedTarget) -> frozenset[str]:
+    return frozenset(agent for agent in plate.agents if plate.agent(agent).active)
+
+
+def _density(plate: CheckedTarget, active: frozenset[str], as_latex: bool) -> str:
+    from bayesnet_track.graph.formula import formula_latex, formula_text
+
+    return formula_latex(plate, active) if as_latex else formula_text(plate, active)
+
+
+def _plan(plate: CheckedTarget, active: frozenset[str], as_latex: bool) -> str:
+    from bayesnet_track.cue import installed_cues
+    from bayesnet_track.inference.compile import compile_plan, describe_plan
+
+    cues = installed_cues()
+    agents = {agent: plate.agent(agent) for agent in plate.agents}
+    made = {name: cues[agent.agent.cue].make(plate.parameters[name]) for name, agent in agents.items()}
+    return describe_plan(compile_plan(plate, active, made), agents)
+
+
+def _plates(loaded: CheckedGraph, name: str | None) -> list[CheckedTarget]:
     if name is None:
-        return next(iter(loaded.targets.values()))
+        return list(loaded.targets.values())
     if name not in loaded.targets:
         close = nearest(name, loaded.targets)
         near = f"; nearest: {close}" if close else ""
         raise UsageError(f"no target {name!r}; there are {', '.join(loaded.targets)}{near}")
-    return loaded.targets[name]
+    return [loaded.targets[name]]
 
 
 def _write(path: Path, content: bytes) -> None:

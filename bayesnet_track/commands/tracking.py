@@ -6,13 +6,13 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesnet_track.commands.answer import INCOMPLETE, OK, UsageError, complain, mute, say, users_mistake
+from bayesnet_track.commands.answer import INCOMPLETE, OK, UsageError, complain, say, unheard, users_mistake
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
@@ -21,6 +21,15 @@ if TYPE_CHECKING:
 
 SCENE_GRAPHS = {"orange_and_gray": "color_fusion", "gray_square": "color_fusion"}
 """Scenes that do not run with the graph `two_squares`."""
+
+SHOWN_NOTICES = 5
+
+ENDINGS = {
+    "source_truncated": "the source is truncated",
+    "source_damaged": "the source is damaged",
+    "frame_size_changed": "stopped where the pictures change size",
+    "interrupted": "interrupted",
+}
 
 
 def demo(options: argparse.Namespace) -> int:
@@ -127,9 +136,10 @@ def _track(
     progress = Progress(sys.stderr, source.expected_frames, sys.stderr.isatty(), options.log_json)
     summary = Summary()
     with ExitStack() as stack:
-        stop = stack.enter_context(StopRequest())
+        # Before the first frame is done there is nothing to finish, and kernels may have to be compiled.
+        stop = stack.enter_context(StopRequest(is_patient=False))
         if not options.quiet:
-            stack.callback(_tell, progress.finish)
+            stack.callback(unheard, progress.finish)
         results = track(
             graph,
             source,
@@ -143,6 +153,7 @@ def _track(
         stack.callback(results.close)
         try:
             for result in results:
+                stop.is_patient = True
                 if not options.quiet:
                     _show(progress, summary, result)
                 if stop.signal is not None:
@@ -162,29 +173,25 @@ def _show(progress: Progress, summary: Summary, result: Result) -> None:
     if lost and len(result.targets) > 1:
         status = f"lost: {', '.join(lost)} of {len(result.targets)}"
     ud_px2 = max(metrics.ud_px2 for metrics in result.targets)
-    _tell(partial(progress.update, time.monotonic(), summary.frames, tuple(active), ud_px2, status))
-
-
-def _tell(show: Callable[[], None]) -> None:
-    """Show progress; tracking goes on when nobody reads it any more."""
-    try:
-        show()
-    except BrokenPipeError:
-        mute(sys.stderr)
+    unheard(partial(progress.update, time.monotonic(), summary.frames, tuple(active), ud_px2, status))
 
 
 def _say_end(out: Path, summary: Summary) -> None:
     from bayesnet_track.journal.explain import explain
 
-    for notice in summary.notices:
+    for notice in summary.notices[:SHOWN_NOTICES]:
         complain(explain(notice))
+    if len(summary.notices) > SHOWN_NOTICES:
+        complain(
+            f"... and {len(summary.notices) - SHOWN_NOTICES} more; `bayesnet-track log {out}` tells them all"
+        )
     rate = summary.frames / summary.seconds if summary.seconds > 0 else 0.0
     parts = [f"{_count(summary.frames, 'frame')} in {summary.seconds:.1f} s ({rate:.0f} per second)"]
     parts.append(_count(summary.reconfigurations, "reconfiguration"))
     if summary.lost_frames:
         parts.append(f"lost in {_count(summary.lost_frames, 'frame')}")
     if not summary.complete:
-        parts.append(f"stopped early: {summary.reason.replace('_', ' ')}")
+        parts.append(ENDINGS[summary.reason])
     say(f"{out}: {', '.join(parts)}")
 
 

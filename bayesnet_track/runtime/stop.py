@@ -23,10 +23,12 @@ class StopRequest:
 
     Attributes:
         signal: number of the signal that arrived, or None.
+        is_patient: while False, the first one acts at once, too.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, is_patient: bool = True) -> None:
         self.signal: int | None = None
+        self.is_patient = is_patient
         self._before: dict[int, Any] = {}
 
     @property
@@ -46,6 +48,8 @@ class StopRequest:
     def _note(self, number: int, frame: FrameType | None) -> None:
         self.signal = number
         self._restore()
+        if not self.is_patient:
+            signal.raise_signal(number)
 
     def _restore(self) -> None:
         before, self._before = self._before, {}

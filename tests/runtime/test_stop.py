@@ -34,6 +34,14 @@ def test_a_signal_is_noted_and_the_second_acts(number):
         signal.signal(number, before)
 
 
+@pytest.mark.parametrize("number", SIGNALS)
+def test_without_patience_the_first_one_acts(number):
+    with pytest.raises(KeyboardInterrupt) as ended, terminable(), StopRequest(is_patient=False) as stop:
+        signal.raise_signal(number)
+    assert (type(ended.value) is Terminated) == (number == signal.SIGTERM)
+    assert stop.exit_code == 128 + number
+
+
 def test_handlers_are_put_back():
     before = handlers()
     with StopRequest(), terminable():
@@ -107,7 +115,7 @@ def test_a_signal_ends_a_run_in_order(tmp_path, number, code):
     said, complained = process.communicate(timeout=20)
     assert process.returncode == code
     assert "Traceback" not in complained
-    assert said.endswith("stopped early: interrupted\n") and said.count("\n") == 1
+    assert said.endswith(", interrupted\n") and said.count("\n") == 1
     frames = check(out)
     assert 10 <= frames < 200
     assert list(read_events(out / "journal.jsonl", pytest.fail))[-1] == RunEnded(
