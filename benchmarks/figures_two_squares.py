@@ -92,19 +92,28 @@ def initial_cloud() -> Figure:
     show(left, start.image, "a) hypotheses of frame 1, before the evidence")
     boxes(left, moment.states[::5, :4], CLOUD, alpha=0.4, width=0.7)
     boxes(left, start.box, BEST, width=2.0)
-    x, mean, sd = moment.states[:, 0], start.box[0], 20.0
+    x, mean, sd = moment.states[:, 0], start.box[0], _spread_px()
     right.hist(x, bins=30, density=True, color=CLOUD, alpha=0.55, label=f"{len(x)} hypotheses")
-    at = np.linspace(mean - 75, mean + 75, 200)
+    at = np.linspace(mean - 4 * sd, mean + 4 * sd, 200)
     normal = np.exp(-0.5 * ((at - mean) / sd) ** 2) / (sd * np.sqrt(2 * np.pi))
-    right.plot(at, normal, color=INK, label="Gaussian, sd 20 px")
-    right.axvline(stated().width - 1, color=QUIET, linewidth=0.8, linestyle=":")
-    right.text(stated().width + 1, 0.8 * normal.max(), "border of\nthe picture", fontsize=8.5)
+    right.plot(at, normal, color=INK, label=f"Gaussian, sd {sd:g} px")
+    if at[-1] > stated().width:
+        right.axvline(stated().width - 1, color=QUIET, linewidth=0.8, linestyle=":")
+        right.text(stated().width + 1, 0.8 * normal.max(), "border of\nthe picture", fontsize=8.5)
     right.set_xlabel("x of the centre [px]")
     right.set_ylabel("share per px")
     right.set_title("b) their x-coordinate")
     right.set_ylim(0, 1.5 * normal.max())
     right.legend(loc="upper left", fontsize=9)
     return figure
+
+
+def _spread_px() -> float:
+    """The sd of the motion in x, as the graph has it."""
+    (plate,) = load_graph("two_squares").targets.values()
+    motion = plate.inference(plate.root).motion
+    assert motion is not None and motion.random_walk is not None
+    return float(motion.random_walk.sd_px.x)
 
 
 def likelihood() -> Figure:
@@ -204,12 +213,12 @@ def ud_and_activity(run: Trace, lines: dict[str, float], agents: tuple[str, ...]
 
 
 def surfaces() -> Figure:
-    """Thesis Figure 2.10: the posterior at four frames, round the moment when motion is switched on."""
-    run = adaptive()
+    """Thesis Figure 2.10: the posterior before motion is switched on and after, and without motion."""
+    run, (_, alone) = adaptive(), color_only()
     on = next(d.frame for d in run.decisions if isinstance(d, Activated))
     figure = plt.figure(figsize=(8, 4.4))
-    for column, index in enumerate((1, on, on + 1, on + 4), 1):
-        moment = run.first[index]
+    for column, (index, one) in enumerate(((1, run), (on, run), (on + 12, run), (on + 12, alone)), 1):
+        moment = one.first[index]
         target, other = (centre_from_corner(path[index]) for path in (stated().truth, stated().others[0]))
         middle = target if column == 1 else (target + other) / 2
         left, top = (round(float(c) - room) for c, room in zip(middle[:2], (80, 60), strict=True))
