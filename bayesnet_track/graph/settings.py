@@ -168,7 +168,12 @@ class Estimate(Choice):
 
 
 class Latent(Model):
-    """The node has a state of its own, drawn around its parent's hypothesis by `given`."""
+    """The node has a state of its own, drawn around its parent's hypothesis by `given`.
+
+    One draw per hypothesis is unbiased but noisy: with 1000 hypotheses and `given` wider than the agents its
+    50 % region held the truth in 30 % of cases; it needs some ten thousand. The kernel is accurate with
+    1000 (47 %), and takes about 0.1 s a message there.
+    """
 
     given: Noise = Field(description="p(own state | parent's state)")
     draw: Literal["one", "kernel"] = Field(
@@ -267,8 +272,9 @@ class Lost(Model):
 class SelfCheck(Model):
     """An agent watches its own uncertainty: acts locally, then stops itself.
 
-    After a self-stop the agent may be switched on again only after `rest` frames; each further self-stop
-    doubles its rest, so that it cannot oscillate.
+    After a self-stop the agent may be switched on again only after `rest` frames, by the `activate` rule above
+    it (or when no agent is left); each further self-stop doubles its rest, so that it cannot oscillate. The
+    last active agent never stops itself.
     """
 
     above: Level = Field(description="level of UD")
