@@ -11,6 +11,7 @@ import sys
 import threading
 import xml.etree.ElementTree as ET
 from fractions import Fraction
+from pathlib import Path
 
 import av
 import cv2
@@ -20,13 +21,14 @@ import pytest
 import yaml
 
 from bayesnet_track import commands
-from bayesnet_track.cli import main
+from bayesnet_track.cli import EXIT_CODES, main
 from bayesnet_track.cue import installed_cues
 from bayesnet_track.graphs import find_graph, graph_names
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.runtime.stop import Terminated
 from bayesnet_track.scenes import make_scene, scene_names
 
+ROOT = Path(__file__).parents[1]
 RUN_FILES = {"journal.jsonl", "frames.jsonl", "tracks.txt", "tracks.csv", "timings.jsonl", "graph.yaml"}
 BOX = "20,14,16,12"
 
@@ -121,6 +123,13 @@ def test_help_names_every_command_and_exit_code(cli):
         assert cli(f"{command} --help")[0] == 0
     codes = [int(number) for number in re.findall(r"^  (\d+) ", out.split("exit codes:")[1], re.MULTILINE)]
     assert codes == [0, 1, 2, 3, 4, 5, 6, 130, 143]
+
+
+def test_the_readme_has_the_same_exit_codes():
+    table = re.findall(
+        r"^\| (\d) \| (.*) \|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert table == re.findall(r"^  (\d)    (.*)$", EXIT_CODES, re.MULTILINE)
 
 
 def test_without_a_command_it_shows_help_and_fails(cli):
