@@ -187,7 +187,8 @@ def _part(cost: Cost, part: str) -> str:
 
 def plot(results: dict[str, list[tuple[float, Cost]]], path: Path) -> None:
     """One panel per thing that varies, the parts stacked."""
-    from figure_style import COLOURS, plt, save
+    import matplotlib.pyplot as plt
+    from figure_style import COLOURS, save
 
     figure, panels = plt.subplots(2, 2, figsize=(8, 5.2), layout="constrained", sharey=True)
     for panel, (name, points) in zip(panels.flat, results.items(), strict=True):

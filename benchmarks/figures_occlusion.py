@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from functools import cache
 
+import matplotlib.pyplot as plt
 import numpy as np
 from figure_style import (
     BEST,
     CLOUD,
     INK,
     PEER,
-    Figure,
     boxes,
     density,
     level,
     logarithmic,
-    plt,
     shaded,
     show,
     surface,
 )
 from figures_two_squares import levels, ud_and_activity
+from matplotlib.figure import Figure
 from traces import Trace, mean_shift, trace
 
 from bayesnet_track.graph.net import LocallyAdapted, SelfStopped

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 
+import matplotlib.pyplot as plt
 import numpy as np
 from figure_style import (
     BEST,
@@ -15,18 +16,17 @@ from figure_style import (
     SURFACE,
     WARNING,
     Axes,
-    Figure,
     activity,
     boxes,
     density,
     label,
     level,
     logarithmic,
-    plt,
     shaded,
     show,
     surface,
 )
+from matplotlib.figure import Figure
 from traces import Trace, mean_shift, trace
 from two_squares import held_to_the_end, without_adaptation
 
@@ -195,7 +195,7 @@ def uncertainty() -> Figure:
     return figure
 
 
-def ud_and_activity(run: Trace, lines: dict[str, float], agents: tuple[str, ...]) -> tuple[Figure, Axes]:
+def ud_and_activity(run: Trace, lines: dict[str, float], agents: tuple[str, ...]) -> tuple[Axes]:
     """UD over the frames on a logarithmic scale, and below it when each agent worked."""
     figure, (upper, lower) = plt.subplots(
         2, 1, figsize=(8, 3.7), layout="constrained", sharex=True, height_ratios=(5, 0.6 * len(agents))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Protocol
 
 import cv2
@@ -83,6 +84,6 @@ def peers() -> Mapping[str, Callable[[], Peer]]:
     for name in ("CSRT", "KCF", "MIL"):
         create = getattr(getattr(cv2, f"Tracker{name}", None), "create", None)
         if create is not None:
-            found[name] = lambda create=create: Whole(create)
+            found[name] = partial(Whole, create)
     found["mean shift"] = MeanShift
     return found

@@ -41,7 +41,10 @@ class Sequence:
     def images(self) -> Iterator[Image]:
         """The pictures, BGR."""
         for file in self.files:
-            yield cv2.imread(str(file), cv2.IMREAD_COLOR)
+            image = cv2.imread(str(file), cv2.IMREAD_COLOR)
+            if image is None:
+                raise SystemExit(f"{file}: cannot be read")
+            yield np.asarray(image, dtype=np.uint8)
 
 
 @dataclass

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import figures_occlusion
 import figures_two_squares
-from figure_style import Figure, save
+from figure_style import save
+from matplotlib.figure import Figure
 
 FIGURES: dict[str, tuple[str, Callable[[], Figure]]] = {
     "2.3": ("initial_cloud.png", figures_two_squares.initial_cloud),
