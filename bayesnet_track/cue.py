@@ -42,6 +42,17 @@ class CueParameters(BaseModel):
     )
 
 
+class SizedCueParameters(CueParameters):
+    """Parameters of a cue with a size penalty (`log_size_penalty`)."""
+
+    sd_log_area: float = Field(
+        default=0.5, gt=0, description="Standard deviation of the log of the area ratio to the reference."
+    )
+    sd_log_aspect: float = Field(
+        default=0.4, gt=0, description="Standard deviation of the log of the aspect ratio to the reference."
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Hypotheses:
     """Where the target might be.

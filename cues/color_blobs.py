@@ -19,10 +19,10 @@ from bayesnet_track.color_planes import Hue
 from bayesnet_track.cue import (
     Cue,
     CueDeclaration,
-    CueParameters,
     Floats,
     Hypotheses,
     Reference,
+    SizedCueParameters,
     floored,
     log_size_penalty,
 )
@@ -32,7 +32,7 @@ SHARE = 3
 """Column of a blob that holds its share of the box."""
 
 
-class ColorBlobsParameters(CueParameters):
+class ColorBlobsParameters(SizedCueParameters):
     """Parameters of the colour blobs."""
 
     min_chroma: int = Field(
@@ -58,12 +58,6 @@ class ColorBlobsParameters(CueParameters):
         default=4.0,
         gt=0,
         description="Cost of a blob without a match, and of a box outside the frame (nats).",
-    )
-    sd_log_area: float = Field(
-        default=0.5, gt=0, description="Sd of the log area ratio to the reference (nats)."
-    )
-    sd_log_aspect: float = Field(
-        default=0.4, gt=0, description="Sd of the log aspect ratio to the reference (nats)."
     )
 
 

@@ -19,10 +19,10 @@ from bayesnet_track.color_planes import HueBins
 from bayesnet_track.cue import (
     Cue,
     CueDeclaration,
-    CueParameters,
     Floats,
     Hypotheses,
     Reference,
+    SizedCueParameters,
     blend_arrays,
     floored,
     log_size_penalty,
@@ -34,7 +34,7 @@ SHARPEN = 0.7
 ATTEMPTS = 3
 
 
-class ColorHistogramParameters(CueParameters):
+class ColorHistogramParameters(SizedCueParameters):
     """Parameters of the hue histogram."""
 
     bins: int = Field(
@@ -57,12 +57,6 @@ class ColorHistogramParameters(CueParameters):
         gt=0,
         le=1,
         description="Least distance at which the likelihood halves (share of the distance of opposite hues).",
-    )
-    sd_log_area: float = Field(
-        default=0.5, gt=0, description="Sd of the log area ratio to the reference (nats)."
-    )
-    sd_log_aspect: float = Field(
-        default=0.4, gt=0, description="Sd of the log aspect ratio to the reference (nats)."
     )
 
 

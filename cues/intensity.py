@@ -14,10 +14,10 @@ from pydantic import Field
 
 from bayesnet_track.cue import (
     CueDeclaration,
-    CueParameters,
     Floats,
     Hypotheses,
     Reference,
+    SizedCueParameters,
     floored,
     log_size_penalty,
 )
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 Ints = NDArray[np.int64]
 
 
-class IntensityParameters(CueParameters):
+class IntensityParameters(SizedCueParameters):
     """Parameters of the intensity cue."""
 
     form: Literal["correlation", "difference"] = Field(
@@ -68,12 +68,6 @@ class IntensityParameters(CueParameters):
     )
     sharpness: float = Field(
         default=1.0, gt=0, description="Factor on the log-likelihood before the floor (no unit)."
-    )
-    sd_log_area: float = Field(
-        default=0.5, gt=0, description="Standard deviation of the log of the area ratio to the reference."
-    )
-    sd_log_aspect: float = Field(
-        default=0.3, gt=0, description="Standard deviation of the log of the aspect ratio to the reference."
     )
 
 

@@ -15,10 +15,10 @@ from pydantic import Field
 
 from bayesnet_track.cue import (
     CueDeclaration,
-    CueParameters,
     Floats,
     Hypotheses,
     Reference,
+    SizedCueParameters,
     floored,
     log_size_penalty,
 )
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from bayesnet_track.planes import Plane, Planes
 
 
-class MotionParameters(CueParameters):
+class MotionParameters(SizedCueParameters):
     """Parameters of the motion cue."""
 
     compare: Literal["mean", "each"] = Field(
@@ -71,12 +71,6 @@ class MotionParameters(CueParameters):
     )
     sharpness: float = Field(
         default=1.0, gt=0, description="Factor on the log-likelihood before the floor (no unit)."
-    )
-    sd_log_area: float = Field(
-        default=0.5, gt=0, description="Standard deviation of the log of the area ratio to the reference."
-    )
-    sd_log_aspect: float = Field(
-        default=0.3, gt=0, description="Standard deviation of the log of the aspect ratio to the reference."
     )
 
 

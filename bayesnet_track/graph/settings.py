@@ -272,9 +272,9 @@ class Lost(Model):
 class SelfCheck(Model):
     """An agent watches its own uncertainty: acts locally, then stops itself.
 
-    After a self-stop the agent may be switched on again only after `rest` frames, by the `activate` rule above
-    it (or when no agent is left); each further self-stop doubles its rest, so that it cannot oscillate. The
-    last active agent never stops itself.
+    After a self-stop the agent may be switched on again only after `rest` frames, by the `activate` rule
+    above it (or when no agent is left); each further self-stop doubles its rest, so that it cannot oscillate.
+    The last active agent never stops itself.
     """
 
     above: Level = Field(description="level of UD")

@@ -124,7 +124,7 @@ def test_difference_is_the_weighted_square_of_the_thesis() -> None:
     a, b = means_of(gray, target, 12)[0], means_of(gray, other, 12)[0]
     line = np.exp(-0.5 * (((np.arange(12) + 0.5) / 6.0 - 1.0) / 0.5) ** 2)
     weights = np.outer(line, line) / line.sum() ** 2
-    size = log_size_penalty(np.array([other]), np.array(target[2:]), 0.5, 0.3)
+    size = log_size_penalty(np.array([other]), np.array(target[2:]), 0.5, 0.4)
     expected = floored(-0.5 * np.array([(weights * (a - b) ** 2).sum()]) / 60.0**2 + size, 1e-9)
     assert scores(cue, planes_of(gray), [other], reference) == pytest.approx(expected, abs=1e-9)
 

@@ -155,7 +155,7 @@ def test_likelihood_is_the_thesis_formula_times_the_count_ratio() -> None:
     boxes = np.array([[100.0, 100.0, 30.0, 30.0], [202.0, 100.0, 30.0, 24.0], [20.0, 20.0, 30.0, 30.0]])
     found = cue.log_likelihood(planes, Hypotheses(boxes), reference)
     log = np.log(1 / 3) - (2.0**2 / (2 * 2.0**2) + 1.0**2 / (2 * 3.0**2))
-    log += log_size_penalty(boxes[1:2], np.array([30.0, 30.0]), 0.5, 0.3)[0]
+    log += log_size_penalty(boxes[1:2], np.array([30.0, 30.0]), 0.5, 0.4)[0]
     assert found[0] == 0.0
     assert found[1] == pytest.approx(floored(np.array([log]), 0.02)[0])
     assert found[2] == pytest.approx(np.log(0.02))
