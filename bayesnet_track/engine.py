@@ -96,7 +96,7 @@ def start_target(
     """Start a net for the target inside the centre box (4,) of `frame`: references learnt, belief placed.
 
     The belief of the first frame is the box itself; hypotheses spread with the first prediction. An agent
-    that cannot learn its reference is out from the start.
+    that cannot learn its reference, or that needs colour where the frame has none, is out from the start.
     """
     machine = engine.machinery[template]
     active = tuple(agent for agent in machine.plate.agents if machine.plate.agent(agent).active)
@@ -104,6 +104,8 @@ def start_target(
     # Another target that started in this frame has made it the state's last one.
     previous = state.previous if state.previous is None or state.previous.index < frame.index else None
     references, faults = learn_first(machine.cues, PlaneCache(FramePair(frame, previous)), box)
+    if not frame.has_color:
+        faults |= dict.fromkeys(sorted(machine.color_agents), "needs colour, and the source is gray")
     x, y, w, h = (float(v) for v in box)
     decisions: list[Decision] = [
         TargetStarted(frame.index, target, template, (x, y, w, h), active),

@@ -27,6 +27,7 @@ class Machinery:
         costs_ms: agent -> declared cost.
         rate_max: agent -> largest learning rate.
         adaptable: agents that can act locally.
+        color_agents: agents that are blind on a gray source.
     """
 
     plate: CheckedTarget
@@ -36,6 +37,7 @@ class Machinery:
     costs_ms: Mapping[str, float]
     rate_max: Mapping[str, float]
     adaptable: frozenset[str]
+    color_agents: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +78,7 @@ def _make_machinery(plate: CheckedTarget, declarations: Mapping[str, CueDeclarat
         costs_ms={agent: of[agent].cost_ms for agent in plate.agents},
         rate_max={agent: _rate_max(plate, agent, of[agent], root.learn) for agent in plate.agents},
         adaptable=frozenset(agent for agent, cue in made.items() if isinstance(cue, LocallyAdaptable)),
+        color_agents=frozenset(agent for agent in plate.agents if of[agent].needs_color),
     )
 
 

@@ -1,6 +1,6 @@
 """Example 1 of the thesis over many seeds and geometries: how often is the right square held to the end?
 
-    python benchmarks/two_squares.py [--seeds 50] [--geometries 50]
+    python benchmarks/two_squares.py [--seeds 50] [--geometries 50] [--first 0]
 
 Prints, for colour only, motion only, both always, adaptive (the graph `two_squares`), and OpenCV's mean shift
 and CamShift: runs held to the end and mean agents per frame, in the stated geometry and in random ones.
@@ -107,9 +107,12 @@ TRACKERS: dict[str, Callable[[Scene, int], Held]] = {
 
 def main() -> None:
     """Print the table, and when the adaptive net switched motion in the stated geometry."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, default=50)
     parser.add_argument("--geometries", type=int, default=50)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first random geometry")
     parser.add_argument("--trackers", help="comma-separated; default all")
     options = parser.parse_args()
     chosen = options.trackers.split(",") if options.trackers else list(TRACKERS)
@@ -117,7 +120,8 @@ def main() -> None:
     groups = {
         "stated": [two_squares(seed) for seed in range(options.seeds)],
         "random": [
-            two_squares(seed, random_geometry(np.random.default_rng(seed))) for seed in range(options.geometries)
+            two_squares(seed, random_geometry(np.random.default_rng(seed)))
+            for seed in range(options.geometries)
         ],
     }
     print("| tracker | geometry | held | agents per frame |\n|---|---|---:|---:|")
@@ -127,11 +131,16 @@ def main() -> None:
             runs = [TRACKERS[name](scene, seed) for seed, scene in enumerate(scenes)]
             if runs:
                 agents = np.mean([one.agents for one in runs])
-                print(f"| {name} | {group} | {sum(one.held for one in runs)} of {len(runs)} | {agents:.2f} |", flush=True)
+                print(
+                    f"| {name} | {group} | {sum(one.held for one in runs)} of {len(runs)} | {agents:.2f} |",
+                    flush=True,
+                )
             if (name, group) == ("adaptive", "stated"):
                 switches = [one.switches for one in runs]
     for seed, one in enumerate(switches):
-        told = ", ".join(f"{frame} {node} {'on' if kind == 'Activated' else 'off'}" for frame, kind, node in one)
+        told = ", ".join(
+            f"{frame} {node} {'on' if kind == 'Activated' else 'off'}" for frame, kind, node in one
+        )
         print(f"seed {seed}: {told}")
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bayesnet_track import Start, track
-from bayesnet_track.graph.net import Activated, Deactivated, Decision, SelfStopped, StatusChanged
+from bayesnet_track import Start, Tracker, track
+from bayesnet_track.graph.net import Activated, Deactivated, Decision, Quarantined, SelfStopped, StatusChanged
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.run import Result
 from bayesnet_track.runtime.scene_source import SceneSource
@@ -81,6 +81,18 @@ def test_colour_stops_itself_on_a_gray_target_which_is_held() -> None:
     assert stopped[0].rests_until > stopped[0].frame + 1
     assert not decisions(results, Deactivated, "histogram")
     assert overlaps(results, scene).mean() > 0.8
+
+
+def test_colour_agents_are_out_on_a_gray_source() -> None:
+    """They would see nothing; the journal says so, and the others track on."""
+    scene = make_scene("gray_square", 0)
+    tracker = Tracker("color_fusion")
+    tracker.init(scene.frames[0][:, :, 0], scene.start_box)
+    out = {event.node: event.reason for event in tracker.events if isinstance(event, Quarantined)}
+    assert out == dict.fromkeys(("histogram", "blobs"), "needs colour, and the source is gray")
+    for index in range(1, 6):
+        ok, _ = tracker.update(scene.frames[index][:, :, 0])
+    assert ok and set(tracker.metrics.active) <= {"intensity", "motion"}
 
 
 def test_an_occluded_target_is_lost_and_found_again() -> None:

@@ -132,8 +132,11 @@ def _ancestors(plate: CheckedTarget, node: str) -> Iterator[str]:
 def _check_selves(now: Situation, memory: Memory, decisions: list[Decision]) -> Memory:
     """Agents watch their own UD: act locally on each frame above, stop at the one that makes `frames`.
 
-    The last active agent does not stop itself. A streak ends when its agent gives no evidence.
+    The last active agent does not stop itself. A streak ends when its agent gives no evidence, and while the
+    target is lost: nobody can be sure of what cannot be seen, and the agents are needed when it comes back.
     """
+    if now.net.status == "lost":
+        return replace(memory, self_check={})
     streaks: dict[str, Streak] = {}
     active = set(now.net.active)
     quiet = quiet_level(now.plate, now.net, memory, now.plate.root)

@@ -274,7 +274,7 @@ class SelfCheck(Model):
 
     After a self-stop the agent may be switched on again only after `rest` frames, by the `activate` rule
     above it (or when no agent is left); each further self-stop doubles its rest, so that it cannot oscillate.
-    The last active agent never stops itself.
+    The last active agent never stops itself, and none does while the target is lost.
     """
 
     above: Level = Field(description="level of UD")

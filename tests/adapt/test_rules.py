@@ -291,6 +291,16 @@ def test_a_streak_does_not_outlive_a_pause(drive):
     assert made.frames(SelfStopped) == [6]
 
 
+def test_no_agent_stops_itself_while_the_target_is_lost(drive):
+    """What cannot be seen makes every agent unsure; the streak begins again when the target is found."""
+    wide, narrow = [2000.0] * 8, [10.0] * 9
+    rules = net(checks={"a": CHECK}, lost={"above": {"ud_px2": 1000.0}, "frames": 3})
+    made = drive(rules, wide + narrow, agent_uds={"a": [500.0] * 17})
+    lost, found = (d.frame for d in made.of(StatusChanged))
+    assert (lost, found) == (3, 11)
+    assert made.frames(SelfStopped) == [found + CHECK["frames"]]
+
+
 def test_the_last_active_agent_does_not_stop_itself(drive):
     checks = dict.fromkeys("ab", CHECK)
     made = drive(net(checks=checks), [10.0] * 30, agent_uds=dict.fromkeys("ab", [500.0] * 30))
