@@ -3,7 +3,6 @@
 import signal
 import subprocess
 import sys
-import time
 
 import av
 import numpy as np
@@ -112,7 +111,6 @@ def test_a_killed_writer_leaves_a_readable_file(tmp_path, name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_full_disk_is_a_clear_error(tmp_path, name):
-    began = time.perf_counter()
     child = subprocess.run(
         [sys.executable, "-c", CHILD, str(tmp_path / name), "100000"],
         capture_output=True,
@@ -121,6 +119,5 @@ def test_a_full_disk_is_a_clear_error(tmp_path, name):
     )
     assert child.returncode == 0, child.stderr
     assert "cannot write the video: " in child.stdout.splitlines()[-1]
-    assert time.perf_counter() - began < 30
     with open_source(str(tmp_path / name)) as source:
         assert sum(isinstance(item, Frame) for item in source) > 5
