@@ -172,5 +172,5 @@ CUE = CueDeclaration(
     parameters=ColorBlobsParameters,
     make=_make,
     needs_color=True,
-    cost_ms=2.0,
+    cost_ms=1.4,
 )

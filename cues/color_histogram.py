@@ -149,5 +149,5 @@ CUE = CueDeclaration(
     parameters=ColorHistogramParameters,
     make=_make,
     needs_color=True,
-    cost_ms=1.0,
+    cost_ms=0.7,
 )

@@ -201,5 +201,5 @@ CUE = CueDeclaration(
     summary="gray pattern inside the box against the target's",
     parameters=IntensityParameters,
     make=_make,
-    cost_ms=0.8,
+    cost_ms=0.7,
 )

@@ -179,6 +179,6 @@ CUE = CueDeclaration(
     summary="optical flow inside the box against the target's",
     parameters=MotionParameters,
     make=_make,
-    cost_ms=2.5,
+    cost_ms=1.0,
     rate_max=1.0,
 )
