@@ -171,7 +171,7 @@ class Latent(Model):
     """The node has a state of its own, drawn around its parent's hypothesis by `given`.
 
     One draw per hypothesis is unbiased but noisy: with 1000 hypotheses and `given` wider than the agents its
-    50 % region held the truth in 30 % of cases; it needs some ten thousand. The kernel is accurate with
+    50 % region held the truth in 30 % of cases; it needs some 30,000. The kernel is accurate with
     1000 (47 %), and takes about 0.1 s a message there.
     """
 
