@@ -109,6 +109,61 @@ class Cue(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """A Gaussian message: where an agent found the target, instead of a score for every hypothesis.
+
+    Its likelihood of a hypothesis h is exp(-d^2 / 2), d^2 = (mean - h)' covariance^-1 (mean - h): 1 at the
+    place itself, as for every cue.
+
+    Attributes:
+        fields: the K fields of a hypothesis that were measured, such as ("x", "y").
+        mean: (K,) their values, px (and px per frame for velocities).
+        covariance: (K, K) of the error, symmetric and positive definite.
+        floor: likelihood of an outlier as a share of the best; a belief that takes Gaussian messages as they
+            are gates instead.
+    """
+
+    fields: tuple[str, ...]
+    mean: Floats
+    covariance: Floats
+    floor: float = 0.0
+
+
+@runtime_checkable
+class MeasuringCue(Protocol):
+    """A cue that finds the target itself and says where: a classical tracker, a detector.
+
+    It is otherwise as a `Cue`, with the same planes and references.
+    """
+
+    @property
+    def needs(self) -> tuple[Plane, ...]:
+        """The planes that `learn` and `measure` read."""
+        ...
+
+    def learn(self, planes: Planes, box: Floats) -> Reference:
+        """As of a `Cue`."""
+        ...
+
+    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+        """As of a `Cue`."""
+        ...
+
+    def measure(
+        self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
+    ) -> Measurement | None:
+        """Where the target is; None when it is not seen, which says nothing about any hypothesis.
+
+        `hypotheses` and their (N,) `weights`, which sum to 1, say where to look: `planes` covers their boxes
+        as far as these lie inside the frame.
+        """
+        ...
+
+
+AnyCue = Cue | MeasuringCue
+
+
 @runtime_checkable
 class LocallyAdaptable(Protocol):
     """A cue that can act on its own uncertainty before it stops itself."""
@@ -121,7 +176,7 @@ class LocallyAdaptable(Protocol):
         ...
 
 
-def context_of(cue: Cue) -> float:
+def context_of(cue: AnyCue) -> float:
     """How many box sizes beyond each side of the box the cue looks when it learns."""
     return float(getattr(cue, "context", CONTEXT))
 
@@ -144,7 +199,7 @@ class CueDeclaration:
     name: str
     summary: str
     parameters: type[CueParameters]
-    make: Callable[[Any], Cue]
+    make: Callable[[Any], AnyCue]
     needs_color: bool = False
     cost_ms: float = 1.0
     rate_max: float | None = None

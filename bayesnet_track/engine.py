@@ -18,8 +18,8 @@ from bayesnet_track.adapt.measure import measure
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.rules import Situation, decide, quiet_level
 from bayesnet_track.belief.bounds import Confined
-from bayesnet_track.belief.estimate import covariance, estimate
-from bayesnet_track.belief.particles import ParticleSet
+from bayesnet_track.belief.contract import Posterior
+from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.cue import LocallyAdaptable, Reference
 from bayesnet_track.frame_metrics import first_frame_metrics, frame_metrics
 from bayesnet_track.graph.net import Decision, LocallyAdapted, Net, Quarantined, TargetStarted, apply
@@ -46,7 +46,7 @@ class TargetState:
         time: time of the last frame, frame intervals.
     """
 
-    belief: ParticleSet
+    belief: Posterior
     references: Mapping[str, Reference]
     memory: Memory
     plan: Plan
@@ -113,13 +113,13 @@ def start_target(
     ]
     working = tuple(agent for agent in active if agent not in faults)
     born = TargetState(
-        belief=machine.belief.start(box, machine.motion, stream),
+        belief=machine.belief.start(box, Confined(machine.motion, frame.width, frame.height), stream),
         references=references,
         memory=Memory(),
         plan=compile_plan(machine.plate, working, machine.cues),
         time=frame.time,
     )
-    metrics = first_frame_metrics(frame, target, born.belief, working, box)
+    metrics = first_frame_metrics(frame, target, len(born.belief), working, box)
     after = State(_applied(state.net, decisions), {**state.targets, target: born}, frame)
     return Outcome(after, (metrics,), tuple(decisions))
 
@@ -147,7 +147,7 @@ def step(engine: Engine, state: State, frame: Frame) -> Outcome:
         targets[target] = _recompiled(engine, net, target, one.state)
         metrics.append(one.metrics)
         covariances[target] = one.covariance
-        events += [*one.faults, *one.decisions]
+        events += [*one.told, *one.decisions]
     return Outcome(State(net, targets, frame), tuple(metrics), tuple(events), covariances, seconds)
 
 
@@ -156,7 +156,7 @@ class _TargetOutcome:
     state: TargetState
     metrics: FrameMetrics
     decisions: tuple[Decision, ...]
-    faults: tuple[Event, ...]
+    told: tuple[Event, ...]
     covariance: Floats
 
 
@@ -177,7 +177,7 @@ def _step_target(
         partial(evaluate, before.plan, observer),
         stream,
     )
-    box = _inside(estimate(root.estimate, stepped.posterior, stepped)[:4], frame)
+    box = _inside(estimate(root.estimate, stepped)[:4], frame)
     started = _charge(engine, seconds, "belief", started)
 
     faults = _quarantined(frame.index, target, stepped.evidence.faults)
@@ -200,14 +200,14 @@ def _step_target(
     _charge(engine, seconds, "learn", started)
 
     after = TargetState(stepped.posterior, references, memory, before.plan, frame.time)
-    degenerate = (
-        () if stepped.degenerate is None else (DegenerateBelief(frame.index, target, stepped.degenerate),)
-    )
-    spread = covariance(stepped.posterior)
+    told = [report(frame.index, target) for report in stepped.reports]
+    if stepped.degenerate is not None:
+        told.append(DegenerateBelief(frame.index, target, stepped.degenerate))
+    spread = stepped.posterior.covariance
     metrics = frame_metrics(
         frame, target, machine.plate, live.status, stepped, measures, box, spread, quiet, rate, stream
     )
-    return _TargetOutcome(after, metrics, (*faults, *decisions), degenerate, spread)
+    return _TargetOutcome(after, metrics, (*faults, *decisions), tuple(told), spread)
 
 
 def _learn(

@@ -6,12 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.measure import Measures
-from bayesnet_track.belief.contract import Stream
-from bayesnet_track.belief.estimate import central_region
-from bayesnet_track.belief.particles import ParticleSet, Step
+from bayesnet_track.belief.contract import Posterior, Step, Stream
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.journal.events import FrameMetrics
-from bayesnet_track.numerics.resampling import resample
+from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.planes import Frame
 
 Floats = NDArray[np.float64]
@@ -30,7 +28,7 @@ def frame_metrics(
     target: str,
     plate: CheckedTarget,
     status: str,
-    stepped: Step,
+    stepped: Step[Posterior],
     measures: Measures,
     box: Floats,
     covariance: Floats,
@@ -39,8 +37,8 @@ def frame_metrics(
     stream: Stream,
 ) -> FrameMetrics:
     """The measurements of a step: `box` and `covariance` of its belief, `status` the one it ran with."""
-    posterior = stepped.posterior
-    chosen = resample("systematic", posterior.weights.weights, CLOUD_SIZE, stream("cloud"))
+    posterior, weights = stepped.posterior, stepped.support.weights
+    cloud = posterior.draw(CLOUD_SIZE, stream("cloud"))
     spread = np.sqrt(np.clip(np.diag(covariance)[:4], 0.0, None))
     root = plate.root
     return FrameMetrics(
@@ -56,22 +54,23 @@ def frame_metrics(
         status=status,
         score=score(measures, root),
         log_evidence=stepped.log_evidence,
-        ess=posterior.weights.ess,
-        particles=len(posterior.weights),
+        surprise=kl(weights.log, stepped.prior.log),
+        ess=weights.ess,
+        particles=len(weights),
         active=tuple(a for a in plate.agents if a in measures.kl),
         kl=measures.kl,
         contribution=measures.contribution,
         agent_ud_px2=measures.agent_ud_px2,
         strength=measures.strength,
         learn_rate=rate,
-        region50=_floats(central_region(posterior, 0.5)),
-        region90=_floats(central_region(posterior, 0.9)),
-        cloud=tuple(map(tuple, np.rint(posterior.boxes[chosen]).astype(np.int64).tolist())),
+        region50=_floats(posterior.region(0.5)),
+        region90=_floats(posterior.region(0.9)),
+        cloud=tuple(map(tuple, np.rint(cloud).astype(np.int64).tolist())),
     )
 
 
 def first_frame_metrics(
-    frame: Frame, target: str, belief: ParticleSet, active: tuple[str, ...], box: Floats
+    frame: Frame, target: str, size: int, active: tuple[str, ...], box: Floats
 ) -> FrameMetrics:
     """The frame in which the target starts: its box is known."""
     where = _floats(box)
@@ -89,8 +88,9 @@ def first_frame_metrics(
         status="tracking",
         score=1.0,
         log_evidence=0.0,
-        ess=belief.weights.ess,
-        particles=len(belief.weights),
+        surprise=0.0,
+        ess=float(size),
+        particles=size,
         active=active,
         kl={},
         contribution={},

@@ -5,13 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from bayesnet_track.belief.contract import Motion
+from bayesnet_track.belief.contract import Belief, Motion
 from bayesnet_track.belief.motion import make_motion
 from bayesnet_track.belief.particles import ParticleFilter
-from bayesnet_track.cue import Cue, CueDeclaration, LocallyAdaptable, installed_cues
+from bayesnet_track.cue import AnyCue, CueDeclaration, LocallyAdaptable, installed_cues
+from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
-from bayesnet_track.graph.spec import Learn, Particles
+from bayesnet_track.graph.spec import Learn
 from bayesnet_track.numerics.streams import Streams
 
 
@@ -31,8 +33,8 @@ class Machinery:
     """
 
     plate: CheckedTarget
-    cues: Mapping[str, Cue]
-    belief: ParticleFilter
+    cues: Mapping[str, AnyCue]
+    belief: Belief[Any]
     motion: Motion
     costs_ms: Mapping[str, float]
     rate_max: Mapping[str, float]
@@ -66,20 +68,28 @@ def make_engine(
 
 def _make_machinery(plate: CheckedTarget, declarations: Mapping[str, CueDeclaration]) -> Machinery:
     root = plate.inference(plate.root)
-    particles = root.belief.particles if root.belief is not None else None
     of = {agent: declarations[plate.agent(agent).agent.cue] for agent in plate.agents}
     made = {agent: of[agent].make(plate.parameters[agent]) for agent in plate.agents}
     assert root.motion is not None
     return Machinery(
         plate=plate,
         cues=made,
-        belief=ParticleFilter(particles or Particles()),
+        belief=make_belief(root.belief),
         motion=make_motion(root.motion),
         costs_ms={agent: of[agent].cost_ms for agent in plate.agents},
         rate_max={agent: _rate_max(plate, agent, of[agent], root.learn) for agent in plate.agents},
         adaptable=frozenset(agent for agent, cue in made.items() if isinstance(cue, LocallyAdaptable)),
         color_agents=frozenset(agent for agent in plate.agents if of[agent].needs_color),
     )
+
+
+def make_belief(chosen: spec.Belief | None) -> Belief[Any]:
+    """The belief that a graph asks for; particles when it does not say."""
+    settings = spec.Particles() if chosen is None else chosen.settings
+    match settings:
+        case spec.Particles():
+            return ParticleFilter(settings)
+    raise TypeError(f"no belief for {type(settings).__name__}")
 
 
 def _rate_max(plate: CheckedTarget, agent: str, declaration: CueDeclaration, learn: Learn | None) -> float:

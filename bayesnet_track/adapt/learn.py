@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from bayesnet_track.adapt.rules import read_level
-from bayesnet_track.cue import Cue, Floats, LocallyAdaptable, Reference, context_of
+from bayesnet_track.cue import AnyCue, Floats, LocallyAdaptable, Reference, context_of
 from bayesnet_track.graph.spec import Learn
 from bayesnet_track.planes import PlaneCache, region_of_boxes
 
@@ -31,7 +31,7 @@ def learning_rate(rule: Learn | None, ud_px2: float, area_px2: float, quiet_px2:
 
 
 def learn_first(
-    cues: Mapping[str, Cue], cache: PlaneCache, box: Floats
+    cues: Mapping[str, AnyCue], cache: PlaneCache, box: Floats
 ) -> tuple[dict[str, Reference], dict[str, str]]:
     """Every agent's first reference, from the centre box (4,), and what was wrong with those that failed."""
     return _sorted_out({agent: _learnt(cue, cache, box) for agent, cue in cues.items()})
@@ -39,7 +39,7 @@ def learn_first(
 
 def learn_references(
     references: Mapping[str, Reference],
-    cues: Mapping[str, Cue],
+    cues: Mapping[str, AnyCue],
     rates: Mapping[str, float],
     cache: PlaneCache,
     box: Floats,
@@ -69,7 +69,7 @@ def adapt_reference(cue: LocallyAdaptable, reference: Reference, attempt: int) -
 
 
 def _learnt(
-    cue: Cue, cache: PlaneCache, box: Floats, old: Reference | None = None, rate: float = 1.0
+    cue: AnyCue, cache: PlaneCache, box: Floats, old: Reference | None = None, rate: float = 1.0
 ) -> Reference | str:
     """What the cue sees in the box, blended into the old reference; or what went wrong."""
     try:

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import BOX_FIELDS
-from bayesnet_track.belief.particles import Step
+from bayesnet_track.belief.contract import BOX_FIELDS, Posterior, Step
 from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
@@ -46,12 +45,12 @@ class Measures:
     area_px2: float
 
 
-def measure(target: CheckedTarget, plan: Plan, step: Step, area_px2: float) -> Measures:
+def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: float) -> Measures:
     """Measure one step of `target`; every index is taken on the step's own hypotheses and prior weights."""
     evidence, prior = step.evidence, step.prior
-    hypotheses = Hypotheses(step.posterior.boxes)
+    hypotheses = Hypotheses(step.support.boxes)
     beliefs = {node: _times(prior, message) for node, message in evidence.messages.items()}
-    beliefs[target.root] = step.posterior.weights
+    beliefs[target.root] = step.support.weights
     agents = [obs.agent for obs in plan.observations if obs.agent in evidence.messages]
 
     ud = _node_uds(target, step, beliefs)
@@ -64,7 +63,7 @@ def measure(target: CheckedTarget, plan: Plan, step: Step, area_px2: float) -> M
     divergence, contribution = {}, {}
     for agent in agents:
         governor = target.governor[agent] or target.root
-        belief = beliefs.get(governor, step.posterior.weights)
+        belief = beliefs.get(governor, step.support.weights)
         divergence[agent] = kl(belief.log, beliefs[agent].log)
         left = without(plan, evidence, agent, hypotheses, prior.log).get(governor)
         rest = prior if left is None else _times(prior, left)
@@ -99,18 +98,37 @@ def _ud(target: CheckedTarget, node: str, boxes: Floats, belief: LogWeights, cen
     return uncertainty_deviation(boxes[:, columns], belief.weights, centre[columns])
 
 
-def _node_uds(target: CheckedTarget, step: Step, beliefs: Mapping[str, LogWeights]) -> dict[str, float]:
+def _node_uds(
+    target: CheckedTarget, step: Step[Posterior], beliefs: Mapping[str, LogWeights]
+) -> dict[str, float]:
     """UD of every inference node, the root's first."""
-    held = {target.root: (step.posterior.boxes, step.posterior.weights, step.map_state)}
+    uds = {target.root: step.posterior.uncertainty(step.map_state, _columns(target, target.root))}
     for node in target.order:
         above = target.parent[node]
         if above is None or node not in target.children:
             continue
-        held[node] = held[above]
         if node in beliefs:
-            boxes = step.evidence.latent[node].boxes if node in step.evidence.latent else step.posterior.boxes
-            held[node] = (boxes, beliefs[node], boxes[int(np.argmax(beliefs[node].log))])
-    return {node: _ud(target, node, *belief) for node, belief in held.items()}
+            latent = step.evidence.latent.get(node)
+            boxes = step.support.boxes if latent is None else latent.boxes
+            best = boxes[int(np.argmax(beliefs[node].log))]
+            uds[node] = _ud(target, node, boxes, beliefs[node], best)
+        else:
+            uds[node] = _inherited(target, node, step, beliefs)
+    return uds
+
+
+def _inherited(
+    target: CheckedTarget, node: str, step: Step[Posterior], beliefs: Mapping[str, LogWeights]
+) -> float:
+    """UD, over the node's own fields, of the nearest belief above a node that hears of no agent."""
+    above: str | None = target.parent[node]
+    while above is not None and above != target.root and above not in beliefs:
+        above = target.parent[above]
+    if above is None or above == target.root:
+        return step.posterior.uncertainty(step.map_state, _columns(target, node))
+    latent = step.evidence.latent.get(above)
+    boxes = step.support.boxes if latent is None else latent.boxes
+    return _ud(target, node, boxes, beliefs[above], boxes[int(np.argmax(beliefs[above].log))])
 
 
 def _agent_ud(target: CheckedTarget, boxes: Floats, message: Floats, belief: LogWeights) -> float:

@@ -38,7 +38,17 @@ class Confined:
 
     def propagate(self, states: Floats, dt: float, rng: np.random.Generator) -> Floats:
         """As the model, then confined."""
-        moved = self.motion.propagate(states, dt, rng)
+        return self._confined(self.motion.propagate(states, dt, rng))
+
+    def drift(self, states: Floats, dt: float) -> Floats:
+        """As the model, then confined."""
+        return self._confined(self.motion.drift(states, dt))
+
+    def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
+        """As the model."""
+        return self.motion.linearise(state, dt)
+
+    def _confined(self, moved: Floats) -> Floats:
         np.clip(moved[:, 0], 0.0, self.width - 1.0, out=moved[:, 0])
         np.clip(moved[:, 1], 0.0, self.height - 1.0, out=moved[:, 1])
         np.clip(moved[:, 2], 1.0, 2.0 * self.width, out=moved[:, 2])

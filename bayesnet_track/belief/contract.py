@@ -6,15 +6,18 @@ for their evidence, as often as it likes within a frame; it knows nothing of the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from functools import cached_property
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.noise import Transition
-from bayesnet_track.cue import Hypotheses
+from bayesnet_track.cue import Hypotheses, Measurement
+from bayesnet_track.journal.events import Event
+from bayesnet_track.numerics.log_weights import LogWeights
 
 Floats = NDArray[np.float64]
 
@@ -30,16 +33,21 @@ class Evidence:
         messages: node -> (N,) log-likelihood that it sent to its parent (agents and inference nodes).
         latent: latent node -> its own hypotheses, index-aligned with the root's.
         faults: agent -> what it raised or returned; it has no message then.
+        gaussians: agent -> what it measured, as it reaches the root: its covariance divided by its weight in
+            the pools on the way. Only where every node on the way multiplies messages.
+        sampled: (N,) the net's log-likelihood without `gaussians`; None when there are none.
     """
 
     log_likelihood: Floats
     messages: Mapping[str, Floats] = field(default_factory=dict)
     latent: Mapping[str, Hypotheses] = field(default_factory=dict)
     faults: Mapping[str, str] = field(default_factory=dict)
+    gaussians: Mapping[str, Measurement] = field(default_factory=dict)
+    sampled: Floats | None = None
 
 
 Evaluate = Callable[[Hypotheses, Floats], Evidence]
-"""(hypotheses, (N,) normalised prior log-weights) -> evidence. Pure: may be called again in a frame."""
+"""(hypotheses, (N,) normalised prior log-weights) -> evidence. May be called again in a frame."""
 
 Stream = Callable[[str], np.random.Generator]
 """purpose -> generator, for one target and frame."""
@@ -61,10 +69,122 @@ class Motion(Protocol):
         """(N, D) states after `dt` frame intervals; widths and heights stay at least 1 px."""
         ...
 
+    def drift(self, states: Floats, dt: float) -> Floats:
+        """(N, D) states after `dt` frame intervals without noise."""
+        ...
+
+    def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
+        """F and Q, each (D, D), at a state (D,): the drift's Jacobian, and the covariance of the noise."""
+        ...
+
     def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
         """(M, N) log p(new_m | old_n) over the fields that have noise."""
         ...
 
     def transition(self, old: Floats, dt: float) -> Transition:
         """p(new | old) in coordinates in which it is a mixture of diagonal Gaussians."""
+        ...
+
+
+class Posterior(Protocol):
+    """What a belief knows of its target after a frame, whatever represents it."""
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Names of the D columns of a state, BOX_FIELDS first."""
+        ...
+
+    def __len__(self) -> int:
+        """Number of hypotheses: particles, cells, or the samples it asks about."""
+        ...
+
+    @property
+    def mean(self) -> Floats:
+        """(D,) mean state."""
+        ...
+
+    @property
+    def covariance(self) -> Floats:
+        """(D, D) covariance of the state."""
+        ...
+
+    def uncertainty(self, about: Floats, columns: Sequence[int]) -> float:
+        """UD = E |s - about|^2 over the columns of the state, about a state (D,)."""
+        ...
+
+    def region(self, share: float) -> tuple[float, float, float, float]:
+        """x_low, x_high, y_low, y_high in px: the central `share` of the centre's weight on each axis."""
+        ...
+
+    def draw(self, size: int, rng: np.random.Generator) -> Floats:
+        """(size, 4) centre boxes drawn from it."""
+        ...
+
+
+class Support(Protocol):
+    """The weighted hypotheses at which a belief asked for evidence."""
+
+    @property
+    def states(self) -> Floats:
+        """(N, D) states, the centre box first."""
+        ...
+
+    @property
+    def boxes(self) -> Floats:
+        """(N, 4) centre boxes."""
+        ...
+
+    @property
+    def weights(self) -> LogWeights:
+        """Their posterior weights."""
+        ...
+
+
+P = TypeVar("P", bound=Posterior)
+P_co = TypeVar("P_co", bound=Posterior, covariant=True)
+
+Report = Callable[[int, str], Event]
+"""(frame, target) -> an event: what a belief did of its own accord, to be written down."""
+
+
+@dataclass(frozen=True, eq=False)
+class Step(Generic[P_co]):
+    """One frame of a belief.
+
+    Attributes:
+        posterior: the belief after the frame.
+        log_evidence: log of the frame's evidence, sum beta L for hypotheses of prior weights beta (unbiased
+            in the natural scale); -inf when degenerate.
+        support: the hypotheses at which the evidence was taken, with their posterior weights.
+        prior: beta, the weights of the same hypotheses before the evidence.
+        evidence: what the net said of them.
+        find_map: () -> (D,) maximum a posteriori state, prior density included.
+        degenerate: why the evidence could not be used (the posterior is the prior then), or None.
+        reports: what the belief did of its own accord.
+    """
+
+    posterior: P_co
+    log_evidence: float
+    support: Support
+    prior: LogWeights
+    evidence: Evidence
+    find_map: Callable[[], Floats]
+    degenerate: str | None = None
+    reports: tuple[Report, ...] = ()
+
+    @cached_property
+    def map_state(self) -> Floats:
+        """(D,) maximum a posteriori state, found when first asked for."""
+        return self.find_map()
+
+
+class Belief(Protocol[P]):
+    """How a belief is represented and stepped. Holds settings only; what it knows is the posterior."""
+
+    def start(self, box: Floats, motion: Motion, stream: Stream) -> P:
+        """The belief about a target first seen in the centre box (4,)."""
+        ...
+
+    def step(self, prior: P, motion: Motion, dt: float, evaluate: Evaluate, stream: Stream) -> Step[P]:
+        """The belief after `dt` frame intervals and the evidence of a frame."""
         ...

@@ -74,16 +74,43 @@ class KinematicMotion:
 
     def propagate(self, states: Floats, dt: float, rng: np.random.Generator) -> Floats:
         """(N, D) states after `dt` frame intervals; widths and heights stay at least 1 px."""
-        transition, covariance = _steps(self.dynamics, self.diffusion, dt)
+        new = self.drift(states, dt)
+        if self.diffusion > 0:
+            root = _both_axes(np.linalg.cholesky(_steps(self.dynamics, self.diffusion, dt)[1]))
+            steps = rng.standard_normal((len(new), len(root))) @ root.T
+            new[:, :2] += steps[:, :2]
+            new[:, 4:] += steps[:, 2:]
+        new[:, :4] = sample_noise(self.noise, new[:, :4], rng, dt)
+        return new
+
+    def drift(self, states: Floats, dt: float) -> Floats:
+        """(N, D) states after `dt` frame intervals without noise: F x."""
+        transition, _ = _steps(self.dynamics, self.diffusion, dt)
         new = states.copy()
         if self.order > 1:
             moved = _chains(states) @ _both_axes(transition).T
-            if self.diffusion > 0:
-                root = _both_axes(np.linalg.cholesky(covariance))
-                moved += rng.standard_normal(moved.shape) @ root.T
             new[:, :2], new[:, 4:] = moved[:, :2], moved[:, 2:]
-        new[:, :4] = sample_noise(self.noise, new[:, :4], rng, dt)
         return new
+
+    def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
+        """F and Q, each (D, D): new = F old + noise of covariance Q, at the state (D,).
+
+        F is exact. Q is exact for noise in px; relative noise is taken at the state's own size after the
+        drift, noise of log w and log h to first order, and `wide` by its total variance.
+        """
+        transition, covariance = _kinematics(self, dt)
+        box = (transition @ state)[None, :4]
+        variances = np.tensordot(
+            np.exp(component_log_shares(self.noise)), component_variances(self.noise, box, dt), 1
+        )[0]
+        spread = np.diag(variances)
+        if is_log(self.noise):
+            # log w = s + a / 2 and log h = s - a / 2, of the noise's coordinates s and a.
+            w, h = box[0, 2:]
+            to_size = np.array([[w, w / 2], [h, -h / 2]])
+            spread[2:, 2:] = to_size @ spread[2:, 2:] @ to_size.T
+        covariance[:4, :4] += spread
+        return transition, covariance
 
     def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
         """(M, N) log p(new_m | old_n) over the coordinates that have noise, in px (the cuts left out)."""
@@ -96,11 +123,8 @@ class KinematicMotion:
         triangular factor L of the kinematic covariance L D L' (last derivative first) is inverted, and the
         box's noise adds up with the last entry of D alone.
         """
-        moves, covariance = _steps(self.dynamics, self.diffusion, dt)
-        mean = old.copy()
-        if self.order > 1:
-            drifted = _chains(old) @ _both_axes(moves).T
-            mean[:, :2], mean[:, 4:] = drifted[:, :2], drifted[:, 2:]
+        covariance = _steps(self.dynamics, self.diffusion, dt)[1]
+        mean = self.drift(old, dt)
         variances = component_variances(self.noise, old[:, :4], dt)
         keep = noisy(self.noise)
         if self.diffusion == 0:
@@ -174,6 +198,11 @@ def linear_gaussian(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]
     noise = motion.noise
     if noise.sd_box != spec.BoxSd() or is_log(noise) or noise.wide is not None:
         raise ValueError("only noise in px makes a linear-Gaussian motion")
+    return motion.linearise(np.ones(len(motion.fields)), dt)
+
+
+def _kinematics(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]:
+    """F and the kinematic part of Q, each (D, D)."""
     moves, covariance = _steps(motion.dynamics, motion.diffusion, dt)
     size = len(motion.fields)
     transition, noise_covariance = np.eye(size), np.zeros((size, size))
@@ -181,8 +210,6 @@ def linear_gaussian(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]
         columns = [axis, *range(4 + axis, size, 2)]
         transition[np.ix_(columns, columns)] = moves
         noise_covariance[np.ix_(columns, columns)] = covariance
-    px = noise.sd_px
-    noise_covariance[range(4), range(4)] += dt * np.square([px.x, px.y, px.w, px.h])
     return transition, noise_covariance
 
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Evaluate, Evidence, Motion, Stream
+from bayesnet_track.belief.contract import Evaluate, Motion, Step, Stream
 from bayesnet_track.belief.map import map_index
 from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph import spec
+from bayesnet_track.numerics.divergence import uncertainty_deviation
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import resample
 
@@ -45,29 +48,52 @@ class ParticleSet:
         further = {name: self.states[:, k] for k, name in enumerate(self.fields) if k >= 4}
         return Hypotheses(self.boxes, further)
 
+    @property
+    def mean(self) -> Floats:
+        """(D,) weighted mean, which lies between the modes of a bimodal belief."""
+        return np.asarray(self.weights.weights @ self.states)
 
-@dataclass(frozen=True, eq=False)
-class Step:
-    """One frame of a belief.
+    @property
+    def covariance(self) -> Floats:
+        """(D, D) sum w (x - mean)(x - mean)'; zeros when one hypothesis holds all weight.
 
-    Attributes:
-        posterior: the belief after the frame.
-        log_evidence: log sum beta L, an unbiased estimate of the frame's evidence in the natural scale;
-            -inf when degenerate.
-        prior: beta, the weights of the same hypotheses before the evidence.
-        evidence: what the net said of them.
-        map_state: (D,) maximum a posteriori hypothesis, prior density included.
-        resampled: whether the hypotheses were resampled before they moved.
-        degenerate: why the evidence could not be used (the posterior is the prior then), or None.
-    """
+        Without the correction for degrees of freedom, which divides by zero there.
+        """
+        weights = self.weights.weights
+        away = self.states - weights @ self.states
+        return np.asarray((away * weights[:, None]).T @ away)
 
-    posterior: ParticleSet
-    log_evidence: float
-    prior: LogWeights
-    evidence: Evidence
-    map_state: Floats
-    resampled: bool
-    degenerate: str | None = None
+    def uncertainty(self, about: Floats, columns: Sequence[int]) -> float:
+        """UD = sum w |s - about|^2 over the columns of the state."""
+        chosen = list(columns)
+        return uncertainty_deviation(self.states[:, chosen], self.weights.weights, about[chosen])
+
+    def region(self, share: float) -> tuple[float, float, float, float]:
+        """x_low, x_high, y_low, y_high in px: the central `share` of the centre's weight on each axis."""
+        weights = self.weights.weights
+        tails = np.array([(1.0 - share) / 2.0, (1.0 + share) / 2.0])
+        x_low, x_high = weighted_quantiles(self.states[:, 0], weights, tails)
+        y_low, y_high = weighted_quantiles(self.states[:, 1], weights, tails)
+        return x_low, x_high, y_low, y_high
+
+    def draw(self, size: int, rng: np.random.Generator) -> Floats:
+        """(size, 4) boxes of hypotheses, drawn systematically."""
+        return self.boxes[resample("systematic", self.weights.weights, size, rng)]
+
+
+def weighted_quantiles(values: Floats, weights: Floats, shares: Floats) -> tuple[float, ...]:
+    """The least value that has at least the share of the weight up to it, for each share."""
+    order = np.argsort(values)
+    cumulative = np.cumsum(weights[order])
+    found = np.searchsorted(cumulative, shares * cumulative[-1])
+    return tuple(float(q) for q in values[order][found])
+
+
+def map_state(
+    log_likelihood: Floats, states: Floats, before: ParticleSet, motion: Motion, dt: float
+) -> Floats:
+    """(D,) the one of `states` (N, D) with the largest posterior density, prior density included."""
+    return np.asarray(states[map_index(log_likelihood, states, before.states, before.weights, motion, dt)])
 
 
 @dataclass(frozen=True)
@@ -81,15 +107,16 @@ class ParticleFilter:
         size = self.settings.size
         return ParticleSet(motion.start(box, size, stream("start")), motion.fields, LogWeights.uniform(size))
 
-    def step(self, prior: ParticleSet, motion: Motion, dt: float, evaluate: Evaluate, stream: Stream) -> Step:
+    def step(
+        self, prior: ParticleSet, motion: Motion, dt: float, evaluate: Evaluate, stream: Stream
+    ) -> Step[ParticleSet]:
         """The belief after `dt` frame intervals and the evidence of a frame.
 
         The prior weights beta are 1/N after resampling, and those of the last posterior otherwise. Evidence
         that leaves no positive, finite weight is not used: the posterior is the predicted prior.
         """
         # Resample
-        resampled = self._must_resample(prior)
-        parents = self._resample(prior, stream("resample")) if resampled else prior
+        parents = self._resample(prior, stream("resample")) if self._must_resample(prior) else prior
         beta = parents.weights
 
         # Propagate
@@ -107,14 +134,14 @@ class ParticleFilter:
             weights, log_evidence, degenerate = beta, -np.inf, str(fault)
             log_likelihood = np.zeros(len(moved))
 
-        best = map_index(log_likelihood, moved.states, prior.states, prior.weights, motion, dt)
+        posterior = replace(moved, weights=weights)
         return Step(
-            posterior=replace(moved, weights=weights),
+            posterior=posterior,
             log_evidence=log_evidence,
+            support=posterior,
             prior=beta,
             evidence=evidence,
-            map_state=moved.states[best],
-            resampled=resampled,
+            find_map=partial(map_state, log_likelihood, moved.states, prior, motion, dt),
             degenerate=degenerate,
         )
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
 
-from bayesnet_track.cue import Cue
+from bayesnet_track.cue import AnyCue, MeasuringCue
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import AgentNode, Fuse, Noise
 from bayesnet_track.planes import Plane
@@ -25,10 +25,14 @@ class Draw:
 
 @dataclass(frozen=True)
 class Observe:
-    """An agent scores the hypotheses of the node `at` (the root or the nearest latent node above it)."""
+    """An agent scores the hypotheses of the node `at` (the root or the nearest latent node above it).
+
+    With `measures` it says where the target is instead.
+    """
 
     agent: str
     at: str
+    measures: bool = False
 
 
 @dataclass(frozen=True)
@@ -81,7 +85,7 @@ class Plan:
     idle_planes: Mapping[str, tuple[Plane, ...]]
 
 
-def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str, Cue]) -> Plan:
+def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str, AnyCue]) -> Plan:
     """The plan of `target` with the agents `active`; `cues` maps every agent to its implementation."""
     working = frozenset(active)
     messengers = _messengers(target, working)
@@ -92,7 +96,10 @@ def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str
         root=target.root,
         active=working,
         draws=tuple(_draw(target, name) for name in inference if _is_latent(target, name)),
-        observations=tuple(Observe(name, _hypotheses_of(target, target.parent[name])) for name in watching),
+        observations=tuple(
+            Observe(name, _hypotheses_of(target, target.parent[name]), isinstance(cues[name], MeasuringCue))
+            for name in watching
+        ),
         joins=tuple(_join(target, name, messengers) for name in reversed(inference)),
         planes=_with_inputs(plane for name in watching for plane in cues[name].needs),
         idle_planes={name: _with_inputs(cues[name].needs) for name in target.agents if name not in working},

@@ -142,8 +142,9 @@ class FrameMetrics:
         status: tracking or lost.
         score: uncalibrated index in 0..1 from UD and evidence; high is sure.
         log_evidence: log normalising constant of the frame.
-        ess: effective sample size of the posterior.
-        particles: number of hypotheses.
+        surprise: KL(posterior || prior) over the hypotheses, nats: how far the frame moved the belief.
+        ess: effective sample size of the hypotheses' posterior weights.
+        particles: number of hypotheses at which the evidence was taken.
         active: agents that gave evidence in this frame.
         kl: active agent -> KL(belief || agent), nats.
         contribution: active agent -> KL(belief || belief without it), nats.
@@ -167,6 +168,7 @@ class FrameMetrics:
     status: str
     score: float
     log_evidence: float
+    surprise: float
     ess: float
     particles: int
     active: tuple[str, ...]

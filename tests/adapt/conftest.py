@@ -8,8 +8,8 @@ import pytest
 from bayesnet_track.adapt.measure import Measures, measure
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.rules import Situation, decide
-from bayesnet_track.belief.contract import BOX_FIELDS
-from bayesnet_track.belief.particles import ParticleSet, Step
+from bayesnet_track.belief.contract import BOX_FIELDS, Step
+from bayesnet_track.belief.particles import ParticleSet
 from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph.net import Net, TargetNet, apply
 from bayesnet_track.inference.compile import compile_plan
@@ -34,7 +34,7 @@ def weigh(fakes):
             weights, log_evidence, degenerate = prior, -np.inf, str(fault)
         posterior = ParticleSet(boxes, BOX_FIELDS, weights)
         state = boxes[int(np.argmax(weights.log)) if best is None else best]
-        step = Step(posterior, log_evidence, prior, evidence, state, True, degenerate)
+        step = Step(posterior, log_evidence, posterior, prior, evidence, lambda: state, degenerate)
         return step, measure(plate, plan, step, area)
 
     return run

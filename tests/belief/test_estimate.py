@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
-from bayesnet_track.belief.estimate import central_region, covariance, estimate
-from bayesnet_track.belief.particles import ParticleSet, Step
+from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Step
+from bayesnet_track.belief.estimate import estimate
+from bayesnet_track.belief.particles import ParticleSet
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import LogWeights
 
@@ -26,8 +26,9 @@ def particles(states, weights):
 
 
 def chosen(word, posterior):
-    step = Step(posterior, 0.0, posterior.weights, Evidence(np.zeros(4)), posterior.states[3], True)
-    return estimate(None if word is None else spec.Estimate.model_validate(word), posterior, step)
+    evidence = Evidence(np.zeros(4))
+    step = Step(posterior, 0.0, posterior, posterior.weights, evidence, lambda: posterior.states[3])
+    return estimate(None if word is None else spec.Estimate.model_validate(word), step)
 
 
 @pytest.mark.parametrize(
@@ -49,18 +50,18 @@ def test_each_estimate(word, expected):
 
 def test_covariance_is_the_weighted_one():
     np.testing.assert_allclose(
-        covariance(particles(STATES, WEIGHTS)), np.cov(STATES.T, aweights=WEIGHTS, ddof=0), atol=1e-9
+        particles(STATES, WEIGHTS).covariance, np.cov(STATES.T, aweights=WEIGHTS, ddof=0), atol=1e-9
     )
 
 
 def test_covariance_is_zero_when_one_hypothesis_holds_all():
-    cov = covariance(particles(STATES, np.array([0.0, 1.0, 0.0, 0.0])))
+    cov = particles(STATES, np.array([0.0, 1.0, 0.0, 0.0])).covariance
     np.testing.assert_array_equal(cov, np.zeros((4, 4)))
 
 
 def test_covariance_is_symmetric_and_positive(rng):
     posterior = particles(rng.normal(1e4, 1e-3, (300, 4)), rng.random(300))
-    cov = covariance(posterior)
+    cov = posterior.covariance
     np.testing.assert_allclose(cov, cov.T, rtol=1e-12)
     assert np.linalg.eigvalsh(cov).min() > 0
 
@@ -72,12 +73,12 @@ def test_central_regions_of_a_gaussian(share, reach, rng):
     states = np.tile([0.0, 0.0, 5.0, 5.0], (count, 1))
     states[:, 0], states[:, 1] = rng.uniform(0, 20, count), rng.uniform(5, 35, count)
     z = (states[:, :2] - [10, 20]) / [2, 3]
-    region = central_region(particles(states, np.exp(-0.5 * np.sum(z**2, axis=1))), share)
+    region = particles(states, np.exp(-0.5 * np.sum(z**2, axis=1))).region(share)
     expected = [10 - 2 * reach, 10 + 2 * reach, 20 - 3 * reach, 20 + 3 * reach]
     # A quantile's standard error is sqrt(q (1 - q) / ESS) / density: .03 sd at an ESS of 5,000; 4 of it.
     np.testing.assert_allclose(region, expected, atol=4 * 0.03 * 3)
 
 
 def test_central_region_of_one_hypothesis_is_a_point():
-    region = central_region(particles(STATES, np.array([0.0, 0.0, 1.0, 0.0])), 0.9)
+    region = particles(STATES, np.array([0.0, 0.0, 1.0, 0.0])).region(0.9)
     assert region == (300, 300, 50, 50)

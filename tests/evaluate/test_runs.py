@@ -26,6 +26,7 @@ def metrics(frame, corner, target="1", status="tracking", active=("hue",)) -> Fr
         status=status,
         score=0.5,
         log_evidence=-1.0,
+        surprise=0.4,
         ess=100.0,
         particles=500,
         active=tuple(active),

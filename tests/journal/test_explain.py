@@ -201,6 +201,7 @@ METRICS = FrameMetrics(
     status="tracking",
     score=0.62,
     log_evidence=-3.21,
+    surprise=0.83,
     ess=212.0,
     particles=500,
     active=("hue",),

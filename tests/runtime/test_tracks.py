@@ -19,6 +19,7 @@ def metrics(frame, target="square", box=(30.0, 35.0, 41.0, 31.0), **more):
         "status": "tracking",
         "score": 0.87654321,
         "log_evidence": -1.0,
+        "surprise": 0.4,
         "ess": 10.0,
         "particles": 20,
         "active": ("color", "motion"),

@@ -22,6 +22,7 @@ def metrics():
         status="tracking",
         score=0.62,
         log_evidence=-3.21,
+        surprise=0.83,
         ess=212.0,
         particles=500,
         active=("color_histogram", "motion"),
