@@ -1,0 +1,92 @@
+"""One pass over hypotheses of a frame, and joining two of them into one weighted set."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import Evidence
+from bayesnet_track.cue import Hypotheses
+from bayesnet_track.numerics.log_weights import LogWeights
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Pass:
+    """Hypotheses drawn in one go and what the net said of them.
+
+    Attributes:
+        states: (N, D) hypotheses.
+        prior_log: (N,) log beta, the weights that make them a sample of the prior: 1/N when they were drawn
+            from it, p(x) / (N g(x)) when they were drawn from g. sum beta is 1 on average, not exactly.
+        ancestors: (N,) the parent that each moved from.
+        evidence: the net's answer.
+    """
+
+    states: Floats
+    prior_log: Floats
+    ancestors: NDArray[np.intp]
+    evidence: Evidence
+
+    def __len__(self) -> int:
+        return len(self.states)
+
+
+def joined(first: Pass, second: Pass, share: float) -> Pass:
+    """Both passes as one: `share` of the prior weight is the first's, the rest the second's.
+
+    The evidence sum beta L stays unbiased as long as `share` was fixed before the first pass was drawn, and
+    the second pass happens whatever the first one gave. When the second pass met a fault that the first did
+    not, its agents differ, so only the first is kept, with the faults of both.
+    """
+    if second.evidence.faults.keys() - first.evidence.faults.keys():
+        return Pass(first.states, first.prior_log, first.ancestors, _with_faults(first, second))
+    return Pass(
+        np.concatenate([first.states, second.states]),
+        np.concatenate([first.prior_log + np.log(share), second.prior_log + np.log1p(-share)]),
+        np.concatenate([first.ancestors, second.ancestors]),
+        _both(first.evidence, second.evidence),
+    )
+
+
+def prior_of(one: Pass) -> LogWeights:
+    """beta, normalised: the prior weights that measures use."""
+    return LogWeights.normalise(one.prior_log)[0]
+
+
+def _with_faults(first: Pass, second: Pass) -> Evidence:
+    kept = first.evidence
+    return Evidence(
+        kept.log_likelihood,
+        kept.messages,
+        kept.latent,
+        {**second.evidence.faults, **kept.faults},
+        kept.gaussians,
+        kept.sampled,
+    )
+
+
+def _both(first: Evidence, second: Evidence) -> Evidence:
+    """The evidence of both, end to end. Gaussian messages are those of the first: one place was measured."""
+    return Evidence(
+        np.concatenate([first.log_likelihood, second.log_likelihood]),
+        _arrays(first.messages, second.messages),
+        {node: _hypotheses(first.latent[node], second.latent[node]) for node in first.latent},
+        first.faults,
+        first.gaussians,
+        None
+        if first.sampled is None or second.sampled is None
+        else np.concatenate([first.sampled, second.sampled]),
+    )
+
+
+def _arrays(first: Mapping[str, Floats], second: Mapping[str, Floats]) -> dict[str, Floats]:
+    return {name: np.concatenate([values, second[name]]) for name, values in first.items()}
+
+
+def _hypotheses(first: Hypotheses, second: Hypotheses) -> Hypotheses:
+    return Hypotheses(np.concatenate([first.boxes, second.boxes]), _arrays(first.fields, second.fields))
