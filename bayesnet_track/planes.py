@@ -13,6 +13,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.depth import Depth
+
 Array = NDArray[Any]
 
 
@@ -27,6 +29,8 @@ class Frame:
         image: (H, W, 3) uint8, BGR.
         has_color: False when the source is gray and the three channels are copies.
         time_s: the same time in seconds.
+        depth: the rectified right picture or the points that belong to the image; None for a source of one
+            eye.
     """
 
     index: int
@@ -34,6 +38,7 @@ class Frame:
     image: NDArray[np.uint8]
     has_color: bool = True
     time_s: float = 0.0
+    depth: Depth | None = None
 
     @property
     def height(self) -> int:
