@@ -40,10 +40,10 @@ def joined(first: Pass, second: Pass, share: float) -> Pass:
     """Both passes as one: `share` of the prior weight is the first's, the rest the second's.
 
     The evidence sum beta L stays unbiased as long as `share` was fixed before the first pass was drawn, and
-    the second pass happens whatever the first one gave. When the second pass met a fault that the first did
-    not, its agents differ, so only the first is kept, with the faults of both.
+    the second pass happens whatever the first one gave. When other agents failed in the second pass than in
+    the first, their evidence is of different nets, so only the first is kept, with the faults of both.
     """
-    if second.evidence.faults.keys() - first.evidence.faults.keys():
+    if second.evidence.faults.keys() != first.evidence.faults.keys():
         return Pass(first.states, first.prior_log, first.ancestors, _with_faults(first, second))
     return Pass(
         np.concatenate([first.states, second.states]),
