@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from bayesnet_track.scenes.children import ball_between_children
 from bayesnet_track.scenes.occluder import occluder
 from bayesnet_track.scenes.scene import Scene
 from bayesnet_track.scenes.squares import gray_square, orange_and_gray, random_geometry, two_squares
@@ -24,6 +25,7 @@ _SCENES: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
         "two_squares_random": _random_squares,
         "orange_and_gray": orange_and_gray,
         "gray_square": gray_square,
+        "ball_between_children": ball_between_children,
         "occluder": occluder,
         "occluder_long": lambda seed: occluder(seed, hidden=22),
     }

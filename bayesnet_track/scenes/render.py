@@ -1,4 +1,4 @@
-"""Render rectangles of colour cells with exact area coverage, and add sensor noise."""
+"""Render rectangles and discs of colour cells with area coverage, and add sensor noise."""
 
 from __future__ import annotations
 
@@ -21,10 +21,12 @@ class Sprite:
     Attributes:
         cells: (rows, columns, 3) BGR values of its cells, which share its area evenly.
         path: (n, 4) centre box x, y, w, h in px for every frame.
+        is_round: only the ellipse inside the box is there.
     """
 
     cells: Floats
     path: Floats
+    is_round: bool = False
 
 
 def coverage(centre: float, size: float, cells: int, pixels: int) -> tuple[int, Floats]:
@@ -57,8 +59,23 @@ def paint(canvas: Floats, sprite: Sprite, index: int) -> None:
         0, 2, 1
     )
     patch = canvas[top : top + down.shape[0], left : left + across.shape[0]]
+    if sprite.is_round:
+        rows_at, columns_at = np.arange(top, top + len(down)), np.arange(left, left + len(across))
+        inside = ellipse_share(sprite.path[index], rows_at, columns_at)
+        colour = np.divide(colour, covered, out=colour, where=covered > 0) * inside
+        covered = inside
     patch *= 1.0 - covered
     patch += colour
+
+
+def ellipse_share(box: Floats, rows: Floats, columns: Floats) -> Floats:
+    """(rows, columns, 1) share of each pixel, of 4 x 4 points, inside the ellipse of a centre box (4,)."""
+    x, y, w, h = box
+    parts = (np.arange(4) + 0.5) / 4 - 0.5
+    down = ((rows[:, None] + parts - y) / (h / 2)) ** 2
+    across = ((columns[:, None] + parts - x) / (w / 2)) ** 2
+    inside = down[:, :, None, None] + across[None, None] <= 1.0
+    return np.asarray(inside.mean(axis=(1, 3))[:, :, None])
 
 
 @cache

@@ -74,3 +74,17 @@ def test_a_frame_depends_on_its_index_alone():
     assert whole[0].dtype == np.uint8 and whole[0].shape == (240, 320, 3)
     with pytest.raises(IndexError, match="frame 5 of a scene of 5 frames"):
         frames[5]
+
+
+@pytest.mark.parametrize("box", [(20.0, 15.0, 12.0, 18.0), (7.3, 11.6, 9.5, 9.5), (1.0, 28.0, 16.0, 10.0)])
+def test_a_round_sprite_is_its_ellipse(box):
+    canvas = np.zeros((30, 40, 3))
+    paint(canvas, Sprite(np.full((1, 1, 3), 100.0), np.array([box]), is_round=True), 0)
+    x, y, w, h = box
+    fine = 8
+    points = [(np.arange(n * fine) + 0.5) / fine - 0.5 for n in (30, 40)]
+    inside = ((points[0][:, None] - y) / (h / 2)) ** 2 + ((points[1] - x) / (w / 2)) ** 2 <= 1
+    share = inside.reshape(30, fine, 40, fine).mean(axis=(1, 3))
+    # 4 x 4 points against 8 x 8 on a smooth border: at most one row of 4 of them apart.
+    np.testing.assert_allclose(canvas[:, :, 0] / 100, share, atol=0.25)
+    assert canvas[:, :, 0].sum() / 100 == pytest.approx(share.sum(), rel=0.01)

@@ -128,3 +128,15 @@ def test_unknown_names_are_answered_with_the_nearest():
         make_scene("two_square")
     with pytest.raises(ValueError, match="a seed is 0 or more"):
         make_scene("occluder", -1)
+
+
+def test_the_ball_rests_and_flies():
+    scene = make_scene("ball_between_children", 3)
+    centres = centre_from_corner(scene.truth)[:, :2]
+    steps = np.hypot(*np.diff(centres, axis=0).T)
+    flying = [*range(2, 8), *range(22, 28)]  # steps into frames 3 .. 8 and 23 .. 28
+    assert steps[flying].min() > 20.0
+    assert np.delete(steps, flying).max() < 3.0
+    child = centre_from_corner(scene.others[0])
+    near = np.abs(centres - child[:, :2]) < child[:, 2:] / 2 + 11
+    assert near[:3].all() and near[28:].all() and not near[8:22].all(axis=1).any()
