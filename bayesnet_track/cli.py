@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
 from io import TextIOWrapper
 
+from bayesnet_track.runtime.stop import StopRequest, Terminated
+
 EXIT_CODES = """\
 exit codes:
   0    done
@@ -115,9 +117,21 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; the exit code."""
+    stop = StopRequest()
+    try:
+        with stop:
+            code = _in_streams(arguments, stop)
+    except Terminated:
+        code = 143
+    except KeyboardInterrupt:
+        code = 130
+    return stop.exit_code or code
+
+
+def _in_streams(arguments: Sequence[str] | None, stop: StopRequest) -> int:
     try:
         with _streams():
-            return _main(arguments)
+            return _main(arguments, stop)
     except BrokenPipeError:  # the reader of a pipe went away, as `head` does
         from bayesnet_track.commands.answer import mute
 
@@ -125,7 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
 
 
-def _main(arguments: Sequence[str] | None) -> int:
+def _main(arguments: Sequence[str] | None, stop: StopRequest) -> int:
     parser = make_parser()
     options = parser.parse_args(_joined(sys.argv[1:] if arguments is None else arguments))
     if options.version:
@@ -136,26 +150,24 @@ def _main(arguments: Sequence[str] | None) -> int:
     if options.command is None:
         parser.print_help()
         return 2
-
-    from bayesnet_track import commands
-    from bayesnet_track.runtime.stop import Terminated, terminable
-
+    options.stop = stop
     try:
-        with terminable():
-            code = commands.call(options)
-            sys.stdout.flush()
-            return code
-    except Terminated:
-        return 143
-    except KeyboardInterrupt:
-        return 130
+        from bayesnet_track import commands
+
+        code = commands.call(options)
+        sys.stdout.flush()
+        return code
     except BrokenPipeError:
         raise
     except Exception:
-        import traceback
+        # An interruption comes out of C code as some other error (of an import, for one).
+        if stop.signal is None:
+            import traceback
 
-        traceback.print_exc()
-        sys.stderr.write("bayesnet-track: this is an error in the program; please report the lines above\n")
+            traceback.print_exc()
+            sys.stderr.write(
+                "bayesnet-track: this is an error in the program; please report the lines above\n"
+            )
         return 1
 
 

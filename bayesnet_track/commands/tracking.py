@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
     from bayesnet_track.runtime.progress import Progress
     from bayesnet_track.runtime.run import FrameSource, Result, Start, Summary
+    from bayesnet_track.runtime.stop import StopRequest
 
 SCENE_GRAPHS = {"orange_and_gray": "color_fusion", "gray_square": "color_fusion"}
 """Scenes that do not run with the graph `two_squares`."""
@@ -131,13 +132,11 @@ def _track(
     from bayesnet_track.runtime.run import Summary
     from bayesnet_track.runtime.session import track
     from bayesnet_track.runtime.starts import StartError
-    from bayesnet_track.runtime.stop import StopRequest
 
     progress = Progress(sys.stderr, source.expected_frames, sys.stderr.isatty(), options.log_json)
     summary = Summary()
+    stop: StopRequest = options.stop
     with ExitStack() as stack:
-        # Before the first frame is done there is nothing to finish, and kernels may have to be compiled.
-        stop = stack.enter_context(StopRequest(is_patient=False))
         if not options.quiet:
             stack.callback(unheard, progress.finish)
         results = track(
@@ -153,6 +152,7 @@ def _track(
         stack.callback(results.close)
         try:
             for result in results:
+                # Before the first frame is done there is nothing to finish, and kernels may be compiled.
                 stop.is_patient = True
                 if not options.quiet:
                     _show(progress, summary, result)
@@ -163,6 +163,7 @@ def _track(
     _say_end(out, summary)
     if stop.signal is not None:
         return stop.exit_code
+    stop.is_patient = False
     return OK if summary.complete else INCOMPLETE
 
 

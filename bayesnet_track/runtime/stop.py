@@ -1,15 +1,18 @@
-"""Stop between two frames when a signal arrives, so that every file ends with a whole line."""
+"""Stop when a signal arrives: between two frames, so that every file ends with a whole line, or at once."""
 
 from __future__ import annotations
 
 import signal
+import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from queue import Empty, SimpleQueue
 from types import FrameType, TracebackType
 from typing import Any, Self
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+REPEAT_S = 0.1
+"""Seconds after which what was raised, and came to nothing, is raised again."""
 
 
 class Terminated(KeyboardInterrupt):
@@ -17,19 +20,27 @@ class Terminated(KeyboardInterrupt):
 
 
 class StopRequest:
-    """While entered, SIGINT and SIGTERM are noted instead of acted on; the second one acts at once.
+    """While entered, SIGINT raises `KeyboardInterrupt` and SIGTERM `Terminated`, wherever the program is.
 
-    Outside the main thread, where Python handles no signals, it notes none.
+    Python gives up what is raised in a callback from C, in a finalizer and wherever C code clears errors. So
+    it is raised again and again, without a traceback of each that was given up, until the request is left;
+    never while one of them passes through, which would cut short the closing of files.
+
+    Outside the main thread, where Python handles no signals, nothing changes.
 
     Attributes:
-        signal: number of the signal that arrived, or None.
-        is_patient: while False, the first one acts at once, too.
+        signal: number of the last signal that arrived, or None.
+        is_patient: while True, the first signal is only noted in `signal`; a further one acts at once.
     """
 
-    def __init__(self, is_patient: bool = True) -> None:
+    def __init__(self) -> None:
         self.signal: int | None = None
-        self.is_patient = is_patient
+        self.is_patient = False
         self._before: dict[int, Any] = {}
+        self._is_repeat = False
+        self._is_over = False
+        self._raised: SimpleQueue[int | None] = SimpleQueue()
+        self._repeater = threading.Thread(target=self._repeat, name="stop", daemon=True)
 
     @property
     def exit_code(self) -> int:
@@ -37,54 +48,85 @@ class StopRequest:
         return 0 if self.signal is None else 128 + self.signal
 
     def __enter__(self) -> Self:
-        self._before = _handle(SIGNALS, self._note)
+        if threading.current_thread() is threading.main_thread():
+            self._hooks = sys.unraisablehook, sys.excepthook
+            self._repeater.start()
+            try:
+                sys.unraisablehook, sys.excepthook = self._given_up, self._printed
+                self._handle()
+            except KeyboardInterrupt:
+                self._leave()
+                raise
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._restore()
+        if self._repeater.is_alive():
+            self._leave()
 
-    def _note(self, number: int, frame: FrameType | None) -> None:
+    def _handle(self) -> None:
+        for number in SIGNALS:
+            before = signal.getsignal(number)
+            # An ignored signal stays ignored, as a shell wants it of what runs in the background, and a
+            # handler that was not set by Python is left alone, since it could not be put back.
+            if before is not None and before is not signal.SIG_IGN:
+                self._before[number] = before
+                signal.signal(number, self._act)
+
+    def _leave(self) -> None:
+        self._is_over = True
+        self._raised.put(None)
+        # Once it has ended, no repetition can reach the handlers that are put back.
+        self._repeater.join()
+        sys.unraisablehook, sys.excepthook = self._hooks
+        for number, before in self._before.items():
+            signal.signal(number, before)
+
+    def _act(self, number: int, frame: FrameType | None) -> None:
+        is_repeat, self._is_repeat = self._is_repeat, False
+        is_noted = self.is_patient and (is_repeat or self.signal is None)
         self.signal = number
-        self._restore()
-        if not self.is_patient:
-            signal.raise_signal(number)
+        if self._is_over or is_noted or (is_repeat and _is_passing()):
+            return
+        self._raised.put(number)  # of a queue that, unlike locks, may be used in a handler
+        raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
 
-    def _restore(self) -> None:
-        before, self._before = self._before, {}
-        _put_back(before)
+    def _repeat(self) -> None:
+        number = self._raised.get()
+        while number is not None:
+            try:
+                newer = self._raised.get(timeout=REPEAT_S)
+            except Empty:
+                self._is_repeat = True
+                _send(number)
+            else:
+                number = newer
 
+    def _given_up(self, what: sys.UnraisableHookArgs) -> None:
+        if self.signal is None or not issubclass(what.exc_type, KeyboardInterrupt):
+            self._hooks[0](what)
 
-@contextmanager
-def terminable() -> Iterator[None]:
-    """Inside it SIGTERM raises `Terminated`."""
-    before = _handle((signal.SIGTERM,), _terminate)
-    try:
-        yield
-    finally:
-        _put_back(before)
-
-
-def _terminate(number: int, frame: FrameType | None) -> None:
-    raise Terminated
-
-
-def _handle(numbers: Iterable[int], handler: Callable[[int, FrameType | None], None]) -> dict[int, Any]:
-    """Set `handler`; the handlers that it replaced.
-
-    An ignored signal stays ignored, as a shell wants it of what runs in the background, and a handler that
-    was not set by Python is left alone, since it could not be put back.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        return {}
-    before = {number: signal.getsignal(number) for number in numbers}
-    replaced = {n: old for n, old in before.items() if old is not None and old is not signal.SIG_IGN}
-    for number in replaced:
-        signal.signal(number, handler)
-    return replaced
+    def _printed(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        """C code prints so what it gives up (that of NumPy's `import_array` does)."""
+        if self.signal is None or not issubclass(kind, KeyboardInterrupt):
+            self._hooks[1](kind, error, trace)
 
 
-def _put_back(before: dict[int, Any]) -> None:
-    for number, handler in before.items():
-        signal.signal(number, handler)
+def _is_passing() -> bool:
+    """Whether an interruption is on its way out: what runs is an `except`, a `finally` or an `__exit__`."""
+    error = sys.exception()
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__context__
+    return False
+
+
+def _send(number: int) -> None:
+    """Let a signal reach the main thread; where the system can, out of a call that waits."""
+    main = threading.main_thread().ident
+    if sys.platform == "win32" or main is None:
+        signal.raise_signal(number)
+    else:
+        signal.pthread_kill(main, number)

@@ -1,60 +1,97 @@
-"""Stopping by signals: between two frames, with valid files and the shell's exit code."""
+"""Stopping by signals: nothing that arrives is lost, files are valid, and the exit code is the shell's."""
 
+import ctypes
+import gc
 import signal
 import subprocess
 import sys
 import threading
 import time
+import weakref
+from contextlib import ExitStack, suppress
+from importlib import import_module
 
 import pytest
 
+from bayesnet_track import commands
+from bayesnet_track.cli import main
 from bayesnet_track.journal.events import RunEnded
 from bayesnet_track.journal.reader import read_events, read_metrics
+from bayesnet_track.runtime import stop as module
 from bayesnet_track.runtime.rundir import RunDirectory
-from bayesnet_track.runtime.stop import SIGNALS, StopRequest, Terminated, terminable
+from bayesnet_track.runtime.stop import SIGNALS, StopRequest, Terminated
+
+HANG_S = 300
+"""Far more than a busy machine needs: what takes so long hangs."""
 
 
-def handlers():
-    return [signal.getsignal(number) for number in SIGNALS]
+def state():
+    """What a stop request changes of the process."""
+    handlers = [signal.getsignal(number) for number in SIGNALS]
+    return handlers, sys.unraisablehook, sys.excepthook, threading.active_count()
 
 
-@pytest.mark.parametrize("number", SIGNALS)
-def test_a_signal_is_noted_and_the_second_acts(number):
-    arrived = []
-    before = signal.signal(number, lambda *_: arrived.append(number))
-    try:
-        with StopRequest() as stop:
-            assert (stop.signal, stop.exit_code) == (None, 0)
-            signal.raise_signal(number)
-            assert (stop.signal, stop.exit_code) == (number, 128 + number)
-            assert arrived == []
-            signal.raise_signal(number)
-            assert arrived == [number]
-    finally:
-        signal.signal(number, before)
+def wait_for_more():
+    """Run Python code until a signal ends it."""
+    end = time.monotonic() + HANG_S
+    while time.monotonic() < end:
+        pass
+    pytest.fail("what was raised is lost")
+
+
+def wait_for_repeats():
+    time.sleep(50 * module.REPEAT_S)
+
+
+@pytest.fixture
+def often(monkeypatch):
+    """What came to nothing is raised again at once."""
+    monkeypatch.setattr(module, "REPEAT_S", 0.002)
+
+
+@pytest.fixture
+def complaints(monkeypatch):
+    """What Python would print of errors that it gave up."""
+    seen = []
+    monkeypatch.setattr(sys, "unraisablehook", seen.append)
+    monkeypatch.setattr(sys, "excepthook", lambda *error: seen.append(error))
+    return seen
+
+
+# ------------------------------------------------------------------------------------ at once, or noted
 
 
 @pytest.mark.parametrize("number", SIGNALS)
 def test_without_patience_the_first_one_acts(number):
-    with pytest.raises(KeyboardInterrupt) as ended, terminable(), StopRequest(is_patient=False) as stop:
+    with pytest.raises(KeyboardInterrupt) as ended, StopRequest() as stop:
+        assert (stop.signal, stop.exit_code) == (None, 0)
         signal.raise_signal(number)
     assert (type(ended.value) is Terminated) == (number == signal.SIGTERM)
-    assert stop.exit_code == 128 + number
+    assert (stop.signal, stop.exit_code) == (number, 128 + number)
 
 
-def test_handlers_are_put_back():
-    before = handlers()
-    with StopRequest(), terminable():
-        assert handlers() != before
-    assert handlers() == before
-    with pytest.raises(RuntimeError), terminable(), StopRequest():
+@pytest.mark.parametrize("number", SIGNALS)
+def test_with_patience_a_signal_is_noted_and_the_second_acts(number, often):
+    with pytest.raises(KeyboardInterrupt), StopRequest() as stop:
+        stop.is_patient = True
+        signal.raise_signal(number)
+        assert (stop.signal, stop.exit_code) == (number, 128 + number)
+        wait_for_repeats()
+        signal.raise_signal(number)
+        pytest.fail("the second one did not act")
+
+
+def test_everything_is_put_back(often):
+    before = state()
+    with StopRequest():
+        assert all(new != old for new, old in zip(state(), before, strict=True))
+    assert state() == before
+    with pytest.raises(RuntimeError), StopRequest():
         raise RuntimeError
-    assert handlers() == before
-
-
-def test_sigterm_ends_what_is_terminable():
-    with pytest.raises(Terminated), terminable():
+    assert state() == before
+    with pytest.raises(Terminated), StopRequest():
         signal.raise_signal(signal.SIGTERM)
+    assert state() == before
 
 
 def test_an_ignored_signal_stays_ignored():
@@ -70,30 +107,247 @@ def test_an_ignored_signal_stays_ignored():
 
 
 def test_another_thread_handles_no_signals():
-    before, seen = handlers(), []
+    before, seen = state(), []
 
     def work():
-        with StopRequest() as stop, terminable():
-            seen.append((handlers(), stop.signal))
+        with StopRequest() as stop:
+            seen.append((state(), stop.signal))
 
     thread = threading.Thread(target=work)
     thread.start()
     thread.join()
-    assert seen == [(before, None)]
+    assert seen == [((*before[:-1], before[-1] + 1), None)]
+
+
+def test_a_signal_that_another_thread_gets_acts_in_the_main_thread(often):
+    thread = threading.Thread(target=signal.raise_signal, args=(signal.SIGTERM,))
+    with pytest.raises(Terminated), StopRequest():
+        thread.start()
+        wait_for_more()
+    thread.join()
+
+
+# ------------------------------------------------------------------------------------ given up by Python
+
+
+def in_a_callback_from_c(number):
+    def called():
+        signal.raise_signal(number)
+
+    ctypes.CFUNCTYPE(None)(called)()
+
+
+def in_a_finalizer(number):
+    class Dying:
+        def __del__(self):
+            signal.raise_signal(number)
+
+    Dying()
+
+
+def in_a_weak_reference(number):
+    class Dying:
+        pass
+
+    dying = Dying()
+    _ = weakref.ref(dying, lambda _: signal.raise_signal(number))
+    del dying
+
+
+def in_a_garbage_collection(number):
+    def collecting(phase, info):
+        gc.callbacks.remove(collecting)
+        signal.raise_signal(number)
+
+    gc.callbacks.append(collecting)
+    gc.collect()
+
+
+def where_it_is_caught(number):
+    with suppress(KeyboardInterrupt):
+        signal.raise_signal(number)
+
+
+def where_c_prints_errors(number):
+    try:
+        signal.raise_signal(number)
+    except KeyboardInterrupt as error:
+        sys.excepthook(type(error), error, error.__traceback__)
+
+
+SWALLOWERS = [
+    in_a_callback_from_c,
+    in_a_finalizer,
+    in_a_weak_reference,
+    in_a_garbage_collection,
+    where_it_is_caught,
+    where_c_prints_errors,
+]
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("swallow", SWALLOWERS)
+def test_what_is_given_up_is_raised_again_and_not_printed(swallow, number, often, complaints):
+    before = state()
+    with pytest.raises(KeyboardInterrupt) as ended, StopRequest() as stop:
+        swallow(number)
+        assert stop.signal == number
+        swallow(number)
+        wait_for_more()
+    assert (type(ended.value) is Terminated) == (number == signal.SIGTERM)
+    assert complaints == []
+    assert state() == before
+
+
+def test_what_else_is_given_up_is_printed(complaints):
+    class Dying:
+        def __del__(self):
+            raise ValueError("of another kind")
+
+    with pytest.raises(KeyboardInterrupt), StopRequest():
+        Dying()
+        in_a_finalizer(signal.SIGINT)
+        Dying()
+        sys.excepthook(ValueError, ValueError(), None)
+        wait_for_more()
+    assert len(complaints) == 3
+
+
+def test_repeats_do_not_disturb_the_winding_up(often):
+    done = []
+
+    def closed_late():
+        try:
+            yield
+        finally:
+            wait_for_repeats()
+            done.append("generator")
+
+    with pytest.raises(Terminated), StopRequest(), ExitStack() as stack:
+        frames = closed_late()
+        next(frames)
+        stack.callback(frames.close)
+        try:
+            in_a_callback_from_c(signal.SIGTERM)
+            wait_for_more()
+        finally:
+            wait_for_repeats()
+            with suppress(ValueError):
+                try:
+                    raise ValueError
+                finally:
+                    wait_for_repeats()
+            done.append("finally")
+    assert done == ["finally", "generator"]
+
+
+def test_repeats_do_not_disturb_who_saw_the_signal_noted(often):
+    with StopRequest() as stop:
+        in_a_callback_from_c(signal.SIGTERM)
+        stop.is_patient = True
+        wait_for_repeats()
+        assert stop.exit_code == 143
+
+
+def test_a_signal_while_it_is_left_is_noted(monkeypatch):
+    join = threading.Thread.join
+
+    def interrupted(thread):
+        signal.raise_signal(signal.SIGTERM)
+        join(thread)
+
+    before = state()
+    with StopRequest() as stop:
+        monkeypatch.setattr(threading.Thread, "join", interrupted)
+    assert stop.exit_code == 143
+    assert state() == before
+
+
+# ------------------------------------------------------------------------------------ the command line
+
+
+@pytest.fixture
+def answer(monkeypatch, capsys):
+    """Exit code of a command that does `work`, and what it wrote to stderr."""
+
+    def run(work):
+        monkeypatch.setitem(commands.COMMANDS, "list", lambda options: work())
+        before = state()
+        code = main(["list"])
+        assert state() == before
+        return code, capsys.readouterr().err
+
+    return run
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_an_interrupted_import_ends_the_command(answer, number, tmp_path, monkeypatch):
+    (tmp_path / "slow_to_import.py").write_text(f"import signal\nsignal.raise_signal({int(number)})\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert answer(lambda: import_module("slow_to_import")) == (128 + number, "")
+
+
+def test_an_import_of_ours_that_is_interrupted_ends_the_command(capsys, monkeypatch):
+    class Finder:
+        def find_spec(self, name, path=None, target=None):
+            if name == "bayesnet_track.commands":
+                signal.raise_signal(signal.SIGINT)
+
+    for name in [name for name in sys.modules if name.startswith("bayesnet_track.commands")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delattr("bayesnet_track.commands")
+    monkeypatch.setattr(sys, "meta_path", [Finder(), *sys.meta_path])
+    assert main(["list"]) == 130
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_an_interruption_that_became_another_error_is_no_error_of_ours(answer, number, complaints):
+    def work():
+        where_c_prints_errors(number)
+        raise ImportError("numpy.core.multiarray failed to import")
+
+    assert answer(work) == (128 + number, "")
+    assert complaints == []
+
+
+def test_an_interruption_that_came_to_nothing_is_told_in_the_exit_code(answer):
+    assert answer(lambda: in_a_callback_from_c(signal.SIGTERM) or 0) == (143, "")
 
 
 # ------------------------------------------------------------------------------------ a running process
 
 
-def started(out, *more):
-    """A demo that has tracked at least ten frames."""
-    line = [sys.executable, "-m", "bayesnet_track", "demo", "--out", str(out), *more]
-    process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 60
-    while not (out / "tracks.txt").exists() or (out / "tracks.txt").read_bytes().count(b"\n") < 10:
+HELD = """
+import sys
+from bayesnet_track.cli import main
+from bayesnet_track.runtime.record import Recorder
+
+record = Recorder.frame
+
+def record_and_wait(self, result):
+    record(self, result)
+    if result.frame.index == 9:
+        sys.stdin.readline()
+
+Recorder.frame = record_and_wait
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.fixture
+def held(tmp_path):
+    """A demo that has recorded ten frames, and goes on when it is told to."""
+    line = [sys.executable, "-c", HELD, "demo", "--out", str(tmp_path / "run")]
+    pipes = {name: subprocess.PIPE for name in ("stdin", "stdout", "stderr")}
+    process = subprocess.Popen(line, text=True, **pipes)
+    tracks, deadline = tmp_path / "run/tracks.txt", time.monotonic() + HANG_S
+    while not tracks.exists() or tracks.read_bytes().count(b"\n") < 10:
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.005)
-    return process
+    yield process
+    process.kill()
+    process.communicate()
 
 
 def check(out, notice=pytest.fail):
@@ -107,31 +361,32 @@ def check(out, notice=pytest.fail):
     return len(frames)
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_ends_a_run_in_order(tmp_path, number, code):
-    out = tmp_path / "run"
-    process = started(out)
-    process.send_signal(number)
-    said, complained = process.communicate(timeout=60)
-    assert process.returncode == code
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_ends_a_run_in_order(held, tmp_path, number):
+    held.send_signal(number)
+    said, complained = held.communicate("go on\n", timeout=HANG_S)
+    assert held.returncode == 128 + number
     assert "Traceback" not in complained
     assert said.endswith(", interrupted\n") and said.count("\n") == 1
-    frames = check(out)
-    assert 10 <= frames < 200
-    assert list(read_events(out / "journal.jsonl", pytest.fail))[-1] == RunEnded(
-        frames, 200, False, "interrupted"
-    )
+    assert check(tmp_path / "run") == 10
+    events = list(read_events(tmp_path / "run/journal.jsonl", pytest.fail))
+    assert events[-1] == RunEnded(10, 200, False, "interrupted")
 
 
-def test_a_killed_run_leaves_files_that_can_be_read(tmp_path):
-    from bayesnet_track.cli import main
+def test_a_second_signal_ends_a_frame_that_takes_long(held, tmp_path):
+    held.send_signal(signal.SIGINT)
+    held.send_signal(signal.SIGTERM)
+    # Nobody tells it to go on.
+    assert held.wait(timeout=HANG_S) == 143
+    assert "Traceback" not in held.stderr.read()
+    assert check(tmp_path / "run") == 10
 
+
+def test_a_killed_run_leaves_files_that_can_be_read(held, tmp_path):
     out = tmp_path / "run"
-    process = started(out)
-    process.kill()
-    process.communicate()
-    frames = check(out, notice=lambda _: None)
-    assert frames >= 10
+    held.kill()
+    held.communicate()
+    assert check(out, notice=lambda _: None) == 10
     events = list(read_events(out / "journal.jsonl", lambda _: None))
     assert not any(isinstance(event, RunEnded) for event in events)
     assert main(["log", str(out)]) == 0
@@ -141,18 +396,76 @@ def test_a_killed_run_leaves_files_that_can_be_read(tmp_path):
     assert main(["score", str(out), "--truth", str(truth)]) == 0
 
 
+# Before and after `main`, signals are the interpreter's: here they leave at once, with a code of their own.
+WATCHED = """
+import os
+import signal
+import sys
+from bayesnet_track.cli import main
+
+after, number, *arguments = sys.argv[1:]
+events = 0
+
+def profile(frame, event, argument):
+    global events
+    events += 1
+    if events == int(after):
+        sys.setprofile(None)
+        signal.raise_signal(int(number))
+
+for each in (signal.SIGINT, signal.SIGTERM):
+    signal.signal(each, lambda *_: os._exit(99))
+print("ready", file=sys.stderr, flush=True)
+if int(after):
+    sys.setprofile(profile)
+code = main(arguments)
+sys.setprofile(None)
+sys.stdout.flush()
+os._exit(code)
+"""
+
+
+def watched(out, after, number):
+    line = [sys.executable, "-c", WATCHED, str(after), str(int(number)), "demo", "--quiet", "--out", str(out)]
+    process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stderr.readline() == "ready\n"
+    return process
+
+
+def check_interrupted(process, out, number):
+    """True at any instant: nothing has begun, or all is done, or it was interrupted in order."""
+    said, complained = process.communicate(timeout=HANG_S)
+    assert complained == ""
+    assert process.returncode in (0, 99, 128 + number)
+    events = []
+    if (out / "journal.jsonl").exists():
+        events = list(read_events(out / "journal.jsonl", pytest.fail))
+    if events:
+        frames = check(out)
+        end = events[-1]
+        assert isinstance(end, RunEnded) and end.frames == frames
+        assert end.reason == ("end_of_source" if end.complete else "interrupted")
+    is_complete = bool(events) and events[-1].complete
+    if process.returncode == 99:
+        assert is_complete or not out.exists()
+    if process.returncode == 0:
+        assert is_complete and "against the true boxes" in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("step", range(40))
+def test_a_signal_at_any_call(tmp_path, step):
+    """Calls and returns of Python code, in callbacks and finalizers too: the 10th to the four millionth."""
+    number = SIGNALS[step % 2]
+    process = watched(tmp_path / "run", round(10 ** (1 + 5.6 * step / 39)), number)
+    check_interrupted(process, tmp_path / "run", number)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("wait_ms", range(0, 1500, 75))
 def test_a_signal_at_any_time(tmp_path, wait_ms):
-    """One of the two exit codes, or death by the signal before any code of ours ran."""
-    number, code = ((signal.SIGINT, 130), (signal.SIGTERM, 143))[wait_ms // 75 % 2]
-    line = [sys.executable, "-m", "bayesnet_track", "demo", "--out", str(tmp_path / "run")]
-    process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    number = SIGNALS[wait_ms // 75 % 2]
+    process = watched(tmp_path / "run", 0, number)
     time.sleep(wait_ms / 1000)
     process.send_signal(number)
-    complained = process.communicate(timeout=60)[1]  # a hang, not a measure of speed
-    assert process.returncode in (code, -number)
-    journal = tmp_path / "run/journal.jsonl"
-    if journal.exists() and journal.stat().st_size:
-        assert "Traceback" not in complained
-        check(tmp_path / "run")
+    check_interrupted(process, tmp_path / "run", number)
