@@ -14,6 +14,8 @@ from bayesnet_track.numerics.log_weights import LogWeights
 
 Floats = NDArray[np.float64]
 
+ROUNDING = 1e-12
+
 
 @dataclass(frozen=True, eq=False)
 class Pass:
@@ -54,8 +56,9 @@ def joined(first: Pass, second: Pass, share: float) -> Pass:
 
 
 def prior_of(one: Pass) -> LogWeights:
-    """beta, normalised: the prior weights that measures use."""
-    return LogWeights.normalise(one.prior_log)[0]
+    """beta, normalised: the prior weights that measures use. Unchanged when normalised but for rounding."""
+    beta, log_total = LogWeights.normalise(one.prior_log)
+    return LogWeights(one.prior_log) if abs(log_total) < ROUNDING else beta
 
 
 def _with_faults(first: Pass, second: Pass) -> Evidence:

@@ -1,0 +1,109 @@
+"""Weighted hypotheses as a belief, and what a pass over a frame's hypotheses starts from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import Evaluate, Motion, Stream
+from bayesnet_track.cue import Hypotheses
+from bayesnet_track.numerics.divergence import uncertainty_deviation
+from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.numerics.resampling import resample
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ParticleSet:
+    """N weighted hypotheses.
+
+    Attributes:
+        states: (N, D) float64, the box (x, y, w, h; centre, px) first.
+        fields: names of the D columns.
+        weights: their normalised log-weights.
+    """
+
+    states: Floats
+    fields: tuple[str, ...]
+    weights: LogWeights
+
+    def __len__(self) -> int:
+        return int(self.states.shape[0])
+
+    @property
+    def boxes(self) -> Floats:
+        """(N, 4) centre boxes."""
+        return self.states[:, :4]
+
+    @property
+    def hypotheses(self) -> Hypotheses:
+        """What cues see of it: the boxes, and the further fields by name."""
+        return hypotheses_of(self.states, self.fields)
+
+    @property
+    def mean(self) -> Floats:
+        """(D,) weighted mean, which lies between the modes of a bimodal belief."""
+        return np.asarray(self.weights.weights @ self.states)
+
+    @property
+    def covariance(self) -> Floats:
+        """(D, D) sum w (x - mean)(x - mean)'; zeros when one hypothesis holds all weight.
+
+        Without the correction for degrees of freedom, which divides by zero there.
+        """
+        weights = self.weights.weights
+        away = self.states - weights @ self.states
+        return np.asarray((away * weights[:, None]).T @ away)
+
+    def uncertainty(self, about: Floats, columns: Sequence[int]) -> float:
+        """UD = sum w |s - about|^2 over the columns of the state."""
+        chosen = list(columns)
+        return uncertainty_deviation(self.states[:, chosen], self.weights.weights, about[chosen])
+
+    def region(self, share: float) -> tuple[float, float, float, float]:
+        """x_low, x_high, y_low, y_high in px: the central `share` of the centre's weight on each axis."""
+        weights = self.weights.weights
+        tails = np.array([(1.0 - share) / 2.0, (1.0 + share) / 2.0])
+        x_low, x_high = weighted_quantiles(self.states[:, 0], weights, tails)
+        y_low, y_high = weighted_quantiles(self.states[:, 1], weights, tails)
+        return x_low, x_high, y_low, y_high
+
+    def draw(self, size: int, rng: np.random.Generator) -> Floats:
+        """(size, 4) boxes of hypotheses, drawn systematically."""
+        return self.boxes[resample("systematic", self.weights.weights, size, rng)]
+
+
+def hypotheses_of(states: Floats, fields: tuple[str, ...]) -> Hypotheses:
+    """What cues see of `states` (N, D): the boxes, and the further fields by name."""
+    return Hypotheses(states[:, :4], {name: states[:, k] for k, name in enumerate(fields) if k >= 4})
+
+
+def weighted_quantiles(values: Floats, weights: Floats, shares: Floats) -> tuple[float, ...]:
+    """The least value that has at least the share of the weight up to it, for each share."""
+    order = np.argsort(values)
+    cumulative = np.cumsum(weights[order])
+    found = np.searchsorted(cumulative, shares * cumulative[-1])
+    return tuple(float(q) for q in values[order][found])
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """What every pass of a frame starts from.
+
+    Attributes:
+        prior: the belief after the last frame.
+        motion: how its states move.
+        dt: time since then, in frame intervals.
+        evaluate: what the net says of hypotheses.
+        stream: the frame's random streams, by purpose.
+    """
+
+    prior: ParticleSet
+    motion: Motion
+    dt: float
+    evaluate: Evaluate
+    stream: Stream
