@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +13,8 @@ from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.messages import without
-from bayesnet_track.numerics.divergence import kl, uncertainty_deviation
-from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+from bayesnet_track.numerics.divergence import uncertainty_deviation
+from bayesnet_track.numerics.tilts import divergences, tilted
 
 Floats = NDArray[np.float64]
 
@@ -47,59 +47,60 @@ class Measures:
 
 def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: float) -> Measures:
     """Measure one step of `target`; every index is taken on the step's own hypotheses and prior weights."""
-    evidence, prior = step.evidence, step.prior
+    evidence, prior, root = step.evidence, step.prior.log, step.support.weights
     hypotheses = Hypotheses(step.support.boxes)
-    beliefs = {node: _times(prior, message) for node, message in evidence.messages.items()}
-    beliefs[target.root] = step.support.weights
+    nodes = list(evidence.messages)
+    logs = tilted(prior, _rows(evidence.messages.values(), len(prior)))
+    beliefs = dict(zip(nodes, logs, strict=True))
+    beliefs[target.root] = root.log
     agents = [obs.agent for obs in plan.observations if obs.agent in evidence.messages]
 
-    ud = _node_uds(target, step, beliefs)
     agent_ud = {}
     for obs in plan.observations:
         if obs.agent in beliefs:
             boxes = evidence.latent.get(obs.at, hypotheses).boxes
             agent_ud[obs.agent] = _agent_ud(target, boxes, evidence.messages[obs.agent], beliefs[obs.agent])
 
-    divergence, contribution = {}, {}
-    for agent in agents:
-        governor = target.governor[agent] or target.root
-        belief = beliefs.get(governor, step.support.weights)
-        divergence[agent] = kl(belief.log, beliefs[agent].log)
-        left = without(plan, evidence, agent, hypotheses, prior.log).get(governor)
-        rest = prior if left is None else _times(prior, left)
-        contribution[agent] = kl(belief.log, rest.log)
+    governors = [target.governor[agent] or target.root for agent in agents]
+    governing = _rows((beliefs.get(governor, root.log) for governor in governors), len(prior))
+    without_agent = [without(plan, evidence, agent, hypotheses, prior) for agent in agents]
+    nothing = np.zeros(len(prior))
+    left = (one.get(governor, nothing) for one, governor in zip(without_agent, governors, strict=True))
+    rest = tilted(prior, _rows(left, len(prior)))
+    alone = _rows((beliefs[agent] for agent in agents), len(prior))
 
     mean = sum((evidence.messages[agent] / len(agents) for agent in agents), np.zeros(len(prior)))
     return Measures(
-        ud_px2=ud,
+        ud_px2=_node_uds(target, step, beliefs),
         agent_ud_px2=agent_ud,
-        kl=divergence,
-        contribution=contribution,
-        strength={node: kl(beliefs[node].log, prior.log) for node in evidence.messages},
+        kl=_named(agents, divergences(governing, alone)),
+        contribution=_named(agents, divergences(governing, rest)),
+        strength=_named(nodes, divergences(logs, prior)),
         fit=float(np.exp(min(np.max(mean), 0.0))) if agents else 0.0,
         area_px2=area_px2,
     )
 
 
-def _times(prior: LogWeights, message: Floats) -> LogWeights:
-    """The prior times a message; the prior itself where nothing positive is left."""
-    try:
-        return prior.times(message)[0]
-    except DegenerateWeights:
-        return prior
+def _rows(arrays: Iterable[Floats], size: int) -> Floats:
+    """(M, size) the arrays (size,) as rows, also when there are none."""
+    return np.array(list(arrays), dtype=np.float64).reshape(-1, size)
+
+
+def _named(names: list[str], values: Floats) -> dict[str, float]:
+    return dict(zip(names, values.tolist(), strict=True))
 
 
 def _columns(target: CheckedTarget, node: str) -> list[int]:
     return [BOX_FIELDS.index(name) for name in target.inference(node).ud_fields]
 
 
-def _ud(target: CheckedTarget, node: str, boxes: Floats, belief: LogWeights, centre: Floats) -> float:
+def _ud(target: CheckedTarget, node: str, boxes: Floats, log: Floats, centre: Floats) -> float:
     columns = _columns(target, node)
-    return uncertainty_deviation(boxes[:, columns], belief.weights, centre[columns])
+    return uncertainty_deviation(boxes[:, columns], np.exp(log), centre[columns])
 
 
 def _node_uds(
-    target: CheckedTarget, step: Step[Posterior], beliefs: Mapping[str, LogWeights]
+    target: CheckedTarget, step: Step[Posterior], beliefs: Mapping[str, Floats]
 ) -> dict[str, float]:
     """UD of every inference node, the root's first."""
     uds = {target.root: step.posterior.uncertainty(step.map_state, _columns(target, target.root))}
@@ -110,7 +111,7 @@ def _node_uds(
         if node in beliefs:
             latent = step.evidence.latent.get(node)
             boxes = step.support.boxes if latent is None else latent.boxes
-            best = boxes[int(np.argmax(beliefs[node].log))]
+            best = boxes[int(np.argmax(beliefs[node]))]
             uds[node] = _ud(target, node, boxes, beliefs[node], best)
         else:
             uds[node] = _inherited(target, node, step, beliefs)
@@ -118,7 +119,7 @@ def _node_uds(
 
 
 def _inherited(
-    target: CheckedTarget, node: str, step: Step[Posterior], beliefs: Mapping[str, LogWeights]
+    target: CheckedTarget, node: str, step: Step[Posterior], beliefs: Mapping[str, Floats]
 ) -> float:
     """UD, over the node's own fields, of the nearest belief above a node that hears of no agent."""
     above: str | None = target.parent[node]
@@ -128,9 +129,9 @@ def _inherited(
         return step.posterior.uncertainty(step.map_state, _columns(target, node))
     latent = step.evidence.latent.get(above)
     boxes = step.support.boxes if latent is None else latent.boxes
-    return _ud(target, node, boxes, beliefs[above], boxes[int(np.argmax(beliefs[above].log))])
+    return _ud(target, node, boxes, beliefs[above], boxes[int(np.argmax(beliefs[above]))])
 
 
-def _agent_ud(target: CheckedTarget, boxes: Floats, message: Floats, belief: LogWeights) -> float:
+def _agent_ud(target: CheckedTarget, boxes: Floats, message: Floats, belief: Floats) -> float:
     """UD of the agent's normalised likelihood about its own maximum-likelihood hypothesis."""
     return _ud(target, target.root, boxes, belief, boxes[int(np.argmax(message))])

@@ -1,0 +1,43 @@
+"""Many beliefs on the same hypotheses at once: a prior tilted by each of several likelihoods.
+
+One call on a matrix costs a fraction of many calls on its rows, which are short.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+def tilted(prior_log: Floats, log_likelihoods: Floats) -> Floats:
+    """(M, N) normalised log-weights: the prior (N,) times each likelihood (M, N).
+
+    A likelihood that leaves nothing positive and finite says nothing: its row is the prior.
+
+    >>> np.exp(tilted(np.log([0.5, 0.5]), np.log([[1.0, 3.0]]))).round(2).tolist()
+    [[0.25, 0.75]]
+    """
+    log = log_likelihoods + prior_log
+    top = log.max(axis=1, initial=-np.inf)
+    lost = ~np.isfinite(top)  # also where there is a NaN: it is the maximum then
+    if lost.any():
+        log[lost], top[lost] = prior_log, prior_log.max()
+    log -= top[:, None]
+    log -= np.log(np.exp(log).sum(axis=1))[:, None]
+    return np.asarray(log)
+
+
+def divergences(f: Floats, g: Floats) -> Floats:
+    """(M,) KL(f || g_m) in nats of normalised log-weights, as `numerics.divergence.kl`.
+
+    Args:
+        f: (N,) or (M, N).
+        g: (M, N), or (N,) for all rows of f.
+    """
+    shared = np.exp(f)
+    with np.errstate(invalid="ignore"):  # 0 times the infinity of log 0, which counts nothing
+        terms = shared * (f - g)
+    terms[np.broadcast_to(shared == 0.0, terms.shape)] = 0.0
+    return np.asarray(np.maximum(terms.sum(axis=1), 0.0))
