@@ -52,6 +52,15 @@ def make_parser() -> argparse.ArgumentParser:
         "--source", required=True, help="video file, folder of images, glob, camera index, or URL"
     )
     run.add_argument("--out", metavar="RUN", required=True, help="run directory to write")
+    second = run.add_mutually_exclusive_group()
+    second.add_argument("--right", metavar="SOURCE", help="the right eye; --source is then the left one")
+    second.add_argument(
+        "--stereo", choices=["side_by_side"], help="both eyes are in one picture, the left one on the left"
+    )
+    second.add_argument(
+        "--depth", metavar="FOLDER", help="depth of another sensor, a file per picture (16-bit images, .npy)"
+    )
+    run.add_argument("--calibration", metavar="FILE", help="of the pair, OpenCV YAML; see `calibrate`")
     start = run.add_mutually_exclusive_group(required=True)
     start.add_argument(
         "--init",
@@ -84,6 +93,16 @@ def make_parser() -> argparse.ArgumentParser:
     graph.add_argument("--latex", action="store_true", help="print it as LaTeX")
     graph.add_argument("--svg", metavar="FILE", help="draw the net")
     graph.add_argument("--png", metavar="FILE", help="draw the net")
+
+    calibrate = commands.add_parser("calibrate", help="calibrate a pair of cameras from chessboard pictures")
+    calibrate.add_argument("left", metavar="LEFT", help="pictures of the left eye: folder, glob or video")
+    calibrate.add_argument("right", metavar="RIGHT", help="those of the right eye, in the same order")
+    calibrate.add_argument("--board", required=True, metavar="CxR", help="inner corners across and down: 9x6")
+    calibrate.add_argument(
+        "--square", dest="square_m", required=True, type=_metres, metavar="M", help="side of a square, m"
+    )
+    calibrate.add_argument("--out", required=True, metavar="FILE", help="calibration file to write")
+    calibrate.add_argument("--overwrite", action="store_true", help="replace the file if it is there")
 
     commands.add_parser("schema", help="print the JSON Schema of graph files, for editors")
     commands.add_parser("list", help="list the installed graphs, cues and scenes")
@@ -198,6 +217,17 @@ def _whole_number(least: int) -> Callable[[str], int]:
         return int(text)
 
     return parse
+
+
+def _metres(text: str) -> float:
+    """Parser of lengths."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r}: a length above 0 in metres is needed")
+    return value
 
 
 def _joined(arguments: Sequence[str]) -> list[str]:

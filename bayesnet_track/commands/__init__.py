@@ -14,6 +14,7 @@ from bayesnet_track.commands.answer import (
     complain,
     words,
 )
+from bayesnet_track.commands.calibrate import calibrate
 from bayesnet_track.commands.graphs import graph, list_installed, schema, validate
 from bayesnet_track.commands.review import log, score
 from bayesnet_track.commands.tracking import demo, run
@@ -27,6 +28,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "schema": schema,
     "list": list_installed,
     "log": log,
+    "calibrate": calibrate,
     "score": score,
 }
 
@@ -54,10 +56,11 @@ def _code_of(error: Exception, command: str) -> int | None:
     from bayesnet_track.journal.writer import OutputError
     from bayesnet_track.runtime.frames import SourceError
     from bayesnet_track.runtime.rundir import RunDirectoryError
+    from bayesnet_track.stereo import CalibrationError
 
     if isinstance(error, UsageError):
         return USAGE
-    if isinstance(error, SourceError | JournalError):
+    if isinstance(error, SourceError | JournalError | CalibrationError):
         return BAD_SOURCE
     if isinstance(error, RunDirectoryError):
         return BAD_SOURCE if command in ("log", "score") else BAD_OUTPUT

@@ -16,6 +16,7 @@ from bayesnet_track.commands.answer import INCOMPLETE, OK, UsageError, complain,
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
+    from bayesnet_track.runtime.frames import Source
     from bayesnet_track.runtime.progress import Progress
     from bayesnet_track.runtime.run import FrameSource, Result, Start, Summary
     from bayesnet_track.runtime.stop import StopRequest
@@ -70,7 +71,6 @@ def demo(options: argparse.Namespace) -> int:
 def run(options: argparse.Namespace) -> int:
     """Track in a video."""
     from bayesnet_track.graph.load import load_graph
-    from bayesnet_track.runtime.sources import open_source
 
     if options.end is not None and options.end <= options.start:
         raise UsageError(f"--end {options.end} must be greater than --start {options.start}")
@@ -79,10 +79,28 @@ def run(options: argparse.Namespace) -> int:
         starts = [read_start(Path(options.init_from), options.start)]
     else:
         starts = [parse_start(text) for text in options.init]
-    with open_source(
-        options.source, options.start, options.end, options.allow_network, options.on_resize
-    ) as source:
+    with _opened(options) as source:
         return _track(options, graph, source, starts, Path(options.out), video=options.video)
+
+
+def _opened(options: argparse.Namespace) -> Source:
+    """The source, with depth where the options name a second eye or another sensor."""
+    from bayesnet_track.runtime.sources import open_source
+    from bayesnet_track.runtime.stereo_source import open_stereo_source
+
+    window = (options.start, options.end, options.allow_network, options.on_resize)
+    if options.right is None and options.stereo is None and options.depth is None:
+        if options.calibration is not None:
+            raise UsageError("--calibration is of a pair: give --right, --stereo or --depth, too")
+        return open_source(options.source, *window)
+    return open_stereo_source(
+        options.source,
+        *window,
+        right=options.right,
+        depth=options.depth,
+        side_by_side=options.stereo is not None,
+        calibration=options.calibration,
+    )
 
 
 def read_start(path: Path, frame: int) -> Start:

@@ -21,6 +21,7 @@ from typing import Any, Literal, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.depth import Depth
 from bayesnet_track.journal.events import FrameSizeChanged, FramesMissing, SourceDamaged
 from bayesnet_track.planes import Frame
 
@@ -58,12 +59,15 @@ class Picture:
         time: its time in nominal frame intervals.
         time_s: the same in seconds.
         pixels: gives ((H, W, 3) uint8 BGR, has_color) when asked; raises PictureError.
+        complete: makes of these pixels the frame's own and its depth, where the source has depth; raises
+            PictureError.
     """
 
     index: int
     time: float
     time_s: float
     pixels: Pixels
+    complete: Callable[[NDArray[np.uint8]], tuple[NDArray[np.uint8], Depth]] | None = None
 
 
 @dataclass(frozen=True)
@@ -114,6 +118,7 @@ class Source:
         width: columns of the first frame.
         height: rows of the first frame.
         has_color: whether the first frame has colour.
+        has_depth: whether the first frame has a second eye or points.
         declared_frames: number of frames that the whole source declares, or None.
         expected_frames: how many of them lie between `start` and `end`, or None.
         frame_interval_s: nominal seconds between frames.
@@ -142,6 +147,7 @@ class Source:
             self.close()
             raise
         self.width, self.height, self.has_color = first.width, first.height, first.has_color
+        self.has_depth = first.depth is not None
 
     @property
     def expected_frames(self) -> int | None:
@@ -204,8 +210,11 @@ class Source:
                     f"time runs backwards or stands still: {item.time_s:.6f} s after {last.time_s:.6f} s",
                 )
                 return
+            depth: Depth | None = None
             try:
                 image, has_color = item.pixels()
+                if item.complete is not None:
+                    image, depth = item.complete(image)
             except PictureError as error:
                 yield self._damaged(item.index, str(error))
                 continue
@@ -220,7 +229,7 @@ class Source:
             shape = now
             if first is not None:
                 image = _resized(image, first.width, first.height)
-            last = Frame(item.index, item.time, image, has_color, item.time_s)
+            last = Frame(item.index, item.time, image, has_color, item.time_s, depth)
             first = first or last
             yield last
             if self._end is not None and item.index + 1 >= self._end:

@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from os import PathLike
 from typing import cast
 
+from bayesnet_track.engine import make_engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
@@ -14,6 +15,7 @@ from bayesnet_track.runtime.record import Recorder
 from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
 from bayesnet_track.runtime.rundir import RunDirectory
 from bayesnet_track.runtime.sources import open_source
+from bayesnet_track.runtime.stereo_source import check_depth
 from bayesnet_track.runtime.starts import Start, StartError, check_starts
 
 CornerBox = tuple[float, float, float, float]
@@ -46,7 +48,7 @@ def track(
 
     Raises (when the first result is asked for; nothing is written then):
         GraphError: every error of the graph.
-        SourceError: nothing can be read from the source.
+        SourceError: nothing can be read from the source, or it has no depth where the graph needs it.
         StartError: no target can start from the box.
         RunDirectoryError: `out` holds something else.
         OutputError: an output cannot be written (later, too).
@@ -65,11 +67,13 @@ def track(
         else:
             opened = source
         check_starts(checked, starts, opened.width, opened.height)
+        engine = make_engine(checked, seed)
+        check_depth(engine, opened)
         told: list[Sink] = list(sinks)
         if out is not None:
             directory = RunDirectory.create(str(out), overwrite)
             told.append(stack.enter_context(Recorder(directory, checked, opened.frame_interval_s, video)))
-        yield from run(checked, opened, starts, seed=seed, sinks=told, summary=summary)
+        yield from run(checked, opened, starts, seed=seed, sinks=told, summary=summary, engine=engine)
 
 
 def _starts(box: CornerBox | Sequence[Start]) -> list[Start]:

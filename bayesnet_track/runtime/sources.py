@@ -37,11 +37,12 @@ def open_source(
     Raises:
         SourceError: nothing can be read there; says what was found, what is allowed and how to mend it.
     """
-    _check_range(text, start, end)
-    return Source(text, _reader(text, allow_network), start, end, on_resize)
+    check_range(text, start, end)
+    return Source(text, make_reader(text, allow_network), start, end, on_resize)
 
 
-def _check_range(text: str, start: int | None, end: int | None) -> None:
+def check_range(text: str, start: int | None, end: int | None) -> None:
+    """Refuse a range without a frame; raises SourceError."""
     first = start or 0
     if first < 0 or (end is not None and end <= first):
         raise SourceError(
@@ -52,7 +53,8 @@ def _check_range(text: str, start: int | None, end: int | None) -> None:
         )
 
 
-def _reader(text: str, allow_network: bool) -> Reader:
+def make_reader(text: str, allow_network: bool) -> Reader:
+    """The reader of what `text` names, as `open_source` takes it; raises SourceError."""
     if not text or "\0" in text:
         raise SourceError(text, "it is empty or holds a NUL", KINDS, "name a source")
     if text.isascii() and text.isdigit():

@@ -1,0 +1,259 @@
+"""Calibration of a pair of cameras: its file, its rectification, and how it is found from chessboards.
+
+The file is OpenCV YAML. Either ``image_width image_height M1 D1 M2 D2 R T``, the names of OpenCV's own
+samples (camera matrices, distortion, rotation and translation from the left camera to the right, T in m), or,
+for pairs that are rectified already, ``image_width image_height focal_px baseline_m centre_x_px centre_y_px``
+and, where the principal points differ, ``offset_px``; with the depth of another sensor, ``depth_unit_m``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.depth import StereoGeometry
+
+Floats = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+RECTIFIED = ("focal_px", "baseline_m", "centre_x_px", "centre_y_px")
+CAMERAS = ("M1", "D1", "M2", "D2", "R", "T")
+ALLOWED = (
+    f"OpenCV YAML with image_width, image_height and either {' '.join(CAMERAS)} or {' '.join(RECTIFIED)}"
+)
+
+
+class CalibrationError(ValueError):
+    """A calibration file, or chessboard pictures, from which no calibration can be had."""
+
+
+@dataclass(frozen=True)
+class RectifiedPair:
+    """A pair whose rows correspond already.
+
+    Attributes:
+        width, height: of both pictures, px.
+        geometry: the pair's.
+        depth_unit_m: one step of a 16-bit depth image, m.
+    """
+
+    width: int
+    height: int
+    geometry: StereoGeometry
+    depth_unit_m: float = 0.001
+
+    def rectify(self, left: Image, right: Image) -> tuple[Image, Image]:
+        """The pictures as they are."""
+        return left, right
+
+
+@dataclass(frozen=True, eq=False)
+class Cameras:
+    """Two calibrated cameras.
+
+    Attributes:
+        width, height: of both pictures, px.
+        left, right: (3, 3) camera matrices.
+        left_distortion, right_distortion: (k,) coefficients in OpenCV's order.
+        rotation: (3, 3) from left to right camera coordinates.
+        translation: (3,) the same, m; its x is negative when the right camera is on the right.
+    """
+
+    width: int
+    height: int
+    left: Floats
+    left_distortion: Floats
+    right: Floats
+    right_distortion: Floats
+    rotation: Floats
+    translation: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Rectification:
+    """Maps that turn the pictures of two cameras into a rectified pair.
+
+    Attributes:
+        width, height: of the pictures before and after, px.
+        geometry: of the rectified pair.
+        left_maps, right_maps: what `cv2.remap` takes.
+    """
+
+    width: int
+    height: int
+    geometry: StereoGeometry
+    left_maps: tuple[Any, Any]
+    right_maps: tuple[Any, Any]
+
+    def rectify(self, left: Image, right: Image) -> tuple[Image, Image]:
+        """Both pictures (H, W, 3) rectified; black where a camera did not look."""
+        import cv2
+
+        return (
+            np.asarray(cv2.remap(left, *self.left_maps, cv2.INTER_LINEAR), dtype=np.uint8),
+            np.asarray(cv2.remap(right, *self.right_maps, cv2.INTER_LINEAR), dtype=np.uint8),
+        )
+
+
+Rectifier = RectifiedPair | Rectification
+
+
+def rectification(cameras: Cameras) -> Rectification:
+    """How the pictures of `cameras` become a rectified pair of the same size (`cv2.stereoRectify`, alpha 0).
+
+    Raises:
+        CalibrationError: the right camera is not on the right of the left one.
+    """
+    import cv2
+
+    shift = cameras.translation
+    if not shift[0] < 0 or abs(shift[1]) > abs(shift[0]):
+        raise CalibrationError(
+            f"the right camera is at {', '.join(f'{-v:.3g}' for v in shift)} m (x, y, z) of the left one, "
+            "not on its right; allowed: two cameras side by side; exchange left and right"
+        )
+    size = (cameras.width, cameras.height)
+    one, other, one_p, other_p, *_ = cv2.stereoRectify(
+        cameras.left,
+        cameras.left_distortion,
+        cameras.right,
+        cameras.right_distortion,
+        size,
+        cameras.rotation,
+        shift.reshape(3, 1),
+        flags=cv2.CALIB_ZERO_DISPARITY,
+        alpha=0,
+    )
+    geometry = StereoGeometry(
+        focal_px=float(one_p[0, 0]),
+        baseline_m=float(-other_p[0, 3] / other_p[0, 0]),
+        centre_x_px=float(one_p[0, 2]),
+        centre_y_px=float(one_p[1, 2]),
+        offset_px=float(other_p[0, 2] - one_p[0, 2]),
+    )
+    maps = [
+        cv2.initUndistortRectifyMap(matrix, distortion, turn, projection, size, cv2.CV_16SC2)
+        for matrix, distortion, turn, projection in (
+            (cameras.left, cameras.left_distortion, one, one_p),
+            (cameras.right, cameras.right_distortion, other, other_p),
+        )
+    ]
+    return Rectification(*size, geometry, maps[0], maps[1])
+
+
+def read_calibration(path: Path) -> Rectifier:
+    """How to rectify, from an OpenCV YAML file.
+
+    Raises:
+        CalibrationError: no such file, not OpenCV YAML, or an entry is missing or makes no sense.
+    """
+    entries = _entries(path)
+
+    def number(name: str, least: float = -math.inf) -> float:
+        value = entries.get(name)
+        if not isinstance(value, float) or not math.isfinite(value) or not value > least:
+            what = "a number" if least == -math.inf else f"a number above {least:g}"
+            raise _wrong(path, f"{name} is {'missing' if value is None else 'not ' + what}")
+        return value
+
+    width, height = int(number("image_width", 0)), int(number("image_height", 0))
+    if "focal_px" in entries:
+        geometry = StereoGeometry(
+            number("focal_px", 0),
+            number("baseline_m", 0),
+            number("centre_x_px"),
+            number("centre_y_px"),
+            number("offset_px") if "offset_px" in entries else 0.0,
+        )
+        unit = number("depth_unit_m", 0) if "depth_unit_m" in entries else 0.001
+        return RectifiedPair(width, height, geometry, unit)
+
+    def matrix(name: str, *shapes: tuple[int, ...]) -> Floats:
+        value = entries.get(name)
+        if not isinstance(value, np.ndarray):
+            raise _wrong(path, f"{name} is missing or no matrix")
+        if (shapes and value.shape not in shapes) or not np.isfinite(value).all() or value.size == 0:
+            raise _wrong(path, f"{name} is {' x '.join(map(str, value.shape))}, or not finite")
+        return value
+
+    square = (3, 3)
+    cameras = Cameras(
+        width,
+        height,
+        matrix("M1", square),
+        matrix("D1").ravel(),
+        matrix("M2", square),
+        matrix("D2").ravel(),
+        matrix("R", square),
+        matrix("T", (3, 1), (1, 3)).ravel(),
+    )
+    try:
+        return rectification(cameras)
+    except CalibrationError as error:
+        raise CalibrationError(f"calibration file {str(path)!r}: {error}") from error
+    except Exception as error:
+        raise _wrong(path, "OpenCV cannot rectify with it") from error
+
+
+def write_calibration(path: Path, calibration: Cameras | RectifiedPair) -> None:
+    """Write what `read_calibration` reads.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    import cv2
+
+    storage = cv2.FileStorage(".yml", cv2.FileStorage_WRITE | cv2.FileStorage_MEMORY)
+    storage.write("image_width", calibration.width)
+    storage.write("image_height", calibration.height)
+    if isinstance(calibration, Cameras):
+        values = (
+            calibration.left,
+            calibration.left_distortion.reshape(1, -1),
+            calibration.right,
+            calibration.right_distortion.reshape(1, -1),
+            calibration.rotation,
+            calibration.translation.reshape(3, 1),
+        )
+        for name, value in zip(CAMERAS, values, strict=True):
+            storage.write(name, value)
+    else:
+        for name in (*RECTIFIED, "offset_px"):
+            storage.write(name, float(getattr(calibration.geometry, name)))
+        storage.write("depth_unit_m", calibration.depth_unit_m)
+    path.write_text(storage.releaseAndGetString(), encoding="utf-8")
+
+
+def _entries(path: Path) -> dict[str, Any]:
+    import cv2
+
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise _wrong(path, getattr(error, "strerror", None) or "not a text file") from error
+    entries: dict[str, Any] = {}
+    try:
+        if not text.startswith("%YAML"):
+            raise ValueError
+        storage = cv2.FileStorage(text, cv2.FileStorage_READ | cv2.FileStorage_MEMORY)
+        root = storage.root()
+        for name in root.keys():  # noqa: SIM118 (a cv2.FileNode)
+            node = storage.getNode(name)
+            if node.isMap():
+                entries[name] = np.asarray(node.mat(), dtype=np.float64)
+            elif node.isInt() or node.isReal():
+                entries[name] = float(node.real())
+    except (cv2.error, TypeError, ValueError, SystemError) as error:
+        raise _wrong(path, "it is not OpenCV YAML") from error
+    return entries
+
+
+def _wrong(path: Path, found: str) -> CalibrationError:
+    return CalibrationError(
+        f"calibration file {str(path)!r}: {found}; allowed: {ALLOWED}; `bayesnet-track calibrate` writes one"
+    )
