@@ -120,6 +120,36 @@ def make_parser() -> argparse.ArgumentParser:
     score.add_argument("--truth", help="ground-truth file (default: the run's own truth.txt)")
     score.add_argument("--target", metavar="ID", help="which target, where the run has several")
     score.add_argument("--json", action="store_true", help="print the scores as JSON")
+
+    shape = commands.add_parser("learn-shape", help="learn a shape model from masks, or boxes on a video")
+    shape.add_argument("out", metavar="MODEL", help="model file to write (.npz)")
+    examples = shape.add_mutually_exclusive_group(required=True)
+    examples.add_argument("--masks", metavar="DIR", help="folder of mask images: the target is not black")
+    examples.add_argument("--source", help="video file, folder of images, or glob")
+    shape.add_argument("--boxes", metavar="FILE", help="ground-truth file of the boxes in --source")
+    shape.add_argument("--every", type=_whole_number(1), default=1, metavar="N", help="every Nth frame only")
+    shape.add_argument("--grid", type=_cells, default=16, metavar="G", help="cells per side (default 16)")
+    shape.add_argument(
+        "--keep",
+        type=_share,
+        default=0.95,
+        metavar="SHARE",
+        help="variance that the modes keep (default .95)",
+    )
+    shape.add_argument(
+        "--min-support",
+        type=_share,
+        default=0.5,
+        metavar="SHARE",
+        help="leave out silhouettes with less of them on edges (default .5)",
+    )
+    shape.add_argument(
+        "--edge-gray",
+        type=_gradient,
+        default=8.0,
+        metavar="G",
+        help="gradient where an edge starts, gray levels per pixel (default 8)",
+    )
     return parser
 
 
@@ -217,6 +247,46 @@ def _whole_number(least: int) -> Callable[[str], int]:
         return int(text)
 
     return parse
+
+
+def _metres(text: str) -> float:
+    """Parser of lengths."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r}: a length above 0 in metres is needed")
+    return value
+
+
+def _cells(text: str) -> int:
+    """Parser of the cells of a shape grid."""
+    if not (text.isascii() and text.isdigit() and 4 <= int(text[:4]) <= 64 and len(text) < 4):
+        raise argparse.ArgumentTypeError(f"{text!r}: a whole number from 4 to 64 is needed")
+    return int(text)
+
+
+def _gradient(text: str) -> float:
+    """Parser of a gradient in gray levels per pixel."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value <= 100.0:
+        raise argparse.ArgumentTypeError(f"{text!r}: a number above 0, at most 100 is needed")
+    return value
+
+
+def _share(text: str) -> float:
+    """Parser of a share above 0, at most 1."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value <= 1.0:
+        raise argparse.ArgumentTypeError(f"{text!r}: a number above 0, at most 1 is needed")
+    return value
 
 
 def _metres(text: str) -> float:

@@ -16,6 +16,7 @@ from bayesnet_track.commands.answer import (
 )
 from bayesnet_track.commands.calibrate import calibrate
 from bayesnet_track.commands.graphs import graph, list_installed, schema, validate
+from bayesnet_track.commands.learn_shape import learn_shape
 from bayesnet_track.commands.review import log, score
 from bayesnet_track.commands.tracking import demo, run
 from bayesnet_track.graph.messages import GraphError
@@ -30,6 +31,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "log": log,
     "calibrate": calibrate,
     "score": score,
+    "learn-shape": learn_shape,
 }
 
 
