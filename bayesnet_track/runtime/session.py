@@ -17,6 +17,7 @@ from bayesnet_track.runtime.rundir import RunDirectory
 from bayesnet_track.runtime.sources import open_source
 from bayesnet_track.runtime.stereo_source import check_depth
 from bayesnet_track.runtime.starts import Start, StartError, check_starts
+from bayesnet_track.runtime.stereo_source import check_depth
 
 CornerBox = tuple[float, float, float, float]
 
