@@ -15,7 +15,6 @@ from bayesnet_track.runtime.record import Recorder
 from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
 from bayesnet_track.runtime.rundir import RunDirectory
 from bayesnet_track.runtime.sources import open_source
-from bayesnet_track.runtime.stereo_source import check_depth
 from bayesnet_track.runtime.starts import Start, StartError, check_starts
 from bayesnet_track.runtime.stereo_source import check_depth
 
