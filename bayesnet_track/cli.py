@@ -289,17 +289,6 @@ def _share(text: str) -> float:
     return value
 
 
-def _metres(text: str) -> float:
-    """Parser of lengths."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r}: a length above 0 in metres is needed")
-    return value
-
-
 def _joined(arguments: Sequence[str]) -> list[str]:
     """The arguments, with a box that starts with a minus tied to its --init: else it looks like an option."""
     joined: list[str] = []
