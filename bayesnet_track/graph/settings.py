@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
 
+from bayesnet_track.graph.grid_settings import Grid
 from bayesnet_track.graph.model import (
     Choice,
     Empty,
@@ -15,10 +16,10 @@ from bayesnet_track.graph.model import (
     NotNegative,
     Number,
     Positive,
-    Share,
     Whole,
     word_or_mapping,
 )
+from bayesnet_track.graph.particle_settings import Particles
 
 # ---------------------------------------------------------------------------------- noise and motion
 
@@ -118,37 +119,25 @@ class Motion(Choice):
 # ---------------------------------------------------------------------------------- belief
 
 
-class EssBelow(Model):
-    """Resample when the effective sample size falls below this share of the hypotheses."""
-
-    ess_below: Share = Field(description="share of the hypotheses")
-
-
-class Particles(Model):
-    """A weighted set of hypotheses."""
-
-    size: Annotated[Whole, Field(ge=2, le=1_000_000)] = Field(default=500, description="number of hypotheses")
-    resample: Literal["systematic", "stratified", "residual", "multinomial"] = Field(
-        default="systematic", description="how parents are drawn"
-    )
-    when: Annotated[
-        Annotated[Literal["every_frame"], Tag("word")] | Annotated[EssBelow, Tag("mapping")],
-        Discriminator(word_or_mapping),
-    ] = Field(
-        default="every_frame", description="at every frame, or only when the weights have become uneven"
-    )
-
-
 class Belief(Choice):
     """How the belief is represented."""
 
     particles: Particles | None = Field(default=None, description="a weighted set of hypotheses")
+    grid: Grid | None = Field(default=None, description="a discrete distribution over cells")
 
 
 class Window(Model):
     """A window around the best hypothesis."""
 
     box: Positive = Field(default=0.25, description="half width of the window, in sqrt(w h)")
+
+
+class Nearest(Model):
+    """The optimised working point of the General Distribution Filter (1.3)."""
+
+    epsilon: Share = Field(
+        default=0.5, description="least posterior weight, as a share of the largest, of a hypothesis"
+    )
 
 
 class Estimate(Choice):
@@ -161,6 +150,9 @@ class Estimate(Choice):
     mean: Empty | None = Field(default=None, description="weighted mean")
     robust_mean: Window | None = Field(
         default=None, description="weighted mean inside a window around the best"
+    )
+    nearest: Nearest | None = Field(
+        default=None, description="the probable hypothesis that lies nearest to the motion's prediction"
     )
 
 

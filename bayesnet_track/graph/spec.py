@@ -13,6 +13,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from bayesnet_track.graph.model import Choice, Empty, Model, Name, Number, Truth
+from bayesnet_track.graph.particle_settings import (
+    EssBelow,
+    Particles,
+)
 from bayesnet_track.graph.settings import (
     Activate,
     Adapt,
@@ -22,7 +26,6 @@ from bayesnet_track.graph.settings import (
     ConstantVelocity,
     DampedVelocity,
     Deactivate,
-    EssBelow,
     Estimate,
     Fuse,
     Latent,
@@ -32,7 +35,6 @@ from bayesnet_track.graph.settings import (
     Lost,
     Motion,
     Noise,
-    Particles,
     PixelSd,
     RandomWalk,
     SelfCheck,
