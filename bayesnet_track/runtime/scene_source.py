@@ -42,8 +42,19 @@ class SceneSource:
         """Rows."""
         return self.scene.height
 
+    @property
+    def has_depth(self) -> bool:
+        """Whether the frames carry a second eye."""
+        return self.scene.stereo is not None
+
     def __iter__(self) -> Iterator[Frame]:
         for index in range(self.expected_frames):
+            stereo = self.scene.stereo
             yield Frame(
-                index, float(index), self.scene.frames[index], True, round(index * self.frame_interval_s, 9)
+                index,
+                float(index),
+                self.scene.frames[index],
+                True,
+                round(index * self.frame_interval_s, 9),
+                None if stereo is None else stereo.eye(index),
             )

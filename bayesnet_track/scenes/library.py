@@ -13,6 +13,7 @@ from bayesnet_track.scenes.children import ball_between_children
 from bayesnet_track.scenes.occluder import occluder
 from bayesnet_track.scenes.scene import Scene
 from bayesnet_track.scenes.squares import gray_square, orange_and_gray, random_geometry, two_squares
+from bayesnet_track.scenes.stereo import glass_wall, person_stereo
 
 
 def _random_squares(seed: int) -> Scene:
@@ -28,6 +29,8 @@ _SCENES: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
         "ball_between_children": ball_between_children,
         "occluder": occluder,
         "occluder_long": lambda seed: occluder(seed, hidden=22),
+        "person_stereo": person_stereo,
+        "glass_wall": glass_wall,
     }
 )
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.scenes.render import Movie, Sprite
+
+if TYPE_CHECKING:
+    from bayesnet_track.scenes.stereo import StereoView
 
 Floats = NDArray[np.float64]
 
@@ -26,6 +30,7 @@ class Scene:
             them; an occluded target keeps its box.
         others: (n, 4) corner boxes of each further object.
         visible: (n,) share of the target's area that lies inside the picture and is not hidden.
+        stereo: the second eye and the true depth, in scenes that have them.
     """
 
     name: str
@@ -35,6 +40,7 @@ class Scene:
     truth: Floats
     others: tuple[Floats, ...]
     visible: Floats
+    stereo: StereoView | None = None
 
     @property
     def start_box(self) -> tuple[float, float, float, float]:

@@ -1,0 +1,86 @@
+"""The two eyes of a scene see one world, whose depth is true: both matchers find it."""
+
+import numpy as np
+import pytest
+
+from bayesnet_track.planes import Frame, Region
+from bayesnet_track.runtime.scene_source import SceneSource
+from bayesnet_track.scenes import make_scene
+from bayesnet_track.stereo_planes import Correlation, SemiGlobal
+
+SEARCH = (0, 60)
+
+
+@pytest.fixture(scope="module", params=["person_stereo", "glass_wall"])
+def scene(request):
+    return make_scene(request.param, 0)
+
+
+def disparity(scene, index, matcher):
+    """Found and true disparity of a frame, px."""
+    region = Region(0, 0, scene.width, scene.height)
+    view = scene.stereo
+    found = matcher.disparity(scene.frames[index], view.right[index], *SEARCH, region)
+    return found, view.geometry.focal_px * view.geometry.baseline_m / view.true_depth(index)
+
+
+def inside(scene, index, inset=5):
+    x, y, w, h = (int(v) for v in scene.truth[index])
+    mask = np.zeros((scene.height, scene.width), bool)
+    mask[y + inset : y + h - inset, x + inset : x + w - inset] = True
+    return mask
+
+
+@pytest.mark.parametrize("index", [0, 75])
+def test_correlation_finds_the_true_disparity_as_semi_global_matching_does(scene, index):
+    """On the textured person both are within 1 px nearly everywhere; elsewhere borders hide from one eye."""
+    person = inside(scene, index)
+    for matcher, least_dense, least_right in ((Correlation(), 0.45, 0.9), (SemiGlobal(), 0.85, 0.9)):
+        found, true = disparity(scene, index, matcher)
+        near = np.abs(found - true) <= 1.0
+        known = np.isfinite(found)
+        assert known[person].mean() > 0.9 and near[known & person].mean() > 0.99
+        assert known.mean() > least_dense and near[known].mean() > least_right
+        assert np.nanmedian(np.abs(found - true)[person]) < 0.35
+
+
+def test_the_pane_is_left_out_by_correlation_alone():
+    """Its pattern repeats: no peak of the correlation is the only one."""
+    scene = make_scene("glass_wall", 0)
+    pane = np.abs(scene.stereo.background_m - 5.0) < 1e-9
+    pane[:, 0:150] = pane[:, 285:] = False  # half a window from the edges, where the background helps
+    pane[150:] = False
+    found, _ = disparity(scene, 0, Correlation())
+    loose, _ = disparity(scene, 0, Correlation(min_difference=0.0))
+    other, _ = disparity(scene, 0, SemiGlobal())
+    assert np.isfinite(found[pane]).mean() < 0.02
+    assert np.isfinite(loose[pane]).mean() > 0.5 and np.isfinite(other[pane]).mean() > 0.5
+
+
+def test_frames_of_the_source_carry_the_right_eye(scene):
+    source = SceneSource(scene, "scene", 2)
+    frames = list(source)
+    assert source.has_depth and len(frames) == 2 and isinstance(frames[1], Frame)
+    np.testing.assert_array_equal(frames[1].depth.image, scene.stereo.right[1])
+    assert frames[1].depth.geometry == scene.stereo.geometry
+    assert not SceneSource(make_scene("two_squares", 0), "scene").has_depth
+
+
+def test_the_true_depth_is_that_of_the_nearest(scene):
+    depth = scene.stereo.true_depth(75)
+    x, y, w, h = scene.truth[75]
+    target = scene.stereo.depths_m[-1][75]
+    assert depth[int(y + h / 2), int(x + w / 2)] == target
+    assert h == pytest.approx(300 * 1.7 / target) and w == pytest.approx(300 * 0.5 / target)
+    assert depth[-1, 0] == pytest.approx(1.2 * 300 / (239 - 99.5))
+    assert depth.max() == 7.0
+
+
+def test_the_other_one_enters_late_and_passes_behind():
+    scene = make_scene("person_stereo", 0)
+    (other,) = scene.others
+    seen = (other[:, 0] < scene.width) & (other[:, 0] + other[:, 2] > 0)
+    assert 55 <= int(np.flatnonzero(seen)[0]) <= 65
+    apart = np.abs(other[:, 0] - scene.truth[:, 0])
+    assert apart[seen].min() < 10
+    assert (scene.visible > 0.99).all()
