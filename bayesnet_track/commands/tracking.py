@@ -170,11 +170,10 @@ def _track(
         stack.callback(results.close)
         try:
             for result in results:
-                # Before the first frame is done there is nothing to finish, and kernels may be compiled.
-                stop.is_patient = True
                 if not options.quiet:
                     _show(progress, summary, result)
-                if stop.signal is not None:
+                # Before the first frame is done there is nothing to finish: until then, signals act at once.
+                if stop.between_frames():
                     break
         except StartError as error:
             raise UsageError(str(error)) from error

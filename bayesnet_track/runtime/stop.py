@@ -14,6 +14,9 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 REPEAT_S = 0.1
 """Seconds after which what was raised, and came to nothing, is raised again."""
 
+PATIENCE_S = 3.0
+"""Seconds that a frame may take to end: what takes longer may be kernels that are compiled."""
+
 
 class Terminated(KeyboardInterrupt):
     """SIGTERM arrived: wind up as for Ctrl-C, with another exit code."""
@@ -30,7 +33,8 @@ class StopRequest:
 
     Attributes:
         signal: number of the last signal that arrived, or None.
-        is_patient: while True, the first signal is only noted in `signal`; a further one acts at once.
+        is_patient: while True, the first signal is noted for `between_frames`, and raised only when
+            `PATIENCE_S` have passed; a further one is raised at once.
     """
 
     def __init__(self) -> None:
@@ -38,14 +42,21 @@ class StopRequest:
         self.is_patient = False
         self._before: dict[int, Any] = {}
         self._is_repeat = False
+        self._is_heard = False
         self._is_over = False
-        self._raised: SimpleQueue[int | None] = SimpleQueue()
+        self._pending: SimpleQueue[tuple[int, float] | None] = SimpleQueue()
         self._repeater = threading.Thread(target=self._repeat, name="stop", daemon=True)
 
     @property
     def exit_code(self) -> int:
         """128 + the signal, as shells have it; 0 when none arrived."""
         return 0 if self.signal is None else 128 + self.signal
+
+    def between_frames(self) -> bool:
+        """Whether to stop here; nothing is then raised again. If not, the next signal waits for a frame."""
+        self.is_patient = True
+        self._is_heard = self.signal is not None
+        return self._is_heard
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
@@ -76,7 +87,7 @@ class StopRequest:
 
     def _leave(self) -> None:
         self._is_over = True
-        self._raised.put(None)
+        self._pending.put(None)
         # Once it has ended, no repetition can reach the handlers that are put back.
         self._repeater.join()
         sys.unraisablehook, sys.excepthook = self._hooks
@@ -85,23 +96,25 @@ class StopRequest:
 
     def _act(self, number: int, frame: FrameType | None) -> None:
         is_repeat, self._is_repeat = self._is_repeat, False
-        is_noted = self.is_patient and (is_repeat or self.signal is None)
+        is_noted = self.is_patient and self.signal is None
         self.signal = number
-        if self._is_over or is_noted or (is_repeat and _is_passing()):
+        if self._is_over or (is_repeat and (self._is_heard or _is_passing())):
             return
-        self._raised.put(number)  # of a queue that, unlike locks, may be used in a handler
-        raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
+        # A queue of this kind may be used in a handler, unlike locks.
+        self._pending.put((number, PATIENCE_S if is_noted else REPEAT_S))
+        if not is_noted:
+            raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
 
     def _repeat(self) -> None:
-        number = self._raised.get()
-        while number is not None:
+        pending = self._pending.get()
+        while pending is not None:
+            number, seconds = pending
             try:
-                newer = self._raised.get(timeout=REPEAT_S)
+                pending = self._pending.get(timeout=seconds)
             except Empty:
                 self._is_repeat = True
                 _send(number)
-            else:
-                number = newer
+                pending = number, REPEAT_S
 
     def _given_up(self, what: sys.UnraisableHookArgs) -> None:
         if self.signal is None or not issubclass(what.exc_type, KeyboardInterrupt):
