@@ -37,6 +37,9 @@ RATIO = 1.25
 LEAST_SUPPORT = 0.3
 """A silhouette with less of it on edges is none."""
 
+CLEAR_SUPPORT = 0.8
+"""Share of the reference's support that a silhouette needs to be learnt from."""
+
 
 class ShapeParameters(CueParameters):
     """Parameters of the shape cue."""
@@ -122,18 +125,20 @@ class ShapeCue:
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """Mixture of the two models: mean and covariance between them (eq. 2.15); a file's model stays.
 
-        A silhouette seen at another edge threshold than the old one's, or on too few edges, teaches nothing.
+        A silhouette with clearly fewer edges than the old one's teaches nothing. Any other is seen at the usual
+        edge threshold, so that local action on the threshold is taken back.
         """
-        if not np.array_equal(old["contrast"], new["contrast"]) or new["support"][0] < LEAST_SUPPORT:
-            return dict(old) if rate < 1.0 else dict(new)
-        if rate <= 0.0 or old["support"][0] < LEAST_SUPPORT:
-            return dict(old if rate <= 0.0 else new)
+        seen = new["support"][0] >= max(LEAST_SUPPORT, CLEAR_SUPPORT * old["support"][0])
+        if rate <= 0.0 or rate >= 1.0 or not seen:
+            return dict(new if rate >= 1.0 else old)
+        if old["support"][0] < LEAST_SUPPORT:
+            return dict(new)
         size = (1.0 - rate) * old["size"] + rate * new["size"]
         support = (1.0 - rate) * old["support"] + rate * new["support"]
         if self.model is not None:
-            return {**old, "size": size, "support": support}
+            return {**old, "size": size, "support": support, "contrast": new["contrast"]}
         merged = merge(_model(old), _model(new), rate, MODES)
-        return _reference(merged, size, support, old["contrast"], True)
+        return _reference(merged, size, support, new["contrast"], True)
 
     def adapt(self, reference: Reference, attempt: int) -> Reference | None:
         """Look for fainter edges first, then for strong ones only; then nothing is left."""

@@ -21,7 +21,11 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.run import FrameSource, Result, Start, Summary
     from bayesnet_track.runtime.stop import StopRequest
 
-SCENE_GRAPHS = {"orange_and_gray": "color_fusion", "gray_square": "color_fusion"}
+SCENE_GRAPHS = {
+    "orange_and_gray": "color_fusion",
+    "gray_square": "color_fusion",
+    "person_and_board": "person_shape",
+}
 """Scenes that do not run with the graph `two_squares`."""
 
 SHOWN_NOTICES = 5

@@ -12,6 +12,7 @@ import numpy as np
 from bayesnet_track.scenes.children import ball_between_children
 from bayesnet_track.scenes.occluder import occluder
 from bayesnet_track.scenes.scene import Scene
+from bayesnet_track.scenes.silhouettes import person_and_board
 from bayesnet_track.scenes.squares import gray_square, orange_and_gray, random_geometry, two_squares
 from bayesnet_track.scenes.stereo import glass_wall, person_stereo
 
@@ -27,6 +28,7 @@ _SCENES: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
         "orange_and_gray": orange_and_gray,
         "gray_square": gray_square,
         "ball_between_children": ball_between_children,
+        "person_and_board": person_and_board,
         "occluder": occluder,
         "occluder_long": lambda seed: occluder(seed, hidden=22),
         "person_stereo": person_stereo,
