@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from bayesnet_track.cue import CueDeclaration, CueParameters, Reference, blend_arrays
 from bayesnet_track.engine import Engine, Outcome, State, make_engine, start_target, step
@@ -21,7 +21,10 @@ from bayesnet_track.inference.messages import Observer
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
 
-settings.register_profile("repeatable", derandomize=True, deadline=None)
+# No property depends on how fast the machine is.
+settings.register_profile(
+    "repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("repeatable")
 
 START = (50.0, 40.0, 20.0, 20.0)

@@ -204,8 +204,8 @@ def test_hostile_files_are_refused_with_a_place(name, cues):
     with pytest.raises(GraphError) as error:
         spec, at = read_graph(HOSTILE[name], "g.yaml")
         check(spec, at, cues)
-    # The bound proper is a benchmark; this only tells seconds from minutes.
-    assert time.process_time() - began < 10
+    # The bound proper is a benchmark; this only tells seconds, also of a slow machine, from minutes.
+    assert time.process_time() - began < 60
     assert all(PLACED.match(line) for line in str(error.value).splitlines())
 
 

@@ -12,7 +12,8 @@ from bayesnet_track.runtime.sources import SourceError, open_source
 
 CONTAINERS = ["plain.mp4", "start.mp4", "xvid.avi", "h264.mkv"]
 FRAMES = 40
-LIMIT_S = 10.0
+HANG_S = 120.0
+"""Far more than a busy machine needs for one small file."""
 
 
 def outcome(path):
@@ -33,7 +34,7 @@ def outcome(path):
     except SourceError:
         return None
     finally:
-        assert time.perf_counter() - began < LIMIT_S
+        assert time.perf_counter() - began < HANG_S
 
 
 @pytest.mark.parametrize("name", CONTAINERS)

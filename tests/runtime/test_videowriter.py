@@ -115,7 +115,7 @@ def test_a_full_disk_is_a_clear_error(tmp_path, name):
         [sys.executable, "-c", CHILD, str(tmp_path / name), "100000"],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
     )
     assert child.returncode == 0, child.stderr
     assert "cannot write the video: " in child.stdout.splitlines()[-1]

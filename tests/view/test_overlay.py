@@ -70,7 +70,7 @@ far = st.one_of(st.floats(-1e9, 1e9), st.floats(-50, 400))
 
 
 @given(x=far, y=far, w=st.floats(1, 1e7), h=st.floats(1, 1e7), ud=st.floats(allow_nan=True))
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 def test_no_box_is_too_strange(metrics, x, y, w, h, ud):
     drawn = draw_overlay(GRAY, replace(metrics, box=(x, y, w, h), ud_px2=ud), (x, y, w, h))
     assert drawn.shape == GRAY.shape

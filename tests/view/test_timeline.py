@@ -93,7 +93,7 @@ ud = st.one_of(st.floats(0, 1e12), st.sampled_from([float("inf"), float("nan"), 
     values=st.lists(ud, min_size=1, max_size=30),
     data=st.data(),
 )
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 def test_any_run_is_drawn_inside_the_picture(metrics, agents, values, data):
     subsets = st.lists(st.sampled_from(agents), unique=True) if agents else st.just([])
     lines = [
