@@ -8,17 +8,20 @@ from numpy.typing import NDArray
 from bayesnet_track.numerics.compiled import compiled
 
 Shorts = NDArray[np.int16]
+Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
+Ints32 = NDArray[np.int32]
 
 LARGEST = 2047
 """Largest absolute value of a pixel: 21 x 21 products of such pixels sum to less than 2**31."""
 
 
 @compiled
-def _spread(image: Shorts, top: int, half: int, sums: NDArray[np.int64], spread: NDArray[np.float64]) -> None:
-    """Fill `sums` with the window's sum around each pixel of the row, `spread` with n sd; 0 without a window.
+def _window_sums(image: Shorts, top: int, half: int, sums: Floats, inverse: Floats) -> None:
+    """Fill `sums` with the window's sum around each pixel of the row, `inverse` with 1 / (n sd).
 
-    The window's first row is `top`. All sums are exact.
+    The window's first row is `top`. All sums are exact. `inverse` is NaN where the window is flat or leaves
+    the picture.
     """
     side = 2 * half + 1
     columns = image.shape[1]
@@ -29,8 +32,8 @@ def _spread(image: Shorts, top: int, half: int, sums: NDArray[np.int64], spread:
             value = np.int64(image[j, i])
             first[i] += value
             second[i] += value * value
-    sums[:] = 0
-    spread[:] = 0.0
+    sums[:] = 0.0
+    inverse[:] = np.nan
     a, b = np.int64(0), np.int64(0)
     for i in range(columns):
         a += first[i]
@@ -39,8 +42,10 @@ def _spread(image: Shorts, top: int, half: int, sums: NDArray[np.int64], spread:
             a -= first[i - side]
             b -= second[i - side]
         if i >= side - 1:
-            sums[i - half] = a
-            spread[i - half] = np.sqrt(float(n * b - a * a))
+            square = n * b - a * a
+            sums[i - half] = float(a)
+            if square > 0:
+                inverse[i - half] = 1.0 / np.sqrt(float(square))
 
 
 @compiled
@@ -87,85 +92,131 @@ def correlate(
     wide = x_last - x_first
     # Sums of products down the window's columns, for every disparity; moved by one row at a time.
     down = np.zeros((count, wide + side - 1), np.int32)
-    scores = np.empty((wide, count), np.float32)
-    left_sums, right_sums = np.empty(width, np.int64), np.empty(width, np.int64)
-    left_spread, right_spread = np.empty(width), np.empty(width)
+    total = np.zeros(wide, np.int32)
+    scores = np.empty((count, wide), np.float32)
+    left_sums, right_sums = np.empty(width), np.empty(width)
+    left_inverse, right_inverse = np.empty(width), np.empty(width)
+    best, place = np.empty(wide, np.float32), np.empty(wide, np.int32)
+    shift = x_first - half
     for y in range(y_first, y_last):
-        _spread(left, y - half, half, left_sums, left_spread)
-        _spread(right, y - half, half, right_sums, right_spread)
+        _window_sums(left, y - half, half, left_sums, left_inverse)
+        _window_sums(right, y - half, half, right_sums, right_inverse)
         for k in range(count):
             d = low - 1 + k
-            sums = down[k]
-            # columns of the window that lie in the right picture too
-            begin = max(x_first - half, d)
-            end = min(x_last + half, width + d)
-            if end <= begin:
-                for i in range(wide):
-                    scores[i, k] = -2.0
+            sums, row = down[k], scores[k]
+            # columns of the windows that lie in the right picture too
+            begin, end = max(shift, d), min(x_last + half, width + d)
+            row[:] = np.nan
+            if end - begin < side:
                 continue
-            shift = x_first - half
+            # Slices, so that indices count from 0: only such loops become vector instructions.
+            part = sums[begin - shift : end - shift]
             if y == y_first:
                 for j in range(y - half, y + half + 1):
-                    for i in range(begin, end):
-                        sums[i - shift] += np.int32(left[j, i]) * np.int32(right[j, i - d])
+                    _add_products(part, left[j, begin:end], right[j, begin - d : end - d])
             else:
-                old, new = y - half - 1, y + half
-                for i in range(begin, end):
-                    sums[i - shift] += np.int32(left[new, i]) * np.int32(right[new, i - d]) - np.int32(
-                        left[old, i]
-                    ) * np.int32(right[old, i - d])
-            total = np.int64(0)
-            for i in range(side - 1):
-                total += sums[i]
-            for i in range(wide):
-                total += sums[i + side - 1]
-                x = x_first + i
-                score = -2.0
-                if x - half >= begin and x + half < end:
-                    spread = left_spread[x] * right_spread[x - d]
-                    if spread > 0.0:
-                        score = (n * total - float(left_sums[x] * right_sums[x - d])) / spread
-                scores[i, k] = score
-                total -= sums[i]
+                new, old = y + half, y - half - 1
+                _add_products(part, left[new, begin:end], right[new, begin - d : end - d])
+                _subtract_products(part, left[old, begin:end], right[old, begin - d : end - d])
+            _running_sums(sums, side, total)
+            first, last = begin + half, end - half
+            _score(
+                n,
+                total[first - x_first : last - x_first],
+                left_sums[first:last],
+                right_sums[first - d : last - d],
+                left_inverse[first:last],
+                right_inverse[first - d : last - d],
+                row[first - x_first : last - x_first],
+            )
+        _best(scores, best, place)
         for i in range(wide):
-            if left_spread[x_first + i] < n * min_spread or left_spread[x_first + i] == 0.0:
+            inverse = left_inverse[x_first + i]
+            if not inverse * n * min_spread <= 1.0 or place[i] <= 0 or place[i] >= count - 1:
                 continue
-            found = _peak(scores[i], min_correlation, min_difference, separation)
-            if found > 0.0:
-                disparity[y - rows[0], x_first + i - columns[0]] = low - 1 + found
+            if best[i] < min_correlation or _is_ambiguous(scores, i, place[i], min_difference, separation):
+                continue
+            found = low - 1 + place[i] + _fraction(scores, i, place[i])
+            disparity[y - rows[0], x_first + i - columns[0]] = found
 
 
 @compiled
-def _peak(scores: Floats32, min_correlation: float, min_difference: float, separation: int) -> float:
-    """Where the scores are largest, to a fraction of a step; -1 at an end, or when the peak is not clear."""
-    count = scores.shape[0]
-    best = 0
-    for k in range(1, count):
-        if scores[k] > scores[best]:
-            best = k
-    top = scores[best]
-    if best == 0 or best == count - 1 or top < min_correlation:
-        return -1.0
+def _add_products(sums: Ints32, one: Shorts, other: Shorts) -> None:
+    for i in range(sums.shape[0]):
+        sums[i] += np.int32(one[i]) * np.int32(other[i])
+
+
+@compiled
+def _subtract_products(sums: Ints32, one: Shorts, other: Shorts) -> None:
+    for i in range(sums.shape[0]):
+        sums[i] -= np.int32(one[i]) * np.int32(other[i])
+
+
+@compiled
+def _running_sums(values: Ints32, side: int, sums: Ints32) -> None:
+    """Fill `sums` with the sums of `side` successive values."""
+    running = np.int32(0)
+    for i in range(side):
+        running += values[i]
+    sums[0] = running
+    entering, leaving = values[side:], values[: sums.shape[0]]
+    for i in range(sums.shape[0] - 1):
+        running += entering[i] - leaving[i]
+        sums[i + 1] = running
+
+
+@compiled
+def _score(
+    n: float,
+    products: Ints32,
+    left_sums: Floats,
+    right_sums: Floats,
+    left_inverse: Floats,
+    right_inverse: Floats,
+    scores: Floats32,
+) -> None:
+    """Thesis eq. 3.5 from sums over windows."""
+    for i in range(scores.shape[0]):
+        moment = n * float(products[i]) - left_sums[i] * right_sums[i]
+        scores[i] = np.float32(moment * left_inverse[i] * right_inverse[i])
+
+
+@compiled
+def _best(scores: Floats32, best: Floats32, place: Ints32) -> None:
+    """Fill `best` and `place` with each column's largest score and its row; -1 where there is none."""
+    best[:] = np.float32(-2.0)
+    place[:] = -1
+    for k in range(scores.shape[0]):
+        row = scores[k]
+        for i in range(row.shape[0]):
+            is_better = row[i] > best[i]  # never true of NaN
+            best[i] = row[i] if is_better else best[i]
+            place[i] = np.int32(k) if is_better else place[i]
+
+
+@compiled
+def _is_ambiguous(scores: Floats32, i: int, best: int, min_difference: float, separation: int) -> bool:
+    """Whether another peak of the column is nearly as high as the best, and further off than `separation`."""
+    top = float(scores[best, i])
     limit = top - min_difference * top
-    for k in range(1, count - 1):
-        if (
-            scores[k] > limit
-            and abs(k - best) > separation
-            and scores[k] >= scores[k - 1]
-            and scores[k] >= scores[k + 1]
-        ):
-            return -1.0
-    before, after = scores[best - 1], scores[best + 1]
-    if before < -1.5 or after < -1.5:  # no window there
-        return float(best)
-    bend = float(before) - 2.0 * float(top) + float(after)
-    if bend >= 0.0:
-        return float(best)
-    return best + 0.5 * (float(before) - float(after)) / bend
+    for k in range(1, scores.shape[0] - 1):
+        score = scores[k, i]
+        is_rival = score > limit and abs(k - best) > separation
+        if is_rival and not (scores[k - 1, i] > score or scores[k + 1, i] > score):
+            return True
+    return False
 
 
 @compiled
-def label_regions(depth: Floats32, step: float, min_pixels: int, labels: NDArray[np.int32]) -> int:
+def _fraction(scores: Floats32, i: int, best: int) -> float:
+    """Where a parabola through the best score and its neighbours is highest, in steps from the best."""
+    before, top, after = float(scores[best - 1, i]), float(scores[best, i]), float(scores[best + 1, i])
+    bend = before - 2.0 * top + after
+    return 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+
+
+@compiled
+def label_regions(depth: Floats32, step: float, min_pixels: int, labels: Ints32) -> int:
     """Fill `labels` with the 4-connected smooth regions of `depth`, 1, 2, ... in reading order; their number.
 
     Neighbours belong together when their depths differ by at most `step` of the smaller. Pixels that are NaN
