@@ -32,7 +32,8 @@ class Measures:
             construction when it is the only one.
         contribution: active agent -> KL(belief || belief without it), nats.
         strength: node -> KL(prior times its message || prior), nats.
-        fit: largest geometric mean over agents of a hypothesis' likelihood; 1 is a perfect match.
+        fit: largest geometric mean of a hypothesis' likelihood over the agents that saw something; 1 is a
+            perfect match, 0 says that none saw anything.
         area_px2: area of the estimate.
     """
 
@@ -69,14 +70,16 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
     rest = tilted(prior, _rows(left, len(prior)))
     alone = _rows((beliefs[agent] for agent in agents), len(prior))
 
-    mean = sum((evidence.messages[agent] / len(agents) for agent in agents), np.zeros(len(prior)))
+    silent = {agent for agent, own in evidence.measured.items() if own is None}
+    seeing = [agent for agent in agents if agent not in silent]
+    mean = sum((evidence.messages[agent] / len(seeing) for agent in seeing), np.zeros(len(prior)))
     return Measures(
         ud_px2=_node_uds(target, step, beliefs),
         agent_ud_px2=agent_ud,
         kl=_named(agents, divergences(governing, alone)),
         contribution=_named(agents, divergences(governing, rest)),
         strength=_named(nodes, divergences(logs, prior)),
-        fit=float(np.exp(min(np.max(mean), 0.0))) if agents else 0.0,
+        fit=float(np.exp(min(np.max(mean), 0.0))) if seeing else 0.0,
         area_px2=area_px2,
     )
 

@@ -33,9 +33,11 @@ class Evidence:
         messages: node -> (N,) log-likelihood that it sent to its parent (agents and inference nodes).
         latent: latent node -> its own hypotheses, index-aligned with the root's.
         faults: agent -> what it raised or returned; it has no message then.
-        gaussians: agent -> what it measured, as it reaches the root: its covariance divided by its weight in
-            the pools on the way. Only where every node on the way multiplies messages.
+        gaussians: agent that measured, or latent node with a Gaussian belief -> its message as it reaches the
+            root: its covariance divided by its weight in the pools on the way. Only where every node on the
+            way multiplies messages.
         sampled: (N,) the net's log-likelihood without `gaussians`; None when there are none.
+        measured: agent that measures -> what it measured; None when it saw nothing and is left out.
     """
 
     log_likelihood: Floats
@@ -44,6 +46,7 @@ class Evidence:
     faults: Mapping[str, str] = field(default_factory=dict)
     gaussians: Mapping[str, Measurement] = field(default_factory=dict)
     sampled: Floats | None = None
+    measured: Mapping[str, Measurement | None] = field(default_factory=dict)
 
 
 Evaluate = Callable[[Hypotheses, Floats], Evidence]

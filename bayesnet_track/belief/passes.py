@@ -70,6 +70,7 @@ def _with_faults(first: Pass, second: Pass) -> Evidence:
         {**second.evidence.faults, **kept.faults},
         kept.gaussians,
         kept.sampled,
+        kept.measured,
     )
 
 
@@ -84,6 +85,7 @@ def _both(first: Evidence, second: Evidence) -> Evidence:
         None
         if first.sampled is None or second.sampled is None
         else np.concatenate([first.sampled, second.sampled]),
+        first.measured,
     )
 
 

@@ -7,11 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 from bayesnet_track.cue import AnyCue, MeasuringCue
 from bayesnet_track.graph.checked import CheckedTarget
-from bayesnet_track.graph.spec import AgentNode, Fuse, Noise
+from bayesnet_track.graph.spec import AgentNode, Fuse, Latent, Noise
 from bayesnet_track.planes import Plane
+
+Own = Literal["one", "kernel", "gaussian", "grid"]
+HELD: Mapping[Own, str] = {
+    "one": "",
+    "kernel": " by kernel",
+    "gaussian": " as a Gaussian",
+    "grid": " on a grid",
+}
 
 
 @dataclass(frozen=True)
@@ -44,14 +53,17 @@ class Join:
         kind: product, pool or latent.
         children: children with a message in this plan.
         shares: weights of the children as given; only their ratios count, and only for a pool.
-        kernel: the noise to integrate over with the row-normalised kernel, or None.
+        given: p(own state | parent's state) of a latent node, or None.
+        own: how a latent node's own state is held: one draw per hypothesis, draws joined by the
+            row-normalised kernel, a Gaussian, or cells of a grid.
     """
 
     node: str
     kind: str
     children: tuple[str, ...]
     shares: tuple[float, ...]
-    kernel: Noise | None = None
+    given: Noise | None = None
+    own: Own = "one"
 
     def weights(self, present: Container[str]) -> dict[str, float]:
         """Child in `present` -> exponent of its likelihood: they sum to 1 for a pool, and are 1 otherwise."""
@@ -140,8 +152,17 @@ def _join(target: CheckedTarget, node: str, messengers: frozenset[str]) -> Join:
     if fuse.kind == "pool":
         shares = tuple(1.0 if fuse.pool == "equal" else fuse.settings[child] for child in children)
         return Join(node, "pool", children, shares)
-    kernel = fuse.latent.given if fuse.latent is not None and fuse.latent.draw == "kernel" else None
-    return Join(node, fuse.kind, children, (1.0,) * len(children), kernel)
+    shares = (1.0,) * len(children)
+    if fuse.latent is None:
+        return Join(node, fuse.kind, children, shares)
+    return Join(node, fuse.kind, children, shares, fuse.latent.given, _own(target, node, fuse.latent))
+
+
+def _own(target: CheckedTarget, node: str, latent: Latent) -> Own:
+    """How the state of a latent node is held. The belief of a root is about the target, not its own state."""
+    belief = None if node == target.root else target.inference(node).belief
+    held: Mapping[str, Own] = {"gaussian": "gaussian", "grid": "grid"}
+    return latent.draw if belief is None else held.get(belief.kind, latent.draw)
 
 
 def _with_inputs(planes: Iterable[Plane]) -> tuple[Plane, ...]:
@@ -171,8 +192,7 @@ def describe_plan(plan: Plan, agents: Mapping[str, AgentNode] | None = None) -> 
             child if join.kind != "pool" else f"{child}^{weight:.3g}"
             for child, weight in join.weights(join.children).items()
         )
-        kernel = " by kernel" if join.kernel is not None else ""
-        lines.append(f"  join     {join.node} = {join.kind}({terms}){kernel}")
+        lines.append(f"  join     {join.node} = {join.kind}({terms}){HELD[join.own]}")
     for agent, planes in plan.idle_planes.items():
         names = ", ".join(str(plane) for plane in planes)
         lines.append(f"  idle     {agent}: {names} only for a due reference update, on the estimate's crop")

@@ -58,11 +58,11 @@ def test_nested_latents(fakes):
     assert {step.agent: step.at for step in plan.observations} == {
         "a": "body", "b": "body", "c": "face", "d": "face", "e": "root",
     }  # fmt: skip
-    assert {join.node: (join.kind, join.children, join.kernel) for join in plan.joins} == {
-        "face": ("latent", ("c", "d"), None),
-        "pool": ("pool", ("a", "b"), None),
-        "body": ("latent", ("pool", "face"), NOISE),
-        "root": ("product", ("body", "e"), None),
+    assert {join.node: (join.kind, join.children, join.given, join.own) for join in plan.joins} == {
+        "face": ("latent", ("c", "d"), NOISE, "one"),
+        "pool": ("pool", ("a", "b"), None, "one"),
+        "body": ("latent", ("pool", "face"), NOISE, "kernel"),
+        "root": ("product", ("body", "e"), None, "one"),
     }
     assert plan.joins[-1].node == "root"
 

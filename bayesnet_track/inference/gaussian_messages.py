@@ -1,0 +1,140 @@
+"""Gaussian messages: of agents that measure, and of latent nodes whose evidence is matched to a Gaussian.
+
+Both are `Measurement`s, a likelihood of the parent's hypothesis with peak 1. Powers divide the covariance,
+products add the inverse covariances (information form), noise in between adds to the covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import BOX_FIELDS
+from bayesnet_track.belief.motion import KinematicMotion
+from bayesnet_track.cue import Hypotheses, Measurement, floored
+from bayesnet_track.graph.spec import Noise
+from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+
+Floats = NDArray[np.float64]
+
+KNOWN = 1e-6
+"""Least precision of a direction, in units of the prior's own, that counts as information."""
+
+FAR = 1e140
+"""Distances in sds are cut here, so that their squares stay finite."""
+
+
+def measurement_message(measured: Measurement, hypotheses: Hypotheses) -> Floats:
+    """(N,) log-likelihood -d^2 / 2 of a Gaussian message, mixed with its floor."""
+    values = np.stack([_field(hypotheses, name) for name in measured.fields], axis=1)
+    root = np.linalg.cholesky(measured.covariance)
+    sds = np.clip(np.linalg.solve(root, (values - measured.mean).T), -FAR, FAR)
+    log = np.asarray(-0.5 * np.sum(sds**2, axis=0))
+    return floored(log, measured.floor) if measured.floor > 0 else log
+
+
+def to_power(measured: Measurement, power: float) -> Measurement:
+    """The message raised to a power: its covariance is divided by it."""
+    if power == 1.0:
+        return measured
+    return replace(measured, covariance=measured.covariance / power, floor=measured.floor**power)
+
+
+def latent_gaussian(
+    given: Noise,
+    above: Hypotheses,
+    own: Hypotheses,
+    prior_log: Floats,
+    gaussians: Mapping[str, tuple[Measurement, float]],
+    sampled: Floats | None,
+) -> Measurement | None:
+    """What a latent node with a Gaussian belief says of its parent's state; None when it says nothing.
+
+    Its evidence about its own state c is a Gaussian: the `gaussians` (each with its power) exactly, and the
+    (N,) log-likelihood `sampled` at the draws c_j by its moments, posterior over prior: precision
+    P1^-1 - P0^-1, kept positive, and P1^-1 m1 - P0^-1 m0. Noise `given`, taken at the parent's mean box,
+    widens it: integral of N(c; h, Q) N(c; m, R) dc = N(h; m, R + Q). O(N).
+
+    Posterior moments are no finer than N draws lie, sd N^(-1/k) of the prior's in k directions.
+    """
+    beta = np.exp(prior_log)
+    centre = beta @ own.boxes
+    away = own.boxes - centre
+    variance, axes = np.linalg.eigh((away * beta[:, None]).T @ away)
+    kept = variance > 1e-12 * max(float(variance[-1]), 1e-12)
+    if not kept.any():
+        return None
+    # c = centre + shape u, with u of mean 0 and covariance 1 under the prior.
+    shape, unshape = axes[:, kept] * np.sqrt(variance[kept]), axes[:, kept] / np.sqrt(variance[kept])
+    precision, shift = _matched(away @ unshape, prior_log, sampled)
+    for message, power in gaussians.values():
+        columns = [BOX_FIELDS.index(name) for name in message.fields if name in BOX_FIELDS]
+        places = [k for k, name in enumerate(message.fields) if name in BOX_FIELDS]
+        if not columns:
+            continue
+        covariance = message.covariance[np.ix_(places, places)] / power
+        seen = np.linalg.solve(covariance, shape[columns])
+        precision = precision + shape[columns].T @ seen
+        shift = shift + seen.T @ (message.mean[places] - centre[columns])
+    floor = 0.0
+    if sampled is None:  # what remains far from all of them
+        floor = float(np.prod([message.floor**power for message, power in gaussians.values()]))
+    return _in_fields(given, beta @ above.boxes, centre, shape, unshape, precision, shift, floor)
+
+
+def _matched(places: Floats, prior_log: Floats, sampled: Floats | None) -> tuple[Floats, Floats]:
+    """Precision (K, K) and precision times mean (K,) of a likelihood at `places`, whose prior is N(0, 1)."""
+    n, k = places.shape
+    nothing = np.zeros((k, k)), np.zeros(k)
+    if sampled is None:
+        return nothing
+    try:
+        weights = LogWeights.normalise(prior_log + sampled)[0].weights
+    except DegenerateWeights:
+        return nothing
+    mean = weights @ places
+    away = places - mean
+    spread, axes = np.linalg.eigh((away * weights[:, None]).T @ away)
+    spread = np.maximum(spread, float(n) ** (-2.0 / k))
+    gained = 1.0 / spread - 1.0
+    informed = gained > KNOWN
+    pull = np.where(informed, (mean @ axes) / spread, 0.0)
+    return (axes * np.where(informed, gained, 0.0)) @ axes.T, axes @ pull
+
+
+def _in_fields(
+    given: Noise,
+    parent: Floats,
+    centre: Floats,
+    shape: Floats,
+    unshape: Floats,
+    precision: Floats,
+    shift: Floats,
+    floor: float,
+) -> Measurement | None:
+    """The Gaussian in u as one over the fields of a box that it says something of, widened by `given`."""
+    known, axes = np.linalg.eigh(precision)
+    usable = known > KNOWN
+    mean = centre + shape @ (axes[:, usable] @ ((axes[:, usable].T @ shift) / known[usable]))
+    sd = np.sqrt(np.sum(shape**2, axis=1))
+    scaled = (unshape @ precision @ unshape.T) * np.outer(sd, sd)
+    fields = [k for k in range(len(BOX_FIELDS)) if scaled[k, k] > KNOWN]
+    if not fields:
+        return None
+    own, turn = np.linalg.eigh(scaled[np.ix_(fields, fields)])
+    covariance = (turn / np.maximum(own, KNOWN)) @ turn.T * np.outer(sd[fields], sd[fields])
+    noise = KinematicMotion(given, ((0.0,),)).linearise(parent, 1.0)[1][np.ix_(fields, fields)]
+    covariance = covariance + noise
+    return Measurement(
+        tuple(BOX_FIELDS[k] for k in fields), mean[fields], (covariance + covariance.T) / 2, floor
+    )
+
+
+def _field(hypotheses: Hypotheses, name: str) -> Floats:
+    """(N,) a field of hypotheses: of their boxes, or a further one."""
+    if name in BOX_FIELDS:
+        return hypotheses.boxes[:, BOX_FIELDS.index(name)]
+    return hypotheses.fields[name]

@@ -1,0 +1,137 @@
+"""Ask the agents: planes to cues, and what they answer checked, so that a guest's fault ends no run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from dataclasses import dataclass, field
+from itertools import count
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import BOX_FIELDS, Stream
+from bayesnet_track.cue import AnyCue, Hypotheses, Measurement, Reference
+from bayesnet_track.inference.compile import Observe
+from bayesnet_track.planes import PlaneCache, Region
+
+Floats = NDArray[np.float64]
+Clock = Callable[[], float]
+Answer = Floats | Measurement | str | None
+"""(N,) log-likelihood, a measurement, None for nothing seen, or what is wrong with the agent."""
+
+ROUNDING = 1e-6
+"""How far above 0, the value of a perfect match, a log-likelihood may end by rounding."""
+
+ZERO_BELOW = -1e100
+"""A log-likelihood below this is a likelihood of zero, so that sums of them stay finite."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observer:
+    """What evaluation needs of the world: the frame's planes, the agents' cues and references.
+
+    Attributes:
+        cache: the planes of this frame.
+        cues: agent -> implementation.
+        references: agent -> what it remembers of the target.
+        stream: purpose -> generator.
+        clock: seconds, for `seconds` only; no result depends on it.
+        seconds: agent -> seconds spent, added up here ("planes" for the planes).
+        passes: counts the evaluations of the frame, so that no two draw the same latent states.
+        measured: (agent, node) -> what an agent that measures answered at the hypotheses of the node: it is
+            asked once a frame, however often the net is evaluated.
+    """
+
+    cache: PlaneCache
+    cues: Mapping[str, AnyCue]
+    references: Mapping[str, Reference]
+    stream: Stream
+    clock: Clock = lambda: 0.0
+    seconds: MutableMapping[str, float] = field(default_factory=dict)
+    passes: Iterator[int] = field(default_factory=count)
+    measured: MutableMapping[tuple[str, str], Answer] = field(default_factory=dict)
+
+
+def observe(
+    step: Observe, hypotheses: Hypotheses, prior_log: Floats, region: Region, observer: Observer
+) -> Answer:
+    """What an agent answers about (N,) hypotheses with normalised prior log-weights.
+
+    A message to the caller instead of an exception: the cue raised, or returned anything but N
+    log-likelihoods of at most 0, one of them above -inf, or a Gaussian over fields of the hypotheses.
+    """
+    if not step.measures:
+        return _asked(step, hypotheses, prior_log, region, observer)
+    key = (step.agent, step.at)
+    if key not in observer.measured:
+        observer.measured[key] = _asked(step, hypotheses, prior_log, region, observer)
+    return observer.measured[key]
+
+
+def _asked(
+    step: Observe, hypotheses: Hypotheses, prior_log: Floats, region: Region, observer: Observer
+) -> Answer:
+    agent, part = step.agent, "planes"
+    cue: Any = observer.cues[agent]
+    # A copy of its own: what it writes there reaches no other agent.
+    own = Hypotheses(hypotheses.boxes.copy(), {name: v.copy() for name, v in hypotheses.fields.items()})
+    started = observer.clock()
+    try:
+        planes = observer.cache.planes(cue.needs, region)
+        started, part = _charge(observer, part, started), agent
+        reference = observer.references[agent]
+        if step.measures:
+            return _checked_measurement(cue.measure(planes, own, np.exp(prior_log), reference), own)
+        result = cue.log_likelihood(planes, own, reference)
+        return _checked(np.array(result, dtype=np.float64), len(own))
+    except Exception as error:  # a cue is a guest's code: whatever it raises must not end the run
+        return f"raised {type(error).__name__}: {error}"
+    finally:
+        _charge(observer, part, started)
+
+
+def _charge(observer: Observer, part: str, started: float) -> float:
+    now = observer.clock()
+    observer.seconds[part] = observer.seconds.get(part, 0.0) + now - started
+    return now
+
+
+def _checked_measurement(measured: Any, hypotheses: Hypotheses) -> Measurement | str | None:
+    if measured is None:
+        return None
+    if not isinstance(measured, Measurement):
+        return f"returned a {type(measured).__name__}, not a Measurement or None"
+    fields = tuple(measured.fields)
+    known = (*BOX_FIELDS, *hypotheses.fields)
+    unknown = [str(name) for name in fields if name not in known]
+    if unknown or not fields:
+        return f"measured {', '.join(unknown) or 'nothing'}; the hypotheses have {', '.join(known)}"
+    if len(set(fields)) < len(fields):
+        return f"measured a field twice: {', '.join(fields)}"
+    size = len(fields)
+    mean, covariance = np.array(measured.mean, float), np.array(measured.covariance, float)
+    if mean.shape != (size,) or covariance.shape != (size, size):
+        return f"measured {size} fields by arrays of shape {mean.shape} and {covariance.shape}"
+    if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+        return "measured a place that is not finite"
+    if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance).min() <= 0:
+        return "measured a covariance that is not symmetric and positive definite"
+    if not np.isfinite(np.linalg.inv(covariance)).all():
+        return "measured a covariance too small to be inverted"
+    if not 0.0 <= measured.floor < 1.0:
+        return f"measured with a floor of {measured.floor:.6g}, not in 0..1"
+    return Measurement(fields, mean, covariance, float(measured.floor))
+
+
+def _checked(log_likelihood: Floats, size: int) -> Floats | str:
+    if log_likelihood.shape != (size,):
+        return f"returned an array of shape {log_likelihood.shape} for {size} hypotheses"
+    wrong = np.isnan(log_likelihood) | (log_likelihood > ROUNDING)
+    if wrong.any():
+        what = f"a log-likelihood of {log_likelihood[wrong][0]:.6g}, not at most 0,"
+        return f"returned {what} for {int(wrong.sum())} of {size} hypotheses"
+    log_likelihood[log_likelihood < ZERO_BELOW] = -np.inf
+    if not np.isfinite(log_likelihood).any():
+        return f"returned a likelihood of zero for all {size} hypotheses"
+    return log_likelihood
