@@ -18,6 +18,7 @@ from bayesnet_track.numerics.density import log_gaussians
 
 Floats = NDArray[np.float64]
 Coordinates = Callable[[Floats], tuple[Floats, Floats]]
+States = Callable[[Floats, Floats], Floats]
 
 LOG_SIZE_LIMIT = float(np.log(1.1))
 """Largest change of log w and of log h by `sd_log` in one frame interval."""
@@ -33,12 +34,15 @@ class Transition:
         means: (N, K) of the new state, in these coordinates.
         sds: (C, N, K) of each component.
         log_shares: (C,) log-weights of the components.
+        states: the way back: (M, K) coordinates and the (M, D) states without noise, which give what has no
+            noise -> (M, D) states. None where it is not known.
     """
 
     coordinates: Coordinates
     means: Floats
     sds: Floats
     log_shares: Floats
+    states: States | None = None
 
     def log_density(self, new: Floats) -> Floats:
         """(M, N) log p(new_m | old_n) of new states (M, D)."""
@@ -94,10 +98,14 @@ def noise_transition(noise: Noise, old: Floats, dt: float = 1.0) -> Transition:
         points, log_jacobian = box_coordinates(noise, boxes)
         return points[:, keep], log_jacobian
 
+    def states(points: Floats, still: Floats) -> Floats:
+        full = box_coordinates(noise, still)[0]
+        full[:, keep] = points
+        return boxes_at(noise, full)
+
     variances = component_variances(noise, old, dt)
-    return Transition(
-        coordinates, coordinates(old)[0], np.sqrt(variances[:, :, keep]), component_log_shares(noise)
-    )
+    means, sds = coordinates(old)[0], np.sqrt(variances[:, :, keep])
+    return Transition(coordinates, means, sds, component_log_shares(noise), states)
 
 
 def noisy(noise: Noise) -> list[bool]:
@@ -123,6 +131,16 @@ def box_coordinates(noise: Noise, boxes: Floats) -> tuple[Floats, Floats]:
     points[:, 2], points[:, 3] = (log_w + log_h) / 2, log_w - log_h
     # |d(log sqrt(w h), log(w / h)) / d(w, h)| = 1 / (w h): 1 / sqrt(w h) for each coordinate.
     return points, -sum(noisy(noise)[2:]) * points[:, 2]
+
+
+def boxes_at(noise: Noise, points: Floats) -> Floats:
+    """(M, 4) boxes of (M, 4) coordinates, the inverse of `box_coordinates`; sizes at least 1 px."""
+    boxes = points.copy()
+    if is_log(noise):
+        half = points[:, 3] / 2
+        boxes[:, 2], boxes[:, 3] = np.exp(points[:, 2] + half), np.exp(points[:, 2] - half)
+    np.maximum(boxes[:, 2:], 1.0, out=boxes[:, 2:])
+    return boxes
 
 
 def component_variances(noise: Noise, old: Floats, dt: float) -> Floats:
