@@ -54,7 +54,10 @@ class EdgePlane:
         smooth = np.ascontiguousarray(inputs[0])
         if self.blur_px > 0:
             smooth = cv2.GaussianBlur(smooth, (0, 0), self.blur_px)
-        dx, dy = cv2.Sobel(smooth, cv2.CV_16S, 1, 0), cv2.Sobel(smooth, cv2.CV_16S, 0, 1)
+        dx, dy = (
+            cv2.Sobel(smooth, cv2.CV_16S, *order, borderType=cv2.BORDER_REPLICATE)
+            for order in ((1, 0), (0, 1))
+        )
         bits = np.zeros(smooth.shape, dtype=np.uint8)
         for k, factor in enumerate(CONTRASTS):
             high = SOBEL * factor * self.min_gradient_gray

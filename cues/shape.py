@@ -50,7 +50,7 @@ class ShapeParameters(CueParameters):
         "started; without one the model is learnt from the first box on.",
     )
     sd_distance: float = Field(
-        default=0.1,
+        default=0.08,
         gt=0,
         description="Standard deviation (root mean square over the box) of the distance from the contour, in "
         "half mean sides of the box, beyond what the model's modes allow.",
@@ -125,8 +125,8 @@ class ShapeCue:
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """Mixture of the two models: mean and covariance between them (eq. 2.15); a file's model stays.
 
-        A silhouette with clearly fewer edges than the old one's teaches nothing. Any other is seen at the usual
-        edge threshold, so that local action on the threshold is taken back.
+        A silhouette with clearly fewer edges than the old one's teaches nothing. Any other is seen at the
+        usual edge threshold, so that local action on the threshold is taken back.
         """
         seen = new["support"][0] >= max(LEAST_SUPPORT, CLEAR_SUPPORT * old["support"][0])
         if rate <= 0.0 or rate >= 1.0 or not seen:

@@ -20,7 +20,7 @@ Ints = NDArray[np.int64]
 POINTS = 64
 """Points of a snake."""
 
-STAGES = ((0.02, 2.0, 12), (0.01, 0.2, 12), (0.005, 0.03, 16))
+STAGES = ((0.02, 2.0, 6), (0.01, 0.2, 6), (0.005, 0.03, 10))
 """Tension, rigidity and steps: stiff first, so that single edges do not catch it, then supple."""
 
 PULL = 0.5
@@ -41,6 +41,7 @@ def smoothing_filters(points: int = POINTS) -> Floats:
     rows = [np.fft.ifft(1.0 / (1.0 + a * wave + b * wave**2)).real for a, b, _ in STAGES]
     filters = np.array(rows)
     filters[np.abs(filters) < 1e-5] = 0.0
+    filters[:, points // 2] = 0.0
     filters /= filters.sum(axis=1, keepdims=True)
     filters.flags.writeable = False
     return filters
@@ -68,44 +69,51 @@ def _inside(x: float, y: float, frame: Ints) -> bool:
 
 @compiled
 def _pull(distance: Floats, origin: Ints, frame: Ints, reach: float, points: Floats) -> None:
-    """Move each point (M, 2) a share of the way to its nearest edge, when that is within `reach` px."""
-    for m in range(points.shape[0]):
-        x, y = points[m, 0], points[m, 1]
+    """Move each point (2, M) a share of the way to its nearest edge, when that is within `reach` px."""
+    for m in range(points.shape[1]):
+        x, y = points[0, m], points[1, m]
         if not _inside(x, y, frame):
             continue
         away, gx, gy = _look(distance, x - origin[0], y - origin[1], reach)
         length = np.sqrt(gx * gx + gy * gy)
         if away < reach and length > 1e-9:
-            points[m, 0] -= PULL * away * gx / length
-            points[m, 1] -= PULL * away * gy / length
+            points[0, m] -= PULL * away * gx / length
+            points[1, m] -= PULL * away * gy / length
 
 
 @compiled
-def _smooth(points: Floats, kernel: Floats, moved: Floats) -> None:
-    """Fill `moved` (M, 2) with the points smoothed by the circulant `kernel` (M,)."""
-    count = points.shape[0]
-    moved[:] = 0.0
-    for lag in range(count):
-        weight = kernel[lag]
-        if weight == 0.0:
-            continue
-        for m in range(count - lag):
-            moved[m, 0] += weight * points[m + lag, 0]
-            moved[m, 1] += weight * points[m + lag, 1]
-        for m in range(count - lag, count):
-            moved[m, 0] += weight * points[m + lag - count, 0]
-            moved[m, 1] += weight * points[m + lag - count, 1]
+def _smooth(points: Floats, kernel: Floats, wide: Floats, moved: Floats) -> None:
+    """Fill `moved` (2, M) with the points smoothed by the circulant symmetric `kernel` (M,).
+
+    `wide` (2, 2 M) is room for the points once more, so that no index has to wrap round: vector instructions
+    can be used.
+    """
+    count = points.shape[1]
+    half = count // 2
+    for axis in range(2):
+        row, out = wide[axis], moved[axis]
+        for m in range(2 * count):
+            row[m] = points[axis, (m + half) % count]
+        for m in range(count):
+            out[m] = kernel[0] * points[axis, m]
+        for lag in range(1, half):
+            weight = kernel[lag]
+            if weight == 0.0:
+                continue
+            after, before = row[half + lag : half + lag + count], row[half - lag : half - lag + count]
+            for m in range(count):
+                out[m] += weight * (after[m] + before[m])
 
 
 @compiled
 def _even(points: Floats, placed: Floats) -> None:
-    """Fill `placed` (M, 2) with even points along the closed polygon `points` (P, 2), from its first."""
-    count, wanted = points.shape[0], placed.shape[0]
+    """Fill `placed` (2, M) with even points along the closed polygon `points` (2, P), from its first."""
+    count, wanted = points.shape[1], placed.shape[1]
     lengths = np.empty(count)
     total = 0.0
     for m in range(count):
         after = (m + 1) % count
-        lengths[m] = np.sqrt((points[after, 0] - points[m, 0]) ** 2 + (points[after, 1] - points[m, 1]) ** 2)
+        lengths[m] = np.sqrt((points[0, after] - points[0, m]) ** 2 + (points[1, after] - points[1, m]) ** 2)
         total += lengths[m]
     side, passed = 0, 0.0
     for k in range(wanted):
@@ -116,8 +124,8 @@ def _even(points: Floats, placed: Floats) -> None:
         after = (side + 1) % count
         share = (target - passed) / lengths[side] if lengths[side] > 0.0 else 0.0
         share = min(max(share, 0.0), 1.0)
-        placed[k, 0] = points[side, 0] + share * (points[after, 0] - points[side, 0])
-        placed[k, 1] = points[side, 1] + share * (points[after, 1] - points[side, 1])
+        placed[0, k] = points[0, side] + share * (points[0, after] - points[0, side])
+        placed[1, k] = points[1, side] + share * (points[1, after] - points[1, side])
 
 
 @compiled
@@ -148,29 +156,29 @@ def run_snakes(
         tolerance: how far from an edge it still counts as on it, in mean sides; at least 1.5 px.
     """
     count = snakes.shape[1]
-    points, moved = np.empty((count, 2)), np.empty((count, 2))
+    points, moved, wide = np.empty((2, count)), np.empty((2, count)), np.empty((2, 2 * count))
     for c in range(boxes.shape[0]):
         x, y, w, h = boxes[c, 0], boxes[c, 1], boxes[c, 2], boxes[c, 3]
         side = np.sqrt(w * h)
         for m in range(count):
             angle = 2.0 * np.pi * m / count
-            moved[m, 0] = x + 0.5 * w * np.cos(angle)
-            moved[m, 1] = y + 0.5 * h * np.sin(angle)
+            moved[0, m] = x + 0.5 * w * np.cos(angle)
+            moved[1, m] = y + 0.5 * h * np.sin(angle)
         _even(moved, points)
         for stage in range(filters.shape[0]):
             for _ in range(steps[stage]):
                 _pull(distance, origin, frame, reach * side, points)
-                _smooth(points, filters[stage], moved)
+                _smooth(points, filters[stage], wide, moved)
                 for m in range(count):
-                    points[m, 0] = min(max(moved[m, 0], x - 0.5 * BOUND * w), x + 0.5 * BOUND * w)
-                    points[m, 1] = min(max(moved[m, 1], y - 0.5 * BOUND * h), y + 0.5 * BOUND * h)
+                    points[0, m] = min(max(moved[0, m], x - 0.5 * BOUND * w), x + 0.5 * BOUND * w)
+                    points[1, m] = min(max(moved[1, m], y - 0.5 * BOUND * h), y + 0.5 * BOUND * h)
             _even(points, moved)
             points[:] = moved
         near, limit = 0, max(tolerance * side, 1.5)
         for m in range(count):
-            snakes[c, m, 0], snakes[c, m, 1] = points[m, 0], points[m, 1]
-            if _inside(points[m, 0], points[m, 1], frame) and (
-                _look(distance, points[m, 0] - origin[0], points[m, 1] - origin[1], 2.0 * limit)[0] <= limit
+            snakes[c, m, 0], snakes[c, m, 1] = points[0, m], points[1, m]
+            if _inside(points[0, m], points[1, m], frame) and (
+                _look(distance, points[0, m] - origin[0], points[1, m] - origin[1], 2.0 * limit)[0] <= limit
             ):
                 near += 1
         support[c] = near / count
