@@ -57,7 +57,9 @@ def demo(options: argparse.Namespace) -> int:
     out = Path(options.out or f"runs/{options.scene}")
     options.overwrite = options.overwrite or options.out is None
     source = SceneSource(scene, f"scene:{options.scene}", options.end)
-    code = _track(options, graph, source, [Start(scene.start_box)], out, video=True)
+    known = {plate: box for plate, box in scene.start_boxes.items() if plate in graph.targets}
+    starts = [Start(box, plate) for plate, box in known.items()] or [Start(scene.start_box)]
+    code = _track(options, graph, source, starts, out, video=True)
     directory = RunDirectory.open(out)
     directory.write_text(directory.truth, format_truth(scene.truth[: source.expected_frames]))
     if code != OK:
@@ -66,7 +68,7 @@ def demo(options: argparse.Namespace) -> int:
     for event in read_events(directory.journal):
         say(explain(event))
     say("\nagainst the true boxes:")
-    say(score_run(out, directory.truth).text(explained=True))
+    say(score_run(out, directory.truth, target="1").text(explained=True))
     told = min(29, source.expected_frames - 1)
     say(f"\nopen {directory.video} to watch it; `bayesnet-track log {out} --why {told}` explains a frame")
     return code

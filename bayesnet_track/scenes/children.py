@@ -17,7 +17,7 @@ CHILD = (46.0, 130.0)
 FLIGHTS = ((3, 7), (23, 27))
 """First and last frame of the ball in the air: from the left child to the right one, and back."""
 
-HAIR, SKIN, TROUSERS = (40.0, 55.0, 75.0), (140.0, 170.0, 215.0), (110.0, 75.0, 60.0)
+HAIR, SKIN, TROUSERS = (45.0, 42.0, 45.0), (172.0, 180.0, 198.0), (110.0, 75.0, 60.0)
 GREEN, BLUE = (90.0, 150.0, 70.0), (190.0, 110.0, 60.0)
 
 
@@ -38,7 +38,9 @@ def ball_between_children(seed: int = 0) -> Scene:
         Sprite(_clothes(BLUE, rng), _boxes(right, *CHILD)),
         Sprite(shaded_cells(6, 6, ORANGE, 0.75, rng), thrown, is_round=True),
     )
-    return assemble("ball_between_children", background, sprites, target=2, noise_sd=4.0, seed=seed)
+    return assemble(
+        "ball_between_children", background, sprites, 2, noise_sd=4.0, seed=seed, plates=("ball", "child")
+    )
 
 
 def _sway(centre: tuple[float, float], rng: np.random.Generator) -> Floats:

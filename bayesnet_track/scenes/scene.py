@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from bayesnet_track.scenes.stereo import StereoView
 
 Floats = NDArray[np.float64]
+CornerBox = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +33,8 @@ class Scene:
         others: (n, 4) corner boxes of each further object.
         visible: (n,) share of the target's area that lies inside the picture and is not hidden.
         stereo: the second eye and the true depth, in scenes that have them.
+        plates: what the target and the first of the others are called, where a graph may have a plate for
+            each; empty where only the target is meant to be tracked.
     """
 
     name: str
@@ -41,16 +45,33 @@ class Scene:
     others: tuple[Floats, ...]
     visible: Floats
     stereo: StereoView | None = None
+    plates: tuple[str, ...] = ()
 
     @property
-    def start_box(self) -> tuple[float, float, float, float]:
+    def start_box(self) -> CornerBox:
         """The target's corner box in frame 0."""
-        x, y, w, h = self.truth[0]
-        return float(x), float(y), float(w), float(h)
+        return _corner_box(self.truth)
+
+    @property
+    def start_boxes(self) -> Mapping[str, CornerBox]:
+        """Plate -> the corner box in frame 0 of what is called so, the target's first."""
+        paths = (self.truth, *self.others)[: len(self.plates)]
+        return {plate: _corner_box(path) for plate, path in zip(self.plates, paths, strict=True)}
+
+
+def _corner_box(path: Floats) -> CornerBox:
+    x, y, w, h = (float(value) for value in path[0])
+    return x, y, w, h
 
 
 def assemble(
-    name: str, background: Floats, sprites: tuple[Sprite, ...], target: int, noise_sd: float, seed: int
+    name: str,
+    background: Floats,
+    sprites: tuple[Sprite, ...],
+    target: int,
+    noise_sd: float,
+    seed: int,
+    plates: tuple[str, ...] = (),
 ) -> Scene:
     """A scene whose main target is `sprites[target]`; later sprites hide earlier ones."""
     height, width = background.shape[:2]
@@ -64,6 +85,7 @@ def assemble(
         corner_from_centre(paths[target]),
         tuple(corner_from_centre(path) for i, path in enumerate(paths) if i != target),
         visible_share(paths[target], tuple(paths[target + 1 :]), width, height),
+        plates=plates,
     )
 
 
