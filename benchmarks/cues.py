@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from bayesnet_track.cue import Hypotheses, installed_cues
+from bayesnet_track.depth import RightEye, StereoGeometry
 from bayesnet_track.planes import Frame, FramePair, PlaneCache, region_of_boxes
 
 WIDTH, HEIGHT, SIDE = 640, 480, 60.0
@@ -42,6 +43,12 @@ def picture(rng: np.random.Generator, shift: tuple[int, int]) -> np.ndarray:
     return np.clip(image + rng.integers(-8, 9, image.shape), 0, 255).astype(np.uint8)
 
 
+def frame(index: int, image: np.ndarray) -> Frame:
+    """The picture with a right eye that sees all of it 30 px further left, 4 m away."""
+    right = RightEye(np.roll(image, -30, axis=1), StereoGeometry(600.0, 0.2, WIDTH / 2, HEIGHT / 2))
+    return Frame(index, float(index), image, True, index / 25, right)
+
+
 def cloud(rng: np.random.Generator, box: np.ndarray, size: int, sd: float) -> np.ndarray:
     """(size, 4) hypotheses around `box`."""
     boxes = np.tile(box, (size, 1))
@@ -60,7 +67,7 @@ def main() -> None:
     cv2.setNumThreads(1)
 
     previous, current = (
-        Frame(n, float(n), picture(np.random.default_rng(0), shift), True, n / 25)
+        frame(n, picture(np.random.default_rng(0), shift))
         for n, shift in enumerate([(0, 0), (4, 2)])
     )
     frames = FramePair(current, previous)

@@ -9,12 +9,16 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cue import Cue, CueDeclaration, Hypotheses, Reference, installed_cues
+from bayesnet_track.depth import RightEye, StereoGeometry
 from bayesnet_track.planes import Frame, FramePair, PlaneCache, Planes, Region, region_of_boxes
 
 WIDTH, HEIGHT = 320, 240
 SIZE = np.array([49.0, 37.0])
 START = np.array([150.0, 120.0])
 VELOCITY = np.array([5, 3])
+NEAR, FAR = 20, 4
+"""Disparity of the target and of the background, px: 3 m and 15 m."""
+GEOMETRY = StereoGeometry(300.0, 0.2, 160.0, 120.0)
 
 
 def _texture(rng, rows, columns, cell, low, high):
@@ -51,8 +55,9 @@ class Scene:
     def box(self, shift=(0, 0)):
         return np.concatenate([START + shift, SIZE])
 
-    def image(self, centre):
-        image = self.background.copy()
+    def image(self, centre, wall=0):
+        """The picture with the target at `centre` and the background `wall` px further left."""
+        image = np.roll(self.background, -wall, axis=1)
         left, top = (np.asarray(centre) - (SIZE - 1) / 2).astype(int)
         image[top : top + self.target.shape[0], left : left + self.target.shape[1]] = self.target
         return image
@@ -60,10 +65,16 @@ class Scene:
     def pair(self, shift=(0, 0)):
         """Current and previous frame with the target now at START + shift."""
         now = START + np.asarray(shift)
-        return self.pair_of(self.image(now), self.image(now - VELOCITY))
+        before = now - VELOCITY
+        eyes = (self.image(centre - [NEAR, 0], FAR) for centre in (now, before))
+        return self.pair_of(self.image(now), self.image(before), True, tuple(eyes))
 
-    def pair_of(self, image, previous, has_color=True):
-        return FramePair(Frame(1, 1.0, image, has_color, 0.04), Frame(0, 0.0, previous, has_color, 0.0))
+    def pair_of(self, image, previous, has_color=True, right=None):
+        """Two frames; without right eyes, all that they see is as far away as the target."""
+        right = right or tuple(np.roll(one, -NEAR, axis=1) for one in (image, previous))
+        eyes = [RightEye(one, GEOMETRY) for one in right]
+        now = Frame(1, 1.0, image, has_color, 0.04, eyes[0])
+        return FramePair(now, Frame(0, 0.0, previous, has_color, 0.0, eyes[1]))
 
     def around(self, centre, reach=40, step=4):
         """Boxes of the target's size on a grid around `centre`."""
