@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bayesnet_track.belief.contract import Belief, Motion
+from bayesnet_track.belief.grid import GridFilter
 from bayesnet_track.belief.motion import make_motion
 from bayesnet_track.belief.particles import ParticleFilter
 from bayesnet_track.cue import AnyCue, CueDeclaration, LocallyAdaptable, installed_cues
@@ -89,6 +90,8 @@ def make_belief(chosen: spec.Belief | None) -> Belief[Any]:
     match settings:
         case spec.Particles():
             return ParticleFilter(settings)
+        case spec.Grid():
+            return GridFilter(settings)
     raise TypeError(f"no belief for {type(settings).__name__}")
 
 

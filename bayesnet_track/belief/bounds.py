@@ -36,6 +36,10 @@ class Confined:
         """As the model."""
         return self.motion.start(box, size, rng)
 
+    def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
+        """As the model."""
+        return self.motion.start_moments(box)
+
     def propagate(self, states: Floats, dt: float, rng: np.random.Generator) -> Floats:
         """As the model, then confined."""
         return self._confined(self.motion.propagate(states, dt, rng))

@@ -68,6 +68,10 @@ class Motion(Protocol):
         """(size, D) states for a target first seen in the centre box (4,)."""
         ...
 
+    def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
+        """(D,) mean and (D, D) covariance of what `start` draws."""
+        ...
+
     def propagate(self, states: Floats, dt: float, rng: np.random.Generator) -> Floats:
         """(N, D) states after `dt` frame intervals; widths and heights stay at least 1 px."""
         ...

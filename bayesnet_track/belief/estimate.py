@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.graph import spec
+from bayesnet_track.numerics.distributions import nearest_probable
 
 Floats = NDArray[np.float64]
 
@@ -19,6 +20,9 @@ def estimate(chosen: spec.Estimate | None, step: Step[Posterior]) -> Floats:
     - `mean`: mean of the belief, which lies between the modes of a bimodal one.
     - `robust_mean`: weighted mean of the hypotheses whose centres lie within `box` sqrt(w h) of the best,
       in x and in y (tracking chapter, estimators).
+    - `nearest`: of the hypotheses with at least `epsilon` of the largest weight, the one whose centre lies
+      nearest to the mean prediction (General Distribution Filter 1.3, corrected). The weights of a grid are
+      densities; those of particles that were drawn from the prediction are likelihoods.
     """
     kind = "map" if chosen is None else chosen.kind
     if kind == "map":
@@ -26,6 +30,9 @@ def estimate(chosen: spec.Estimate | None, step: Step[Posterior]) -> Floats:
     if kind == "mean":
         return step.posterior.mean
     states, weights = step.support.states, step.support.weights.weights
+    if chosen is not None and chosen.nearest is not None:
+        predicted = step.prior.weights @ states[:, :2]
+        return np.asarray(states[nearest_probable(states[:, :2], weights, predicted, chosen.nearest.epsilon)])
     best = np.asarray(states[int(np.argmax(weights))])
     if kind == "best" or chosen is None or chosen.robust_mean is None:
         return best

@@ -73,6 +73,11 @@ class KinematicMotion:
         return np.concatenate([boxes, derivatives], axis=1)
 
     def propagate(self, states: Floats, dt: float, rng: np.random.Generator) -> Floats:
+    def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
+        """(D,) mean and (D, D) covariance of what `start` draws: the box, and derivatives around 0."""
+        sds = np.concatenate([np.zeros(4), np.repeat(self.start_sd, 2)])
+        return np.concatenate([box, np.zeros(len(sds) - 4)]).astype(np.float64), np.diag(sds**2)
+
         """(N, D) states after `dt` frame intervals; widths and heights stay at least 1 px."""
         new = self.drift(states, dt)
         if self.diffusion > 0:

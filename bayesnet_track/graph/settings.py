@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
 
+from bayesnet_track.graph.grid_settings import Grid
 from bayesnet_track.graph.model import (
     Choice,
     Empty,
@@ -15,6 +16,7 @@ from bayesnet_track.graph.model import (
     NotNegative,
     Number,
     Positive,
+    Share,
     Whole,
     word_or_mapping,
 )
@@ -122,12 +124,21 @@ class Belief(Choice):
     """How the belief is represented."""
 
     particles: Particles | None = Field(default=None, description="a weighted set of hypotheses")
+    grid: Grid | None = Field(default=None, description="a discrete distribution over cells")
 
 
 class Window(Model):
     """A window around the best hypothesis."""
 
     box: Positive = Field(default=0.25, description="half width of the window, in sqrt(w h)")
+
+
+class Nearest(Model):
+    """The optimised working point of the General Distribution Filter (1.3)."""
+
+    epsilon: Share = Field(
+        default=0.5, description="least posterior weight, as a share of the largest, of a hypothesis"
+    )
 
 
 class Estimate(Choice):
@@ -140,6 +151,9 @@ class Estimate(Choice):
     mean: Empty | None = Field(default=None, description="weighted mean")
     robust_mean: Window | None = Field(
         default=None, description="weighted mean inside a window around the best"
+    )
+    nearest: Nearest | None = Field(
+        default=None, description="the probable hypothesis that lies nearest to the motion's prediction"
     )
 
 

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
+from bayesnet_track.graph.grid_settings import Grid, Reset
 from bayesnet_track.graph.model import Choice, Empty, Model, Name, Number, Truth
 from bayesnet_track.graph.particle_settings import (
     EssBelow,
@@ -34,6 +35,7 @@ from bayesnet_track.graph.settings import (
     LogSd,
     Lost,
     Motion,
+    Nearest,
     Noise,
     PixelSd,
     RandomWalk,
@@ -62,6 +64,7 @@ __all__ = [
     "Estimate",
     "Fuse",
     "GraphSpec",
+    "Grid",
     "InferenceNode",
     "Latent",
     "Learn",
@@ -71,11 +74,13 @@ __all__ = [
     "Model",
     "Motion",
     "Name",
+    "Nearest",
     "Node",
     "Noise",
     "Particles",
     "PixelSd",
     "RandomWalk",
+    "Reset",
     "SelfCheck",
     "Target",
     "Wide",

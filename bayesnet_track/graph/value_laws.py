@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from bayesnet_track.graph.grid_law import grid_holds_the_motion
 from bayesnet_track.graph.messages import GraphMessage
 from bayesnet_track.graph.plate import Law, Plate
 from bayesnet_track.graph.spec import Level, Lost, Noise
@@ -127,6 +128,7 @@ VALUE_LAWS: tuple[Law, ...] = (
     thresholds_in_order,
     someone_is_active,
     learning_has_a_rule,
+    grid_holds_the_motion,
 )
 """These need no sound tree."""
 

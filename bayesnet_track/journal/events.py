@@ -106,6 +106,30 @@ class DegenerateBelief:
 
 
 @dataclass(frozen=True)
+class BeliefReset:
+    """A grid's evidence was not feasible under its prediction: gamma fell below a level (distribution filter).
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        gamma: mean likelihood under the prediction, divided by its mean over the region.
+        below: level of gamma below which it happens.
+        region: belief (the bounding box of the prediction) or image.
+        region_px2: area of the region, px^2.
+        action: reset (the belief starts again from the likelihood over the region) or ignore (the prediction
+            stays).
+    """
+
+    frame: int
+    target: str
+    gamma: float
+    below: float
+    region: str
+    region_px2: float
+    action: str
+
+
+@dataclass(frozen=True)
 class RunEnded:
     """Last line of a journal that was closed in order.
 
@@ -122,7 +146,16 @@ class RunEnded:
     reason: str
 
 
-Event = RunStarted | FramesMissing | FrameSizeChanged | SourceDamaged | DegenerateBelief | RunEnded | Decision
+Event = (
+    RunStarted
+    | FramesMissing
+    | FrameSizeChanged
+    | SourceDamaged
+    | DegenerateBelief
+    | BeliefReset
+    | RunEnded
+    | Decision
+)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from bayesnet_track.graph.net import (
     TargetStarted,
 )
 from bayesnet_track.journal.events import (
+    BeliefReset,
     DegenerateBelief,
     Event,
     FrameSizeChanged,
@@ -76,7 +77,7 @@ def _run_ended(event: RunEnded) -> str:
     return f"run {how} after {frames}: {event.reason.replace('_', ' ')}"
 
 
-def happened(event: Decision | DegenerateBelief) -> str:
+def happened(event: Decision | DegenerateBelief | BeliefReset) -> str:
     """The sentence without the frame it happened in."""
     match event:
         case TargetStarted():
@@ -105,6 +106,8 @@ def happened(event: Decision | DegenerateBelief) -> str:
             return f"{event.node} failed: {event.reason} → out for the rest of the run"
         case StatusChanged():
             return _status(event)
+        case BeliefReset():
+            return _reset(event)
         case _:
             return f"no hypothesis of target {event.target} can be used: {event.reason}; the prediction stays"
 
@@ -127,6 +130,18 @@ def _status(event: StatusChanged) -> str:
     return (
         f"{_held(event.cause, '>')} → {result}; would have stayed at lost ≥ {_turning(event.cause, up=True)}"
     )
+
+
+def _reset(event: BeliefReset) -> str:
+    gamma, below = _told_apart(event.gamma, event.below)
+    over = "the belief's bounding box" if event.region == "belief" else "the image"
+    then = (
+        f"the belief of target {event.target} starts again from the frame's likelihood"
+        if event.action == "reset"
+        else "the frame's evidence is ignored"
+    )
+    turning = _rounded(event.gamma, _digits(event.gamma, event.below), up=False)
+    return f"γ {gamma} < {below} over {over} ({event.region_px2:.0f} px²) → {then}; not at below ≤ {turning}"
 
 
 def _chosen_among(event: Deactivated) -> str:

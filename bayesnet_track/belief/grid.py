@@ -1,0 +1,297 @@
+"""The grid belief: a discrete distribution over cells, stepped by the General Distribution Filter.
+
+Propagation by the drift and the noise (eqs. 1 to 3), Bayes' rule at the cells (eq. 4), adaptivity by
+P^(1/k) (1.5) and the detector of evidence that is not feasible (1.6). The Kalman filter is the special case
+of Gaussians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.bounds import Confined
+from bayesnet_track.belief.contract import BOX_FIELDS, Evaluate, Evidence, Motion, Report, Step, Stream
+from bayesnet_track.belief.grid_cells import GridBelief, Lattice
+from bayesnet_track.belief.grid_motion import limits_of, predicted, scale_sd
+from bayesnet_track.belief.grid_reset import (
+    Verdict,
+    judged_in_box,
+    judged_on_image,
+    unknown_velocity,
+    window_around,
+)
+from bayesnet_track.cue import Hypotheses, Measurement
+from bayesnet_track.graph import spec
+from bayesnet_track.numerics.distributions import flattened, spreading_matrix
+from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class AskedCells:
+    """The cells at which evidence was taken, whatever their velocity, and their weights.
+
+    Attributes:
+        states: (N, D); a velocity is the mean one of the cell.
+        weights: posterior weights.
+    """
+
+    states: Floats
+    weights: LogWeights
+
+    @property
+    def boxes(self) -> Floats:
+        """(N, 4) centre boxes."""
+        return self.states[:, :4]
+
+
+@dataclass(frozen=True)
+class GridFilter:
+    """The General Distribution Filter, as `settings` say."""
+
+    settings: spec.Grid
+
+    def start(self, box: Floats, motion: Motion, stream: Stream) -> GridBelief:
+        """All mass in the start box (4,), the velocity as the motion starts it.
+
+        Raises:
+            ValueError: the motion needs cells that a grid does not have.
+        """
+        if motion.fields not in (BOX_FIELDS, (*BOX_FIELDS, "vx", "vy")):
+            raise ValueError(f"a grid has cells for x, y, w, h, vx, vy, not for {', '.join(motion.fields)}")
+        chosen, (mean, covariance) = self.settings, motion.start_moments(box)
+        x, y, w, h = (float(v) for v in box)
+        if isinstance(motion, Confined):
+            x, y = min(max(x, 0.0), motion.width - 1.0), min(max(y, 0.0), motion.height - 1.0)
+        scales, velocities = np.zeros(1), np.zeros(1)
+        if scale_sd(motion, mean, 1.0) > 0:
+            scales = chosen.scale_cell * _around_zero(chosen.scale_cells)
+        first_velocities = np.ones((1, 1))
+        if len(mean) > 4:
+            velocities = chosen.velocity_cell_px * _around_zero(chosen.velocity_cells)
+            vx, vy = (
+                _first(chosen, float(np.sqrt(covariance[k, k])) / chosen.velocity_cell_px) for k in (4, 5)
+            )
+            first_velocities = np.outer(vy, vx)
+        positions = np.zeros((len(scales), 1, 1))
+        positions[len(scales) // 2] = 1.0
+        lattice = Lattice((x, y), chosen.cell_px, 0, 0, (w, h), scales, velocities)
+        empty = GridBelief(np.ones((len(scales), 1, 1, 1, 1)), lattice, first_velocities)
+        return unknown_velocity(empty, positions)
+
+    def step(
+        self, prior: GridBelief, motion: Motion, dt: float, evaluate: Evaluate, stream: Stream
+    ) -> Step[GridBelief]:
+        """The belief after `dt` frame intervals and the evidence of a frame.
+
+        Evidence is taken once per position and scale, at the heaviest cells that together hold all but `cut`
+        of the predicted mass; the other cells get none of the posterior. With a detector over the belief's
+        box it is taken at all cells of their bounding box. Evidence that leaves no positive, finite weight,
+        or that the detector ignores, is not used: the posterior is the prediction.
+        """
+        # Predict
+        moved = predicted(prior, motion, dt, self.settings.window)
+        moved = replace(moved, mass=flattened(moved.mass, self.settings.forget**dt))
+
+        # Evaluate
+        rule = self.settings.reset
+        boxed = rule is not None and rule.region == "belief"
+        cells = _heaviest(moved.positions, self.settings.cut)
+        asked = _Asked(moved, _bounding_box(moved.positions.shape, cells) if boxed else cells)
+        evidence = evaluate(asked.hypotheses, asked.prior.log)
+
+        # Reweight
+        try:
+            posterior, log_evidence = asked.updated(evidence)
+        except DegenerateWeights as fault:
+            return asked.step(evidence, moved, -np.inf, asked.prior, degenerate=str(fault))
+
+        # Detect
+        if rule is not None:
+            verdict = self._judged(rule, asked, evidence, log_evidence, motion, evaluate)
+            if verdict.report is not None:
+                if rule.then == "ignore":
+                    return asked.step(evidence, moved, log_evidence, asked.prior, report=verdict.report)
+                return self._reset(asked, evidence, verdict, motion, evaluate)
+        return asked.step(evidence, posterior, log_evidence, asked.weights_of(posterior))
+
+    def _judged(
+        self,
+        rule: spec.Reset,
+        asked: _Asked,
+        evidence: Evidence,
+        log_evidence: float,
+        motion: Motion,
+        evaluate: Evaluate,
+    ) -> Verdict:
+        if rule.region == "belief":
+            masses, log_likelihood = asked.box_of(evidence)
+            return judged_in_box(rule, asked.belief, masses, log_likelihood)
+        limits = limits_of(asked.belief.lattice, motion, self.settings.window)
+        return judged_on_image(
+            rule, asked.belief, limits, log_evidence, lambda states: _evenly(evaluate, states)
+        )
+
+    def _reset(
+        self, asked: _Asked, evidence: Evidence, verdict: Verdict, motion: Motion, evaluate: Evaluate
+    ) -> Step[GridBelief]:
+        """Start again from the likelihood over the region; on the image, over the window around its peak."""
+        if verdict.peak is None:
+            even = np.zeros(asked.belief.positions.shape)
+            even.ravel()[asked.cells] = 1.0
+            fresh = _Asked(unknown_velocity(asked.belief, even), asked.cells)
+        else:
+            limits = limits_of(asked.belief.lattice, motion, self.settings.window)
+            belief = window_around(asked.belief, verdict.peak, limits)
+            fresh = _Asked(belief, _heaviest(belief.positions, 0.0))
+            evidence = evaluate(fresh.hypotheses, fresh.prior.log)
+        try:
+            posterior, _ = fresh.updated(evidence)
+        except DegenerateWeights as fault:
+            return fresh.step(evidence, fresh.belief, -np.inf, fresh.prior, degenerate=str(fault))
+        return fresh.step(
+            evidence, posterior, verdict.mean, fresh.weights_of(posterior), report=verdict.report
+        )
+
+
+class _Asked:
+    """The cells of a predicted belief at which evidence is taken: indices into its flat positions."""
+
+    def __init__(self, belief: GridBelief, cells: Ints) -> None:
+        self.belief, self.cells = replace(belief, asked=len(cells)), cells
+        masses = belief.positions.ravel()[cells]
+        with np.errstate(divide="ignore"):
+            self.prior = LogWeights.normalise(np.log(masses))[0]
+        self.states = belief.boxes(cells)
+        if len(belief.fields) > 4:
+            v = belief.lattice.velocities
+            share = np.divide(1.0, masses, out=np.zeros(len(masses)), where=masses > 0)
+            along = [np.tensordot(v, belief.mass.sum(axis=axis), (0, 1)) for axis in (1, 2)]
+            speeds = [total.ravel()[cells] * share for total in along]
+            self.states = np.column_stack([self.states, *speeds])
+
+    @property
+    def hypotheses(self) -> Hypotheses:
+        further = {name: self.states[:, k] for k, name in enumerate(self.belief.fields) if k >= 4}
+        return Hypotheses(self.states[:, :4], further)
+
+    def updated(self, evidence: Evidence) -> tuple[GridBelief, float]:
+        """The posterior and the log-evidence sum beta L; what was measured of velocities acts on their cells.
+
+        Raises:
+            DegenerateWeights: nothing positive and finite is left.
+        """
+        fast = {n: m for n, m in evidence.gaussians.items() if not set(m.fields) <= set(BOX_FIELDS)}
+        if fast and evidence.sampled is not None:
+            slow = sum(
+                (_log_gaussian(m, self._fields(m)) for n, m in evidence.gaussians.items() if n not in fast),
+                evidence.sampled,
+            )
+            belief = self._measured(list(fast.values()))
+            share = belief.positions.ravel()[self.cells] / self.belief.positions.ravel()[self.cells]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                effective = slow + np.where(share > 0, np.log(share), -np.inf)
+        else:
+            belief, effective, slow = self.belief, evidence.log_likelihood, evidence.log_likelihood
+        with np.errstate(invalid="ignore"):  # -inf + inf is NaN, which `times` refuses
+            log_evidence = self.prior.times(effective)[1]
+        factor = np.zeros(self.belief.positions.size)
+        factor[self.cells] = np.exp(np.minimum(slow - np.max(slow + self.prior.log), 700.0))
+        factor = factor.reshape(self.belief.positions.shape)[:, None, None]
+        mass = belief.mass * factor
+        return replace(self.belief, mass=mass / mass.sum()), log_evidence
+
+    def box_of(self, evidence: Evidence) -> tuple[Floats, Floats]:
+        """Masses and log-likelihoods of cells that fill a box, each (S, rows, columns)."""
+        where = np.unravel_index(self.cells, self.belief.positions.shape)
+        shape = tuple(int(np.ptp(places)) + 1 for places in where)
+        return np.exp(self.prior.log).reshape(shape), evidence.log_likelihood.reshape(shape)
+
+    def weights_of(self, posterior: GridBelief) -> LogWeights:
+        """The posterior weights of the cells."""
+        with np.errstate(divide="ignore"):
+            return LogWeights.normalise(np.log(posterior.positions.ravel()[self.cells]))[0]
+
+    def step(
+        self,
+        evidence: Evidence,
+        posterior: GridBelief,
+        log_evidence: float,
+        weights: LogWeights,
+        degenerate: str | None = None,
+        report: Report | None = None,
+    ) -> Step[GridBelief]:
+        known = replace(posterior, asked=len(self.cells))
+        return Step(
+            posterior=known,
+            log_evidence=log_evidence,
+            support=AskedCells(self.states, weights),
+            prior=self.prior,
+            evidence=evidence,
+            find_map=known.most_probable,
+            degenerate=degenerate,
+            reports=() if report is None else (report,),
+        )
+
+    def _fields(self, measured: Measurement) -> list[Floats]:
+        return [self.states[:, self.belief.fields.index(name)] for name in measured.fields]
+
+    def _measured(self, measured: list[Measurement]) -> GridBelief:
+        """The belief, not normalised, with the cells' velocities weighed by what was measured of them."""
+        shapes = {"x": 4, "y": 3, "w": 0, "h": 0, "vx": 2, "vy": 1}
+        mass = self.belief.mass
+        for one in measured:
+            values: list[Floats] = []
+            for name in one.fields:
+                shape = [1] * 5
+                shape[shapes[name]] = -1
+                values.append(self.belief.values[self.belief.fields.index(name)].reshape(shape))
+            mass = mass * np.exp(_log_gaussian(one, list(np.broadcast_arrays(*values))))
+        return replace(self.belief, mass=mass)
+
+
+def _log_gaussian(measured: Measurement, values: list[Floats]) -> Floats:
+    """Log-likelihood of a Gaussian message at the values of its fields, mixed with its floor."""
+    away = np.stack(values, axis=-1) - measured.mean
+    distance2 = np.einsum("...k,kl,...l->...", away, np.linalg.inv(measured.covariance), away)
+    return np.log(measured.floor + (1.0 - measured.floor) * np.exp(-0.5 * distance2) + 1e-300)
+
+
+def _heaviest(positions: Floats, cut: float) -> Ints:
+    """The heaviest cells that hold all but `cut` of the mass, in order of their index."""
+    masses = positions.ravel()
+    order = np.argsort(-masses, kind="stable")
+    cumulative = np.cumsum(masses[order])
+    count = int(np.searchsorted(cumulative, (1.0 - cut) * cumulative[-1])) + 1 if cut > 0 else len(masses)
+    chosen = order[:count]
+    return np.sort(chosen[masses[chosen] > 0])
+
+
+def _bounding_box(shape: tuple[int, ...], cells: Ints) -> Ints:
+    """All cells between the first and the last row and column of some, at every scale."""
+    _, row, column = np.unravel_index(cells, shape)
+    inside = np.zeros(shape, dtype=bool)
+    inside[:, row.min() : row.max() + 1, column.min() : column.max() + 1] = True
+    return np.flatnonzero(inside)
+
+
+def _evenly(evaluate: Evaluate, states: Floats) -> Evidence:
+    further = {name: states[:, 4 + k] for k, name in enumerate(("vx", "vy")) if states.shape[1] > 4}
+    return evaluate(Hypotheses(states[:, :4], further), LogWeights.uniform(len(states)).log)
+
+
+def _around_zero(count: int) -> Floats:
+    """(count,) whole numbers, the middle one 0."""
+    return np.arange(count) - (count - 1) / 2
+
+
+def _first(chosen: spec.Grid, sd: float) -> Floats:
+    """(V,) masses of a velocity of which only its sd in cells is known."""
+    size = chosen.velocity_cells
+    line = np.clip(spreading_matrix(size, 1.0, sd)[:, size // 2], 0.0, None)
+    return np.asarray(line / line.sum())

@@ -1,0 +1,27 @@
+"""The law of the grid belief: which motions its cells can hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from bayesnet_track.graph.messages import GraphMessage
+from bayesnet_track.graph.plate import Plate
+
+
+def grid_holds_the_motion(plate: Plate) -> Iterator[GraphMessage]:
+    """Cells cover position, velocity and scale: no acceleration, no change of aspect, no size noise in px."""
+    for name, node in plate.inference.items():
+        if node.belief is None or node.belief.grid is None or node.motion is None:
+            continue
+        kind, settings = node.motion.kind, node.motion.settings
+        if kind == "constant_acceleration":
+            found = "a grid has no cells for accelerations"
+            allowed = "random_walk, constant_velocity, damped_velocity"
+            yield plate.message(name, found, allowed, key=("motion", kind), on_key=True)
+        sized = [f"sd_px.{side}" for side in ("w", "h") if getattr(settings.sd_px, side) > 0]
+        if settings.sd_log.aspect > 0:
+            sized.append("sd_log.aspect")
+        if sized:
+            found = f"a grid has no cells for {', '.join(sized)}"
+            allowed = "size noise by sd_log.scale alone, or none"
+            yield plate.message(name, found, allowed, key=("motion", kind))
