@@ -72,12 +72,12 @@ class KinematicMotion:
         derivatives = rng.standard_normal((size, 2 * len(self.start_sd))) * np.repeat(self.start_sd, 2)
         return np.concatenate([boxes, derivatives], axis=1)
 
-    def propagate(self, states: Floats, dt: float, rng: np.random.Generator) -> Floats:
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
         """(D,) mean and (D, D) covariance of what `start` draws: the box, and derivatives around 0."""
         sds = np.concatenate([np.zeros(4), np.repeat(self.start_sd, 2)])
         return np.concatenate([box, np.zeros(len(sds) - 4)]).astype(np.float64), np.diag(sds**2)
 
+    def propagate(self, states: Floats, dt: float, rng: np.random.Generator) -> Floats:
         """(N, D) states after `dt` frame intervals; widths and heights stay at least 1 px."""
         new = self.drift(states, dt)
         if self.diffusion > 0:
