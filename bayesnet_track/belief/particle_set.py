@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, Motion, Stream
+from bayesnet_track.belief.need import Sized
 from bayesnet_track.cue import Hypotheses
 from bayesnet_track.numerics.divergence import uncertainty_deviation
 from bayesnet_track.numerics.log_weights import LogWeights
@@ -25,11 +26,13 @@ class ParticleSet:
         states: (N, D) float64, the box (x, y, w, h; centre, px) first.
         fields: names of the D columns.
         weights: their normalised log-weights.
+        sized: what an adaptive size remembers; None for a fixed one and at the start.
     """
 
     states: Floats
     fields: tuple[str, ...]
     weights: LogWeights
+    sized: Sized | None = None
 
     def __len__(self) -> int:
         return int(self.states.shape[0])

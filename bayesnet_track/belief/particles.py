@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, Motion, Report, Step, Stream
 from bayesnet_track.belief.map import map_index
+from bayesnet_track.belief.need import Sized
 from bayesnet_track.belief.particle_set import Inputs, ParticleSet, weighted_quantiles
 from bayesnet_track.belief.passes import Pass, prior_of
 from bayesnet_track.belief.sizes import first_pass, start_size
@@ -41,11 +42,13 @@ class ParticleFilter:
         that leaves no positive, finite weight is not used: the posterior is the predicted prior.
         """
         inputs = Inputs(prior, motion, dt, evaluate, stream)
-        whole, reports = first_pass(self.settings, inputs)
-        return concluded(inputs, whole, reports)
+        first = first_pass(self.settings, inputs)
+        return concluded(inputs, first.one, first.sized, first.reports)
 
 
-def concluded(inputs: Inputs, whole: Pass, reports: tuple[Report, ...] = ()) -> Step[ParticleSet]:
+def concluded(
+    inputs: Inputs, whole: Pass, sized: Sized | None = None, reports: tuple[Report, ...] = ()
+) -> Step[ParticleSet]:
     """The step that a frame's hypotheses, all passes joined, and their evidence come to."""
     beta, log_likelihood, degenerate = prior_of(whole), whole.evidence.log_likelihood, None
     try:
@@ -55,7 +58,7 @@ def concluded(inputs: Inputs, whole: Pass, reports: tuple[Report, ...] = ()) -> 
         weights, log_evidence, degenerate = beta, -np.inf, str(fault)
         log_likelihood = np.zeros(len(whole))
 
-    posterior = ParticleSet(whole.states, inputs.prior.fields, weights)
+    posterior = ParticleSet(whole.states, inputs.prior.fields, weights, sized)
     return Step(
         posterior=posterior,
         log_evidence=log_evidence,

@@ -1,13 +1,25 @@
-"""The first pass of a frame: how many hypotheses are drawn from the motion model, and from which parents."""
+"""The first pass of a frame: how many hypotheses are drawn from the motion model, and from which parents.
+
+An adaptive size draws as many as the last frame asked for, in two halves from independent streams. When a
+half finds that the frame asks for more, the *other* half is enlarged. Each half's number then depends on the
+last frame and the other half alone, so its mean likelihood has the frame's evidence as its mean, and so has
+the mean of the two: sum beta L with beta = 1 / (2 N_half). (A half that were enlarged on its own account
+would be biased: it grows when it happens to fit badly.) No hypothesis is thrown away, and no second
+evaluation is needed while frames ask for the same.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Report
+from bayesnet_track.belief.need import Need, Sized, need_of
 from bayesnet_track.belief.particle_set import Inputs, ParticleSet, hypotheses_of
-from bayesnet_track.belief.passes import Pass
+from bayesnet_track.belief.passes import Pass, joined
+from bayesnet_track.belief.resized import Sizing, begin_with, halved, report_of
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.resampling import resample
@@ -16,14 +28,31 @@ Floats = NDArray[np.float64]
 Ancestors = NDArray[np.intp]
 
 
+@dataclass(frozen=True, eq=False)
+class First:
+    """The first pass of a frame.
+
+    Attributes:
+        one: its hypotheses and their evidence.
+        sized: what an adaptive size remembers of it.
+        reports: what is to be told of their number.
+    """
+
+    one: Pass
+    sized: Sized | None = None
+    reports: tuple[Report, ...] = ()
+
+
 def start_size(settings: spec.Particles) -> int:
     """How many hypotheses a target starts with."""
-    return settings.size
+    return settings.size if isinstance(settings.size, int) else settings.least
 
 
-def first_pass(settings: spec.Particles, inputs: Inputs) -> tuple[Pass, tuple[Report, ...]]:
-    """Hypotheses drawn from the motion model with their evidence, and what is to be told of their number."""
-    return _fixed(settings, inputs, settings.size), ()
+def first_pass(settings: spec.Particles, inputs: Inputs) -> First:
+    """Hypotheses drawn from the motion model, with their evidence."""
+    if isinstance(settings.size, int):
+        return First(_fixed(settings, inputs, settings.size))
+    return _adaptive(settings, settings.size, inputs)
 
 
 def _fixed(settings: spec.Particles, inputs: Inputs, size: int) -> Pass:
@@ -33,6 +62,44 @@ def _fixed(settings: spec.Particles, inputs: Inputs, size: int) -> Pass:
     else:
         ancestors, beta = np.arange(len(prior)), prior.weights
     return evaluated(inputs, moved(inputs, ancestors, "propagate"), beta.log, ancestors)
+
+
+def _adaptive(settings: spec.Particles, size: spec.AdaptiveSize, inputs: Inputs) -> First:
+    low, high = settings.least, settings.most
+    before = inputs.prior.sized or Sized(low, low, Need(low, 0.0))
+    halves = halved(begin_with(before, low, high))
+    one = _drawn(settings, inputs, halves, "")
+    first, second = (_need(size, inputs, one, part) for part in (slice(halves[0]), slice(halves[0], None)))
+    sizing = Sizing(size, before, (first, second), low, high)
+    if any(sizing.more):
+        one = _enlarged(one, _drawn(settings, inputs, sizing.more, " more"), halves, sizing.more)
+    need = _need(size, inputs, one, slice(None))
+    if not sizing.is_notable:
+        return First(one, Sized(len(one), before.told, need))
+    return First(one, Sized(len(one), sizing.particles, need), (report_of(sizing),))
+
+
+def _need(size: spec.AdaptiveSize, inputs: Inputs, one: Pass, part: slice) -> Need:
+    likelihood = one.evidence.log_likelihood[part]
+    return need_of(size, one.states[part], inputs.prior.fields, one.prior_log[part], likelihood)
+
+
+def _drawn(settings: spec.Particles, inputs: Inputs, counts: tuple[int, int], again: str) -> Pass:
+    """One pass of two halves that share no random number."""
+    streams = [(f"{half}{again}", count) for half, count in zip(("", " half"), counts, strict=True) if count]
+    drawn = [parents(settings, inputs, count, f"resample{name}") for name, count in streams]
+    states = [moved(inputs, drawn[n], f"propagate{name}") for n, (name, _) in enumerate(streams)]
+    beta = LogWeights.uniform(sum(counts))
+    return evaluated(inputs, np.concatenate(states), beta.log, np.concatenate(drawn))
+
+
+def _enlarged(one: Pass, more: Pass, halves: tuple[int, int], counts: tuple[int, int]) -> Pass:
+    """Both passes as one, each half with half of the prior weight; the first alone where they do not join."""
+    whole = joined(one, more, 0.5)
+    if len(whole) == len(one):
+        return whole
+    log_beta = [-np.log(2.0 * (start + added)) for start, added in zip(halves, counts, strict=True)]
+    return replace(whole, prior_log=np.repeat(log_beta * 2, (*halves, *counts)))
 
 
 def must_resample(settings: spec.Particles, prior: ParticleSet) -> bool:

@@ -15,7 +15,11 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 from bayesnet_track.graph.grid_settings import Grid, Reset
 from bayesnet_track.graph.model import Choice, Empty, Model, Name, Number, Truth
 from bayesnet_track.graph.particle_settings import (
+    AdaptiveSize,
+    BinnedSize,
     EssBelow,
+    LikelihoodSize,
+    NormalSize,
     Particles,
 )
 from bayesnet_track.graph.settings import (
@@ -50,9 +54,11 @@ __all__ = [
     "LANGUAGE_VERSION",
     "Activate",
     "Adapt",
+    "AdaptiveSize",
     "AgentChoice",
     "AgentNode",
     "Belief",
+    "BinnedSize",
     "BoxSd",
     "Choice",
     "ConstantAcceleration",
@@ -69,6 +75,7 @@ __all__ = [
     "Latent",
     "Learn",
     "Level",
+    "LikelihoodSize",
     "LogSd",
     "Lost",
     "Model",
@@ -77,6 +84,7 @@ __all__ = [
     "Nearest",
     "Node",
     "Noise",
+    "NormalSize",
     "Particles",
     "PixelSd",
     "RandomWalk",

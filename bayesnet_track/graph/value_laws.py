@@ -7,6 +7,7 @@ from typing import Any
 
 from bayesnet_track.graph.grid_law import grid_holds_the_motion
 from bayesnet_track.graph.messages import GraphMessage
+from bayesnet_track.graph.particle_laws import sizes_in_order
 from bayesnet_track.graph.plate import Law, Plate
 from bayesnet_track.graph.spec import Level, Lost, Noise
 
@@ -128,6 +129,7 @@ VALUE_LAWS: tuple[Law, ...] = (
     thresholds_in_order,
     someone_is_active,
     learning_has_a_rule,
+    sizes_in_order,
     grid_holds_the_motion,
 )
 """These need no sound tree."""

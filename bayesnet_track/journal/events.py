@@ -130,6 +130,51 @@ class BeliefReset:
 
 
 @dataclass(frozen=True)
+class ParticlesResized:
+    """The number of hypotheses of an adaptive size is now a quarter above or below the one last written.
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        particles: the number of this frame.
+        before: the number that was last written, or the one at the start.
+        method: kld, kld_revised, kld_revised_simplified, asymptotic_normal or likelihood_sum.
+        need: the number that the method asked for, before rounding and bounds.
+        limit: what kept the number away from the need: max, min, or ess (too few effective hypotheses to
+            save any); empty when nothing did. With `early`, max may hold one half of the hypotheses only.
+        early: true when this frame's own evidence asked for more than the last frame's: more were drawn in
+            the same frame.
+        field: the field that asked for the most; empty for likelihood_sum.
+        ess: effective hypotheses of the sample that asked.
+        bins: occupied bins of the field, where the method counts them.
+        bin_px: width of a bin.
+        worth: hypotheses that are worth one drawn from the posterior; absent for likelihood_sum.
+        sd_px: sd of the field in the posterior, for asymptotic_normal.
+        setting: the setting that the number depends on: error, error_px, error_sd or threshold.
+        level: its value.
+        turning: its value at which the number would not have been written; null when no value is one.
+    """
+
+    frame: int
+    target: str
+    particles: int
+    before: int
+    method: str
+    need: float
+    limit: str
+    early: bool
+    field: str
+    ess: float
+    bins: int | None
+    bin_px: float | None
+    worth: float | None
+    sd_px: float | None
+    setting: str
+    level: float
+    turning: float | None
+
+
+@dataclass(frozen=True)
 class RunEnded:
     """Last line of a journal that was closed in order.
 
@@ -153,6 +198,7 @@ Event = (
     | SourceDamaged
     | DegenerateBelief
     | BeliefReset
+    | ParticlesResized
     | RunEnded
     | Decision
 )

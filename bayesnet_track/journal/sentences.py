@@ -21,6 +21,7 @@ from bayesnet_track.journal.events import (
     Event,
     FrameSizeChanged,
     FramesMissing,
+    ParticlesResized,
     RunEnded,
     RunStarted,
     SourceDamaged,
@@ -77,7 +78,7 @@ def _run_ended(event: RunEnded) -> str:
     return f"run {how} after {frames}: {event.reason.replace('_', ' ')}"
 
 
-def happened(event: Decision | DegenerateBelief | BeliefReset) -> str:
+def happened(event: Decision | DegenerateBelief | BeliefReset | ParticlesResized) -> str:
     """The sentence without the frame it happened in."""
     match event:
         case TargetStarted():
@@ -106,6 +107,8 @@ def happened(event: Decision | DegenerateBelief | BeliefReset) -> str:
             return f"{event.node} failed: {event.reason} → out for the rest of the run"
         case StatusChanged():
             return _status(event)
+        case ParticlesResized():
+            return _resized(event)
         case BeliefReset():
             return _reset(event)
         case _:
@@ -142,6 +145,36 @@ def _reset(event: BeliefReset) -> str:
     )
     turning = _rounded(event.gamma, _digits(event.gamma, event.below), up=False)
     return f"γ {gamma} < {below} over {over} ({event.region_px2:.0f} px²) → {then}; not at below ≤ {turning}"
+
+
+def _resized(event: ParticlesResized) -> str:
+    settings = f"{event.method}, {event.setting} {event.level:g}"
+    by = "this frame's evidence" if event.early else "the last frame's evidence"
+    asked = f"{_why_so_many(event)}: {by} asks for {event.need:.0f} hypotheses ({settings})"
+    held = {"max": ", held by max", "min": ", held by min", "ess": ", too few effective to save any"}
+    number = f"{event.particles}{held.get(event.limit, '')}, {event.before} before"
+    return f"{asked} → {number}{_not_resized(event)}"
+
+
+def _why_so_many(event: ParticlesResized) -> str:
+    """The numbers that the need was computed from."""
+    parts = []
+    if event.bins is not None and event.bin_px is not None:
+        parts.append(f"{event.field} spans {_plural(event.bins, 'bin')} of {event.bin_px:g} px")
+    if event.sd_px is not None:
+        parts.append(f"{event.field} has an sd of {event.sd_px:.3g} px")
+    if event.worth is not None and event.method != "kld":
+        parts.append(f"{event.worth:.3g} hypotheses are worth one of the posterior's")
+    return ", ".join([*parts, f"{event.ess:.0f} effective"])
+
+
+def _not_resized(event: ParticlesResized) -> str:
+    """What would have prevented it: a larger error asks for fewer, a larger threshold for more."""
+    if event.turning is None:
+        return ""
+    up = (event.particles > event.before) == (event.setting != "threshold")
+    turning = _rounded(event.turning, _digits(event.turning, event.level), up)
+    return f"; would have stayed near {event.before} at {event.setting} {'≥' if up else '≤'} {turning}"
 
 
 def _chosen_among(event: Deactivated) -> str:

@@ -49,6 +49,24 @@ def _choice(bare: list[str], **settings: Any) -> st.SearchStrategy[Any]:
     return st.one_of(*([st.sampled_from(bare)] if bare else []), *keyed)
 
 
+def _adaptive_sizes(positive: st.SearchStrategy[float]) -> st.SearchStrategy[Any]:
+    """Every way to let the number of hypotheses follow the evidence."""
+    confidence = st.floats(min_value=0.5, max_value=1, exclude_max=True)
+    further = {
+        "confidence": confidence,
+        "fields": st.lists(st.sampled_from("xywh"), min_size=1, max_size=4),
+    }
+    binned = _mapping({"bin_px": positive}, {"error": positive, **further})
+    return _choice(
+        [],
+        kld=binned,
+        kld_revised=binned,
+        kld_revised_simplified=binned,
+        asymptotic_normal=_mapping({"error_px": positive}, further),
+        likelihood_sum=_mapping({"threshold": positive}, {}),
+    )
+
+
 def _graphs() -> st.SearchStrategy[dict[str, Any]]:
     names = st.from_regex(r"[A-Za-z][A-Za-z0-9_]{0,8}", fullmatch=True)
     positive = st.floats(min_value=1e-300, max_value=1e300) | st.integers(1, 1000)
@@ -80,7 +98,9 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
     )
     schemes = st.sampled_from(["systematic", "stratified", "residual", "multinomial"])
     when = st.just("every_frame") | _mapping({"ess_below": share | st.just(1)}, {})
-    particles = _mapping({}, {"size": st.integers(2, 1_000_000), "resample": schemes, "when": when})
+    counts = st.integers(100, 1_000_000)
+    sizes = st.integers(2, 1_000_000) | _adaptive_sizes(positive)
+    particles = _mapping({}, {"size": sizes, "min": counts, "max": counts, "resample": schemes, "when": when})
     empty = st.just({})
     window = _mapping({}, {"box": positive})
     estimate = _choice(
@@ -162,7 +182,13 @@ def everything() -> dict[str, Any]:
     noise = {"sd_px": {"x": 1.5}, "sd_box": {"y": 0.1}, "sd_log": {"scale": 0.02}}
     nodes = {
         "a": {
-            "belief": {"particles": {"size": 9, "resample": "residual", "when": {"ess_below": 0.5}}},
+            "belief": {
+                "particles": {
+                    "size": {"kld": {"bin_px": 5}},
+                    "resample": "residual",
+                    "when": {"ess_below": 0.5},
+                }
+            },
             "motion": {"random_walk": {**noise, "wide": {"share": 0.5, "factor": 4}}},
             "estimate": {"robust_mean": {"box": 0.1}},
             "fuse": "product",
@@ -172,8 +198,16 @@ def everything() -> dict[str, Any]:
         },
         "b": {"parent": "a", "fuse": {"latent": {"given": noise, "draw": "kernel"}}, "ud_fields": ["x"]},
         "c": {"parent": "a", "fuse": {"pool": {"d": 1, "e": 0.1}}, "motion": {"constant_velocity": noise}},
-        "f": {"motion": {"damped_velocity": {"damping": 0.5}}, "estimate": "mean"},
-        "g": {"motion": {"constant_acceleration": {"sd_acceleration_px": 2}}, "fuse": "pool"},
+        "f": {
+            "motion": {"damped_velocity": {"damping": 0.5}},
+            "estimate": "mean",
+            "belief": {"particles": {"size": {"asymptotic_normal": {"error_px": 2}}, "min": 100, "max": 900}},
+        },
+        "g": {
+            "motion": {"constant_acceleration": {"sd_acceleration_px": 2}},
+            "fuse": "pool",
+            "belief": {"particles": {"size": {"likelihood_sum": {"threshold": 20}}}},
+        },
         "d": {"parent": "c", "agent": {"hue": {"bins": 16, "window": [5, 5]}}, "learn_rate_max": 0},
         "e": {"parent": "c", "agent": "motion", "active": False, "self_check": {"above": level, "rest": 7}},
     }

@@ -22,6 +22,7 @@ from bayesnet_track.journal.events import (
     FrameMetrics,
     FrameSizeChanged,
     FramesMissing,
+    ParticlesResized,
     RunEnded,
     RunStarted,
     SourceDamaged,
@@ -114,6 +115,40 @@ GOLDEN = [
     (
         DegenerateBelief(12, "1", "all weights are 0"),
         "frame 12: no hypothesis of target 1 can be used: all weights are 0; the prediction stays",
+    ),
+    (
+        ParticlesResized(
+            *(30, "1", 798, 256, "kld_revised", 797.2, "", True),
+            *("x", 12.0, 15, 4.0, 7.47, None, "error", 0.1, 0.2491),
+        ),
+        "frame 30: x spans 15 bins of 4 px, 7.47 hypotheses are worth one of the posterior's, "
+        "12 effective: this frame's evidence asks for 797 hypotheses (kld_revised, error 0.1) "
+        "→ 798, 256 before; would have stayed near 256 at error ≥ 0.25",
+    ),
+    (
+        ParticlesResized(
+            *(31, "1", 500, 900, "kld", 40.0, "min", False),
+            *("y", 60.0, 1, 10.0, 1.0, None, "error", 0.1, None),
+        ),
+        "frame 31: y spans 1 bin of 10 px, 60 effective: the last frame's evidence asks for 40 hypotheses "
+        "(kld, error 0.1) → 500, held by min, 900 before",
+    ),
+    (
+        ParticlesResized(
+            *(32, "1", 5000, 900, "asymptotic_normal", 9e3, "max", False),
+            *("x", 60.0, None, None, 2.0, 7.7, "error_px", 0.5, 1.4173),
+        ),
+        "frame 32: x has an sd of 7.7 px, 2 hypotheses are worth one of the posterior's, 60 effective: "
+        "the last frame's evidence asks for 9000 hypotheses (asymptotic_normal, error_px 0.5) "
+        "→ 5000, held by max, 900 before; would have stayed near 900 at error_px ≥ 1.418",
+    ),
+    (
+        ParticlesResized(
+            *(33, "1", 300, 200, "likelihood_sum", 90.0, "ess", True),
+            *("", 4.0, None, None, None, None, "threshold", 30.0, 20.06),
+        ),
+        "frame 33: 4 effective: this frame's evidence asks for 90 hypotheses (likelihood_sum, threshold 30) "
+        "→ 300, too few effective to save any, 200 before; would have stayed near 200 at threshold ≤ 20",
     ),
     (
         FramesMissing(50, 3.0),

@@ -1,0 +1,157 @@
+"""The decision on a frame's number of hypotheses: from what was asked for to a number, and to its report."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from bayesnet_track.belief.contract import Report
+from bayesnet_track.belief.need import Need, Sized
+from bayesnet_track.graph.particle_settings import AdaptiveSize
+from bayesnet_track.journal.events import ParticlesResized
+
+ENLARGED = 1.25
+"""A half is enlarged when it is asked for this many times its number: a second evaluation costs time."""
+
+NOTABLE = 1.25
+"""A number is written down when it is this factor above or below the one that was written last."""
+
+
+@dataclass(frozen=True)
+class Sizing:
+    """All that one frame's number of hypotheses depends on.
+
+    Attributes:
+        size: the method.
+        before: the last frame.
+        needs: what each half of this frame's first hypotheses asked for.
+        low: the least number.
+        high: the largest number.
+    """
+
+    size: AdaptiveSize
+    before: Sized
+    needs: tuple[Need, Need]
+    low: int
+    high: int
+
+    @property
+    def begin(self) -> int:
+        """Hypotheses drawn before this frame is looked at: what the last one asked for."""
+        return begin_with(self.before, self.low, self.high)
+
+    @property
+    def halves(self) -> tuple[int, int]:
+        """How many of them are in each half."""
+        return halved(self.begin)
+
+    @property
+    def more(self) -> tuple[int, int]:
+        """By how many each half is enlarged: a function of the other half's need, never of its own."""
+        first, second = self.halves
+        most_first, most_second = halved(self.high)
+        return (
+            self._enlarged(self.needs[1], most_first, first) - first,
+            self._enlarged(self.needs[0], most_second, second) - second,
+        )
+
+    @property
+    def particles(self) -> int:
+        """This frame's number."""
+        return self.begin + sum(self.more)
+
+    @property
+    def is_notable(self) -> bool:
+        """True when the number has moved away from the one that was last written down."""
+        return not self.before.told / NOTABLE <= self.particles <= self.before.told * NOTABLE
+
+    @property
+    def cause(self) -> Need:
+        """What brought the number about: this frame's needs where it was enlarged, else the last frame's."""
+        if not any(self.more):
+            return self.before.need
+        mean = (self.needs[0].particles + self.needs[1].particles) / 2
+        larger = max(self.needs, key=lambda need: need.particles)
+        return replace(larger, particles=mean, ess=self.needs[0].ess + self.needs[1].ess)
+
+    def _enlarged(self, need: Need, most: int, count: int) -> int:
+        asked = need.asks(self.begin)
+        return count if asked <= ENLARGED * self.begin else max(count, min(most, math.ceil(asked / 2)))
+
+    def scaled(self, factor: float) -> Sizing:
+        """As if `factor` times as many had been asked for, in both frames."""
+        first, second = (_scaled(need, factor) for need in self.needs)
+        before = replace(self.before, need=_scaled(self.before.need, factor))
+        return replace(self, before=before, needs=(first, second))
+
+
+def _scaled(need: Need, factor: float) -> Need:
+    return replace(need, particles=factor * need.particles)
+
+
+def begin_with(before: Sized, low: int, high: int) -> int:
+    """The number that a frame begins with: what the last one asked for, rounded up and kept in bounds."""
+    asked = before.need.asks(before.drawn)
+    return low if asked <= low else high if asked >= high else math.ceil(asked)
+
+
+def halved(count: int) -> tuple[int, int]:
+    """Two halves of a whole number, the first the larger one."""
+    return count - count // 2, count // 2
+
+
+def report_of(sizing: Sizing) -> Report:
+    """The event that says which number became which, and why."""
+    cause, (setting, level) = sizing.cause, sizing.size.tolerance
+    return lambda frame, target: ParticlesResized(
+        frame=frame,
+        target=target,
+        particles=sizing.particles,
+        before=sizing.before.told,
+        method=sizing.size.kind,
+        need=cause.particles,
+        limit=limit_of(sizing),
+        early=any(sizing.more),
+        field=cause.field,
+        ess=cause.ess,
+        bins=cause.bins,
+        bin_px=getattr(sizing.size.settings, "bin_px", None),
+        worth=cause.worth,
+        sd_px=cause.sd_px,
+        setting=setting,
+        level=level,
+        turning=turning_of(sizing),
+    )
+
+
+def limit_of(sizing: Sizing) -> str:
+    """What kept the number away from the need: max, min, ess (too few effective to save any), or nothing."""
+    need, particles = sizing.cause, sizing.particles
+    if need.particles > particles:
+        return "max"
+    if need.particles > particles - 2:  # each half is rounded up
+        return ""
+    return "min" if particles == sizing.low else "ess"
+
+
+def turning_of(sizing: Sizing) -> float | None:
+    """The value of the setting at which the number would not have moved notably; None when no value is it."""
+    told, has_risen = sizing.before.told, sizing.particles > sizing.before.told
+
+    def stays(log_factor: float) -> bool:
+        particles = sizing.scaled(math.exp(log_factor)).particles
+        return particles <= told * NOTABLE if has_risen else particles >= told / NOTABLE
+
+    kept, moves = (-_WIDEST if has_risen else _WIDEST), 0.0
+    if not stays(kept):
+        return None
+    for _ in range(_HALVINGS):
+        middle = (kept + moves) / 2
+        kept, moves = (middle, moves) if stays(middle) else (kept, middle)
+    setting, level = sizing.size.tolerance
+    power = {"error": -1.0, "threshold": 1.0}.get(setting, -0.5)  # N is proportional to setting^(1 / power)
+    return level * math.exp(power * kept)
+
+
+_WIDEST = math.log(1e6)
+_HALVINGS = 50
