@@ -253,5 +253,5 @@ CUE = CueDeclaration(
     summary="silhouette inside the box against a shape model",
     parameters=ShapeParameters,
     make=_make,
-    cost_ms=20.0,
+    cost_ms=11.0,
 )
