@@ -17,6 +17,7 @@ from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.noise import (
     Transition,
     box_coordinates,
+    boxes_at,
     component_log_shares,
     component_variances,
     is_log,
@@ -145,19 +146,34 @@ class KinematicMotion:
             variances = np.concatenate([variances, further], axis=2)
             keep += [True] * (2 * self.order - 2)
 
-        def coordinates(states: Floats) -> tuple[Floats, Floats]:
+        def all_coordinates(states: Floats) -> tuple[Floats, Floats]:
             points, log_jacobian = box_coordinates(self.noise, states[:, :4])
             if unmix is not None:
                 mixed = _chains(states) @ unmix.T
                 points[:, :2] = mixed[:, :2]
                 points = np.concatenate([points, mixed[:, 2:]], axis=1)
+            return points, log_jacobian
+
+        def coordinates(states: Floats) -> tuple[Floats, Floats]:
+            points, log_jacobian = all_coordinates(states)
             return points[:, keep], log_jacobian
+
+        def states_at(points: Floats, still: Floats) -> Floats:
+            full = all_coordinates(still)[0]
+            full[:, keep] = points
+            states = still.copy()
+            if unmix is not None:
+                chains = np.concatenate([full[:, :2], full[:, 4:]], axis=1) @ np.linalg.inv(unmix).T
+                full[:, :2], states[:, 4:] = chains[:, :2], chains[:, 2:]
+            states[:, :4] = boxes_at(self.noise, full[:, :4])
+            return states
 
         return Transition(
             coordinates,
             coordinates(mean)[0],
             np.sqrt(variances[:, :, keep]),
             component_log_shares(self.noise),
+            states_at,
         )
 
 
