@@ -67,7 +67,7 @@ def kld(bins: float, error: float, confidence: float) -> float:
     one bin says nothing that a sample could get wrong.
 
     >>> round(kld(72, 0.01, 0.95)), kld(1, 0.01, 0.95)
-    (4584, 0.0)
+    (4583, 0.0)
     """
     return chi_square_quantile(bins - 1, confidence) / (2.0 * error) if bins > 1 else 0.0
 
