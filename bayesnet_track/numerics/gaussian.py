@@ -1,0 +1,160 @@
+"""Gaussians: their roots, samples and quantiles, the linear update of one, and moments of weighted points."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+ALONE = 1e-12
+"""A field whose variance is less than this share of it when the fields before are known follows from them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Updated:
+    """A Gaussian after a measurement.
+
+    Attributes:
+        mean: (D,).
+        covariance: (D, D), symmetric.
+        d2: squared Mahalanobis distance of the innovation.
+        log_likelihood: log of the prior's mean of exp(-e' R^-1 e / 2), e the measurement's error: 0 for a
+            measurement of unlimited width. The density of the measurement is this over sqrt(|2 pi R|).
+    """
+
+    mean: Floats
+    covariance: Floats
+    d2: float
+    log_likelihood: float
+
+
+def symmetric(matrix: Floats) -> Floats:
+    """(D, D) the mean of a matrix and its transpose."""
+    return np.asarray(0.5 * (matrix + matrix.T))
+
+
+def root(covariance: Floats) -> Floats:
+    """(D, K) A with A A' = covariance, K its rank: Cholesky's, without columns that would be 0.
+
+    The first axis is along the first field and what it predicts of the others, and so on.
+
+    >>> root(np.diag([4.0, 0.0])).tolist()
+    [[2.0], [0.0]]
+    """
+    sds = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    size = len(sds)
+    # Of the correlations: px and px per frame may differ by orders of magnitude.
+    scale = np.where(sds > 0, sds, 1.0)
+    rest = covariance / np.outer(scale, scale)
+    columns = []
+    for k in range(size):
+        if rest[k, k] > ALONE:
+            columns.append(rest[:, k] / math.sqrt(rest[k, k]))
+            rest = rest - np.outer(columns[-1], columns[-1])
+    lower = np.array(columns).reshape(-1, size).T
+    return np.asarray(scale[:, None] * lower)
+
+
+def linear_update(
+    mean: Floats, covariance: Floats, innovation: Floats, observe: Floats, noise: Floats
+) -> Updated:
+    """The Kalman update, covariance in Joseph's form: a sum of squares, so that it stays positive.
+
+    Args:
+        mean: (D,) before.
+        covariance: (D, D) before.
+        innovation: (K,) measured less expected.
+        observe: (K, D) H, what is measured of a state.
+        noise: (K, K) R of the measurement, positive definite.
+    """
+    across = covariance @ observe.T
+    expected = symmetric(observe @ across + noise)
+    gain = np.linalg.solve(expected, across.T).T
+    kept = np.eye(len(mean)) - gain @ observe
+    d2, log_likelihood = innovation_likelihood(innovation, expected, noise)
+    after = symmetric(kept @ covariance @ kept.T + gain @ noise @ gain.T)
+    return Updated(mean + gain @ innovation, after, d2, log_likelihood)
+
+
+def innovation_likelihood(innovation: Floats, expected: Floats, noise: Floats) -> tuple[float, float]:
+    """d^2 of an innovation (K,) of covariance S, and log sqrt(|R| / |S|) - d^2 / 2."""
+    d2 = float(innovation @ np.linalg.solve(expected, innovation))
+    log_ratio = np.linalg.slogdet(noise)[1] - np.linalg.slogdet(expected)[1]
+    return d2, 0.5 * float(log_ratio) - 0.5 * d2
+
+
+# ------------------------------------------------------------------------------------ points
+
+
+def standard_normals(size: int, width: int, rng: np.random.Generator) -> Floats:
+    """(size, width) draws whose mean is 0 and whose covariance (divisor `size`) is the identity exactly.
+
+    Antithetic pairs, so that every odd moment vanishes (an odd `size` has one draw at 0), then whitened.
+
+    Raises:
+        ValueError: fewer than 2 (width + 1) draws, which might not span the space.
+    """
+    if size < 2 * (width + 1):
+        raise ValueError(f"{size} draws cannot stand for {width} dimensions; at least {2 * (width + 1)}")
+    half = rng.standard_normal((size // 2, width))
+    points = np.concatenate([half, -half, np.zeros((size % 2, width))])
+    lower = np.linalg.cholesky(points.T @ points / size)
+    return np.asarray(np.linalg.solve(lower, points.T).T)
+
+
+def sigma_points(width: int, scale: float) -> Floats:
+    """(2 width + 1, width) the points of the unscented transform: 0 and +-sqrt(scale) on each axis."""
+    away = math.sqrt(scale) * np.eye(width)
+    return np.concatenate([np.zeros((1, width)), away, -away])
+
+
+def weighted_moments(points: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """(D,) mean and (D, D) covariance of points (N, D) of weights (N,) that sum to 1."""
+    mean = weights @ points
+    away = points - mean
+    return np.asarray(mean), np.asarray((away * weights[:, None]).T @ away)
+
+
+# ------------------------------------------------------------------------------------ chi-square
+
+
+def chi_square_cdf(x: float, degrees: int) -> float:
+    """Probability that a chi-square variable of whole `degrees` of freedom is at most x.
+
+    Q(a + 1, y) = Q(a, y) + y^a e^-y / Gamma(a + 1), from Q(1/2, y) = erfc(sqrt y) or Q(1, y) = e^-y.
+
+    >>> round(chi_square_cdf(9.2103, 2), 4)
+    0.99
+    """
+    if x <= 0:
+        return 0.0
+    y = x / 2
+    a = 0.5 if degrees % 2 else 1.0
+    above = math.erfc(math.sqrt(y)) if degrees % 2 else math.exp(-y)
+    while a < degrees / 2:
+        above += math.exp(a * math.log(y) - y - math.lgamma(a + 1))
+        a += 1
+    return 1.0 - above
+
+
+@lru_cache(maxsize=64)
+def chi_square_quantile(share: float, degrees: int) -> float:
+    """x below which a chi-square variable of `degrees` of freedom lies with probability `share`, by halving.
+
+    >>> round(chi_square_quantile(0.95, 1), 4)
+    3.8415
+    """
+    if share >= 1:
+        return math.inf
+    low, high = 0.0, 1.0
+    while chi_square_cdf(high, degrees) < share:
+        high *= 2.0
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if chi_square_cdf(middle, degrees) < share else (low, middle)
+    return 0.5 * (low + high)
