@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bayesnet_track.belief.contract import Belief, Motion
+from bayesnet_track.belief.gaussian import GaussianFilter
 from bayesnet_track.belief.grid import GridFilter
 from bayesnet_track.belief.motion import make_motion
 from bayesnet_track.belief.particles import ParticleFilter
@@ -59,15 +60,33 @@ class Engine:
 
 
 def make_engine(
-    graph: CheckedGraph, seed: int = 0, cues: Mapping[str, CueDeclaration] | None = None
+    graph: CheckedGraph,
+    seed: int = 0,
+    cues: Mapping[str, CueDeclaration] | None = None,
+    motion: Mapping[str, Motion] | None = None,
 ) -> Engine:
-    """Load the cues of `graph` and make it ready to run."""
+    """Load the cues of `graph` and make it ready to run.
+
+    `motion` maps plates to motion models of one's own, such as `belief.functions.FunctionMotion`, in place of
+    the graph's: what the language cannot say. The log does not hold them.
+
+    Raises:
+        ValueError: `motion` names a plate that the graph does not have.
+    """
     declarations = installed_cues() if cues is None else cues
-    machinery = {name: _make_machinery(plate, declarations) for name, plate in graph.targets.items()}
+    own = {} if motion is None else motion
+    unknown = [name for name in own if name not in graph.targets]
+    if unknown:
+        raise ValueError(f"motion for {unknown[0]!r}; the graph has {', '.join(graph.targets)}")
+    machinery = {
+        name: _make_machinery(plate, declarations, own.get(name)) for name, plate in graph.targets.items()
+    }
     return Engine(machinery, Streams(seed))
 
 
-def _make_machinery(plate: CheckedTarget, declarations: Mapping[str, CueDeclaration]) -> Machinery:
+def _make_machinery(
+    plate: CheckedTarget, declarations: Mapping[str, CueDeclaration], own: Motion | None
+) -> Machinery:
     root = plate.inference(plate.root)
     of = {agent: declarations[plate.agent(agent).agent.cue] for agent in plate.agents}
     made = {agent: of[agent].make(plate.parameters[agent]) for agent in plate.agents}
@@ -76,7 +95,7 @@ def _make_machinery(plate: CheckedTarget, declarations: Mapping[str, CueDeclarat
         plate=plate,
         cues=made,
         belief=make_belief(root.belief),
-        motion=make_motion(root.motion),
+        motion=make_motion(root.motion) if own is None else own,
         costs_ms={agent: of[agent].cost_ms for agent in plate.agents},
         rate_max={agent: _rate_max(plate, agent, of[agent], root.learn) for agent in plate.agents},
         adaptable=frozenset(agent for agent, cue in made.items() if isinstance(cue, LocallyAdaptable)),
@@ -90,6 +109,8 @@ def make_belief(chosen: spec.Belief | None) -> Belief[Any]:
     match settings:
         case spec.Particles():
             return ParticleFilter(settings)
+        case spec.Gaussian():
+            return GaussianFilter(settings)
         case spec.Grid():
             return GridFilter(settings)
     raise TypeError(f"no belief for {type(settings).__name__}")

@@ -42,22 +42,29 @@ class Confined:
 
     def propagate(self, states: Floats, dt: float, rng: np.random.Generator) -> Floats:
         """As the model, then confined."""
-        return self._confined(self.motion.propagate(states, dt, rng))
+        return self.confined(self.motion.propagate(states, dt, rng))
 
     def drift(self, states: Floats, dt: float) -> Floats:
         """As the model, then confined."""
-        return self._confined(self.motion.drift(states, dt))
+        return self.confined(self.motion.drift(states, dt))
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """As the model."""
         return self.motion.linearise(state, dt)
 
-    def _confined(self, moved: Floats) -> Floats:
+    def confined(self, moved: Floats) -> Floats:
+        """`moved` (N, D), changed in place: centres on the image, sizes of 1 px to twice the image's."""
         np.clip(moved[:, 0], 0.0, self.width - 1.0, out=moved[:, 0])
         np.clip(moved[:, 1], 0.0, self.height - 1.0, out=moved[:, 1])
         np.clip(moved[:, 2], 1.0, 2.0 * self.width, out=moved[:, 2])
         np.clip(moved[:, 3], 1.0, 2.0 * self.height, out=moved[:, 3])
         return moved
+
+    def spread_limit(self, mean: Floats) -> Floats:
+        """(4,) root mean square distance from the state `mean` (D,) of a box that may be anywhere."""
+        low = np.array([0.0, 0.0, 1.0, 1.0])
+        high = np.array([self.width - 1.0, self.height - 1.0, 2.0 * self.width, 2.0 * self.height])
+        return np.asarray(np.sqrt((high - low) ** 2 / 12 + (mean[:4] - (low + high) / 2) ** 2))
 
     def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
         """As the model."""

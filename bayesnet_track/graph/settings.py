@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
 
+from bayesnet_track.graph.gaussian_settings import Gaussian
 from bayesnet_track.graph.grid_settings import Grid
 from bayesnet_track.graph.model import (
     Choice,
@@ -124,6 +125,9 @@ class Belief(Choice):
     """How the belief is represented."""
 
     particles: Particles | None = Field(default=None, description="a weighted set of hypotheses")
+    gaussian: Gaussian | None = Field(
+        default=None, description="one mean and one covariance: Kalman, extended, unscented"
+    )
     grid: Grid | None = Field(default=None, description="a discrete distribution over cells")
 
 

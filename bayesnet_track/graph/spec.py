@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
+from bayesnet_track.graph.gaussian_settings import Gaussian, Unscented
 from bayesnet_track.graph.grid_settings import Grid, Reset
 from bayesnet_track.graph.model import Choice, Empty, Model, Name, Number, Truth
 from bayesnet_track.graph.particle_settings import (
@@ -69,6 +70,7 @@ __all__ = [
     "EssBelow",
     "Estimate",
     "Fuse",
+    "Gaussian",
     "GraphSpec",
     "Grid",
     "InferenceNode",
@@ -91,6 +93,7 @@ __all__ = [
     "Reset",
     "SelfCheck",
     "Target",
+    "Unscented",
     "Wide",
     "Window",
 ]

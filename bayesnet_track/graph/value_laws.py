@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from bayesnet_track.graph.gaussian_law import kalman_moves_linearly
 from bayesnet_track.graph.grid_law import grid_holds_the_motion
 from bayesnet_track.graph.messages import GraphMessage
 from bayesnet_track.graph.particle_laws import sizes_in_order
@@ -130,6 +131,7 @@ VALUE_LAWS: tuple[Law, ...] = (
     someone_is_active,
     learning_has_a_rule,
     sizes_in_order,
+    kalman_moves_linearly,
     grid_holds_the_motion,
 )
 """These need no sound tree."""

@@ -175,6 +175,34 @@ class ParticlesResized:
 
 
 @dataclass(frozen=True)
+class MeasurementGated:
+    """A Gaussian belief did not use what an agent measured: it lies too far from the prediction.
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        node: the agent that measured, or the latent node that summed up its agents.
+        d2: squared Mahalanobis distance of the measurement from the prediction.
+        limit: largest that is used: the chi-square quantile of `gate`.
+        gate: share of right measurements that the gate lets pass.
+        degrees: number of fields measured, the degrees of freedom of chi-square.
+        turning: gate from which on it would have been used; 1 when only no gate would.
+        used: measurements of the same frame that were used; with 0 and no other evidence the belief is
+            only predicted.
+    """
+
+    frame: int
+    target: str
+    node: str
+    d2: float
+    limit: float
+    gate: float
+    degrees: int
+    turning: float
+    used: int
+
+
+@dataclass(frozen=True)
 class RunEnded:
     """Last line of a journal that was closed in order.
 
@@ -197,6 +225,7 @@ Event = (
     | FrameSizeChanged
     | SourceDamaged
     | DegenerateBelief
+    | MeasurementGated
     | BeliefReset
     | ParticlesResized
     | RunEnded

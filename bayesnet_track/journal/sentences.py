@@ -21,6 +21,7 @@ from bayesnet_track.journal.events import (
     Event,
     FrameSizeChanged,
     FramesMissing,
+    MeasurementGated,
     ParticlesResized,
     RunEnded,
     RunStarted,
@@ -78,7 +79,7 @@ def _run_ended(event: RunEnded) -> str:
     return f"run {how} after {frames}: {event.reason.replace('_', ' ')}"
 
 
-def happened(event: Decision | DegenerateBelief | BeliefReset | ParticlesResized) -> str:
+def happened(event: Decision | DegenerateBelief | MeasurementGated | BeliefReset | ParticlesResized) -> str:
     """The sentence without the frame it happened in."""
     match event:
         case TargetStarted():
@@ -107,6 +108,8 @@ def happened(event: Decision | DegenerateBelief | BeliefReset | ParticlesResized
             return f"{event.node} failed: {event.reason} → out for the rest of the run"
         case StatusChanged():
             return _status(event)
+        case MeasurementGated():
+            return _gated(event)
         case ParticlesResized():
             return _resized(event)
         case BeliefReset():
@@ -175,6 +178,20 @@ def _not_resized(event: ParticlesResized) -> str:
     up = (event.particles > event.before) == (event.setting != "threshold")
     turning = _rounded(event.turning, _digits(event.turning, event.level), up)
     return f"; would have stayed near {event.before} at {event.setting} {'≥' if up else '≤'} {turning}"
+
+
+def _gated(event: MeasurementGated) -> str:
+    d2, limit = _told_apart(event.d2, event.limit)
+    of = _plural(event.degrees, "degree")
+    then = "" if event.used else "; nothing else was measured near the prediction"
+    # Rounded up, so that the gate named does let it pass.
+    digits = min(max(2, math.ceil(-math.log10(max(1.0 - event.turning, 1e-300)))), 12)
+    turning = math.ceil(event.turning * 10.0**digits) / 10.0**digits
+    gate = f"gate ≥ {turning:.12g}" if turning < 1 else "gate: 1"
+    return (
+        f"{event.node} measured d² {d2} > {limit} from the prediction (gate {event.gate:g}, {of} of freedom) "
+        f"→ not used{then}; would have been used at {gate}"
+    )
 
 
 def _chosen_among(event: Deactivated) -> str:

@@ -7,6 +7,7 @@ from os import PathLike
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.belief.contract import Motion
 from bayesnet_track.engine import Engine, Outcome, State, make_engine, start_target, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.load import load_graph
@@ -26,6 +27,7 @@ class Tracker:
     Args:
         graph: name of a graph that is installed ("general"), path of a YAML file, or a graph in Python.
         seed: seed of all random streams.
+        motion: a motion model of one's own in place of the graph's, such as `FunctionMotion`.
 
     Example::
 
@@ -36,10 +38,15 @@ class Tracker:
     """
 
     def __init__(
-        self, graph: str | PathLike[str] | GraphSpec | CheckedGraph = "general", seed: int = 0
+        self,
+        graph: str | PathLike[str] | GraphSpec | CheckedGraph = "general",
+        seed: int = 0,
+        motion: Motion | None = None,
     ) -> None:
         self._graph = load_graph(graph)
-        self._engine: Engine = make_engine(self._graph, seed)
+        plate = next(iter(self._graph.targets))
+        own = None if motion is None else {plate: motion}
+        self._engine: Engine = make_engine(self._graph, seed, motion=own)
         self._state: State | None = None
         self._next_index = 0
         self._last: Outcome | None = None

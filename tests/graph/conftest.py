@@ -101,6 +101,17 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
     counts = st.integers(100, 1_000_000)
     sizes = st.integers(2, 1_000_000) | _adaptive_sizes(positive)
     particles = _mapping({}, {"size": sizes, "min": counts, "max": counts, "resample": schemes, "when": when})
+    spread = st.floats(min_value=1e-6, max_value=9)
+    gaussian = _mapping(
+        {},
+        {
+            "filter": st.sampled_from(["kalman", "extended", "unscented"]),
+            "likelihood": st.sampled_from(["samples", "sigma_points"]),
+            "samples": st.integers(20, 1_000_000),
+            "gate": share | st.just(1),
+            "sigma": _mapping({}, {"alpha": spread, "beta": spread | st.just(0), "kappa": spread}),
+        },
+    )
     empty = st.just({})
     window = _mapping({}, {"box": positive})
     estimate = _choice(
@@ -126,7 +137,7 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
         {},
         {
             "parent": names,
-            "belief": _choice(["particles"], particles=particles),
+            "belief": _choice(["particles", "gaussian"], particles=particles, gaussian=gaussian),
             "motion": motion,
             "estimate": estimate,
             "fuse": fuse,
@@ -197,7 +208,12 @@ def everything() -> dict[str, Any]:
             "lost": {"frames": 9},
         },
         "b": {"parent": "a", "fuse": {"latent": {"given": noise, "draw": "kernel"}}, "ud_fields": ["x"]},
-        "c": {"parent": "a", "fuse": {"pool": {"d": 1, "e": 0.1}}, "motion": {"constant_velocity": noise}},
+        "c": {
+            "parent": "a",
+            "fuse": {"pool": {"d": 1, "e": 0.1}},
+            "motion": {"constant_velocity": noise},
+            "belief": {"gaussian": {"filter": "unscented", "sigma": {"alpha": 0.5, "kappa": 1}}},
+        },
         "f": {
             "motion": {"damped_velocity": {"damping": 0.5}},
             "estimate": "mean",

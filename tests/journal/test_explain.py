@@ -22,6 +22,7 @@ from bayesnet_track.journal.events import (
     FrameMetrics,
     FrameSizeChanged,
     FramesMissing,
+    MeasurementGated,
     ParticlesResized,
     RunEnded,
     RunStarted,
@@ -115,6 +116,21 @@ GOLDEN = [
     (
         DegenerateBelief(12, "1", "all weights are 0"),
         "frame 12: no hypothesis of target 1 can be used: all weights are 0; the prediction stays",
+    ),
+    (
+        MeasurementGated(40, "1", "detector", 31.5, 9.21034037, 0.99, 2, 0.99999985562, 0),
+        "frame 40: detector measured d² 31.5 > 9.21 from the prediction (gate 0.99, 2 degrees of freedom) "
+        "→ not used; nothing else was measured near the prediction; would have been used at gate ≥ 0.9999999",
+    ),
+    (
+        MeasurementGated(41, "1", "detector", 5.02, 3.84145882, 0.95, 1, 0.97494, 1),
+        "frame 41: detector measured d² 5.02 > 3.84 from the prediction (gate 0.95, 1 degree of freedom) "
+        "→ not used; would have been used at gate ≥ 0.98",
+    ),
+    (
+        MeasurementGated(42, "1", "detector", 4000.0, 9.21034037, 0.99, 2, 1.0, 0),
+        "frame 42: detector measured d² 4000 > 9.21 from the prediction (gate 0.99, 2 degrees of freedom) "
+        "→ not used; nothing else was measured near the prediction; would have been used at gate: 1",
     ),
     (
         ParticlesResized(

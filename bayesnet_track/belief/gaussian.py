@@ -1,0 +1,196 @@
+"""The Gaussian belief: a mean and a covariance, stepped by a Kalman, extended or unscented filter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import Evaluate, Evidence, Motion, Report, Step, Stream
+from bayesnet_track.belief.gaussian_predict import predict, require_linear
+from bayesnet_track.belief.gaussian_update import (
+    Asked,
+    Gated,
+    Taken,
+    ask,
+    fitted,
+    log_message,
+    matched,
+    take,
+)
+from bayesnet_track.cue import Hypotheses
+from bayesnet_track.graph import spec
+from bayesnet_track.journal.events import Event, MeasurementGated
+from bayesnet_track.numerics.gaussian import root
+from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianPosterior:
+    """A normal distribution of the state.
+
+    Attributes:
+        mean: (D,), the box first, its sides at least 1 px.
+        covariance: (D, D), symmetric, positive semidefinite.
+        fields: names of the D columns.
+        size: number of hypotheses at which it asks for likelihoods.
+    """
+
+    mean: Floats
+    covariance: Floats
+    fields: tuple[str, ...]
+    size: int
+
+    def __len__(self) -> int:
+        return self.size
+
+    def uncertainty(self, about: Floats, columns: Sequence[int]) -> float:
+        """UD = tr Cov + |mean - about|^2 over the columns of the state."""
+        chosen = list(columns)
+        away = self.mean[chosen] - about[chosen]
+        return float(np.diagonal(self.covariance)[chosen].sum() + away @ away)
+
+    def region(self, share: float) -> tuple[float, float, float, float]:
+        """x_low, x_high, y_low, y_high in px: the central `share` of the centre's weight on each axis."""
+        reach = NormalDist().inv_cdf((1.0 + share) / 2.0) * np.sqrt(np.diagonal(self.covariance)[:2])
+        x, y = float(self.mean[0]), float(self.mean[1])
+        return x - float(reach[0]), x + float(reach[0]), y - float(reach[1]), y + float(reach[1])
+
+    def draw(self, size: int, rng: np.random.Generator) -> Floats:
+        """(size, 4) boxes; widths and heights at least 1 px."""
+        lower = root(self.covariance[:4, :4])
+        boxes = self.mean[:4] + rng.standard_normal((size, lower.shape[1])) @ lower.T
+        np.maximum(boxes[:, 2:], 1.0, out=boxes[:, 2:])
+        return np.asarray(boxes)
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedStates:
+    """Hypotheses (N, D) with their posterior weights (`belief.contract.Support`)."""
+
+    states: Floats
+    weights: LogWeights
+
+    @property
+    def boxes(self) -> Floats:
+        """(N, 4) centre boxes."""
+        return self.states[:, :4]
+
+
+@dataclass(frozen=True)
+class GaussianFilter:
+    """The Kalman family, as `settings` say."""
+
+    settings: spec.Gaussian
+
+    def start(self, box: Floats, motion: Motion, stream: Stream) -> GaussianPosterior:
+        """The belief about a target first seen in the centre box (4,).
+
+        Raises:
+            ValueError: the filter is `kalman` and the motion is not linear with noise in px.
+        """
+        if self.settings.filter == "kalman":
+            require_linear(motion)
+        mean, covariance = motion.start_moments(np.asarray(box, dtype=np.float64))
+        return GaussianPosterior(mean, covariance, motion.fields, self._size(len(mean)))
+
+    def step(
+        self, prior: GaussianPosterior, motion: Motion, dt: float, evaluate: Evaluate, stream: Stream
+    ) -> Step[GaussianPosterior]:
+        """The belief after `dt` frame intervals and the evidence of a frame.
+
+        Likelihoods first, then what was measured. The prediction stays where nothing was measured
+        near it and no agent tells hypotheses apart, or where the likelihoods leave none.
+        """
+        # Predict
+        mean, covariance = predict(prior.mean, prior.covariance, motion, dt, self.settings)
+
+        # Evaluate
+        asked = ask(mean, covariance, motion, self.settings, stream("samples"))
+        hypotheses = _hypotheses(asked.states, prior.fields)
+        evidence = evaluate(hypotheses, asked.beta.log)
+
+        # Update
+        sampled = evidence.log_likelihood if evidence.sampled is None else evidence.sampled
+        try:
+            update = fitted if self.settings.likelihood == "sigma_points" else matched
+            mean, covariance, log_evidence = update(mean, covariance, asked, sampled)
+        except DegenerateWeights as fault:
+            posterior = _posterior(mean, covariance, prior.fields, len(asked.states))
+            return _step(posterior, -np.inf, asked, asked.beta, evidence, degenerate=str(fault))
+        after = take(mean, covariance, prior.fields, evidence.gaussians, self.settings.gate)
+        return _step(
+            _posterior(after.mean, after.covariance, prior.fields, len(asked.states)),
+            log_evidence + after.log_evidence,
+            asked,
+            _weights(asked, evidence, sampled, after, hypotheses, prior.fields),
+            evidence,
+            tuple(partial(_report, one, self.settings.gate, len(after.used)) for one in after.gated),
+        )
+
+    def _size(self, width: int) -> int:
+        if self.settings.likelihood == "sigma_points":
+            return 2 * width + 1
+        return max(self.settings.samples, 2 * (width + 1))
+
+
+def _hypotheses(states: Floats, fields: tuple[str, ...]) -> Hypotheses:
+    return Hypotheses(states[:, :4], {name: states[:, k] for k, name in enumerate(fields) if k >= 4})
+
+
+def _posterior(mean: Floats, covariance: Floats, fields: tuple[str, ...], size: int) -> GaussianPosterior:
+    held = mean.copy()
+    np.maximum(held[2:4], 1.0, out=held[2:4])
+    return GaussianPosterior(held, covariance, fields, size)
+
+
+def _weights(
+    asked: Asked,
+    evidence: Evidence,
+    sampled: Floats,
+    after: Taken,
+    hypotheses: Hypotheses,
+    fields: tuple[str, ...],
+) -> LogWeights:
+    """The hypotheses' posterior weights: by the net's messages, without measurements that were not used.
+
+    Where all were used the weights are those of the net's own total, floors of measurements included, so that
+    they compare with its messages.
+    """
+    if not after.gated:
+        return asked.beta.times(evidence.log_likelihood)[0]
+    total = sampled
+    for one in after.used.values():
+        total = total + log_message(one, hypotheses, fields)
+    return asked.beta.times(total)[0]
+
+
+def _step(
+    posterior: GaussianPosterior,
+    log_evidence: float,
+    asked: Asked,
+    weights: LogWeights,
+    evidence: Evidence,
+    reports: tuple[Report, ...] = (),
+    degenerate: str | None = None,
+) -> Step[GaussianPosterior]:
+    return Step(
+        posterior=posterior,
+        log_evidence=log_evidence,
+        support=WeightedStates(asked.states, weights),
+        prior=asked.beta,
+        evidence=evidence,
+        find_map=lambda: posterior.mean,
+        degenerate=degenerate,
+        reports=reports,
+    )
+
+
+def _report(one: Gated, gate: float, used: int, frame: int, target: str) -> Event:
+    return MeasurementGated(frame, target, one.agent, one.d2, one.limit, gate, one.degrees, one.turning, used)

@@ -1,0 +1,222 @@
+"""Update of a Gaussian belief: moments of a likelihood asked at hypotheses, and what agents measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.bounds import Confined
+from bayesnet_track.belief.contract import Motion
+from bayesnet_track.cue import Hypotheses, Measurement
+from bayesnet_track.graph import spec
+from bayesnet_track.numerics.gaussian import (
+    chi_square_cdf,
+    chi_square_quantile,
+    innovation_likelihood,
+    linear_update,
+    root,
+    sigma_points,
+    standard_normals,
+    symmetric,
+)
+from bayesnet_track.numerics.log_weights import LogWeights
+
+Floats = NDArray[np.float64]
+
+WORST = 1e-100
+"""The least likelihood of a sigma point, as a share of the best: a parabola has no place for zero."""
+
+FLAT = 1e-9
+"""Log-likelihoods that differ by less than this, relative to the largest, say nothing: rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """Hypotheses that stand for a Gaussian: their weighted mean and covariance are its own exactly.
+
+    Attributes:
+        unit: (N, K) the hypotheses in units of the Gaussian's sds, K the rank of its covariance.
+        lower: (D, K) root of the covariance.
+        states: (N, D) the hypotheses, sizes at least 1 px, confined to the image where the motion is.
+        beta: their weights.
+    """
+
+    unit: Floats
+    lower: Floats
+    states: Floats
+    beta: LogWeights
+
+
+def ask(
+    mean: Floats, covariance: Floats, motion: Motion, settings: spec.Gaussian, rng: np.random.Generator
+) -> Asked:
+    """Samples of N(mean, covariance), or sigma points at +-sqrt(K + 1) sds and the mean.
+
+    A hypothesis that would leave the image is moved to its border: what is said of it there is taken as the
+    likelihood outside, so that the moments stay exact.
+    """
+    lower = root(covariance)
+    width = lower.shape[1]
+    if settings.likelihood == "sigma_points":
+        unit = sigma_points(width, width + 1.0)
+        log_beta = np.full(len(unit), -np.log(2.0 * (width + 1.0)))
+        log_beta[0] = -np.log(width + 1.0)
+        beta = LogWeights.normalise(log_beta)[0]
+    else:
+        size = max(settings.samples, 2 * (width + 1))
+        unit, beta = standard_normals(size, width, rng), LogWeights.uniform(size)
+    states = mean + unit @ lower.T
+    np.maximum(states[:, 2:4], 1.0, out=states[:, 2:4])
+    if isinstance(motion, Confined):
+        states = motion.confined(states)
+    return Asked(unit, lower, states, beta)
+
+
+def is_flat(log_likelihood: Floats) -> bool:
+    """True when no hypothesis is likelier than another, up to rounding."""
+    low, high = float(log_likelihood.min()), float(log_likelihood.max())
+    return high - low <= FLAT * max(1.0, abs(high))
+
+
+def matched(
+    mean: Floats, covariance: Floats, asked: Asked, log_likelihood: Floats
+) -> tuple[Floats, Floats, float]:
+    """Mean, covariance and log-evidence after a likelihood (N,): the moments of the weighted hypotheses.
+
+    Where n of N hypotheses are effective, the share (1/n - 1/N) / (1 - 1/N) of the prior covariance is added
+    to theirs. The moments of few hypotheses are narrower than the likelihood lets them be, and one alone
+    has no spread at all: it moves the mean, and the covariance stays as it was. The share vanishes for a flat
+    likelihood and as 1 / N for any other, faster than the error of the moments, 1 / sqrt(N).
+
+    Raises:
+        DegenerateWeights: no hypothesis has a positive, finite weight.
+    """
+    with np.errstate(invalid="ignore"):  # -inf + inf is NaN, which `times` refuses
+        weights, log_evidence = asked.beta.times(log_likelihood)
+    if is_flat(log_likelihood):
+        return mean, covariance, log_evidence
+    w = weights.weights
+    shift = w @ asked.unit
+    away = asked.unit - shift
+    spread = (away * w[:, None]).T @ away
+    all_of_them = asked.beta.ess
+    share = (1.0 / weights.ess - 1.0 / all_of_them) / (1.0 - 1.0 / all_of_them)
+    spread += max(share, 0.0) * np.eye(len(spread))
+    return mean + asked.lower @ shift, symmetric(asked.lower @ spread @ asked.lower.T), log_evidence
+
+
+def fitted(
+    mean: Floats, covariance: Floats, asked: Asked, log_likelihood: Floats
+) -> tuple[Floats, Floats, float]:
+    """The same from sigma points: log L is taken as a parabola along each axis, through its three points.
+
+    Exact for a Gaussian likelihood whose errors are independent along the axes: x, y, w, h, then what they
+    do not predict of the other fields. A parabola that opens upwards (two modes) is taken as a slope; the
+    mean moves no farther than the points lie. A likelihood narrower than the prediction has reached its floor
+    at the points, so that it counts as broader than it is: the belief is then too wide rather than too
+    narrow. The weighted moments of so few points would err the other way, by more than tenfold.
+
+    Raises:
+        DegenerateWeights: no point has a positive, finite weight.
+    """
+    with np.errstate(invalid="ignore"):
+        asked.beta.times(log_likelihood)
+    log = np.maximum(log_likelihood, log_likelihood.max() + np.log(WORST))
+    width = asked.unit.shape[1]
+    if width == 0:
+        return mean, covariance, float(log[0])
+    reach = float(asked.unit[1, 0])
+    ahead, behind = log[1 : width + 1], log[width + 1 :]
+    slope = (ahead - behind) / (2.0 * reach)
+    precision = 1.0 + np.maximum(2.0 * log[0] - ahead - behind, 0.0) / reach**2
+    shift = np.clip(slope / precision, -reach, reach)
+    log_evidence = float(log[0] + 0.5 * np.sum(slope * shift - np.log(precision)))
+    spread = (asked.lower / precision) @ asked.lower.T
+    return mean + asked.lower @ shift, symmetric(spread), log_evidence
+
+
+@dataclass(frozen=True, eq=False)
+class Gated:
+    """A measurement that was not used.
+
+    Attributes:
+        agent: whose.
+        d2: squared Mahalanobis distance of its innovation.
+        limit: quantile of chi-square at the gate's probability.
+        degrees: number of fields measured.
+        turning: probability from which on the gate would have let it pass; 1 when none below would.
+    """
+
+    agent: str
+    d2: float
+    limit: float
+    degrees: int
+    turning: float
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """A Gaussian after measurements.
+
+    Attributes:
+        mean: (D,).
+        covariance: (D, D).
+        log_evidence: of the measurements used, each of peak 1.
+        used: agent -> measurement.
+        gated: those not used.
+    """
+
+    mean: Floats
+    covariance: Floats
+    log_evidence: float
+    used: Mapping[str, Measurement]
+    gated: tuple[Gated, ...]
+
+
+def take(
+    mean: Floats,
+    covariance: Floats,
+    fields: tuple[str, ...],
+    measured: Mapping[str, Measurement],
+    gate: float,
+) -> Taken:
+    """Kalman updates by what agents measured, one after the other, as exact as all at once.
+
+    A measurement is left out when d^2 = v' S^-1 v exceeds the chi-square quantile of `gate` (tracking chapter
+    3.9 b: no object near the prediction, so that only the prediction stands). Every d^2 is taken against the
+    belief before any of them, so that their order decides nothing.
+    """
+    used: dict[str, Measurement] = {}
+    gated: list[Gated] = []
+    for agent, one in measured.items():
+        observe = _observe(one, fields)
+        expected = symmetric(observe @ covariance @ observe.T + one.covariance)
+        d2, _ = innovation_likelihood(one.mean - observe @ mean, expected, one.covariance)
+        degrees = len(one.fields)
+        limit = chi_square_quantile(gate, degrees)
+        if d2 > limit:
+            gated.append(Gated(agent, d2, limit, degrees, chi_square_cdf(d2, degrees)))
+        else:
+            used[agent] = one
+    log_evidence = 0.0
+    for one in used.values():
+        observe = _observe(one, fields)
+        after = linear_update(mean, covariance, one.mean - observe @ mean, observe, one.covariance)
+        mean, covariance = after.mean, after.covariance
+        log_evidence += after.log_likelihood
+    return Taken(mean, covariance, log_evidence, used, tuple(gated))
+
+
+def log_message(one: Measurement, hypotheses: Hypotheses, fields: tuple[str, ...]) -> Floats:
+    """(N,) -d^2 / 2 of hypotheses under a measurement."""
+    states = np.column_stack([hypotheses.boxes, *(hypotheses.fields[name] for name in fields[4:])])
+    away = states @ _observe(one, fields).T - one.mean
+    return np.asarray(-0.5 * np.einsum("nk,nk->n", away, np.linalg.solve(one.covariance, away.T).T))
+
+
+def _observe(one: Measurement, fields: tuple[str, ...]) -> Floats:
+    """(K, D) H: the rows of the identity for the fields measured."""
+    return np.eye(len(fields))[[fields.index(name) for name in one.fields]]

@@ -1,0 +1,28 @@
+"""The law of the Gaussian belief: the Kalman filter is for linear motion with Gaussian noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from bayesnet_track.graph.messages import GraphMessage
+from bayesnet_track.graph.plate import Plate
+
+
+def kalman_moves_linearly(plate: Plate) -> Iterator[GraphMessage]:
+    """The `kalman` filter is exact, so it takes no noise but that in px; the others approximate the rest."""
+    for name, node in plate.inference.items():
+        gaussian = node.belief.gaussian if node.belief is not None else None
+        if gaussian is None or gaussian.filter != "kalman" or node.motion is None:
+            continue
+        noise = node.motion.settings
+        further = [
+            f"{part}.{field}"
+            for part in ("sd_box", "sd_log")
+            for field in type(getattr(noise, part)).model_fields
+            if getattr(getattr(noise, part), field) > 0
+        ]
+        further += ["wide"] if noise.wide is not None else []
+        if further:
+            found = f"filter: kalman with {', '.join(further)}, which is not Gaussian noise in px"
+            allowed = "filter: extended or unscented, or noise by sd_px alone"
+            yield plate.message(name, found, allowed, key=("belief", "gaussian", "filter"))
