@@ -28,7 +28,7 @@ GRID = 16
 MODES = 8
 """Modes that a model learnt while tracking may have."""
 
-STEP = 0.25
+STEP = 1.0 / 6.0
 """Hypotheses share a contour when their centres lie in one cell this wide, in sizes of the cell's box."""
 
 RATIO = 1.25
@@ -253,5 +253,5 @@ CUE = CueDeclaration(
     summary="silhouette inside the box against a shape model",
     parameters=ShapeParameters,
     make=_make,
-    cost_ms=11.0,
+    cost_ms=16.0,
 )

@@ -68,7 +68,7 @@ def test_the_value_is_the_gaussian_of_the_chain() -> None:
     reference["variances"] = np.concatenate([model.variances, np.zeros(MODES - len(model.modes))])
     gray, planes = drawn("rectangle"), planes_of(drawn("rectangle"), cue)
     points = planes[cue.edges]
-    cell = np.array([[75.0, 60.0, 50.0, 60.0]])  # the lattice's nearest: 6 steps of 12.5 and 4 of 15 px
+    cell = np.array([[250.0 / 3, 60.0, 50.0, 60.0]])  # the lattice's nearest: 10 steps of 25/3 and 6 of 10 px
     found = contours(points[points[:, 2] & 1 == 1, :2], cell, np.array([180, 140]))
     vector = vectors(found, BOX[None], 16)[0]
     energy = shape_energy(vector, reference["mean"], model.modes, model.variances, 256 * 0.2**2)
@@ -164,8 +164,8 @@ def test_boxes_of_one_cell_share_a_snake(monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr(shape, "contours", counting)
     score(cue, drawn("ellipse"), boxes, reference)
-    # 40 px hold at most 5 cells of 12.5 px across and 4 of 15 px down
-    assert asked == [min(asked[0], 20)]
+    # 60 to 100 touches 6 cells of 25/3 px across, 40 to 80 touches 5 of 10 px down
+    assert asked == [30]
 
 
 @pytest.fixture
