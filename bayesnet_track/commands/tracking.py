@@ -25,6 +25,8 @@ SCENE_GRAPHS = {
     "orange_and_gray": "color_fusion",
     "gray_square": "color_fusion",
     "person_and_board": "person_shape",
+    "person_stereo": "person_stereo",
+    "glass_wall": "person_stereo",
 }
 """Scenes that do not run with the graph `two_squares`."""
 

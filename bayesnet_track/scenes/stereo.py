@@ -81,14 +81,15 @@ class Walker:
 def person_stereo(seed: int = 0, frames: int = 150) -> Scene:
     """A person in the colours of the room walks there and back; from frame 60 on another one passes behind.
 
-    The wall is 7 m away, the target 4 m, the other one 4.8 m and of another colour (thesis Figure 3.12).
+    The wall is 7 m away, the target 3.7 to 4.3 m, the other one 4.1 m and of another colour; they pass at
+    frame 100, when the target is nearer by 0.3 m (after thesis Figure 3.12).
     """
     rng = _rng(seed)
     room = Room(7.0, CAMERA_HEIGHT_M, _texture(rng, BROWN), _texture(rng, BROWN), 0.1)
     at = np.arange(frames)
     x = 0.9 * np.sin(2 * np.pi * (at - 20) / 150)
     target = Walker(_clothes(rng, BROWN), x, 4.0 + 0.3 * np.sin(2 * np.pi * at / 110))
-    other = Walker(_clothes(rng, GREEN), -2.85 + 0.066 * (at - 60), np.full(frames, 4.8))
+    other = Walker(_clothes(rng, GREEN), -2.44 + 0.057 * (at - 60), np.full(frames, 4.1))
     return _scene("person_stereo", room, (other, target), 1, seed)
 
 
