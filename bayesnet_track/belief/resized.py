@@ -129,7 +129,8 @@ def limit_of(sizing: Sizing) -> str:
     need, particles = sizing.cause, sizing.particles
     if need.particles > particles:
         return "max"
-    if need.particles > particles - 2:  # each half is rounded up
+    # A half that is asked for less keeps what was drawn; and each half is rounded up.
+    if any(sizing.more) or need.particles > particles - 2:
         return ""
     return "min" if particles == sizing.low else "ess"
 

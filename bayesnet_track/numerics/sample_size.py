@@ -74,8 +74,7 @@ def kld(bins: float, error: float, confidence: float) -> float:
 
 def variance(values: Floats, weights: Floats) -> float:
     """Var_p = sum w (x - E)^2 / sum w, thesis eq. 5.11."""
-    mean = weights @ values / weights.sum()
-    return float(weights @ (values - mean) ** 2 / weights.sum())
+    return float(weights @ _from_mean(values, weights) ** 2 / weights.sum())
 
 
 def importance_variance(values: Floats, weights: Floats) -> float:
@@ -83,8 +82,14 @@ def importance_variance(values: Floats, weights: Floats) -> float:
 
     Thesis eqs. 5.8 and 5.11, corrected to a form in which the scale of the weights drops out.
     """
-    mean = weights @ values / weights.sum()
-    return float(len(values) * np.sum((weights * (values - mean)) ** 2) / weights.sum() ** 2)
+    away = _from_mean(values, weights)
+    return float(len(values) * np.sum((weights * away) ** 2) / weights.sum() ** 2)
+
+
+def _from_mean(values: Floats, weights: Floats) -> Floats:
+    # Taken from the first one before the mean is, so that values that do not vary leave exact zeros.
+    values = values - values[0]
+    return np.asarray(values - weights @ values / weights.sum())
 
 
 def inflation(values: Floats, weights: Floats) -> float:

@@ -183,8 +183,8 @@ def test_bins_count_by_their_weight():
 
 
 def test_a_field_that_does_not_vary_asks_for_none():
-    assert sizes.inflation(np.full(9, 50.0), np.arange(9.0)) == 0
-    assert sizes.asymptotic_normal(sizes.importance_variance(np.full(9, 50.0), np.arange(9.0)), 1, 0.9) == 0
+    assert sizes.inflation(np.full(9, 50.1), np.sqrt(np.arange(9.0))) == 0
+    assert sizes.asymptotic_normal(sizes.importance_variance(np.full(9, 50.1), np.arange(9.0)), 1, 0.9) == 0
 
 
 def test_the_sum_of_likelihoods():
