@@ -57,7 +57,9 @@ class Grid(Model):
     velocity_cell_px: Positive = Field(
         default=2.0, description="spacing of these cells, px per frame; the middle one is rest"
     )
-    scale_cells: Odd = Field(default=7, description="cells of log sqrt(w h), odd; the middle one is the start")
+    scale_cells: Odd = Field(
+        default=7, description="cells of log sqrt(w h), odd; the middle one is the start"
+    )
     scale_cell: Annotated[Number, Field(gt=0, le=1)] = Field(
         default=0.05, description="spacing of these cells"
     )

@@ -114,8 +114,14 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
     )
     empty = st.just({})
     window = _mapping({}, {"box": positive})
+    nearest = _mapping({}, {"epsilon": share | st.just(1)})
     estimate = _choice(
-        ["map", "best", "mean", "robust_mean"], map=empty, best=empty, mean=empty, robust_mean=window
+        ["map", "best", "mean", "robust_mean", "nearest"],
+        map=empty,
+        best=empty,
+        mean=empty,
+        robust_mean=window,
+        nearest=nearest,
     )
     fuse = _choice(
         ["product", "pool"],
@@ -137,7 +143,12 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
         {},
         {
             "parent": names,
-            "belief": _choice(["particles", "gaussian"], particles=particles, gaussian=gaussian),
+            "belief": _choice(
+                ["particles", "gaussian", "grid"],
+                particles=particles,
+                gaussian=gaussian,
+                grid=_grids(positive),
+            ),
             "motion": motion,
             "estimate": estimate,
             "fuse": fuse,
@@ -172,6 +183,29 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
     )
     about = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
     return _mapping({"name": names, "targets": targets}, {"bayesnet": st.just(1), "about": about})
+
+
+def _grids(positive: st.SearchStrategy[float]) -> st.SearchStrategy[dict[str, Any]]:
+    """Settings of the grid belief."""
+    odd = st.integers(1, 31).map(lambda n: 2 * n + 1)
+    small = st.floats(min_value=0, max_value=0.1)
+    region = {"region": st.sampled_from(["belief", "image"]), "then": st.sampled_from(["reset", "ignore"])}
+    rate = st.floats(min_value=1e-6, max_value=0.49)
+    reset = _mapping({}, {**region, "below": positive}) | _mapping({}, {**region, "false_rate": rate})
+    return _mapping(
+        {},
+        {
+            "cell_px": positive,
+            "window": st.integers(8, 512),
+            "velocity_cells": odd,
+            "velocity_cell_px": positive,
+            "scale_cells": odd,
+            "scale_cell": st.floats(min_value=1e-3, max_value=1),
+            "cut": small,
+            "forget": st.floats(min_value=1, max_value=9),
+            "reset": reset,
+        },
+    )
 
 
 @pytest.fixture(scope="session")
@@ -212,6 +246,7 @@ def everything() -> dict[str, Any]:
             "parent": "a",
             "fuse": {"pool": {"d": 1, "e": 0.1}},
             "motion": {"constant_velocity": noise},
+            "estimate": {"nearest": {"epsilon": 0.25}},
             "belief": {"gaussian": {"filter": "unscented", "sigma": {"alpha": 0.5, "kappa": 1}}},
         },
         "f": {
@@ -224,6 +259,7 @@ def everything() -> dict[str, Any]:
             "fuse": "pool",
             "belief": {"particles": {"size": {"likelihood_sum": {"threshold": 20}}}},
         },
+        "h": {"belief": {"grid": {"cell_px": 3, "reset": {"region": "image", "false_rate": 0.01}}}},
         "d": {"parent": "c", "agent": {"hue": {"bins": 16, "window": [5, 5]}}, "learn_rate_max": 0},
         "e": {"parent": "c", "agent": "motion", "active": False, "self_check": {"above": level, "rest": 7}},
     }

@@ -18,6 +18,7 @@ from bayesnet_track.graph.net import (
 )
 from bayesnet_track.journal.codec import event_classes
 from bayesnet_track.journal.events import (
+    BeliefReset,
     DegenerateBelief,
     FrameMetrics,
     FrameSizeChanged,
@@ -116,6 +117,16 @@ GOLDEN = [
     (
         DegenerateBelief(12, "1", "all weights are 0"),
         "frame 12: no hypothesis of target 1 can be used: all weights are 0; the prediction stays",
+    ),
+    (
+        BeliefReset(33, "1", 0.2834, 1.0, "belief", 3600.0, "reset"),
+        "frame 33: γ 0.283 < 1 over the belief's bounding box (3600 px²) → the belief of target 1 starts again "
+        "from the frame's likelihood; not at below ≤ 0.283",
+    ),
+    (
+        BeliefReset(34, "1", 0.00512, 0.0177, "image", 76800.0, "ignore"),
+        "frame 34: γ 0.00512 < 0.0177 over the image (76800 px²) → the frame's evidence is ignored; "
+        "not at below ≤ 0.00512",
     ),
     (
         MeasurementGated(40, "1", "detector", 31.5, 9.21034037, 0.99, 2, 0.99999985562, 0),

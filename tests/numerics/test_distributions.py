@@ -59,7 +59,7 @@ def test_velocities_decay_and_spread_without_loss(factor, sd):
 
 
 def test_flattening_acts_on_densities():
-    """P^(1/2) of sd 1 has sd 1.41; the same power of the weights of equally likely samples changes nothing."""
+    """P^(1/2) of sd 1 has sd 1.41; the same power of equal weights of samples changes nothing."""
     at = np.linspace(-12, 12, 2401)
     flat = flattened(gaussian(at, 0.0, 1.0), 2.0)
     assert np.sqrt(flat @ at**2) == pytest.approx(np.sqrt(2), rel=1e-9)
@@ -116,7 +116,7 @@ def test_no_level_for_evidence_that_says_nothing():
 
 
 def test_working_points_of_a_bimodal_density():
-    """Figure 3.16 of the tracking chapter: the mean lies where nothing is; x_opt takes the mode that is meant."""
+    """Figure 3.16 of the tracking chapter: the mean lies between; x_opt takes the mode that is meant."""
     at = np.linspace(0, 10, 1001)
     density = gaussian(at, 2.0, 0.5) + 0.8 * gaussian(at, 7.0, 0.5)
     points = at[:, None]
