@@ -74,7 +74,7 @@ def _adaptive(settings: spec.Particles, size: spec.AdaptiveSize, inputs: Inputs)
     if any(sizing.more):
         one = _enlarged(one, _drawn(settings, inputs, sizing.more, " more"), halves, sizing.more)
     need = _need(size, inputs, one, slice(None))
-    if not sizing.is_notable:
+    if not sizing.is_notable or len(one) != sizing.particles:  # the second look may not have joined the first
         return First(one, Sized(len(one), before.told, need))
     return First(one, Sized(len(one), sizing.particles, need), (report_of(sizing),))
 

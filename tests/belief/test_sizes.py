@@ -202,7 +202,7 @@ def test_where_the_second_look_fails_differently_the_first_is_kept(walk, stream_
 
     step = belief.step(now, walk, 1.0, evaluate, stream_of(0, 1))
     assert len(calls) == 2 and len(step.posterior) == calls[0] == 400
-    assert step.posterior.sized.drawn == 400
+    assert (step.posterior.sized.drawn, step.posterior.sized.told, step.reports) == (400, 400, ())
     assert dict(step.evidence.faults) == {"a": "raised OSError"}
 
 
