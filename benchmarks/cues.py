@@ -15,7 +15,7 @@ from itertools import cycle
 import cv2
 import numpy as np
 
-from bayesnet_track.cue import Hypotheses, installed_cues
+from bayesnet_track.cue import Hypotheses, MeasuringCue, installed_cues
 from bayesnet_track.depth import RightEye, StereoGeometry
 from bayesnet_track.planes import Frame, FramePair, PlaneCache, region_of_boxes
 
@@ -83,6 +83,7 @@ def main() -> None:
         for x, y in corners:
             cv2.calcHist([hue[y : y + int(SIDE), x : x + int(SIDE)]], [0], None, [32], [0, 256])
 
+    equal = np.full(options.hypotheses, 1.0 / options.hypotheses)
     loop = milliseconds(opencv, options.repeats)
     print(f"{options.hypotheses} boxes, {SIDE:.0f}x{SIDE:.0f} px of {WIDTH}x{HEIGHT}, sd {options.sd:g}, ms")
     print(
@@ -102,10 +103,15 @@ def main() -> None:
         planes = milliseconds(
             lambda cue=cue, asked=asked: PlaneCache(frames).planes(cue.needs, next(asked)), options.repeats
         )
-        likelihood = milliseconds(
-            lambda cue=cue, ready=ready, reference=reference: cue.log_likelihood(*next(ready), reference),
-            options.repeats,
-        )
+
+        def ask(cue=cue, ready=ready, reference=reference) -> None:
+            planes, hypotheses = next(ready)
+            if isinstance(cue, MeasuringCue):
+                cue.measure(planes, hypotheses, equal, reference)
+            else:
+                cue.log_likelihood(planes, hypotheses, reference)
+
+        likelihood = milliseconds(ask, options.repeats)
         learn = milliseconds(lambda cue=cue, near=near: cue.learn(near, box), options.repeats)
         total = planes + likelihood
         print(

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cue import Cue, CueDeclaration, Hypotheses, Reference, installed_cues
+from bayesnet_track.cue import Cue, CueDeclaration, Hypotheses, MeasuringCue, Reference, installed_cues
 from bayesnet_track.depth import RightEye, StereoGeometry
 from bayesnet_track.planes import Frame, FramePair, PlaneCache, Planes, Region, region_of_boxes
 
@@ -88,13 +88,18 @@ class Asked:
     """A cue and how the engine asks it."""
 
     declaration: CueDeclaration
-    cue: Cue
+    cue: Cue | MeasuringCue
 
     def planes(self, pair: FramePair, region: Region) -> Planes:
         return PlaneCache(pair).planes(self.cue.needs, region)
 
     def learn(self, pair: FramePair, box) -> Reference:
         return self.cue.learn(self.planes(pair, region_of_boxes(box[None], 1.0)), box)
+
+    def measure(self, pair: FramePair, boxes, reference, region: Region | None = None, weights=None):
+        planes = self.planes(pair, region or region_of_boxes(boxes))
+        equal = np.full(len(boxes), 1.0 / len(boxes))
+        return self.cue.measure(planes, Hypotheses(boxes), equal if weights is None else weights, reference)
 
     def score(self, pair: FramePair, boxes, reference, region: Region | None = None):
         planes = self.planes(pair, region or region_of_boxes(boxes))
@@ -106,7 +111,18 @@ def scene():
     return Scene()
 
 
-@pytest.fixture(params=sorted(installed_cues()))
+def _names(kind):
+    """Installed cues of a kind: those that score hypotheses, or those that measure."""
+    return sorted(n for n, one in installed_cues().items() if isinstance(one.make(one.parameters()), kind))
+
+
+@pytest.fixture(params=_names(MeasuringCue))
+def measuring(request):
+    declaration = installed_cues()[request.param]
+    return Asked(declaration, declaration.make(declaration.parameters()))
+
+
+@pytest.fixture(params=_names(Cue))
 def asked(request):
     declaration = installed_cues()[request.param]
     return Asked(declaration, declaration.make(declaration.parameters()))

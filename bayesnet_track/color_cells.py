@@ -1,0 +1,60 @@
+"""The plane of colour cells: which cell of a coarse colour cube each pixel lies in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from bayesnet_track.planes import Array, FramePair, Plane, Region
+
+
+@dataclass(frozen=True)
+class ColorCells:
+    """Cell of each pixel, (rows, columns) uint16.
+
+    Attributes:
+        space: `rgb`, `levels` values of each channel; or `hsv`, `levels` hues and saturations, half as many
+            values (the chapter's 8 x 8 x 8 and 8 x 8 x 4).
+        levels: 2 .. 16, even.
+    """
+
+    space: Literal["rgb", "hsv"] = "rgb"
+    levels: int = 8
+
+    @property
+    def size(self) -> int:
+        """Number of cells."""
+        return self.levels**3 if self.space == "rgb" else self.levels**3 // 2
+
+    @property
+    def margin(self) -> int:
+        """Depends on the pixel alone."""
+        return 0
+
+    @property
+    def inputs(self) -> tuple[Plane, ...]:
+        """Made from the picture itself."""
+        return ()
+
+    @property
+    def is_points(self) -> bool:
+        """An image-like plane."""
+        return False
+
+    def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
+        """Cells on `region`."""
+        image = region.of(frames.current.image)
+        if image.size == 0:
+            return np.zeros(image.shape[:2], np.uint16)
+        last = self.levels
+        if self.space == "hsv":
+            import cv2
+
+            image, last = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_BGR2HSV_FULL), self.levels // 2
+        value = np.arange(256)
+        first = (value * self.levels // 256 * self.levels * last).astype(np.uint16)
+        second = (value * self.levels // 256 * last).astype(np.uint16)
+        third = (value * last // 256).astype(np.uint16)
+        return np.asarray(first[image[..., 0]] + second[image[..., 1]] + third[image[..., 2]])

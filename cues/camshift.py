@@ -1,0 +1,254 @@
+"""Cue: CamShift, mean shift on the back-projection of hue with a window that takes the target's size.
+
+Tracking chapter, 3.3-3.4. The back-projection says how much likelier a pixel's hue is inside the box than in
+the ring around it; the chapter's plain histogram takes every background of a similar hue for the target, and
+the corners of the box as well. The window moves to the mean, and its size follows the second moments, in
+proportion to what they were when the target was learnt: measures x, y, w, h.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from bayesnet_track.color_planes import HueBins
+from bayesnet_track.cue import (
+    CueDeclaration,
+    CueParameters,
+    Floats,
+    Hypotheses,
+    Measurement,
+    MeasuringCue,
+    Reference,
+    blend_arrays,
+)
+from bayesnet_track.cues.mean_shift import seen_cells
+from bayesnet_track.planes import Plane, Planes
+
+WINDOW = 1.3
+"""The window's side in sides of the target: room to grow."""
+RING = 1.8
+"""Outer side of the ring that counts as background, in sides of the target."""
+RARE = 0.01
+"""A hue of so small a share of the pixels says little about whose it is."""
+
+
+class CamShiftParameters(CueParameters):
+    """Parameters of CamShift."""
+
+    bins: int = Field(
+        default=32, ge=4, le=128, multiple_of=2, description="Bins round the hue circle (count, even)."
+    )
+    min_chroma: int = Field(
+        default=30,
+        ge=1,
+        le=255,
+        description="Pixels with a smaller difference of largest and smallest channel have no hue (of 255).",
+    )
+    reach_sd: float = Field(
+        default=2.0,
+        ge=0,
+        description="How far beyond the box the first window reaches (sds of the prediction).",
+    )
+    sd_box: float = Field(
+        default=0.05, gt=0, description="Error of the place at a full match (share of the box's side)."
+    )
+    sd_size: float = Field(
+        default=0.1, gt=0, description="Error of width and height at a full match (share of each)."
+    )
+    change_max: float = Field(
+        default=1.3, gt=1, description="Largest change of a side against the prediction (factor)."
+    )
+    seen_above: float = Field(
+        default=0.4,
+        gt=0,
+        lt=1,
+        description="Least back-projection in the box, as a share of that when learnt, else it is not seen.",
+    )
+    contrast_above: float = Field(
+        default=1.5,
+        gt=1,
+        description="Least back-projection in the box against that in the ring around it (ratio).",
+    )
+    max_steps: int = Field(default=20, ge=1, le=1000, description="Most shifts of the window (count).")
+    tolerance_px: float = Field(default=0.05, gt=0, description="A smaller shift ends the climb (px).")
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where the window came to rest.
+
+    Attributes:
+        box: (4,) centre box, px.
+        axis: direction of the longer axis of the back-projection's ellipse, radians from x toward y.
+        density: mean back-projection in the box, which is 0 outside the picture.
+        ring: mean back-projection in the part of the ring around it that the hypotheses cover.
+        mass: sum of the back-projection in the box.
+        path: (K, 4) centre boxes: the prediction, then those that the windows came from.
+    """
+
+    box: Floats
+    axis: float
+    mass: float
+    density: float
+    ring: float
+    path: Floats
+
+
+@dataclass(frozen=True)
+class CamShift:
+    """CamShift at work.
+
+    A reference holds ``inside`` and ``around`` (bins + 1,), shares of the pixels in the box and in the ring
+    by hue, the last without one; ``density`` (), the mean back-projection in the box; ``spread`` (2,), sds of
+    the back-projection in the window, as shares of the box's sides.
+    """
+
+    parameters: CamShiftParameters
+    context: ClassVar[float] = 0.5
+
+    @property
+    def _plane(self) -> HueBins:
+        return HueBins(self.parameters.bins, self.parameters.min_chroma)
+
+    @property
+    def needs(self) -> tuple[Plane, ...]:
+        """Hue in bins."""
+        return (self._plane,)
+
+    def learn(self, planes: Planes, box: Floats) -> Reference:
+        """Hues of the box and of the ring around it, and what the back-projection makes of them."""
+        from bayesnet_track.numerics.mean_shift_kernels import window_moments
+
+        cells, origin = self._cells(planes, (box * [1, 1, 2, 2])[None])
+        x, y = box[:2] - origin
+        inside, around = (
+            np.array(
+                [
+                    window_moments(cells, one, x, y, side * box[2] / 2, side * box[3] / 2)[0]
+                    for one in np.eye(self.parameters.bins + 1)
+                ]
+            )
+            for side in (1.0, RING)
+        )
+        around = around - inside
+        reference = {
+            "inside": inside / max(float(inside.sum()), 1.0),
+            "around": around / max(float(around.sum()), 1.0),
+        }
+        probability = back_projection(reference)
+        density = window_moments(cells, probability, x, y, box[2] / 2, box[3] / 2)[0] / (box[2] * box[3])
+        moments = window_moments(cells, probability, x, y, *(WINDOW * box[2:] / 2))
+        spread = np.sqrt(np.maximum(np.diag(_covariance(moments)), 1.0 / 12.0)) / box[2:]
+        return {**reference, "density": np.array(density), "spread": spread}
+
+    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+        """Linearly (thesis eq. 2.15)."""
+        return blend_arrays(old, new, rate)
+
+    def measure(
+        self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
+    ) -> Measurement | None:
+        """x, y, w, h with stated errors; None when not seen.
+
+        Where only a share of the back-projection is seen that the predicted box should hold, the rest may be
+        hidden on either side: errors grow by (1 - share) of half a side, those of the sides by a whole one.
+        """
+        p = self.parameters
+        found = self.climb(planes, hypotheses, weights, reference)
+        if found is None or float(reference["density"]) <= 0.0:
+            return None
+        share = min(found.mass / (float(reference["density"]) * float(np.prod(found.path[0, 2:]))), 1.0)
+        if share < p.seen_above or found.density < p.contrast_above * found.ring:
+            return None
+        sides, lost = found.box[2:], (1.0 - share) * found.path[0, 2:]
+        place = np.maximum(p.sd_box * sides, 0.5) ** 2 + (lost / 2) ** 2
+        size = np.maximum(p.sd_size * sides, 1.0) ** 2 + lost**2
+        return Measurement(("x", "y", "w", "h"), found.box, np.diag([*place, *size]), p.floor)
+
+    def climb(
+        self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
+    ) -> Found | None:
+        """The window at rest; None where the back-projection is empty."""
+        from bayesnet_track.numerics.mean_shift_kernels import window_moments
+
+        p = self.parameters
+        predicted = weights @ hypotheses.boxes
+        sd = np.sqrt(weights @ (hypotheses.boxes[:, :2] - predicted[:2]) ** 2)
+        cells, origin = self._cells(planes, hypotheses.boxes)
+        probability = back_projection(reference)
+        centre, sides = predicted[:2] - origin, predicted[2:] + 2.0 * p.reach_sd * sd
+        low, high = predicted[2:] / p.change_max, predicted[2:] * p.change_max
+        path, spread = [np.concatenate([centre, predicted[2:]])], np.eye(2)
+        for _ in range(p.max_steps):
+            half = WINDOW * sides / 2
+            moments = window_moments(cells, probability, centre[0], centre[1], half[0], half[1])
+            if moments[0] <= 0.0:
+                return None
+            spread = _covariance(moments)
+            grown = np.sqrt(np.maximum(np.diag(spread), 1.0 / 12.0)) / reference["spread"]
+            shift, sides = moments[1:3] / moments[0], np.clip(grown, low, np.maximum(sides, low))
+            centre = centre + shift
+            path.append(np.concatenate([centre, sides]))
+            if shift @ shift < p.tolerance_px**2 and np.allclose(path[-1], path[-2], atol=p.tolerance_px):
+                break
+        sides = np.minimum(sides, high)
+        inside, wide, inner, outer = (
+            window_moments(cells, what, centre[0], centre[1], *(side * sides / 2))[0]
+            for what in (probability, np.ones_like(probability))
+            for side in (1.0, RING)
+        )
+        windows = np.array(path)
+        windows[:, :2] += origin
+        return Found(
+            np.concatenate([centre + origin, sides]),
+            0.5 * float(np.arctan2(2.0 * spread[0, 1], spread[0, 0] - spread[1, 1])),
+            inside,
+            inside / float(np.prod(sides)),
+            (wide - inside) / max(outer - inner, 1.0),
+            windows,
+        )
+
+    def _cells(self, planes: Planes, boxes: Floats) -> tuple[NDArray[np.uint16], Floats]:
+        cells, origin = seen_cells(planes, self._plane, boxes)
+        return cells.astype(np.uint16), origin
+
+
+def back_projection(reference: Reference) -> Floats:
+    """(bins + 1,) max(0, q - b) / (q + b + RARE), q inside the box and b around it; 0 without a hue."""
+    inside, around = reference["inside"], reference["around"]
+    contrast = np.maximum(inside - around, 0.0) / (inside + around + RARE)
+    contrast[-1] = 0.0
+    return np.asarray(contrast)
+
+
+def _covariance(moments: Floats) -> Floats:
+    """(2, 2) covariance of the place under a window's moments (6,)."""
+    if moments[0] <= 0.0:
+        return np.zeros((2, 2))
+    mean = moments[1:3] / moments[0]
+    second = np.array([[moments[3], moments[4]], [moments[4], moments[5]]]) / moments[0]
+    return np.asarray(second - np.outer(mean, mean))
+
+
+def _make(parameters: CamShiftParameters) -> MeasuringCue:
+    from bayesnet_track.numerics import (  # noqa: F401  load before the first frame
+        color_kernels,
+        mean_shift_kernels,
+    )
+
+    return CamShift(parameters)
+
+
+CUE = CueDeclaration(
+    name="camshift",
+    summary="CamShift on the back-projection of hue: measures place and size.",
+    parameters=CamShiftParameters,
+    make=_make,
+    needs_color=True,
+    cost_ms=2.0,
+)
