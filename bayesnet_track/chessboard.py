@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,21 +75,24 @@ def calibrate(
     world = np.zeros((board[0] * board[1], 3), dtype=np.float32)
     world[:, :2] = np.mgrid[: board[0], : board[1]].T.reshape(-1, 2) * square_m
     worlds = [world] * len(used)
-    corners = [[pair[k] for n, pair in enumerate(seen) if n in used] for k in (0, 1)]
-    alone = [cv2.calibrateCamera(worlds, points, size, None, None)[:3] for points in corners]
-    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-6)
+    corners = [[spots for n in used if (spots := seen[n][k]) is not None] for k in (0, 1)]
+    alone: list[Any] = [cv2.calibrateCamera(worlds, points, size, None, None)[:3] for points in corners]
+    (left_rms, m1, d1), (right_rms, m2, d2) = alone
     rms, m1, d1, m2, d2, turn, shift, *_ = cv2.stereoCalibrate(
         worlds,
-        *corners,
-        *alone[0][1:],
-        *alone[1][1:],
+        corners[0],
+        corners[1],
+        m1,
+        d1,
+        m2,
+        d2,
         size,
         flags=cv2.CALIB_FIX_INTRINSIC,
-        criteria=criteria,
+        criteria=(cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-6),
     )
     cameras = Cameras(size[0], size[1], m1, d1.ravel(), m2, d2.ravel(), turn, shift.ravel())
     epipolar = _row_difference(cameras, corners)
-    return Calibrated(cameras, float(alone[0][0]), float(alone[1][0]), float(rms), epipolar, used)
+    return Calibrated(cameras, float(left_rms), float(right_rms), float(rms), epipolar, used)
 
 
 def find_corners(picture: Image, board: tuple[int, int]) -> Corners | None:
@@ -105,7 +109,7 @@ def find_corners(picture: Image, board: tuple[int, int]) -> Corners | None:
     return np.asarray(cv2.cornerSubPix(brightness, corners, (5, 5), (-1, -1), criteria), dtype=np.float32)
 
 
-def _row_difference(cameras: Cameras, corners: Sequence[Sequence[Corners | None]]) -> float:
+def _row_difference(cameras: Cameras, corners: Sequence[Sequence[Corners]]) -> float:
     import cv2
 
     one, other, one_p, other_p, *_ = cv2.stereoRectify(

@@ -110,7 +110,7 @@ class SemiGlobal:
         import cv2
 
         area, count = self.window_px**2, -(-(high_px - low_px + 1) // 16) * 16
-        matcher = cv2.StereoSGBM_create(
+        matcher = cv2.StereoSGBM.create(
             minDisparity=low_px,
             numDisparities=count,
             blockSize=self.window_px,

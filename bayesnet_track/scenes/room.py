@@ -60,7 +60,8 @@ class Room:
         columns = (np.arange(width)[:, None] + at).ravel()
         rows = (np.arange(height)[:, None] + at).ravel()
         seen, _ = self._rays(geometry, eye_m, columns, rows)
-        _, depth = self._rays(geometry, eye_m, np.arange(width), np.arange(height))
+        centres = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
+        _, depth = self._rays(geometry, eye_m, *centres)
         return seen.reshape(height, FINER, width, FINER, 3).mean(axis=(1, 3)), depth
 
     def _rays(

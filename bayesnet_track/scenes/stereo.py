@@ -86,7 +86,7 @@ def person_stereo(seed: int = 0, frames: int = 150) -> Scene:
     """
     rng = _rng(seed)
     room = Room(7.0, CAMERA_HEIGHT_M, _texture(rng, BROWN), _texture(rng, BROWN), 0.1)
-    at = np.arange(frames)
+    at = np.arange(frames, dtype=np.float64)
     x = 0.9 * np.sin(2 * np.pi * (at - 20) / 150)
     target = Walker(_clothes(rng, BROWN), x, 4.0 + 0.3 * np.sin(2 * np.pi * at / 110))
     other = Walker(_clothes(rng, GREEN), -2.44 + 0.057 * (at - 60), np.full(frames, 4.1))
@@ -101,8 +101,8 @@ def glass_wall(seed: int = 0, frames: int = 120) -> Scene:
     rng = _rng(seed)
     pane = Pane(-0.4, 2.2, 5.0, 0.12, 0.7)
     room = Room(7.0, CAMERA_HEIGHT_M, _texture(rng, BROWN), _texture(rng, BROWN), 0.1, pane)
-    x = np.linspace(-1.0, 1.1, frames)
-    target = Walker(_clothes(rng, GREEN), x, np.linspace(3.6, 4.6, frames))
+    x = np.linspace(-1.0, 1.1, frames, dtype=np.float64)
+    target = Walker(_clothes(rng, GREEN), x, np.linspace(3.6, 4.6, frames, dtype=np.float64))
     return _scene("glass_wall", room, (target,), 0, seed)
 
 
