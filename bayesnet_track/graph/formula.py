@@ -61,7 +61,8 @@ def formula_text(target: CheckedTarget, active: Iterable[str] | None = None) -> 
         f"p({root} | {before}): {_motion(target)}",
     ]
     for name, given, noise in _latent_nodes(target):
-        lines.append(f"p({_text_state(name)} | {_text_state(given)}): Gaussian, {_noise(noise)}")
+        held = _held(target, name)
+        lines.append(f"p({_text_state(name)} | {_text_state(given)}): Gaussian, {_noise(noise)}{held}")
     left_out = _left_out(target, active)
     return "\n".join([*lines, f"left out (switched off): {', '.join(left_out)}"] if left_out else lines)
 
@@ -185,6 +186,14 @@ def _latent_nodes(target: CheckedTarget) -> list[tuple[str, str, Noise]]:
 def _own_state(target: CheckedTarget, name: str) -> str:
     """A latent node's own state; a latent root has two, the target's and its own."""
     return f"{name}_own" if name == target.root else name
+
+
+def _held(target: CheckedTarget, state: str) -> str:
+    """How a latent state is held, where it is not by hypotheses."""
+    belief = target.inference(state).belief if state in target.children else None
+    if belief is None or belief.particles is not None:
+        return ""
+    return "; its likelihood a Gaussian" if belief.gaussian is not None else "; its likelihood on a grid"
 
 
 def _motion(target: CheckedTarget) -> str:

@@ -155,7 +155,11 @@ class InferenceNode(Model):
     """
 
     parent: Name | None = Field(default=None, description="the inference node above; absent for the root")
-    belief: Belief | None = Field(default=None, description="root only; default 500 particles")
+    belief: Belief | None = Field(
+        default=None,
+        description="at the root, default 500 particles; or at a node with `fuse: latent`, then without "
+        "settings, default particles",
+    )
     motion: Motion | None = Field(default=None, description="root only, required there")
     estimate: Estimate | None = Field(default=None, description="root only; default map")
     fuse: Fuse | None = Field(default=None, description="required with two or more children")

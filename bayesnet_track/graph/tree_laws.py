@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from bayesnet_track.graph.latent_law import beliefs_have_a_state, latent_grids_hold_positions
 from bayesnet_track.graph.messages import GraphMessage
 from bayesnet_track.graph.plate import Law, Plate
 
 MAX_LEVELS = 32
-ROOT_ONLY = ("belief", "motion", "estimate", "learn", "lost")
+ROOT_ONLY = ("motion", "estimate", "learn", "lost")
 
 
 def parents_exist(plate: Plate) -> Iterator[GraphMessage]:
@@ -87,7 +88,7 @@ def fusion_is_chosen(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def root_keys_at_the_root(plate: Plate) -> Iterator[GraphMessage]:
-    """Belief, motion, estimate, learning and loss belong to the root."""
+    """Motion, estimate, learning and loss belong to the root."""
     for name, node in plate.inference.items():
         for key in ROOT_ONLY if node.parent is not None else ():
             if getattr(node, key) is not None:
@@ -112,5 +113,7 @@ TREE_LAWS: tuple[Law, ...] = (
     inference_has_agents,
     fusion_is_chosen,
     root_keys_at_the_root,
+    beliefs_have_a_state,
+    latent_grids_hold_positions,
     root_moves,
 )

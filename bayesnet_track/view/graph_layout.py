@@ -167,7 +167,8 @@ def _note(target: CheckedTarget, name: str) -> str:
     if isinstance(node, AgentNode):
         return "" if node.agent.cue == name else node.agent.cue
     if name != target.root:
-        return "own state" if node.fuse is not None and node.fuse.latent is not None else ""
+        held = "" if node.belief is None else f", {node.belief.kind}"
+        return f"own state{held}" if node.fuse is not None and node.fuse.latent is not None else ""
     belief = "particles" if node.belief is None else node.belief.kind
     return belief if node.motion is None else f"{belief}, {node.motion.kind.replace('_', ' ')}"
 

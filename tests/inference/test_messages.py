@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph.spec import Noise
 from bayesnet_track.inference.compile import compile_plan
-from bayesnet_track.inference.messages import evaluate, kernel_message, without
+from bayesnet_track.inference.latent_messages import grid_message, kernel_message
+from bayesnet_track.inference.messages import evaluate, without
 from bayesnet_track.numerics.log_weights import LogWeights
 
 PLACES = np.array([[10.0 * k, 5.0, 4.0, 4.0] for k in range(5)])
@@ -341,4 +342,72 @@ def test_the_kernel_step_is_the_kernel_message(fakes):
     np.testing.assert_allclose(evidence.messages["d"], inner, rtol=1e-12)
     np.testing.assert_allclose(
         evidence.log_likelihood, kernel_message(KERNEL, above, c, beta, inner), rtol=1e-12
+    )
+
+
+# ------------------------------------------------------------------------------------ on a grid
+
+
+@pytest.mark.parametrize(
+    "noise",
+    [
+        {"sd_px": {"x": 6.0, "y": 6.0}},
+        {"sd_px": {"x": 3.0, "y": 9.0}},
+        {"sd_px": {"x": 4.0, "y": 4.0}, "wide": {"share": 0.3, "factor": 3.0}},
+    ],
+)
+def test_the_grid_is_the_kernel_up_to_its_cells(noise):
+    """With cells of a quarter of an sd the interpolation error is about (1/4)^4 / 100 of the values."""
+    given_ = Noise.model_validate(noise)
+    above, own, beta = kernel_case(800)
+    likelihood = two_bumps(None, own, None)
+    exact = kernel_message(given_, above, own, beta, likelihood)
+    grid = grid_message(given_, above, own, beta, likelihood)
+    weights = np.exp(beta)
+    assert weights @ np.abs(grid - exact) < 0.01
+    assert np.quantile(np.abs(grid - exact), 0.95) < 0.05
+
+
+def test_the_grid_of_a_flat_likelihood_says_nothing():
+    above, own, beta = kernel_case(300)
+    np.testing.assert_allclose(grid_message(KERNEL, above, own, beta, np.full(300, -3.0)), -3.0, rtol=1e-9)
+
+
+def test_the_grid_with_dead_hypotheses_and_no_likelihood():
+    above, own, beta = kernel_case(200)
+    dead = beta.copy()
+    dead[:50] = -np.inf
+    dead = LogWeights.normalise(dead)[0].log
+    likelihood = two_bumps(None, own, None)
+    message = grid_message(KERNEL, above, own, dead, likelihood)
+    exact = kernel_message(KERNEL, above, own, dead, likelihood)
+    assert np.exp(dead) @ np.abs(message - exact) < 0.01
+    nowhere = grid_message(KERNEL, above, own, dead, np.full(200, -np.inf))
+    assert (nowhere == -np.inf).all()
+    few = np.full(200, -np.inf)
+    few[60:70] = 0.0
+    assert np.isfinite(grid_message(KERNEL, above, own, dead, few)[50:]).all()
+
+
+def test_the_grid_of_scattered_hypotheses_stays_small():
+    """An sd of 0.5 px over 4000 px would need a billion cells: they become coarser instead."""
+    rng = np.random.default_rng(0)
+    fine = Noise.model_validate({"sd_px": {"x": 0.5, "y": 0.5}})
+    boxes = np.hstack([rng.uniform(0.0, 4000.0, (300, 2)), np.full((300, 2), 9.0)])
+    own = boxes + np.hstack([rng.normal(0.0, 0.5, (300, 2)), np.zeros((300, 2))])
+    beta = np.full(300, -np.log(300))
+    message = grid_message(fine, Hypotheses(boxes), Hypotheses(own), beta, -rng.uniform(0.0, 3.0, 300))
+    assert np.isfinite(message).all() and (message <= 1e-9).all()
+
+
+def test_the_grid_step_is_the_grid_message(fakes):
+    latent = {"latent": {"given": {"sd_px": {"x": 6.0, "y": 6.0}}}}
+    nodes = {"root": {}, "c": {"parent": "root", "belief": "grid", "fuse": latent}, "a": "c"}
+    plate, _ = fakes.plate(nodes)
+    above, _, beta = kernel_case(80)
+    cues = {"a": fakes.Oracle(two_bumps)}
+    evidence = evaluate(compile_plan(plate, "a", cues), fakes.observer(cues), above, beta)
+    own = evidence.latent["c"]
+    np.testing.assert_array_equal(
+        evidence.log_likelihood, grid_message(KERNEL, above, own, beta, two_bumps(None, own, None))
     )
