@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 SCENE_GRAPHS = {
     "orange_and_gray": "color_fusion",
     "gray_square": "color_fusion",
+    "flying_ball": "kalman_ball",
     "person_and_board": "person_shape",
     "person_stereo": "person_stereo",
     "glass_wall": "person_stereo",

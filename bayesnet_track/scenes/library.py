@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from bayesnet_track.scenes.ball import flying_ball
 from bayesnet_track.scenes.children import ball_between_children
 from bayesnet_track.scenes.occluder import occluder
 from bayesnet_track.scenes.scene import Scene
@@ -28,6 +29,7 @@ _SCENES: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
         "orange_and_gray": orange_and_gray,
         "gray_square": gray_square,
         "ball_between_children": ball_between_children,
+        "flying_ball": flying_ball,
         "person_and_board": person_and_board,
         "occluder": occluder,
         "occluder_long": lambda seed: occluder(seed, hidden=22),
