@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, Motion, Report, Step, Stream
+from bayesnet_track.belief.importance import drawn
 from bayesnet_track.belief.map import map_index
 from bayesnet_track.belief.need import Sized
 from bayesnet_track.belief.particle_set import Inputs, ParticleSet, weighted_quantiles
 from bayesnet_track.belief.passes import Pass, prior_of
-from bayesnet_track.belief.sizes import first_pass, start_size
+from bayesnet_track.belief.sizes import start_size
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 
@@ -24,7 +25,7 @@ __all__ = ["Inputs", "ParticleFilter", "ParticleSet", "weighted_quantiles"]
 
 @dataclass(frozen=True)
 class ParticleFilter:
-    """The bootstrap filter, as `settings` say."""
+    """The particle filter, as `settings` say: by default the bootstrap filter."""
 
     settings: spec.Particles
 
@@ -42,8 +43,11 @@ class ParticleFilter:
         that leaves no positive, finite weight is not used: the posterior is the predicted prior.
         """
         inputs = Inputs(prior, motion, dt, evaluate, stream)
-        first = first_pass(self.settings, inputs)
-        return concluded(inputs, first.one, first.sized, first.reports)
+        frame = drawn(self.settings, inputs)
+        step = concluded(inputs, frame.whole, frame.sized, frame.reports)
+        if frame.log_evidence is None or step.degenerate is not None:
+            return step
+        return replace(step, log_evidence=frame.log_evidence)
 
 
 def concluded(

@@ -36,6 +36,10 @@ def _adaptive(plate: Plate, name: str, particles: Particles, size: AdaptiveSize)
     if isinstance(particles.when, EssBelow):
         found = "when: ess_below beside an adaptive size, which changes by drawing new parents"
         yield plate.message(name, found, "when: every_frame", key=(*_KEY, "when"))
+    if particles.importance.kind in ("auxiliary", "likelihood_mixture"):
+        found = f"importance: {particles.importance.kind} beside an adaptive size"
+        allowed = "regular, adaptive, west or rejection; or a size that is a number"
+        yield plate.message(name, found, allowed, key=(*_KEY, "importance"))
     if isinstance(size.settings, NormalSize):
         given = [key for key in ("error_px", "error_sd") if getattr(size.settings, key) is not None]
         if len(given) != 1:

@@ -1,4 +1,4 @@
-"""The settings of the particle belief: how many hypotheses, and how and when parents are drawn."""
+"""The settings of the particle belief: how many hypotheses, how and when drawn, and from where."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
 
-from bayesnet_track.graph.model import Choice, Model, Number, Positive, Share, Whole, word_or_mapping
+from bayesnet_track.graph.importance_settings import Importance
+from bayesnet_track.graph.model import Choice, Empty, Model, Number, Positive, Share, Whole, word_or_mapping
 
 BoxFields = Annotated[tuple[Literal["x", "y", "w", "h"], ...], Field(min_length=1)]
 Confidence = Annotated[Number, Field(ge=0.5, lt=1)]
@@ -110,6 +111,9 @@ class Particles(Model):
         Discriminator(word_or_mapping),
     ] = Field(
         default="every_frame", description="at every frame, or only when the weights have become uneven"
+    )
+    importance: Importance = Field(
+        default=Importance(regular=Empty()), description="from where hypotheses are drawn"
     )
 
     @property

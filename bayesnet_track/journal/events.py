@@ -203,6 +203,33 @@ class MeasurementGated:
 
 
 @dataclass(frozen=True)
+class SecondPass:
+    """A frame surprised the belief: further hypotheses were drawn where the first ones found the target.
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        method: adaptive or west.
+        kl: KL(posterior || prior) of the first pass, nats; the larger one of its two halves.
+        above_kl: level above which a second pass is paid for.
+        first: hypotheses of the first pass.
+        particles: hypotheses drawn in addition.
+        ess_first: effective hypotheses of the first pass.
+        ess: effective hypotheses with the second pass.
+    """
+
+    frame: int
+    target: str
+    method: str
+    kl: float
+    above_kl: float
+    first: int
+    particles: int
+    ess_first: float
+    ess: float
+
+
+@dataclass(frozen=True)
 class RunEnded:
     """Last line of a journal that was closed in order.
 
@@ -228,6 +255,7 @@ Event = (
     | MeasurementGated
     | BeliefReset
     | ParticlesResized
+    | SecondPass
     | RunEnded
     | Decision
 )

@@ -25,6 +25,7 @@ from bayesnet_track.journal.events import (
     ParticlesResized,
     RunEnded,
     RunStarted,
+    SecondPass,
     SourceDamaged,
 )
 
@@ -79,7 +80,9 @@ def _run_ended(event: RunEnded) -> str:
     return f"run {how} after {frames}: {event.reason.replace('_', ' ')}"
 
 
-def happened(event: Decision | DegenerateBelief | MeasurementGated | BeliefReset | ParticlesResized) -> str:
+def happened(
+    event: Decision | DegenerateBelief | MeasurementGated | BeliefReset | ParticlesResized | SecondPass,
+) -> str:
     """The sentence without the frame it happened in."""
     match event:
         case TargetStarted():
@@ -112,6 +115,8 @@ def happened(event: Decision | DegenerateBelief | MeasurementGated | BeliefReset
             return _gated(event)
         case ParticlesResized():
             return _resized(event)
+        case SecondPass():
+            return _second_pass(event)
         case BeliefReset():
             return _reset(event)
         case _:
@@ -191,6 +196,17 @@ def _gated(event: MeasurementGated) -> str:
     return (
         f"{event.node} measured d² {d2} > {limit} from the prediction (gate {event.gate:g}, {of} of freedom) "
         f"→ not used{then}; would have been used at {gate}"
+    )
+
+
+def _second_pass(event: SecondPass) -> str:
+    found, level = _told_apart(event.kl, event.above_kl)
+    how = "" if event.method == "adaptive" else f", by {event.method}"
+    turning = _rounded(event.kl, _digits(event.kl, event.above_kl), up=True)
+    return (
+        f"KL(posterior, prior) {found} nats > {level} → second pass of {event.particles} hypotheses{how}, "
+        f"{event.ess_first:.0f} effective before, {event.ess:.0f} after; "
+        f"would have been spared at above_kl ≥ {turning}"
     )
 
 

@@ -1,0 +1,149 @@
+"""From where the hypotheses of a frame are drawn, and when a second pass is paid for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.alternatives import auxiliary_pass, edited, mixture_pass, refined
+from bayesnet_track.belief.contract import Report
+from bayesnet_track.belief.need import Sized
+from bayesnet_track.belief.particle_set import Inputs
+from bayesnet_track.belief.passes import Pass, prior_of
+from bayesnet_track.belief.proposals import Both, fitted_draws, log_sum, parent_draws, taken
+from bayesnet_track.belief.sizes import First, first_pass, start_size
+from bayesnet_track.graph import spec
+from bayesnet_track.graph.importance_settings import (
+    Adaptive,
+    Auxiliary,
+    LikelihoodMixture,
+    Rejection,
+    West,
+)
+from bayesnet_track.journal.events import SecondPass
+from bayesnet_track.numerics.divergence import kl
+from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """All hypotheses of a frame.
+
+    Attributes:
+        whole: the hypotheses, weighted as a sample of the prior, and their evidence.
+        sized: what an adaptive size remembers.
+        reports: what is to be told.
+        log_evidence: the frame's, where it is not to be taken from the weights of `whole`.
+    """
+
+    whole: Pass
+    sized: Sized | None = None
+    reports: tuple[Report, ...] = ()
+    log_evidence: float | None = None
+
+
+def drawn(settings: spec.Particles, inputs: Inputs) -> Drawn:
+    """The hypotheses of a frame, by the importance function that the settings choose."""
+    chosen = settings.importance.settings
+    match chosen:
+        case Auxiliary():
+            return Drawn(auxiliary_pass(inputs, start_size(settings), chosen))
+        case LikelihoodMixture():
+            return Drawn(mixture_pass(inputs, start_size(settings), chosen))
+    first = first_pass(settings, inputs)
+    match chosen:
+        case Rejection():
+            return Drawn(edited(inputs, first.one, chosen), first.sized, first.reports)
+        case Adaptive() | West():
+            return _twice(inputs, first, chosen)
+    return Drawn(first.one, first.sized, first.reports)
+
+
+def surprise(one: Pass) -> float:
+    """KL(posterior || prior) = sum f ln(f / beta) in nats, of a pass drawn from the prior (eq. 5.30).
+
+    log N - H(f) for equal beta. It cannot exceed log N, and that is what it is said to be when no hypothesis
+    has a positive, finite likelihood.
+    """
+    beta = prior_of(one)
+    try:
+        posterior, _ = LogWeights.normalise(beta.log + one.evidence.log_likelihood)
+    except DegenerateWeights:
+        return float(np.log(len(one)))
+    return kl(posterior.log, beta.log)
+
+
+def _twice(inputs: Inputs, first: First, settings: Adaptive | West) -> Drawn:
+    """The first pass, and a second one where the first is a surprise.
+
+    The frame's evidence is unbiased although the first pass decides on the second: each half of the first
+    keeps or shares its weight by what the *other* half says, as halves know nothing of each other beyond the
+    drawing of their parents.
+    """
+    once = Drawn(first.one, first.sized, first.reports)
+    halves = tuple(_half(first.one, start) for start in (0, 1))
+    found = tuple(surprise(half) for half in halves)
+    if max(found) <= settings.above_kl and settings.above_kl > 0:
+        return once
+    try:
+        both = _second(inputs, first.one, settings)
+    except DegenerateWeights:  # the first pass says nothing of where to look
+        return once
+    if both is None:
+        return once
+    share = len(first.one) / len(both.whole) if len(both.whole) > len(first.one) else 0.0
+    parts = []
+    for half, other in zip(halves, reversed(found), strict=True):
+        own = log_sum(half.prior_log + half.evidence.log_likelihood)
+        both_count = other > settings.above_kl or settings.above_kl == 0
+        parts.append(_weighted(own, both.log_second, share) if both_count else own)
+    log_evidence = float(np.logaddexp(*parts) - np.log(2.0))
+    reports = first.reports
+    if settings.above_kl > 0:
+        reports = (*reports, _report(first.one, both, settings, max(found)))
+    return Drawn(both.whole, first.sized, reports, log_evidence)
+
+
+def _second(inputs: Inputs, first: Pass, settings: Adaptive | West) -> Both | None:
+    if isinstance(settings, West):
+        return refined(inputs, first, settings)
+    draws = fitted_draws(inputs, first, settings) if settings.by == "fitted" else None
+    draws = parent_draws(inputs, first, settings) if draws is None else draws
+    return taken(inputs, first, draws, settings.weights)
+
+
+def _half(one: Pass, start: int) -> Pass:
+    """Every other hypothesis, as a sample of the prior of its own; its messages are left out."""
+    evidence = type(one.evidence)(one.evidence.log_likelihood[start::2])
+    prior_log = LogWeights.normalise(one.prior_log[start::2])[0].log
+    return Pass(one.states[start::2], prior_log, one.ancestors[start::2], evidence)
+
+
+def _weighted(log_first: float, log_second: float, share: float) -> float:
+    with np.errstate(divide="ignore"):
+        return float(np.logaddexp(np.log(share) + log_first, np.log1p(-share) + log_second))
+
+
+def _report(first: Pass, both: Both, settings: Adaptive | West, found: float) -> Report:
+    before, after = _ess(first), _ess(both.whole)
+    particles = len(both.whole) - len(first) or len(first)
+    method = "west" if isinstance(settings, West) else "adaptive"
+    return lambda frame, target: SecondPass(
+        frame=frame,
+        target=target,
+        method=method,
+        kl=found,
+        above_kl=settings.above_kl,
+        first=len(first),
+        particles=particles,
+        ess_first=before,
+        ess=after,
+    )
+
+
+def _ess(one: Pass) -> float:
+    return LogWeights.normalise(one.prior_log + one.evidence.log_likelihood)[0].ess

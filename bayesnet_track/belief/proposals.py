@@ -1,0 +1,217 @@
+"""Second passes: where they are drawn, and the weights that make a sample of the prior of both passes.
+
+All densities are relative to the prior's, which cancels: a hypothesis that the first pass draws n times and
+the second one m r times as densely as the prior has the weight 1 / (n + m r), r being the ratio of the second
+proposal's density to the prior's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.fitted import EFFECTIVE, fitted_message, fitted_proposal, paired_log_density
+from bayesnet_track.belief.particle_set import Inputs
+from bayesnet_track.belief.passes import Pass, joined, prior_of
+from bayesnet_track.belief.sizes import evaluated
+from bayesnet_track.graph.importance_settings import Adaptive
+from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.numerics.resampling import systematic
+
+Floats = NDArray[np.float64]
+Ancestors = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """Hypotheses of a second pass before their evidence.
+
+    Attributes:
+        states: (M, D).
+        ancestors: (M,) the parent that each moved from.
+        log_ratio: (M,) log of the second proposal's density over the prior's, at these.
+        log_ratio_first: (N,) the same at the hypotheses of the first pass.
+    """
+
+    states: Floats
+    ancestors: Ancestors
+    log_ratio: Floats
+    log_ratio_first: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Both:
+    """Two passes as one.
+
+    Attributes:
+        whole: all hypotheses, weighted as a sample of the prior.
+        log_second: log of the evidence by the second pass alone, whose natural scale is unbiased whatever the
+            first one gave.
+    """
+
+    whole: Pass
+    log_second: float
+
+
+def taken(inputs: Inputs, first: Pass, draws: Draws, weights: str) -> Both | None:
+    """The evidence of the draws, and both passes as one; None when they cannot be joined.
+
+    Args:
+        inputs: the frame.
+        first: draws from the prior, which may be weighted.
+        draws: the second pass.
+        weights: `balance`, each hypothesis by what both passes could have drawn it with (at most twice its
+            weight in the first alone, for equal sizes); `separate`, each pass by itself; or `second_only`.
+            Balanced weights depend on the first pass's likelihoods, and so their evidence falls short by a
+            share of the order of one over its effective size; the others' does not.
+    """
+    n, m = len(first), len(draws.states)
+    alone = -np.log(m) - draws.log_ratio
+    second = evaluated(inputs, draws.states, LogWeights.normalise(alone)[0].log, draws.ancestors)
+    if second.evidence.faults.keys() != first.evidence.faults.keys():
+        return None
+    log_second = log_sum(alone + second.evidence.log_likelihood)
+    if weights == "second_only":
+        return Both(reweighted(second, alone), log_second)
+    share = n / (n + m)
+    if weights == "separate":
+        return Both(joined(first, reweighted(second, alone), share), log_second)
+    log_n, log_m = np.log(n), np.log(m)
+    of_first = first.prior_log + log_n - np.logaddexp(log_n, log_m + draws.log_ratio_first)
+    of_second = -np.logaddexp(log_n, log_m + draws.log_ratio)
+    whole = joined(first, second, share)
+    return Both(reweighted(whole, np.concatenate([of_first, of_second])), log_second)
+
+
+def reweighted(one: Pass, prior_log: Floats) -> Pass:
+    """The pass with other prior log-weights (N,)."""
+    return Pass(one.states, prior_log, one.ancestors, one.evidence)
+
+
+def log_sum(log: Floats) -> float:
+    """log sum exp of (N,), -inf when all are."""
+    return float(np.logaddexp.reduce(log))
+
+
+# ------------------------------------------------------------------------------------ by a fitted Gaussian
+
+
+def fitted_draws(inputs: Inputs, first: Pass, settings: Adaptive) -> Draws | None:
+    """Parents and states by the motion times a Gaussian likelihood that the first pass is fitted with.
+
+    Pairs (parent, state) are drawn from beta_k p(x | k) G(x), normalised in closed form, over all hypotheses
+    of the last frame: O(N). For a linear-Gaussian motion and a Gaussian likelihood it tends to the proposal
+    of least variance, p(x | k, y) with parents by p(y | k). Half of the draws are by a fit to many
+    hypotheses, half by one to few (`EFFECTIVE`). None for a motion that cannot be drawn from in this way: one
+    without noise, or whose coordinates have no known way back.
+
+    Raises:
+        DegenerateWeights: no hypothesis of the first pass has a positive, finite likelihood.
+    """
+    motion, beta = inputs.motion, inputs.prior.weights
+    transition = motion.transition(inputs.prior.states, inputs.dt)
+    if transition.states is None or transition.means.shape[1] == 0:
+        return None
+    points = transition.coordinates(first.states)[0]
+    likelihood = first.evidence.log_likelihood
+    proposals = [
+        fitted_proposal(transition, beta, fitted_message(points, prior_of(first), likelihood, effective))
+        for effective in EFFECTIVE
+    ]
+
+    m = len(first)
+    as_first = round(settings.defensive * m)
+    counts = [m - as_first - (m - as_first) // 2, (m - as_first) // 2]
+    rng = inputs.stream("second pass")
+    pairs = [one.draw(count, rng) for one, count in zip(proposals, counts, strict=True)]
+    parents, drawn = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
+    still = motion.drift(inputs.prior.states[parents], inputs.dt)
+    ancestors = systematic(beta.weights, as_first, rng).astype(np.intp, copy=False)
+    moved = motion.propagate(inputs.prior.states[ancestors], inputs.dt, rng)
+    states = np.concatenate([transition.states(drawn, still), moved])
+    ancestors = np.concatenate([parents, ancestors])
+
+    def log_ratio(points: Floats, parents: Ancestors) -> Floats:
+        prior = beta.log[parents] + paired_log_density(transition, points, parents)
+        own = [one.log_density(points, parents) - prior for one in proposals]
+        with np.errstate(divide="ignore"):
+            shares = np.log(np.array([*counts, as_first]) / m)[:, None]
+        return np.asarray(np.logaddexp.reduce(shares + np.array([*own, np.zeros(len(points))])))
+
+    return Draws(
+        states,
+        ancestors,
+        log_ratio(transition.coordinates(states)[0], ancestors),
+        log_ratio(points, first.ancestors),
+    )
+
+
+def mixed(log_ratio: Floats, defensive: float) -> Floats:
+    """The ratio to the prior when a share of the draws is from the prior itself."""
+    if defensive == 0:
+        return log_ratio
+    return np.asarray(np.logaddexp(np.log1p(-defensive) + log_ratio, np.log(defensive)))
+
+
+# ------------------------------------------------------------------------------------ by the parents
+
+
+def parent_draws(inputs: Inputs, first: Pass, settings: Adaptive) -> Draws:
+    """Importance resampling: parents of hypotheses that did well, moved again (eqs. 5.23-5.26, corrected).
+
+    j is drawn by v' among the parents of the first pass, each as often as it was drawn there, and weighted by
+    (1/N) / v'_j, not by the inverse likelihood alone. v'_j is the mean likelihood of j and its neighbours,
+    those whose drift is nearest in sds of the noise, mixed with the defensive share of 1/N. Where a
+    hypothesis of the first pass is weighted by v', its own likelihood is left out, or it would pay for having
+    done well.
+
+    Raises:
+        DegenerateWeights: no hypothesis of the first pass has a positive, finite likelihood.
+    """
+    parents = inputs.prior.states[first.ancestors]
+    likelihood = np.exp(first.evidence.log_likelihood - top(first.evidence.log_likelihood))
+    if settings.neighbours == 1:
+        mean = others = likelihood
+    else:
+        transition = inputs.motion.transition(parents, inputs.dt)
+        group = neighbourhoods(transition.means / transition.sds[0], settings.neighbours)
+        total, count = np.bincount(group, likelihood)[group], np.bincount(group)[group]
+        mean, others = total / count, np.maximum(total - likelihood, 0.0) / np.maximum(count - 1, 1)
+    beta = prior_of(first).weights
+    scale = float(beta @ mean)
+    with np.errstate(divide="ignore"):
+        ratio, ratio_first = (mixed(np.log(v / scale), settings.defensive) for v in (mean, others))
+    drawn = systematic(beta * np.exp(ratio), len(first), inputs.stream("second pass"))
+    states = inputs.motion.propagate(parents[drawn], inputs.dt, inputs.stream("second propagate"))
+    return Draws(states, first.ancestors[drawn], ratio[drawn], ratio_first)
+
+
+def neighbourhoods(points: Floats, size: int) -> NDArray[np.intp]:
+    """(N,) labels of groups of near points (N, K), of `size` to 2 size - 1 each (all N when they are fewer).
+
+    Cut at the median of the widest coordinate until no group can be cut.
+    """
+    labels = np.zeros(len(points), dtype=np.intp)
+    waiting, found = [np.arange(len(points))], 0
+    while waiting:
+        group = waiting.pop()
+        if len(group) < 2 * size or points.shape[1] == 0:
+            labels[group], found = found, found + 1
+            continue
+        here = points[group]
+        order = np.argsort(here[:, int(np.argmax(np.ptp(here, axis=0)))], kind="stable")
+        half = len(group) // 2
+        waiting += [group[order[:half]], group[order[half:]]]
+    return labels
+
+
+def top(log_likelihood: Floats) -> float:
+    """The largest log-likelihood.
+
+    Raises:
+        DegenerateWeights: it is not finite.
+    """
+    LogWeights.normalise(log_likelihood)
+    return float(np.max(log_likelihood))
