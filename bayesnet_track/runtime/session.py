@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from os import PathLike
 from typing import cast
 
+from bayesnet_track.belief.contract import Motion
 from bayesnet_track.engine import make_engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.load import load_graph
@@ -28,6 +29,7 @@ def track(
     *,
     out: str | PathLike[str] | None = None,
     seed: int = 0,
+    motion: Motion | None = None,
     overwrite: bool = False,
     video: bool = False,
     sinks: Sequence[Sink] = (),
@@ -41,6 +43,7 @@ def track(
         box: start box x, y, w, h in the first frame, top-left corner, px; or one `Start` per target.
         out: run directory to write; nothing is written when None.
         seed: seed of all randomness.
+        motion: a motion model of one's own in place of every plate's, such as `FunctionMotion`.
         overwrite: replace an earlier run in `out`.
         video: write the annotated video into `out` too.
         sinks: further observers.
@@ -67,7 +70,8 @@ def track(
         else:
             opened = source
         check_starts(checked, starts, opened.width, opened.height)
-        engine = make_engine(checked, seed)
+        own = None if motion is None else dict.fromkeys(checked.targets, motion)
+        engine = make_engine(checked, seed, motion=own)
         check_depth(engine, opened)
         told: list[Sink] = list(sinks)
         if out is not None:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import pytest
 
@@ -13,6 +14,7 @@ from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events import DegenerateBelief, MeasurementGated
 from bayesnet_track.journal.sentences import explain
+from bayesnet_track.runtime.session import track
 from bayesnet_track.runtime.tracker import Tracker
 
 SPEED = 2.0
@@ -181,7 +183,7 @@ def test_a_motion_of_ones_own_takes_the_graphs_place(finder_engine, fakes):
         )
 
 
-def test_a_tracker_takes_a_motion(rng):
+def test_trackers_take_a_motion(rng, tmp_path):
     picture = rng.integers(0, 255, (80, 100, 3), dtype=np.uint8)
     graph = GraphSpec.model_validate(
         {
@@ -207,6 +209,10 @@ def test_a_tracker_takes_a_motion(rng):
     tracker.init(picture, (20, 20, 24, 24))
     ok, box = tracker.update(picture)
     assert ok and box == pytest.approx((23, 20, 24, 24), abs=0.01)
+    for n in range(3):
+        cv2.imwrite(str(tmp_path / f"{n}.png"), picture)
+    boxes = [result.targets[0].box for result in track(graph, tmp_path, (20, 20, 24, 24), motion=motion)]
+    assert np.diff([x for x, *_ in boxes]) == pytest.approx([3, 3], abs=0.01)
 
 
 def test_the_same_seed_gives_the_same_run(fakes):
