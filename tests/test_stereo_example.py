@@ -6,9 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track import Start, track
+from bayesnet_track import Start, Tracker, track
 from bayesnet_track.cli import main
-from bayesnet_track.graph.net import Activated, Deactivated
+from bayesnet_track.depth import PointMap
+from bayesnet_track.graph.net import Activated, Deactivated, Quarantined
 from bayesnet_track.journal.reader import read_metrics
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.frames import SourceError
@@ -90,6 +91,20 @@ def test_one_eye_is_refused_before_anything_is_written(files, tmp_path, capsys):
     assert not (tmp_path / "run").exists()
     with pytest.raises(SourceError, match="stereo of the graph needs depth"):
         next(track("person_stereo", str(files / "left"), (90, 60, 40, 120)))
+
+
+def test_the_tracker_takes_depth_and_does_without():
+    scene = make_scene("person_stereo", 0)
+    tracker = Tracker("person_stereo")
+    tracker.init(scene.frames[0], scene.start_box, depth=scene.stereo.eye(0))
+    for index in (1, 2):
+        ok, _ = tracker.update(scene.frames[index], depth=scene.stereo.eye(index))
+    assert ok and "stereo" in tracker.metrics.active
+    with pytest.raises(ValueError, match="depth of shape"):
+        tracker.update(scene.frames[3], depth=PointMap(np.zeros((5, 5, 3), np.float32)))
+    tracker.init(scene.frames[0], scene.start_box)
+    (out,) = (event for event in tracker.events if isinstance(event, Quarantined))
+    assert out.node == "stereo" and "needs depth, and the source is one eye" in out.reason
 
 
 @pytest.mark.parametrize(

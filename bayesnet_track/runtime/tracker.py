@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Motion
+from bayesnet_track.depth import Depth, RightEye
 from bayesnet_track.engine import Engine, Outcome, State, make_engine, start_target, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.load import load_graph
@@ -51,22 +52,24 @@ class Tracker:
         self._next_index = 0
         self._last: Outcome | None = None
 
-    def init(self, frame: NDArray[np.uint8], box: CornerBox) -> None:
+    def init(self, frame: NDArray[np.uint8], box: CornerBox, *, depth: Depth | None = None) -> None:
         """Start on the target inside `box` = (x, y, w, h), top-left corner, of the BGR or gray `frame`.
 
-        May be called again, to start anew on another target or in another video.
+        May be called again, to start anew on another target or in another video. `depth` is the rectified
+        right picture or the points that belong to `frame`, for graphs with a stereo agent; here and in
+        `update`.
 
         Raises:
             ValueError: the box is not four finite numbers, has no area or does not touch the frame, or the
                 frame is no picture.
         """
-        first = _frame(frame, 0)
+        first = _frame(frame, 0, depth)
         corner = check_box(box, first.width, first.height)
         plate = next(iter(self._graph.targets))
         self._last = start_target(self._engine, State(), first, "1", plate, centre_from_corner(corner))
         self._state, self._next_index = self._last.state, 1
 
-    def update(self, frame: NDArray[np.uint8]) -> tuple[bool, CornerBox]:
+    def update(self, frame: NDArray[np.uint8], *, depth: Depth | None = None) -> tuple[bool, CornerBox]:
         """Process the next frame: (False while lost else True, the estimate as a top-left corner box).
 
         Raises:
@@ -76,7 +79,7 @@ class Tracker:
         """
         if self._state is None:
             raise RuntimeError("call init(frame, box) before update(frame)")
-        now = _frame(frame, self._next_index)
+        now = _frame(frame, self._next_index, depth)
         _check_alike(now, self._state.previous)
         self._last = step(self._engine, self._state, now)
         self._state, self._next_index = self._last.state, self._next_index + 1
@@ -101,14 +104,18 @@ class Tracker:
         return () if self._last is None else self._last.events
 
 
-def _frame(image: NDArray[np.uint8], index: int) -> Frame:
+def _frame(image: NDArray[np.uint8], index: int, depth: Depth | None) -> Frame:
     if not isinstance(image, np.ndarray):
         raise ValueError(
             f"a frame is an array of pixels, not {type(image).__name__}; could the image be read?"
         )
     # A copy: the caller may reuse its buffer, and the next step looks at this frame again.
     picture, has_color = to_bgr(np.array(image))
-    return Frame(index, float(index), picture, has_color, float(index))
+    if depth is not None:
+        other = depth.image if isinstance(depth, RightEye) else depth.points
+        if other.shape != picture.shape:
+            raise ValueError(f"depth of shape {other.shape} does not fit a picture of {picture.shape}")
+    return Frame(index, float(index), picture, has_color, float(index), depth)
 
 
 def _check_alike(now: Frame, before: Frame | None) -> None:
