@@ -47,8 +47,11 @@ def _array(path: Path) -> NDArray[np.generic]:
 def _depth_image(path: Path, pair: RectifiedPair | None) -> NDArray[np.generic]:
     import cv2
 
-    data = path.read_bytes()
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    try:
+        data = path.read_bytes()
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    except (OSError, cv2.error) as error:
+        raise PictureError(f"{path.name}: {getattr(error, 'strerror', None) or error}") from error
     if image is None or image.ndim != 2 or image.dtype not in (np.uint16, np.float32):
         raise PictureError(f"{path.name}: not a depth image of one channel, 16 bit or float")
     unit = np.float32(1.0 if image.dtype == np.float32 or pair is None else pair.depth_unit_m)

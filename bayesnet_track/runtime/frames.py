@@ -9,7 +9,7 @@ events about the source. The rules, the same for every kind of source:
   the gap. Where it stands still or runs backwards, `SourceDamaged` ends the source.
 - **Size.** A picture of another size, or gray where the first was in colour or the other way round, gives
   `FrameSizeChanged`; then the source ends ("stop"), or the picture is resized to the first one's size
-  ("rescale").
+  ("rescale"; never where the frames carry depth).
 """
 
 from __future__ import annotations
@@ -222,8 +222,10 @@ class Source:
                 yield FramesMissing(item.index, item.time - last.time - 1.0)
             now = (image.shape[1], image.shape[0], has_color)
             if shape is not None and now != shape:
-                yield FrameSizeChanged(item.index, now[0], now[1], self._on_resize)
-                if self._on_resize == "stop":
+                # Depth cannot be brought to another size: its geometry is that of the pixels.
+                action = "stop" if depth is not None and now[:2] != shape[:2] else self._on_resize
+                yield FrameSizeChanged(item.index, now[0], now[1], action)
+                if action == "stop":
                     self.end_reason = "frame_size_changed"
                     return
             shape = now

@@ -170,6 +170,29 @@ def test_depth_that_does_not_belong_to_the_picture(tmp_path, calibration):
     refused("not a depth image of one channel", left, depth=str(depth), calibration=calibration)
 
 
+def test_depth_is_never_rescaled(tmp_path):
+    left, depth = folder(tmp_path / "l", [10, 11]), tmp_path / "d"
+    depth.mkdir()
+    cv2.imwrite(str(left / "001.png"), image(11, (16, 12)))
+    for number, size in enumerate(((HEIGHT, WIDTH), (12, 16))):
+        np.save(depth / f"{number:03d}.npy", np.ones((*size, 3), np.float32))
+    source = open_stereo_source(str(left), depth=str(depth), on_resize="rescale")
+    frames, events = read(source)
+    assert len(frames) == 1 and source.end_reason == "frame_size_changed"
+    assert [event.action for event in events] == ["stop"]
+
+
+def test_a_depth_file_that_is_gone_is_damage(tmp_path, calibration):
+    left, depth = folder(tmp_path / "l", [10, 11]), tmp_path / "d"
+    depth.mkdir()
+    for number in range(2):
+        cv2.imwrite(str(depth / f"{number:03d}.png"), np.full((HEIGHT, WIDTH), 3000, np.uint16))
+    source = open_stereo_source(str(left), depth=str(depth), calibration=calibration)
+    (depth / "001.png").unlink()
+    frames, events = read(source)
+    assert len(frames) == 1 and events == [SourceDamaged(1, "001.png: No such file or directory")]
+
+
 class Eye:
     """A reader without files."""
 
