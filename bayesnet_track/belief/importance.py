@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.alternatives import auxiliary_pass, edited, mixture_pass, refined
-from bayesnet_track.belief.contract import Report
+from bayesnet_track.belief.contract import Evidence, Report
 from bayesnet_track.belief.need import Sized
 from bayesnet_track.belief.particle_set import Inputs
 from bayesnet_track.belief.passes import Pass, prior_of
@@ -118,7 +118,7 @@ def _second(inputs: Inputs, first: Pass, settings: Adaptive | West) -> Both | No
 
 def _half(one: Pass, start: int) -> Pass:
     """Every other hypothesis, as a sample of the prior of its own; its messages are left out."""
-    evidence = type(one.evidence)(one.evidence.log_likelihood[start::2])
+    evidence = Evidence(one.evidence.log_likelihood[start::2])
     prior_log = LogWeights.normalise(one.prior_log[start::2])[0].log
     return Pass(one.states[start::2], prior_log, one.ancestors[start::2], evidence)
 

@@ -27,6 +27,7 @@ from bayesnet_track.journal.events import (
     ParticlesResized,
     RunEnded,
     RunStarted,
+    SecondPass,
     SourceDamaged,
 )
 from bayesnet_track.journal.explain import Filter, explain, why
@@ -142,6 +143,16 @@ GOLDEN = [
         MeasurementGated(42, "1", "detector", 4000.0, 9.21034037, 0.99, 2, 1.0, 0),
         "frame 42: detector measured d² 4000 > 9.21 from the prediction (gate 0.99, 2 degrees of freedom) "
         "→ not used; nothing else was measured near the prediction; would have been used at gate: 1",
+    ),
+    (
+        SecondPass(41, "1", "adaptive", 4.6123, 2.0, 500, 500, 6.2, 310.4),
+        "frame 41: KL(posterior, prior) 4.61 nats > 2 → second pass of 500 hypotheses, 6 effective before, "
+        "310 after; would have been spared at above_kl ≥ 4.62",
+    ),
+    (
+        SecondPass(42, "1", "west", 2.0004, 2.0, 500, 1000, 40.0, 700.0),
+        "frame 42: KL(posterior, prior) 2.0004 nats > 2 → second pass of 1000 hypotheses, by west, 40 "
+        "effective before, 700 after; would have been spared at above_kl ≥ 2.01",
     ),
     (
         ParticlesResized(
