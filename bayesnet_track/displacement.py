@@ -136,7 +136,8 @@ def mean_squares(
         np.array(origin, dtype=np.int64),
         points.at,
         points.patches,
-        *(np.rint((matching.steps + middle) * dt).astype(np.int64) for middle in centre),
+        np.rint((matching.steps + centre[0]) * dt).astype(np.int64),
+        np.rint((matching.steps + centre[1]) * dt).astype(np.int64),
         squares,
     )
     return squares
@@ -184,8 +185,9 @@ def moments(matrix: Floats) -> tuple[Floats, Floats]:
 def working_points(filtered: Floats, motion: Floats, matching: Matching) -> Ints:
     """(N, 2) x_opt of each matrix, from its centre: its probable displacement nearest to the object's."""
     u, v = np.meshgrid(matching.steps, matching.steps)
-    places = np.column_stack([u.ravel(), v.ravel()])
-    return places[[nearest_probable(places, m.ravel(), motion, matching.epsilon) for m in filtered]]
+    places = np.column_stack([u.ravel(), v.ravel()]).astype(np.float64)
+    chosen = [nearest_probable(places, matrix.ravel(), motion, matching.epsilon) for matrix in filtered]
+    return places[chosen].astype(np.int64)
 
 
 def flat_motion(count: int, matching: Matching) -> Floats:

@@ -259,7 +259,8 @@ def _log_gaussian(measured: Measurement, values: list[Floats]) -> Floats:
     """Log-likelihood of a Gaussian message at the values of its fields, mixed with its floor."""
     away = np.stack(values, axis=-1) - measured.mean
     distance2 = np.einsum("...k,kl,...l->...", away, np.linalg.inv(measured.covariance), away)
-    return np.log(measured.floor + (1.0 - measured.floor) * np.exp(-0.5 * distance2) + 1e-300)
+    likelihood = measured.floor + (1.0 - measured.floor) * np.exp(-0.5 * distance2)
+    return np.asarray(np.log(likelihood + 1e-300))  # finite far out, as products of masses need it
 
 
 def _heaviest(positions: Floats, cut: float) -> Ints:
@@ -287,7 +288,7 @@ def _evenly(evaluate: Evaluate, states: Floats) -> Evidence:
 
 def _around_zero(count: int) -> Floats:
     """(count,) whole numbers, the middle one 0."""
-    return np.arange(count) - (count - 1) / 2
+    return np.arange(float(count)) - (count - 1) / 2
 
 
 def _first(chosen: spec.Grid, sd: float) -> Floats:

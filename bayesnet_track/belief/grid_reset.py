@@ -137,4 +137,5 @@ def _event(
 def _nearest(places: Ints, coarse: Ints) -> Ints:
     """Index into the evenly spaced `coarse` of the one nearest to each place."""
     step = int(coarse[1] - coarse[0]) if len(coarse) > 1 else 1
-    return np.clip(np.rint((places - coarse[0]) / step).astype(np.int64), 0, len(coarse) - 1)
+    index = np.rint((places - coarse[0]) / step).astype(np.int64)
+    return np.asarray(np.clip(index, 0, len(coarse) - 1), dtype=np.int64)
