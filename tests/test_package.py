@@ -18,7 +18,17 @@ from bayesnet_track.graph.messages import GraphError
 from bayesnet_track.journal.reader import read_metrics
 
 ROOT = Path(__file__).parents[1]
-BUILT_IN = ["color_blobs", "color_histogram", "intensity", "motion", "shape", "stereo"]
+BUILT_IN = [
+    "camshift",
+    "color_blobs",
+    "color_histogram",
+    "displacement",
+    "intensity",
+    "mean_shift",
+    "motion",
+    "shape",
+    "stereo",
+]
 
 
 def python(*arguments, **settings):

@@ -69,6 +69,21 @@ def test_a_latent_node_integrates_over_its_own_state(target):
     assert "p(color_t | s_t): Gaussian, sd x 6 px, y 6 px" in text
 
 
+@pytest.mark.parametrize(
+    ("belief", "said"),
+    [
+        ("particles", ""),
+        ("gaussian", "; its likelihood a Gaussian"),
+        ("grid", "; its likelihood on a grid"),
+    ],
+)
+def test_how_a_latent_state_is_held(target, belief, said):
+    nodes = _fusion({"latent": {"given": {"sd_px": {"x": 6, "y": 6}}}})
+    nodes["color"]["belief"] = belief
+    text = formula_text(target(nodes))
+    assert text.splitlines()[-1] == f"p(color_t | s_t): Gaussian, sd x 6 px, y 6 px{said}"
+
+
 def test_a_latent_root_has_two_states(target):
     nodes = _fusion()
     nodes["s"]["fuse"] = {"latent": {"given": {"sd_box": {"x": 0.1}}}}

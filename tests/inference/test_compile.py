@@ -114,6 +114,28 @@ def test_the_plan_as_text(fakes):
     assert "(a)" not in describe_plan(compile_plan(plate, "a", cues))
 
 
+@pytest.mark.parametrize(
+    ("belief", "how", "said"),
+    [
+        (None, "one", ""),
+        ("particles", "one", ""),
+        ("gaussian", "gaussian", " as a Gaussian"),
+        ("grid", "grid", " on a grid"),
+    ],
+)
+def test_the_belief_of_a_latent_node(fakes, belief, how, said):
+    node = {"parent": "root", "fuse": {"latent": {"given": GIVEN}}}
+    nodes = {"root": {}, "part": node if belief is None else {**node, "belief": belief}, "a": "part"}
+    plan = compiled(fakes, nodes, "a")
+    assert plan.joins[0] == Join("part", "latent", ("a",), (1.0,), NOISE, how)
+    assert f"  join     part = latent(a){said}" in describe_plan(plan).splitlines()
+
+
+def test_the_belief_of_a_latent_root_is_about_the_target(fakes):
+    nodes = {"root": {"belief": "gaussian", "fuse": {"latent": {"given": GIVEN}}}, "a": "root"}
+    assert compiled(fakes, nodes, "a").joins[0].own == "one"
+
+
 FUSIONS = ("product", "pool", {"latent": {"given": GIVEN}}, {"latent": {"given": GIVEN, "draw": "kernel"}})
 
 
