@@ -73,7 +73,7 @@ def rmse(tracks: Sequence[Track], frames: slice = slice(0, None), part: str = "e
 
 def uniform(frames: int = 60) -> Floats:
     """A ball that rolls evenly across a picture of 320 x 240."""
-    return np.array([30.0, 190.0]) + np.arange(frames)[:, None] * np.array([4.4, -2.6])
+    return np.asarray(np.array([30.0, 190.0]) + np.arange(frames)[:, None] * np.array([4.4, -2.6]))
 
 
 def manoeuvre(speed: float = 6.0, rate: float = 0.2) -> Floats:
