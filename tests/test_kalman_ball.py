@@ -120,3 +120,39 @@ def test_the_belief_is_exactly_kalmans(tmp_path):
             x = x + gain @ (measured.mean - x[:2])
             covariance = covariance - gain @ covariance[:2]
         np.testing.assert_allclose(result.targets[0].box[:2], x[:2], atol=1e-6)
+
+
+MIXED = """\
+bayesnet: 1
+name: mixed
+targets:
+  ball:
+    nodes:
+      ball:
+        belief: {root}
+        motion: {{constant_velocity: {{sd_velocity_px: 1, start_velocity_sd_px: 6}}}}
+        fuse: product
+        estimate: mean
+        ud_fields: [x, y]
+      color: {{parent: ball, belief: {latent}, fuse: {{latent: {{given: {{sd_px: {{x: 2, y: 2}}}}}}}}}}
+      histogram: {{parent: color, agent: color_histogram}}
+      intensity: {{parent: color, agent: intensity}}
+      place: {{parent: ball, agent: mean_shift}}
+"""
+
+
+@pytest.mark.parametrize("root", ["particles", "gaussian", "{grid: {velocity_cell_px: 3}}"])
+@pytest.mark.parametrize("latent", ["gaussian", "grid"])
+def test_the_three_kinds_mix_in_one_net(tmp_path, root, latent):
+    """Agents that score below a latent node, one that measures beside it, any belief above."""
+    path = tmp_path / "graph.yaml"
+    path.write_text(MIXED.format(root=root, latent=latent), encoding="utf-8")
+    scene = make_scene("flying_ball", 1)
+    source = SceneSource(scene, "scene:flying_ball")
+    for result in track(path, source, [Start(scene.start_box)], seed=1):
+        index, target = result.frame.index, result.targets[0]
+        assert np.hypot(*(np.array(target.box) - centre_from_corner(scene.truth[index]))[:2]) < 5.0
+        if index > 0:
+            assert set(target.active) == {"histogram", "intensity", "place"}
+        if index == 14:
+            break

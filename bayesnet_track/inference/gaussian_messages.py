@@ -31,7 +31,9 @@ def measurement_message(measured: Measurement, hypotheses: Hypotheses) -> Floats
     """(N,) log-likelihood -d^2 / 2 of a Gaussian message, mixed with its floor."""
     values = np.stack([_field(hypotheses, name) for name in measured.fields], axis=1)
     root = np.linalg.cholesky(measured.covariance)
-    sds = np.clip(np.linalg.solve(root, (values - measured.mean).T), -FAR, FAR)
+    with np.errstate(over="ignore", invalid="ignore"):
+        sds = np.linalg.solve(root, (values - measured.mean).T)
+    sds = np.nan_to_num(np.clip(sds, -FAR, FAR), nan=FAR)
     log = np.asarray(-0.5 * np.sum(sds**2, axis=0))
     return floored(log, measured.floor) if measured.floor > 0 else log
 

@@ -197,8 +197,7 @@ FAULTS = {
 def test_a_faulty_measurement_leaves_no_trace_but_its_name(asked, measuring, fault):
     wrong, said = FAULTS[fault]
     sees = {"m": measuring.Measurer(lambda h, w: wrong), "a": values(OTHER)}
-    with np.errstate(all="ignore"):
-        _, evidence = asked(PRODUCT, sees, BOXES)
+    _, evidence = asked(PRODUCT, sees, BOXES)
     assert set(evidence.faults) == {"m"}
     assert evidence.faults["m"].split(":")[0] == said.split(":")[0]
     assert evidence.faults["m"] == said or fault == "text"
@@ -219,9 +218,12 @@ def test_one_that_raises_or_meddles(asked, measuring):
 
 
 def test_a_place_beyond_all_numbers_is_no_match_without_a_warning(asked, measuring):
-    far = Measurement(("x", "y"), np.array([1e200, -1e200]), 1e-200 * np.eye(2))
-    _, evidence = asked(PRODUCT, {"m": measuring.Measurer(lambda h, w: far), "a": values(OTHER)}, BOXES)
-    assert np.isfinite(evidence.log_likelihood).all() and (evidence.log_likelihood < -1e100).all()
+    for spread in (1e-200 * np.eye(2), 1e-300 * np.array([[2.0, 1.0], [1.0, 2.0]])):
+        far = Measurement(("x", "y"), np.array([1e200, -1e200]), spread)
+        _, evidence = asked(
+            PRODUCT, {"m": measuring.Measurer(lambda h, w, o=far: o), "a": values(OTHER)}, BOXES
+        )
+        assert np.isfinite(evidence.log_likelihood).all() and (evidence.log_likelihood < -1e100).all()
 
 
 # ------------------------------------------------------------------------------------ once a frame
