@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import BOX_FIELDS, Evaluate, Evidence, Motion, Report, Step, Stream
 from bayesnet_track.belief.grid_cells import GridBelief, Lattice
+from bayesnet_track.belief.grid_evidence import asked_again, log_gaussian
 from bayesnet_track.belief.grid_motion import limits_of, predicted, scale_sd
 from bayesnet_track.belief.grid_reset import (
     Verdict,
@@ -134,7 +135,11 @@ class GridFilter:
             return judged_in_box(rule, asked.belief, masses, log_likelihood)
         limits = limits_of(asked.belief.lattice, motion, self.settings.window)
         return judged_on_image(
-            rule, asked.belief, limits, log_evidence, lambda states: _evenly(evaluate, states)
+            rule,
+            asked.belief,
+            limits,
+            log_evidence,
+            lambda states: asked_again(evaluate, evidence, states, asked.belief.fields),
         )
 
     def _reset(
@@ -149,7 +154,7 @@ class GridFilter:
             limits = limits_of(asked.belief.lattice, motion, self.settings.window)
             belief = window_around(asked.belief, verdict.peak, limits)
             fresh = _Asked(belief, _heaviest(belief.positions, 0.0))
-            evidence = evaluate(fresh.hypotheses, fresh.prior.log)
+            evidence = asked_again(evaluate, evidence, fresh.states, belief.fields, fresh.prior.log)
         try:
             posterior, _ = fresh.updated(evidence)
         except DegenerateWeights as fault:
@@ -189,7 +194,7 @@ class _Asked:
         fast = {n: m for n, m in evidence.gaussians.items() if not set(m.fields) <= set(BOX_FIELDS)}
         if fast and evidence.sampled is not None:
             slow = sum(
-                (_log_gaussian(m, self._fields(m)) for n, m in evidence.gaussians.items() if n not in fast),
+                (log_gaussian(m, self._fields(m)) for n, m in evidence.gaussians.items() if n not in fast),
                 evidence.sampled,
             )
             belief = self._measured(list(fast.values()))
@@ -251,16 +256,8 @@ class _Asked:
                 shape = [1] * 5
                 shape[shapes[name]] = -1
                 values.append(self.belief.values[self.belief.fields.index(name)].reshape(shape))
-            mass = mass * np.exp(_log_gaussian(one, list(np.broadcast_arrays(*values))))
+            mass = mass * np.exp(log_gaussian(one, list(np.broadcast_arrays(*values))))
         return replace(self.belief, mass=mass)
-
-
-def _log_gaussian(measured: Measurement, values: list[Floats]) -> Floats:
-    """Log-likelihood of a Gaussian message at the values of its fields, mixed with its floor."""
-    away = np.stack(values, axis=-1) - measured.mean
-    distance2 = np.einsum("...k,kl,...l->...", away, np.linalg.inv(measured.covariance), away)
-    likelihood = measured.floor + (1.0 - measured.floor) * np.exp(-0.5 * distance2)
-    return np.asarray(np.log(likelihood + 1e-300))  # finite far out, as products of masses need it
 
 
 def _heaviest(positions: Floats, cut: float) -> Ints:
@@ -279,11 +276,6 @@ def _bounding_box(shape: tuple[int, ...], cells: Ints) -> Ints:
     inside = np.zeros(shape, dtype=bool)
     inside[:, row.min() : row.max() + 1, column.min() : column.max() + 1] = True
     return np.flatnonzero(inside)
-
-
-def _evenly(evaluate: Evaluate, states: Floats) -> Evidence:
-    further = {name: states[:, 4 + k] for k, name in enumerate(("vx", "vy")) if states.shape[1] > 4}
-    return evaluate(Hypotheses(states[:, :4], further), LogWeights.uniform(len(states)).log)
 
 
 def _around_zero(count: int) -> Floats:

@@ -96,10 +96,11 @@ def feasibility(prior: Floats, likelihood: Floats, mean_likelihood: float) -> fl
 def false_reset_level(prior: Floats, likelihood: Floats, rate: float) -> float:
     """The level of gamma below which a share `rate` of the frames of a right prediction falls.
 
-    A right prediction puts the likelihood's peak where the prior, widened by the likelihood itself, puts it.
-    So the frame's own likelihood is moved to every cell z, gamma(z) is taken there, and its quantile under
-    that predictive distribution is the level. U is the whole of the arrays; what is moved across their border
-    has the least likelihood that was seen.
+    A right prediction puts the likelihood's peak at z, which the prior, widened by the error of the peak, says.
+    So the frame's own likelihood is moved to every z, gamma(z) is taken there, and its quantile under that
+    predictive distribution is the level. The peak's error is that of the Gaussian which has the same cells
+    above half of its height; below, a likelihood is often nothing but a floor. U is the whole of the arrays;
+    what is moved across their border has the least likelihood that was seen.
 
     Args:
         prior: masses of the cells of U, any number of dimensions, summing to 1.
@@ -110,25 +111,39 @@ def false_reset_level(prior: Floats, likelihood: Floats, rate: float) -> float:
         The level; 0 (never) when the likelihood is the same everywhere.
     """
     floor, peak = float(likelihood.min()), np.unravel_index(int(np.argmax(likelihood)), likelihood.shape)
-    shape = likelihood - floor
-    if shape.sum() <= 0:
+    above = likelihood - floor
+    if above.max() <= 0:
         return 0.0
+    sizes, axes = tuple(2 * n for n in prior.shape), tuple(range(prior.ndim))
     # Correlations by FFT over arrays padded to twice the size, so that nothing wraps round.
-    sizes = tuple(2 * n for n in prior.shape)
-    axes = tuple(range(prior.ndim))
-    centred = np.zeros(sizes)
-    centred[tuple(slice(0, n) for n in prior.shape)] = shape
-    centred = np.roll(centred, [-int(at) for at in peak], axes)
-    spectrum = np.fft.rfftn(centred, axes=axes)
-    known = np.fft.rfftn(prior, sizes, axes)
     inside = tuple(slice(0, n) for n in prior.shape)
-    # E L with the likelihood's peak at z, and the chance that it is there.
-    expected = np.fft.irfftn(known * np.conj(spectrum), sizes, axes)[inside] + floor
-    chance = np.clip(np.fft.irfftn(known * spectrum, sizes, axes)[inside], 0.0, None)
+    centred = np.zeros(sizes)
+    centred[inside] = above
+    centred = np.roll(centred, [-int(at) for at in peak], axes)
+    known = np.fft.rfftn(prior, sizes, axes)
+    error = np.fft.rfftn(_peak_error(above, peak, sizes), sizes, axes)
+    expected = np.fft.irfftn(known * np.conj(np.fft.rfftn(centred, sizes, axes)), sizes, axes)[inside] + floor
+    chance = np.clip(np.fft.irfftn(known * error, sizes, axes)[inside], 0.0, None)
     gammas = expected.ravel() / likelihood.mean()
     order = np.argsort(gammas)
     cumulative = np.cumsum(chance.ravel()[order])
     return float(gammas[order][np.searchsorted(cumulative, rate * cumulative[-1])])
+
+
+def _peak_error(above: Floats, peak: tuple[np.intp, ...], sizes: tuple[int, ...]) -> Floats:
+    """Masses (sizes) of a Gaussian around cell 0, as wide as what is above half of the peak.
+
+    An even ellipsoid of d dimensions has variance a^2 / (d + 2) along a half axis a, and a Gaussian falls to
+    half at a^2 = 2 ln 2 sd^2. A cell's own 1 / 12 is added.
+    """
+    used = [k for k, size in enumerate(above.shape) if size > 1]
+    if not used:
+        return np.ones(sizes)
+    off = np.argwhere(above >= 0.5 * above.max())[:, used] - np.array([peak[k] for k in used])
+    spread = (len(used) + 2) / (2.0 * np.log(2.0)) * (off.T @ off) / len(off) + np.eye(len(used)) / 12.0
+    steps = np.meshgrid(*(np.fft.fftfreq(size, 1.0 / size) for size in sizes), indexing="ij")
+    away = np.stack([steps[k] for k in used], axis=-1)
+    return np.asarray(np.exp(-0.5 * np.einsum("...k,kl,...l", away, np.linalg.inv(spread), away)))
 
 
 def nearest_probable(points: Floats, weights: Floats, toward: Floats, epsilon: float) -> int:

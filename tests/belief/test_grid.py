@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from bayesnet_track import Tracker
 from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.estimate import estimate
@@ -10,8 +11,10 @@ from bayesnet_track.belief.grid import GridFilter
 from bayesnet_track.belief.grid_motion import predicted
 from bayesnet_track.cue import Measurement
 from bayesnet_track.graph import spec
+from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.events import BeliefReset
 from bayesnet_track.journal.sentences import explain
+from bayesnet_track.scenes import make_scene
 
 BOX = np.array([100.0, 80.0, 20.0, 10.0])
 NOISE = {
@@ -294,3 +297,55 @@ def test_motions_without_cells_are_refused(motion_of, stream_of):
         belief.start(BOX, motion_of("constant_acceleration"), stream_of(0, 0))
     with pytest.raises(ValueError, match=r"sd_log\.scale"):
         belief.start(BOX, motion_of("random_walk", sd_px={"x": 1.0, "w": 1.0}), stream_of(0, 0))
+
+
+def test_a_place_measured_once_stands_for_the_frame(motion_of, stream_of):
+    """An agent that finds another place among even hypotheses must not decide about the whole image by it."""
+    motion = Confined(motion_of("random_walk", **NOISE["random_walk"]), 320, 240)
+    belief = GridFilter(spec.Grid(cell_px=1.0, reset=spec.Reset(region="image")))
+    known = belief.start(BOX, motion, stream_of(0, 0))
+    asked = []
+
+    def evaluate(hypotheses, prior_log):
+        where = np.exp(prior_log) @ hypotheses.boxes[:, :2]  # it measures what it is told
+        asked.append(len(hypotheses))
+        seen = Measurement(("x", "y"), where, np.eye(2))
+        near = -0.5 * np.sum((hypotheses.boxes[:, :2] - where) ** 2, axis=1)
+        return Evidence(near, gaussians={"a": seen}, sampled=np.zeros(len(hypotheses)))
+
+    stepped = belief.step(known, motion, 1.0, evaluate, stream_of(0, 1))
+    assert len(asked) == 2 and asked[1] <= 4096
+    assert not stepped.reports
+    np.testing.assert_allclose(stepped.posterior.mean[:2], BOX[:2], atol=1e-3)  # the cut is uneven
+
+
+def test_a_teleport_in_a_run_is_a_reset_and_an_event():
+    """The picture jumps by (90, -60) px in frame 12; the pattern is found there, in the same frame."""
+    scene = make_scene("gray_square", 0)
+    graph = {
+        "name": "jumping",
+        "targets": {
+            "t": {
+                "nodes": {
+                    "t": {
+                        "belief": {"grid": {"reset": {"region": "image", "false_rate": 0.02}}},
+                        "motion": {"random_walk": {"sd_px": {"x": 5, "y": 5}}},
+                        "ud_fields": ["x", "y"],
+                    },
+                    "a": {"parent": "t", "agent": {"intensity": {"sharpness": 3, "floor": 0.001}}},
+                }
+            }
+        },
+    }
+    tracker = Tracker(GraphSpec.model_validate(graph))
+    tracker.init(scene.frames[0], scene.start_box)
+    jump, told = np.array([90.0, -60.0]), []
+    for k in range(1, 16):
+        picture = scene.frames[k]
+        picture = np.roll(picture, (-60, 90), axis=(0, 1)) if k >= 12 else picture
+        box = np.array(tracker.update(picture)[1])
+        told += tracker.events
+        truth = scene.truth[k, :2] + (jump if k >= 12 else 0)
+        assert np.abs(box[:2] - truth).max() < 6, k
+    (event,) = (event for event in told if isinstance(event, BeliefReset))
+    assert event.frame == 12 and event.gamma < event.below and event.action == "reset"

@@ -1,0 +1,48 @@
+"""Gaussian messages at the cells of a grid, and the evidence of further cells of the same frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import Evaluate, Evidence
+from bayesnet_track.cue import Hypotheses, Measurement
+from bayesnet_track.numerics.log_weights import LogWeights
+
+Floats = NDArray[np.float64]
+
+
+def log_gaussian(measured: Measurement, values: list[Floats]) -> Floats:
+    """Log-likelihood of a Gaussian message at the values of its fields, mixed with its floor."""
+    away = np.stack(values, axis=-1) - measured.mean
+    distance2 = np.einsum("...k,kl,...l->...", away, np.linalg.inv(measured.covariance), away)
+    likelihood = measured.floor + (1.0 - measured.floor) * np.exp(-0.5 * distance2)
+    return np.asarray(np.log(likelihood + 1e-300))  # finite far out, as products of masses need it
+
+
+def asked_again(
+    evaluate: Evaluate,
+    first: Evidence,
+    states: Floats,
+    fields: tuple[str, ...],
+    prior_log: Floats | None = None,
+) -> Evidence:
+    """The evidence at other states (N, D) of a frame that was measured already.
+
+    Agents that measure look around the hypotheses that they are given, and would find another place now.
+    What they measured first stands, so that both are evidence of one frame.
+    """
+    further = {name: states[:, k] for k, name in enumerate(fields) if k >= 4}
+    prior_log = LogWeights.uniform(len(states)).log if prior_log is None else prior_log
+    again = evaluate(Hypotheses(states[:, :4], further), prior_log)
+    if not first.gaussians and not again.gaussians:
+        return again
+    sampled = again.log_likelihood if again.sampled is None else again.sampled
+    total = sampled
+    for one in first.gaussians.values():
+        total = total + log_gaussian(one, [states[:, fields.index(name)] for name in one.fields])
+    return replace(
+        again, log_likelihood=total, gaussians=first.gaussians, sampled=sampled, measured=first.measured
+    )
