@@ -96,7 +96,7 @@ def feasibility(prior: Floats, likelihood: Floats, mean_likelihood: float) -> fl
 def false_reset_level(prior: Floats, likelihood: Floats, rate: float) -> float:
     """The level of gamma below which a share `rate` of the frames of a right prediction falls.
 
-    A right prediction puts the likelihood's peak at z, which the prior, widened by the error of the peak, says.
+    A right prediction puts the likelihood's peak at z as the prior, widened by the peak's error, says.
     So the frame's own likelihood is moved to every z, gamma(z) is taken there, and its quantile under that
     predictive distribution is the level. The peak's error is that of the Gaussian which has the same cells
     above half of its height; below, a likelihood is often nothing but a floor. U is the whole of the arrays;
