@@ -101,7 +101,7 @@ def _twice(inputs: Inputs, first: First, settings: Adaptive | West) -> Drawn:
         own = log_sum(half.prior_log + half.evidence.log_likelihood)
         both_count = other > settings.above_kl or settings.above_kl == 0
         parts.append(_weighted(own, both.log_second, share) if both_count else own)
-    log_evidence = float(np.logaddexp(*parts) - np.log(2.0))
+    log_evidence = float(np.logaddexp(parts[0], parts[1]) - np.log(2.0))
     reports = first.reports
     if settings.above_kl > 0:
         reports = (*reports, _report(first.one, both, settings, max(found)))

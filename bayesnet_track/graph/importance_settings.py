@@ -15,7 +15,8 @@ class Adaptive(Model):
     """A second pass, drawn where the first one found the target, in frames that surprise (thesis 5.5.2).
 
     The first pass is drawn from the motion model and its hypotheses are kept. A surprise is
-    KL(posterior || prior), the larger one of two halves of the first pass.
+    KL(posterior || prior), the larger one of two halves of the first pass. It refines what that pass saw: a
+    target that leapt out of its reach stays lost, and only `likelihood_mixture` looks there.
 
     `by: parents, neighbours: 1, weights: second_only, defensive: 0` is the form printed in the thesis. At
     equal cost that one loses to a plain filter where motion noise, not the choice of parents, decides.
