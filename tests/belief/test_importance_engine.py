@@ -56,7 +56,7 @@ def track(scene, size, importance, seed):
 
 
 def test_a_leap_brings_a_second_pass_into_the_journal():
-    """Leaps of three sds brought one in 15 of 18 runs; a drift that the model expects, in none."""
+    """A leap of three sds brought one in 15 of 18 cases; two of three have a probability of .93 then."""
     fired = 0
     for seed in range(3):
         results, passes = track(scene_of(32.0, {6}, 24.0, seed, 8), 100, "adaptive", seed)
