@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.stop import StopRequest
 
 SCENE_GRAPHS = {
-    "orange_and_gray": "color_fusion",
+    "orange_and_gray": "orange_and_gray",
     "gray_square": "color_fusion",
     "flying_ball": "kalman_ball",
     "person_and_board": "person_shape",

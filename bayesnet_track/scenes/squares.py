@@ -79,7 +79,15 @@ def orange_and_gray(seed: int = 0, frames: int = 100) -> Scene:
     gray = bouncing((50.0, 60.0), _point(step), SIDE + 4, frames, WIDTH, HEIGHT)
     background = smooth_background(WIDTH, HEIGHT, 100.0, 12.0, rng)
     sprites = (Sprite(flat(ORANGE), orange), Sprite(gray_cells(9, 9, 20, 235, rng), gray))
-    return assemble("orange_and_gray", background, sprites, target=0, noise_sd=NOISE_SD, seed=seed)
+    return assemble(
+        "orange_and_gray",
+        background,
+        sprites,
+        target=0,
+        noise_sd=NOISE_SD,
+        seed=seed,
+        plates=("orange", "gray"),
+    )
 
 
 def gray_square(seed: int = 0, frames: int = 120) -> Scene:
