@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.random.bit_generator import ISeedSequence
+from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
@@ -25,4 +28,16 @@ class Streams:
         """A Philox generator whose key is a stable hash of the seed and the four names."""
         text = "\x1f".join((str(self.seed), target, node, str(frame), purpose))
         digest = hashlib.blake2b(text.encode(), digest_size=16).digest()
-        return np.random.Generator(np.random.Philox(key=int.from_bytes(digest, "little")))
+        seed: Any = _Key(digest)  # the stubs of NumPy know no such seed, its documentation does
+        return np.random.Generator(np.random.Philox(seed))
+
+
+class _Key(ISeedSequence):
+    """The key of a Philox generator: `Philox(key=...)` would also ask the system for entropy, to no use."""
+
+    def __init__(self, digest: bytes) -> None:
+        self._words = np.frombuffer(digest, "<u8").astype(np.uint64)
+
+    def generate_state(self, n_words: int, dtype: object = np.uint64) -> NDArray[np.uint64]:
+        """The (2,) words."""
+        return self._words

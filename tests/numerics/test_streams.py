@@ -1,5 +1,6 @@
 """A stream depends on its seed and names alone."""
 
+import hashlib
 import itertools
 
 import numpy as np
@@ -41,3 +42,10 @@ def test_the_same_key_gives_the_same_numbers_on_every_machine():
 
 
 GOLDEN = [164445498, 2586350247, 3263270375]
+
+
+def test_the_key_is_the_hash_of_the_names():
+    digest = hashlib.blake2b(b"7\x1f1\x1fsquare\x1f3\x1fpropagate", digest_size=16).digest()
+    keyed = np.random.Generator(np.random.Philox(key=int.from_bytes(digest, "little")))
+    found = Streams(7).of("1", "square", 3, "propagate")
+    assert found.standard_normal(100).tolist() == keyed.standard_normal(100).tolist()
