@@ -41,12 +41,12 @@ def resample(scheme: str, weights: Floats, count: int, rng: np.random.Generator)
 
 def systematic(weights: Floats, count: int, rng: np.random.Generator) -> Ancestors:
     """One uniform draw shifts a comb: each hypothesis is drawn ``count * w`` times, rounded up or down."""
-    return _look_up(weights, (np.arange(count) + rng.random()) / count)
+    return _look_up_even(weights, np.array([rng.random()]), count)
 
 
 def stratified(weights: Floats, count: int, rng: np.random.Generator) -> Ancestors:
     """One uniform draw in each of `count` equal intervals."""
-    return _look_up(weights, (np.arange(count) + rng.random(count)) / count)
+    return _look_up_even(weights, rng.random(count), count)
 
 
 def residual(weights: Floats, count: int, rng: np.random.Generator) -> Ancestors:
@@ -71,9 +71,16 @@ SCHEMES: Mapping[str, Callable[[Floats, int, np.random.Generator], Ancestors]] =
 )
 
 
+# The kernels are imported when first used: a graph is validated without compiling anything.
+
+
 def _look_up(weights: Floats, positions: Floats) -> Ancestors:
-    cumulative = np.cumsum(weights)
-    # Dividing by the last sum makes it exactly 1; positions may still round up to 1, past every index.
-    found = np.searchsorted(cumulative / cumulative[-1], positions, side="right")
-    last = int(np.flatnonzero(weights)[-1])
-    return np.minimum(found, last).astype(np.int64, copy=False)
+    from bayesnet_track.numerics.resampling_kernels import look_up
+
+    return look_up(weights, positions)
+
+
+def _look_up_even(weights: Floats, shifts: Floats, count: int) -> Ancestors:
+    from bayesnet_track.numerics.resampling_kernels import look_up_even
+
+    return look_up_even(weights, shifts, count)
