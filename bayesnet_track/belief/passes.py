@@ -57,6 +57,9 @@ def joined(first: Pass, second: Pass, share: float) -> Pass:
 
 def prior_of(one: Pass) -> LogWeights:
     """beta, normalised: the prior weights that measures use. Unchanged when normalised but for rounding."""
+    equal = LogWeights.uniform(len(one))
+    if one.prior_log is equal.log:  # as after resampling
+        return equal
     beta, log_total = LogWeights.normalise(one.prior_log)
     return LogWeights(one.prior_log) if abs(log_total) < ROUNDING else beta
 

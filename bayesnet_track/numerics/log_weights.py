@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,10 +34,10 @@ class LogWeights:
 
     @classmethod
     def uniform(cls, size: int) -> LogWeights:
-        """Equal weights for `size` hypotheses (at least one)."""
+        """Equal weights for `size` hypotheses (at least one): the same object for the same size."""
         if size < 1:
             raise ValueError(f"a belief needs at least one hypothesis, not {size}")
-        return cls(_frozen(np.full(size, -np.log(size))))
+        return _uniform(size)
 
     @classmethod
     def normalise(cls, unnormalised: Floats) -> tuple[LogWeights, float]:
@@ -48,19 +50,22 @@ class LogWeights:
             DegenerateWeights: all weights are zero, or one is NaN or ``+inf``.
         """
         log = np.asarray(unnormalised, dtype=np.float64)
-        top = float(np.max(log)) if log.size else -np.inf
-        if not np.isfinite(top):  # the maximum of an array with a NaN is NaN
+        top = float(log.max()) if log.size else -np.inf
+        if not math.isfinite(top):  # the maximum of an array with a NaN is NaN
             raise DegenerateWeights(f"the largest of {log.size} log-weights is {top}")
-        total = top + float(np.log(np.sum(np.exp(log - top))))
-        return cls(_frozen(log - total)), total
+        shares = log - top
+        np.exp(shares, out=shares)
+        total = top + float(np.log(shares.sum()))
+        np.subtract(log, total, out=shares)
+        return cls(_frozen(shares)), total
 
     def __len__(self) -> int:
         return int(self.log.shape[0])
 
-    @property
+    @cached_property
     def weights(self) -> Floats:
-        """(N,) weights that sum to 1."""
-        return np.exp(self.log)
+        """(N,) weights that sum to 1, read-only."""
+        return _frozen(np.exp(self.log))
 
     @property
     def ess(self) -> float:
@@ -74,6 +79,11 @@ class LogWeights:
             DegenerateWeights: nothing positive and finite is left.
         """
         return LogWeights.normalise(self.log + log_likelihood)
+
+
+@lru_cache(maxsize=16)
+def _uniform(size: int) -> LogWeights:
+    return LogWeights(_frozen(np.full(size, -np.log(size))))
 
 
 def _log_sum_exp(log: Floats) -> float:
