@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.belief.contract import Floats, Motion
+from bayesnet_track.belief.contract import Ancestors, Floats, Motion
 from bayesnet_track.belief.noise import Transition
 
 
@@ -40,9 +40,11 @@ class Confined:
         """As the model."""
         return self.motion.start_moments(box)
 
-    def propagate(self, states: Floats, dt: float, rng: np.random.Generator) -> Floats:
+    def propagate(
+        self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
+    ) -> Floats:
         """As the model, then confined."""
-        return self.confined(self.motion.propagate(states, dt, rng))
+        return self.confined(self.motion.propagate(states, dt, rng, parents))
 
     def drift(self, states: Floats, dt: float) -> Floats:
         """As the model, then confined."""

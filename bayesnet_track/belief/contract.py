@@ -20,6 +20,7 @@ from bayesnet_track.journal.events import Event
 from bayesnet_track.numerics.log_weights import LogWeights
 
 Floats = NDArray[np.float64]
+Ancestors = NDArray[np.intp]
 
 BOX_FIELDS = ("x", "y", "w", "h")
 
@@ -72,8 +73,13 @@ class Motion(Protocol):
         """(D,) mean and (D, D) covariance of what `start` draws."""
         ...
 
-    def propagate(self, states: Floats, dt: float, rng: np.random.Generator) -> Floats:
-        """(N, D) states after `dt` frame intervals; widths and heights stay at least 1 px."""
+    def propagate(
+        self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
+    ) -> Floats:
+        """(N, D) states after `dt` frame intervals; widths and heights stay at least 1 px.
+
+        With `parents`, (N,) indices into `states`, those of `states[parents]`, which need not be copied then.
+        """
         ...
 
     def drift(self, states: Floats, dt: float) -> Floats:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import BOX_FIELDS
+from bayesnet_track.belief.contract import BOX_FIELDS, Ancestors
 from bayesnet_track.belief.noise import Transition
 from bayesnet_track.numerics.gaussian import (
     Updated,
@@ -111,8 +111,12 @@ class FunctionMotion:
             raise ValueError("the motion's function gave a state that is not finite")
         return moved
 
-    def propagate(self, states: Floats, dt: float, rng: np.random.Generator) -> Floats:
+    def propagate(
+        self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
+    ) -> Floats:
         """(N, D) f of the states with noise added; widths and heights stay at least 1 px."""
+        if parents is not None:
+            states = states.take(parents, axis=0)
         lower = root(self.covariance(dt))
         new = self.drift(states, dt) + rng.standard_normal((len(states), lower.shape[1])) @ lower.T
         np.maximum(new[:, 2:4], 1.0, out=new[:, 2:4])

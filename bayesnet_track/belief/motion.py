@@ -13,9 +13,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayesnet_track.belief.contract import BOX_FIELDS
+from bayesnet_track.belief.contract import BOX_FIELDS, Ancestors
 from bayesnet_track.belief.noise import (
     Transition,
+    add_noise,
     box_coordinates,
     boxes_at,
     component_log_shares,
@@ -37,6 +38,10 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
+Rows = tuple[tuple[float, ...], ...]
+
+FEW = 700
+"""Up to so many states NumPy draws their normals, beyond a kernel does: the same bits."""
 
 DERIVATIVES = (("vx", "vy"), ("ax", "ay"))
 
@@ -53,7 +58,7 @@ class KinematicMotion:
     """
 
     noise: spec.Noise
-    dynamics: tuple[tuple[float, ...], ...]
+    dynamics: Rows
     diffusion: float = 0.0
     start_sd: tuple[float, ...] = ()
 
@@ -78,25 +83,27 @@ class KinematicMotion:
         sds = np.concatenate([np.zeros(4), np.repeat(self.start_sd, 2)])
         return np.concatenate([box, np.zeros(len(sds) - 4)]).astype(np.float64), np.diag(sds**2)
 
-    def propagate(self, states: Floats, dt: float, rng: np.random.Generator) -> Floats:
+    def propagate(
+        self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
+    ) -> Floats:
         """(N, D) states after `dt` frame intervals; widths and heights stay at least 1 px."""
-        new = self.drift(states, dt)
-        if self.diffusion > 0:
-            root = _both_axes(np.linalg.cholesky(_steps(self.dynamics, self.diffusion, dt)[1]))
-            steps = rng.standard_normal((len(new), len(root))) @ root.T
-            new[:, :2] += steps[:, :2]
-            new[:, 4:] += steps[:, 2:]
-        new[:, :4] = sample_noise(self.noise, new[:, :4], rng, dt)
+        if self.diffusion == 0:
+            new = self.drift(states if parents is None else states.take(parents, axis=0), dt)
+        else:
+            parents = np.arange(len(states)) if parents is None else parents
+            new = _driven(_plain(states), parents, *_step_rows(self.dynamics, self.diffusion, dt), rng)
+        add_noise(self.noise, new[:, :4], rng, dt)
         return new
 
     def drift(self, states: Floats, dt: float) -> Floats:
         """(N, D) states after `dt` frame intervals without noise: F x."""
-        transition, _ = _steps(self.dynamics, self.diffusion, dt)
-        new = states.copy()
-        if self.order > 1:
-            moved = _chains(states) @ _both_axes(transition).T
-            new[:, :2], new[:, 4:] = moved[:, :2], moved[:, 2:]
-        return new
+        if self.order == 1:
+            _steps(self.dynamics, self.diffusion, dt)  # refuses a time that does not move forward
+            return states.copy()
+        # Imported here: a graph is validated without compiling anything.
+        from bayesnet_track.numerics.kinematic_kernels import drifted
+
+        return drifted(_plain(states), _rows(_steps(self.dynamics, self.diffusion, dt)[0]))
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """F and Q, each (D, D): new = F old + noise of covariance Q, at the state (D,).
@@ -192,7 +199,7 @@ def make_motion(chosen: spec.Motion) -> KinematicMotion:
     settings = chosen.settings
     match settings:
         case spec.DampedVelocity():  # a kind of ConstantVelocity, so it comes first
-            rows: tuple[tuple[float, ...], ...] = ((0.0, 1.0), (0.0, -settings.damping))
+            rows: Rows = ((0.0, 1.0), (0.0, -settings.damping))
             return KinematicMotion(
                 settings, rows, settings.sd_velocity_px**2, (settings.start_velocity_sd_px,)
             )
@@ -245,7 +252,31 @@ def _both_axes(matrix: ArrayLike) -> Floats:
 
 
 @lru_cache(maxsize=256)
-def _steps(dynamics: tuple[tuple[float, ...], ...], diffusion: float, dt: float) -> tuple[Floats, Floats]:
+def _step_rows(dynamics: Rows, diffusion: float, dt: float) -> tuple[Rows, Rows]:
+    """The rows of the transition, and of the triangular root of the noise's covariance, for one axis."""
+    transition, covariance = _steps(dynamics, diffusion, dt)
+    return _rows(transition), _rows(np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
+
+
+def _driven(states: Floats, parents: Ancestors, moves: Rows, root: Rows, rng: np.random.Generator) -> Floats:
+    from bayesnet_track.numerics.kinematic_kernels import driven, driven_by
+
+    if len(parents) > FEW:
+        return driven_by(states, parents, moves, root, rng)
+    return driven(states, parents, moves, root, rng.standard_normal((len(parents), 2 * len(moves))))
+
+
+def _plain(states: Floats) -> Floats:
+    """`states` writable and in C order: one compiled version of a kernel only."""
+    return np.require(states, np.float64, ("C", "W"))
+
+
+def _rows(matrix: Floats) -> Rows:
+    return tuple(tuple(row) for row in matrix.tolist())
+
+
+@lru_cache(maxsize=256)
+def _steps(dynamics: Rows, diffusion: float, dt: float) -> tuple[Floats, Floats]:
     """exp(A dt) and the integral of exp(A s) q exp(A s)' over s in 0..dt, for one axis.
 
     Series on a short step, then doubled: F(2h) = F F, Q(2h) = Q + F Q F'. Unlike the block exponential of

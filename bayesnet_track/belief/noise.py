@@ -62,23 +62,29 @@ def sample_noise(noise: Noise, boxes: Floats, rng: np.random.Generator, dt: floa
     per frame interval.
     """
     new = boxes.copy()
-    if any(noisy(noise)[:2]):
+    add_noise(noise, new, rng, dt)
+    return new
+
+
+def add_noise(noise: Noise, boxes: Floats, rng: np.random.Generator, dt: float = 1.0) -> None:
+    """As `sample_noise`, in place."""
+    keep = noisy(noise)
+    if any(keep[:2]):
         steps = np.sqrt(position_variance(noise, boxes, dt)) * rng.standard_normal((len(boxes), 2))
         if noise.wide is not None:
             wide = rng.permutation(len(boxes))[: round(noise.wide.share * len(boxes))]
             steps[wide] *= noise.wide.factor
-        new[:, :2] += steps
-    if any(noisy(noise)[2:]):
+        boxes[:, :2] += steps
+    if any(keep[2:]):
         steps = size_sd(noise, boxes, dt) * rng.standard_normal((len(boxes), 2))
         if is_log(noise):
             half = steps[:, 1:] / 2
             change = np.concatenate([steps[:, :1] + half, steps[:, :1] - half], axis=1)
             limit = LOG_SIZE_LIMIT * dt
-            new[:, 2:] *= np.exp(np.clip(change, -limit, limit))
+            boxes[:, 2:] *= np.exp(np.clip(change, -limit, limit))
         else:
-            new[:, 2:] += steps
-        np.maximum(new[:, 2:], 1.0, out=new[:, 2:])
-    return new
+            boxes[:, 2:] += steps
+        np.maximum(boxes[:, 2:], 1.0, out=boxes[:, 2:])
 
 
 def log_noise_density(noise: Noise, new: Floats, old: Floats, dt: float = 1.0) -> Floats:

@@ -116,7 +116,7 @@ def parents(settings: spec.Particles, inputs: Inputs, size: int, purpose: str) -
 
 def moved(inputs: Inputs, ancestors: Ancestors, purpose: str) -> Floats:
     """(N, D) states of the frame: the parents', moved by the motion model."""
-    return inputs.motion.propagate(inputs.prior.states[ancestors], inputs.dt, inputs.stream(purpose))
+    return inputs.motion.propagate(inputs.prior.states, inputs.dt, inputs.stream(purpose), ancestors)
 
 
 def evaluated(inputs: Inputs, states: Floats, prior_log: Floats, ancestors: Ancestors) -> Pass:

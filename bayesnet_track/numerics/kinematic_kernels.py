@@ -1,0 +1,74 @@
+"""Compiled kernels that move hypotheses: chains of derivatives per axis, driven by Gaussian noise.
+
+Numba draws the normals of a NumPy Generator with the bits that NumPy draws, and faster. Matrices are applied
+in a fixed order, so that results do not depend on the linear algebra library or its threads.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.numerics.compiled import compiled
+
+Floats = NDArray[np.float64]
+Ancestors = NDArray[np.intp]
+Rows = tuple[tuple[float, ...], ...]
+
+
+@compiled
+def drifted(states: Floats, moves: Rows) -> Floats:
+    """(N, D) states after the transition `moves` (n, n) of each axis' chain.
+
+    A state is x, y, w, h, then vx, vy, then ax, ay: D = 2 n + 2. w and h stay. The matrix comes as tuples:
+    their lengths are known when it is compiled, and the loops over them cost nothing.
+    """
+    new = np.empty(states.shape)
+    for m in range(states.shape[0]):
+        new[m, 2], new[m, 3] = states[m, 2], states[m, 3]
+        for axis in range(2):
+            for i in range(len(moves)):
+                value = moves[i][0] * states[m, axis]
+                for j in range(1, len(moves)):
+                    value += moves[i][j] * states[m, 2 + 2 * j + axis]
+                new[m, axis if i == 0 else 2 + 2 * i + axis] = value
+    return new
+
+
+@compiled
+def _driven(old: Floats, moves: Rows, root: Rows, normals: Floats, new: Floats) -> None:
+    """Fill the state `new` (D,) with `old` after the transition and noise of the `normals` (2 n,)."""
+    new[2], new[3] = old[2], old[3]
+    for axis in range(2):
+        for i in range(len(moves)):
+            value, noise = moves[i][0] * old[axis], root[i][0] * normals[axis]
+            for j in range(1, len(moves)):
+                value += moves[i][j] * old[2 + 2 * j + axis]
+                noise += root[i][j] * normals[2 * j + axis]
+            new[axis if i == 0 else 2 + 2 * i + axis] = value + noise
+
+
+@compiled
+def driven(states: Floats, parents: Ancestors, moves: Rows, root: Rows, normals: Floats) -> Floats:
+    """As `drifted`, of `states[parents]`, with noise root z added to each chain: `root` (n, n) is triangular.
+
+    A row of `normals` (M, 2 n) has the first z of x, the first of y, the second of x and so on.
+    """
+    new = np.empty((parents.shape[0], states.shape[1]))
+    for m in range(parents.shape[0]):
+        _driven(states[parents[m]], moves, root, normals[m], new[m])
+    return new
+
+
+@compiled
+def driven_by(
+    states: Floats, parents: Ancestors, moves: Rows, root: Rows, rng: np.random.Generator
+) -> Floats:
+    """`driven` by `rng.standard_normal((M, 2 n))`, bit by bit: faster, but for 30 us to take `rng` over."""
+    new = np.empty((parents.shape[0], states.shape[1]))
+    normals = np.empty(2 * len(moves))
+    for m in range(parents.shape[0]):
+        for k in range(normals.shape[0]):
+            normals[k] = rng.standard_normal()
+        _driven(states[parents[m]], moves, root, normals, new[m])
+    return new
