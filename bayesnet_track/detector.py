@@ -1,0 +1,148 @@
+"""The detector contract: what a detector declares, what it finds in a frame, and how detectors are found.
+
+A detector looks at the whole frame and needs no hypotheses: it starts targets and finds lost ones again. Like
+a cue it comes in two halves, a *declaration* that is cheap to import and an *implementation* made from the
+parameters. Detectors are found through the entry-point group ``bayesnet_track.detectors``; the built-in ones
+use it too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from bayesnet_track.planes import FramePair
+from bayesnet_track.plugins import declared
+
+ENTRY_POINT_GROUP = "bayesnet_track.detectors"
+
+Floats = NDArray[np.float64]
+DetectorState = Mapping[str, NDArray[Any]]
+"""What a detector remembers between frames: arrays by name, so that it can be stored; maybe none."""
+
+
+class DetectorError(ValueError):
+    """A detector that cannot work: its model file is wrong, or the source lacks what it needs."""
+
+
+class DetectorParameters(BaseModel):
+    """Base of a detector's parameters: unknown keys refused, values immutable."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False, allow_inf_nan=False)
+
+    min_score: float = Field(default=0.2, ge=0, le=1, description="Least score of a detection (0..1).")
+    min_area_px: float = Field(default=50.0, ge=1, description="Least area of a detection's box (pixels).")
+    max_area_share: float = Field(
+        default=0.5, gt=0, le=1, description="Largest area of a detection's box (share of the frame)."
+    )
+    max_overlap: float = Field(
+        default=0.5,
+        ge=0,
+        le=1,
+        description="Of two boxes with a larger intersection over union only the better one is kept (0..1).",
+    )
+    max_count: int = Field(
+        default=32, ge=1, le=1000, description="Detections kept of a frame, the best (count)."
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """What was found in one frame, the best first.
+
+    Attributes:
+        boxes: (N, 4) float64 centre boxes x, y, w, h in pixels.
+        scores: (N,) 0..1.
+        labels: what each is, N texts; empty texts where the detector does not tell kinds apart.
+    """
+
+    boxes: Floats
+    scores: Floats
+    labels: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.boxes)
+
+
+NOTHING = Detections(np.empty((0, 4)), np.empty(0), ())
+"""No detection."""
+
+
+@runtime_checkable
+class Detector(Protocol):
+    """A detector at work: pure functions of frames and state. Holds no state of its own."""
+
+    def start(self) -> DetectorState:
+        """The state before the first frame."""
+        ...
+
+    def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
+        """What is found in the current frame, and the state for the next one.
+
+        Arrays of `state` are not written to. Frames come in order, and may be left out; a frame of another
+        size than the last one starts the detector anew.
+
+        Raises:
+            NoDepth: it needs depth and the frame has none.
+            DetectorError: it cannot work on this frame.
+        """
+        ...
+
+
+@runtime_checkable
+class LearningDetector(Detector, Protocol):
+    """A detector of one target's appearance, which it can be shown."""
+
+    def learn(self, frames: FramePair, box: Floats, state: DetectorState) -> DetectorState:
+        """The state that looks for what is inside the centre box (4,) of the current frame."""
+        ...
+
+    def knows_target(self, state: DetectorState) -> bool:
+        """False when it has nothing to look for yet and so finds nothing."""
+        ...
+
+
+@dataclass(frozen=True)
+class DetectorDeclaration:
+    """What is known of a detector without loading it.
+
+    Attributes:
+        name: the word that names it.
+        summary: one line of what it sees.
+        parameters: model of its parameters (a subclass of `DetectorParameters`), each with description, unit.
+        make: parameters -> implementation; imports what is heavy; raises DetectorError.
+        needs_color: True when it finds nothing in a gray source.
+        needs_depth: True when it needs a second eye or a point map.
+        cost_ms: declared price of a frame of 640x480 px (rules weigh with it, so that a run never depends on
+            a clock).
+    """
+
+    name: str
+    summary: str
+    parameters: type[DetectorParameters]
+    make: Callable[[Any], Detector]
+    needs_color: bool = False
+    needs_depth: bool = False
+    cost_ms: float = 10.0
+
+    def check_source(self, has_color: bool, has_depth: bool) -> None:
+        """Refuse a source in which it can find nothing; raises DetectorError."""
+        if self.needs_color and not has_color:
+            raise DetectorError(f"{self.name} needs colour, and the source is gray")
+        if self.needs_depth and not has_depth:
+            raise DetectorError(f"{self.name} needs depth, and the source is one eye")
+
+
+@cache
+def installed_detectors() -> Mapping[str, DetectorDeclaration]:
+    """Every detector installed in this environment, by name, sorted.
+
+    One that cannot be loaded, or has the name of another, is left out with a warning.
+    """
+    return declared(ENTRY_POINT_GROUP, DetectorDeclaration, "detector")
