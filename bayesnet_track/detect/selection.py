@@ -1,0 +1,134 @@
+"""What all detectors share: blobs of a mask, and the choice of the best boxes in bounded time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from bayesnet_track.detector import NOTHING, Detections, DetectorParameters
+from bayesnet_track.numerics.boxes import centre_from_corner, overlap
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bayesnet_track.planes import Frame
+
+Floats = NDArray[np.float64]
+Evidence = NDArray[np.uint8]
+
+CANDIDATES = 1000
+"""Boxes that are compared with each other at most: a detector that fires on everything stays in time."""
+
+SURE = 255
+"""Evidence of a pixel that is certainly part of a target."""
+
+
+class BlobParameters(DetectorParameters):
+    """Parameters of a detector that finds 4-connected regions of pixels."""
+
+    clean_px: int = Field(
+        default=1,
+        ge=0,
+        le=20,
+        description="Regions are opened by a square that reaches this far: thinner ones vanish (px; 0: none "
+        "do).",
+    )
+    join_px: int = Field(
+        default=2,
+        ge=0,
+        le=50,
+        description="Regions are closed by a square that reaches this far: gaps up to twice as wide vanish "
+        "(px).",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Regions:
+    """The 4-connected regions of a mask, the largest boxes first.
+
+    Attributes:
+        numbers: (H, W) int32 number of the region of each pixel, from 1; 0 is outside all of them.
+        kept: (N,) numbers of the regions described here, `CANDIDATES` at most.
+        corners: (N, 4) top-left corner boxes x, y, w, h of them.
+    """
+
+    numbers: NDArray[np.int32]
+    kept: NDArray[np.int64]
+    corners: NDArray[np.int64]
+
+
+def regions(mask: Evidence, parameters: BlobParameters) -> Regions:
+    """Regions of the pixels above 0 of a mask (H, W), opened and closed; only boxes of the least area."""
+    import cv2
+
+    for reach, how in ((parameters.clean_px, cv2.MORPH_OPEN), (parameters.join_px, cv2.MORPH_CLOSE)):
+        if reach > 0:
+            mask = cv2.morphologyEx(mask, how, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
+    _, numbers, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
+    area = stats[:, cv2.CC_STAT_WIDTH].astype(np.int64) * stats[:, cv2.CC_STAT_HEIGHT]
+    kept = np.flatnonzero(area >= parameters.min_area_px)
+    kept = kept[kept > 0]  # 0 is what lies outside all regions
+    kept = kept[np.argsort(-area[kept], kind="stable")][:CANDIDATES]
+    return Regions(numbers, kept, stats[kept, :4].astype(np.int64))
+
+
+def blobs(evidence: Evidence, above: int, parameters: BlobParameters) -> tuple[Floats, Floats]:
+    """Boxes and scores of the 4-connected regions whose evidence is at least `above`.
+
+    Args:
+        evidence: (H, W) for a target at each pixel, 0 .. `SURE`.
+        above: least evidence of a pixel, at least 1.
+        parameters: how regions are cleaned and joined first, and the least area of a box.
+
+    Returns:
+        (N, 4) centre boxes; (N,) scores: mean evidence over the box of the region's own pixels at least
+        `above`, 0..1. At most `CANDIDATES`, those with the largest areas.
+    """
+    mask = evidence >= above
+    found = regions(mask.astype(np.uint8), parameters)
+    if len(found.kept) == 0:
+        return np.empty((0, 4)), np.empty(0)
+    seen = np.where(mask, evidence, 0)
+    total = np.bincount(found.numbers.ravel(), weights=seen.ravel())  # whole numbers: exact in any order
+    area = np.prod(found.corners[:, 2:], axis=1)
+    return centre_from_corner(found.corners), np.asarray(total[found.kept] / (SURE * area))
+
+
+def select(
+    boxes: Floats,
+    scores: Floats,
+    frame: Frame,
+    parameters: DetectorParameters,
+    labels: Sequence[str] | NDArray[Any] | None = None,
+) -> Detections:
+    """The best of (N, 4) centre boxes, none too alike: greedy non-maximum suppression.
+
+    Left out are boxes that are not finite, outside the frame, too small, too large or too poor. Of equal
+    scores the upper box, then the left one, comes first, so that the order given does not matter.
+    """
+    boxes, scores = np.asarray(boxes, dtype=np.float64), np.clip(scores, 0.0, 1.0)
+    names = np.array([""] * len(boxes) if labels is None else labels, dtype=object)
+    with np.errstate(invalid="ignore", over="ignore"):
+        centre, sides = boxes[:, :2], boxes[:, 2:]
+        area = np.prod(sides, axis=1)
+        touches = np.abs(2 * centre - np.array([frame.width - 1, frame.height - 1])) < sides + np.array(
+            [frame.width, frame.height]
+        )
+        fits = np.isfinite(boxes).all(axis=1) & (sides > 0).all(axis=1) & touches.all(axis=1)
+        fits &= (area >= parameters.min_area_px) & (scores >= parameters.min_score)
+        fits &= area <= parameters.max_area_share * frame.width * frame.height
+    left = np.flatnonzero(fits)
+    order = np.lexsort((boxes[left, 3], boxes[left, 2], boxes[left, 0], boxes[left, 1], -scores[left]))
+    left = left[order][:CANDIDATES]
+    chosen: list[int] = []
+    while len(left) and len(chosen) < parameters.max_count:
+        best, left = int(left[0]), left[1:]
+        chosen.append(best)
+        left = left[overlap(boxes[best], boxes[left]) <= parameters.max_overlap]
+    if not chosen:
+        return NOTHING
+    return Detections(boxes[chosen], scores[chosen], tuple(str(names[k]) for k in chosen))
