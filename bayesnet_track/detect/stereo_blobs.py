@@ -1,0 +1,106 @@
+"""Detector: smooth regions of depth of a target's height (thesis 3.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from bayesnet_track.detect.selection import select
+from bayesnet_track.detector import (
+    Detections,
+    Detector,
+    DetectorDeclaration,
+    DetectorParameters,
+    DetectorState,
+)
+from bayesnet_track.planes import FramePair
+from bayesnet_track.stereo_blobs import StereoBlobSettings, detect_stereo_blobs
+from bayesnet_track.stereo_planes import Correlation, Range, SemiGlobal
+
+
+class StereoBlobsParameters(DetectorParameters):
+    """Parameters of the stereo detector."""
+
+    matcher: Literal["correlation", "semi_global"] = Field(
+        default="correlation",
+        description="How the eyes are matched: normalised correlation or OpenCV's semi-global matching.",
+    )
+    min_depth_m: float = Field(default=1.0, gt=0, description="Nearest depth of a target (m).")
+    max_depth_m: float = Field(default=10.0, gt=0, description="Furthest depth of a target (m).")
+    camera_height_m: float | None = Field(
+        default=None,
+        gt=0,
+        description="Height of the camera above the floor (m); without it none is cut off.",
+    )
+    pitch_deg: float = Field(
+        default=0.0, ge=-90, le=90, description="How far the camera looks down (degrees)."
+    )
+    min_elevation_m: float = Field(default=0.1, description="Points lower than this are floor (m).")
+    max_elevation_m: float = Field(default=2.5, description="Points higher than this are no target (m).")
+    min_height_m: float = Field(default=0.5, ge=0, description="Least height of a target (m).")
+    max_height_m: float = Field(default=2.5, gt=0, description="Largest height of a target (m).")
+    step_share: float = Field(
+        default=0.05,
+        gt=0,
+        lt=1,
+        description="Depths of neighbours in one region differ by at most this share of the depth.",
+    )
+    min_region_px: int = Field(default=400, ge=1, description="Least size of a region (pixels).")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> StereoBlobsParameters:
+        for name in ("depth_m", "elevation_m", "height_m"):
+            low, high = getattr(self, f"min_{name}"), getattr(self, f"max_{name}")
+            if not low < high:
+                raise ValueError(f"min_{name} {low:g} is not below max_{name} {high:g}")
+        return self
+
+
+@dataclass(frozen=True)
+class StereoBlobDetector:
+    """Finds blobs of depth in each frame on its own; no state."""
+
+    parameters: StereoBlobsParameters
+    settings: StereoBlobSettings
+
+    def start(self) -> DetectorState:
+        """Nothing to remember."""
+        return {}
+
+    def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
+        """The blobs, scored by the share of the box that their points fill; raises NoDepth."""
+        found = detect_stereo_blobs(frames.current, self.settings)
+        boxes = np.asarray(found.boxes, dtype=np.float64)
+        return select(boxes, found.scores, frames.current, self.parameters), state
+
+
+def _make(parameters: StereoBlobsParameters) -> Detector:
+    from bayesnet_track.numerics import disparity_kernels  # noqa: F401  load before the first frame
+
+    p = parameters
+    reach = Range(
+        p.min_depth_m,
+        p.max_depth_m,
+        p.camera_height_m,
+        p.pitch_deg,
+        p.min_elevation_m,
+        p.max_elevation_m,
+        p.min_region_px,
+        p.step_share,
+    )
+    matcher = Correlation() if p.matcher == "correlation" else SemiGlobal()
+    settings = StereoBlobSettings(matcher, reach, p.min_height_m, p.max_height_m, max(4 * p.max_count, 64))
+    return StereoBlobDetector(parameters, settings)
+
+
+DETECTOR = DetectorDeclaration(
+    name="stereo_blobs",
+    summary="Smooth regions of depth of a target's height.",
+    parameters=StereoBlobsParameters,
+    make=_make,
+    needs_depth=True,
+    cost_ms=150.0,
+)
