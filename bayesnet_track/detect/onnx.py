@@ -1,0 +1,166 @@
+"""Detector: any detection network in an ONNX file, run by OpenCV."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from bayesnet_track.detect.onnx_layouts import LAYOUTS, Found, LayoutError
+from bayesnet_track.detect.selection import select
+from bayesnet_track.detector import (
+    Detections,
+    Detector,
+    DetectorDeclaration,
+    DetectorError,
+    DetectorParameters,
+    DetectorState,
+)
+from bayesnet_track.planes import FramePair
+
+Floats = NDArray[np.float64]
+
+
+class OnnxParameters(DetectorParameters):
+    """Parameters of a detection network."""
+
+    model: str = Field(description="ONNX file (path).")
+    input_width: int = Field(default=640, ge=8, le=8192, description="Width of the network's input (px).")
+    input_height: int = Field(default=640, ge=8, le=8192, description="Height of the network's input (px).")
+    fit: Literal["letterbox", "stretch"] = Field(
+        default="letterbox", description="The frame keeps its shape, with a gray rim, or is stretched."
+    )
+    scale: float = Field(
+        default=1 / 255, gt=0, description="Gray levels are multiplied by this, after the mean is taken off."
+    )
+    mean: tuple[float, float, float] = Field(
+        default=(0.0, 0.0, 0.0), description="Taken off the channels in the network's order (gray levels)."
+    )
+    channels: Literal["rgb", "bgr"] = Field(default="rgb", description="Order of the network's channels.")
+    layout: Literal["rows", "yolo", "yolo_objectness", "ssd"] = Field(
+        default="rows",
+        description="Output: `rows` of x, y, w, h, score; `yolo` of x, y, w, h, score of each class; "
+        "`yolo_objectness` with one more score before these, which multiplies them; `ssd` of image, class, "
+        "score, x0, y0, x1, y1. x, y are centres.",
+    )
+    units: Literal["px", "share"] = Field(
+        default="px", description="Boxes are in pixels of the input, or in shares of it."
+    )
+    classes: tuple[str, ...] = Field(
+        default=(), max_length=10000, description="Names of the classes, from number 0 on."
+    )
+    keep: tuple[str, ...] = Field(
+        default=(), description="Labels that are kept (names, or numbers as text); all when empty."
+    )
+    min_score: float = Field(default=0.4, ge=0, le=1, description="Least score of a detection (0..1).")
+
+
+@dataclass(frozen=True, eq=False)
+class Onnx:
+    """Runs the network on each frame on its own; no state."""
+
+    parameters: OnnxParameters
+    forward: Callable[[Any], Any]
+
+    def start(self) -> DetectorState:
+        """Nothing to remember."""
+        return {}
+
+    def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
+        """What the network finds; raises DetectorError where its output is not of the layout."""
+        frame, settings = frames.current, self.parameters
+        shrink, rim, blob = self._input(frame.image)
+        found = self._found(self.forward(blob))
+        boxes = found.boxes.copy()
+        if settings.units == "share":
+            boxes *= np.tile([settings.input_width, settings.input_height], 2)
+        # An edge at 0 of the network is the frame's edge, which is half a pixel left of its first centre.
+        boxes[:, :2] = (boxes[:, :2] - rim) / shrink - 0.5
+        boxes[:, 2:] /= shrink
+        labels = [self._label(number) for number in found.classes]
+        if settings.keep:
+            kept = [k for k, label in enumerate(labels) if label in settings.keep]
+            boxes, scores, labels = boxes[kept], found.scores[kept], [labels[k] for k in kept]
+            return select(boxes, scores, frame, settings, labels), state
+        return select(boxes, found.scores, frame, settings, labels), state
+
+    def _input(self, image: NDArray[np.uint8]) -> tuple[Floats, Floats, Any]:
+        """(2,) pixels of the input per pixel of the frame; (2,) rim before it, px; the (1, 3, H, W) input."""
+        import cv2
+
+        settings = self.parameters
+        size = np.array([settings.input_width, settings.input_height], dtype=np.float64)
+        frame = np.array(image.shape[1::-1], dtype=np.float64)
+        inner = size if settings.fit == "stretch" else np.maximum(np.rint(frame * (size / frame).min()), 1.0)
+        rim = np.floor((size - inner) / 2)
+        canvas = np.full((settings.input_height, settings.input_width, 3), 114, dtype=np.uint8)
+        (x, y), (w, h) = rim.astype(int), inner.astype(int)
+        smaller = bool((inner < frame).any())
+        canvas[y : y + h, x : x + w] = cv2.resize(
+            np.ascontiguousarray(image),
+            (int(w), int(h)),
+            interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR,
+        )
+        if settings.channels == "rgb":
+            canvas = canvas[:, :, ::-1]
+        values = (canvas.astype(np.float32) - np.float32(settings.mean)) * np.float32(settings.scale)
+        return inner / frame, rim, np.ascontiguousarray(values.transpose(2, 0, 1)[None])
+
+    def _found(self, outputs: Any) -> Found:
+        try:
+            return LAYOUTS[self.parameters.layout](np.asarray(outputs, dtype=np.float64))
+        except LayoutError as error:
+            raise DetectorError(f"{self.parameters.model}: {error}") from error
+
+    def _label(self, number: int) -> str:
+        names = self.parameters.classes
+        if number < 0:
+            return names[0] if len(names) == 1 else ""
+        return names[number] if number < len(names) else str(number)
+
+
+def _make(parameters: OnnxParameters) -> Detector:
+    from pathlib import Path
+
+    import cv2
+
+    path = Path(parameters.model)
+    if not path.is_file():
+        raise DetectorError(f"{path}: no such model file; the path of an ONNX file is needed")
+    try:
+        network = cv2.dnn.readNetFromONNX(str(path))
+    except cv2.error as error:
+        raise DetectorError(f"{path}: OpenCV cannot read it as an ONNX model: {_reason(error)}") from error
+    size = f"{parameters.input_width}x{parameters.input_height}"
+
+    def forward(blob: Any) -> Any:
+        try:
+            network.setInput(blob)
+            return network.forward()
+        except cv2.error as error:
+            raise DetectorError(
+                f"{path}: does not run on a 3-channel input of {size} px: {_reason(error)}"
+            ) from error
+
+    detector = Onnx(parameters, forward)
+    detector._found(forward(np.zeros((1, 3, parameters.input_height, parameters.input_width), np.float32)))
+    return detector
+
+
+def _reason(error: Exception) -> str:
+    """OpenCV's own words without its file and line."""
+    text = str(error).split("error: ", 1)[-1].strip()
+    return " ".join(text.split())[:200]
+
+
+DETECTOR = DetectorDeclaration(
+    name="onnx",
+    summary="A detection network in an ONNX file.",
+    parameters=OnnxParameters,
+    make=_make,
+    cost_ms=200.0,
+)

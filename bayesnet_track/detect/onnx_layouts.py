@@ -1,0 +1,83 @@
+"""What the numbers mean that a detection network gives: its layouts, each to boxes, scores and classes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+class LayoutError(ValueError):
+    """An output that is not of the layout."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A network's output.
+
+    Attributes:
+        boxes: (N, 4) x, y, w, h with the middle of the box, from the input's top-left edge.
+        scores: (N,).
+        classes: (N,) number of the class; -1 where there are none.
+    """
+
+    boxes: Floats
+    scores: Floats
+    classes: NDArray[np.int64]
+
+
+def rows(output: Floats) -> Found:
+    """(N, 5) x, y, w, h, score."""
+    table = _table(output, 5, 5, "rows of x, y, w, h, score")
+    return Found(table[:, :4], table[:, 4], np.full(len(table), -1))
+
+
+def yolo(output: Floats) -> Found:
+    """(N, 4 + C) x, y, w, h and the score of each class, or its transpose."""
+    return _best(_table(output, 5, None, "rows of x, y, w, h and a score for each class"))
+
+
+def yolo_objectness(output: Floats) -> Found:
+    """(N, 5 + C) x, y, w, h, score of any object, and that of each class given an object."""
+    table = _table(output, 6, None, "rows of x, y, w, h, objectness and a score for each class")
+    return _best(np.concatenate([table[:, :4], table[:, 5:] * table[:, 4:5]], axis=1))
+
+
+def ssd(output: Floats) -> Found:
+    """(N, 7) image, class, score, x0, y0, x1, y1; rows of another image than 0 are left out."""
+    table = _table(output, 7, 7, "rows of image, class, score, x0, y0, x1, y1")
+    table = table[np.isfinite(table).all(axis=1) & (table[:, 0] == 0)]
+    low, high = table[:, 3:5], table[:, 5:7]
+    boxes = np.concatenate([(low + high) / 2, high - low], axis=1)
+    return Found(boxes, table[:, 2], table[:, 1].astype(np.int64))
+
+
+LAYOUTS: Mapping[str, Callable[[Floats], Found]] = MappingProxyType(
+    {"rows": rows, "yolo": yolo, "yolo_objectness": yolo_objectness, "ssd": ssd}
+)
+
+
+def _best(table: Floats) -> Found:
+    classes = table[:, 4:].argmax(axis=1)
+    return Found(table[:, :4], table[np.arange(len(table)), 4 + classes], classes.astype(np.int64))
+
+
+def _table(output: Floats, least: int, most: int | None, wanted: str) -> Floats:
+    """The output as (N, columns), without sides of 1 in front, and turned where columns come first."""
+    table = output
+    while table.ndim > 2 and table.shape[0] == 1:
+        table = table[0]
+    if table.ndim == 2:
+        fits = [least <= side and (most is None or side <= most) for side in table.shape]
+        # With as many classes as may be, rows are the longer side: a network gives more boxes than classes.
+        first = table.shape[0] < table.shape[1] if most is None else fits[0] and not fits[1]
+        table = table.T if first and fits[0] else table
+        if (fits[0] if first else fits[1]) or table.size == 0:
+            return np.asarray(table)
+    shape = " x ".join(str(side) for side in output.shape)
+    raise LayoutError(f"gives an output of {shape}; the layout wants {wanted}")
