@@ -52,15 +52,7 @@ def make_parser() -> argparse.ArgumentParser:
         "--source", required=True, help="video file, folder of images, glob, camera index, or URL"
     )
     run.add_argument("--out", metavar="RUN", required=True, help="run directory to write")
-    second = run.add_mutually_exclusive_group()
-    second.add_argument("--right", metavar="SOURCE", help="the right eye; --source is then the left one")
-    second.add_argument(
-        "--stereo", choices=["side_by_side"], help="both eyes are in one picture, the left one on the left"
-    )
-    second.add_argument(
-        "--depth", metavar="FOLDER", help="depth of another sensor, a file per picture (16-bit images, .npy)"
-    )
-    run.add_argument("--calibration", metavar="FILE", help="of the pair, OpenCV YAML; see `calibrate`")
+    _add_depth_options(run)
     start = run.add_mutually_exclusive_group(required=True)
     start.add_argument(
         "--init",
@@ -72,13 +64,8 @@ def make_parser() -> argparse.ArgumentParser:
     start.add_argument(
         "--init-from", metavar="FILE", help="ground-truth file; its box of the first frame is the start box"
     )
-    run.add_argument("--start", type=_whole_number(0), default=0, metavar="N", help="first frame (default 0)")
-    run.add_argument("--end", type=_whole_number(1), metavar="N", help="frame to stop before")
     run.add_argument("--video", action="store_true", help="write the annotated video too (video.mkv)")
-    run.add_argument(
-        "--on-resize", choices=["stop", "rescale"], default="stop", help="when pictures change size"
-    )
-    run.add_argument("--allow-network", action="store_true", help="let the source be a URL")
+    _add_window_options(run)
     _add_run_options(run)
 
     validate = commands.add_parser("validate", help="check graph files; every error with line and column")
@@ -94,6 +81,29 @@ def make_parser() -> argparse.ArgumentParser:
     graph.add_argument("--svg", metavar="FILE", help="draw the net")
     graph.add_argument("--png", metavar="FILE", help="draw the net")
 
+    detect = commands.add_parser("detect", help="find targets in every frame with a detector")
+    detect.add_argument("name", metavar="DETECTOR", help="see `list`")
+    detect.add_argument(
+        "--source", required=True, help="video file, folder of images, glob, camera index, or URL"
+    )
+    _add_depth_options(detect)
+    detect.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="a parameter of the detector, as YAML"
+    )
+    detect.add_argument(
+        "--learn",
+        metavar="X,Y,W,H",
+        help="box of the target in the first frame, for one that can be shown it",
+    )
+    detect.add_argument(
+        "--out",
+        metavar="FILE",
+        help="file to write: JSON Lines if it ends in .jsonl, else MOT (default: print)",
+    )
+    detect.add_argument("--video", metavar="FILE", help="write the video with the boxes too (.mkv or .mp4)")
+    _add_window_options(detect)
+    detect.add_argument("--overwrite", action="store_true", help="replace files that are there")
+
     calibrate = commands.add_parser("calibrate", help="calibrate a pair of cameras from chessboard pictures")
     calibrate.add_argument("left", metavar="LEFT", help="pictures of the left eye: folder, glob or video")
     calibrate.add_argument("right", metavar="RIGHT", help="those of the right eye, in the same order")
@@ -105,7 +115,7 @@ def make_parser() -> argparse.ArgumentParser:
     calibrate.add_argument("--overwrite", action="store_true", help="replace the file if it is there")
 
     commands.add_parser("schema", help="print the JSON Schema of graph files, for editors")
-    commands.add_parser("list", help="list the installed graphs, cues and scenes")
+    commands.add_parser("list", help="list the installed graphs, cues, detectors and scenes")
 
     log = commands.add_parser("log", help="tell a run's reconfigurations as sentences")
     log.add_argument("run", metavar="RUN", help="run directory")
@@ -151,6 +161,29 @@ def make_parser() -> argparse.ArgumentParser:
         help="gradient where an edge starts, gray levels per pixel (default 8)",
     )
     return parser
+
+
+def _add_depth_options(parser: argparse.ArgumentParser) -> None:
+    second = parser.add_mutually_exclusive_group()
+    second.add_argument("--right", metavar="SOURCE", help="the right eye; --source is then the left one")
+    second.add_argument(
+        "--stereo", choices=["side_by_side"], help="both eyes are in one picture, the left one on the left"
+    )
+    second.add_argument(
+        "--depth", metavar="FOLDER", help="depth of another sensor, a file per picture (16-bit images, .npy)"
+    )
+    parser.add_argument("--calibration", metavar="FILE", help="of the pair, OpenCV YAML; see `calibrate`")
+
+
+def _add_window_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--start", type=_whole_number(0), default=0, metavar="N", help="first frame (default 0)"
+    )
+    parser.add_argument("--end", type=_whole_number(1), metavar="N", help="frame to stop before")
+    parser.add_argument(
+        "--on-resize", choices=["stop", "rescale"], default="stop", help="when pictures change size"
+    )
+    parser.add_argument("--allow-network", action="store_true", help="let the source be a URL")
 
 
 def _add_run_options(parser: argparse.ArgumentParser) -> None:

@@ -15,6 +15,7 @@ from bayesnet_track.commands.answer import (
     words,
 )
 from bayesnet_track.commands.calibrate import calibrate
+from bayesnet_track.commands.detect import detect
 from bayesnet_track.commands.graphs import graph, list_installed, schema, validate
 from bayesnet_track.commands.learn_shape import learn_shape
 from bayesnet_track.commands.review import log, score
@@ -30,6 +31,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "list": list_installed,
     "log": log,
     "calibrate": calibrate,
+    "detect": detect,
     "score": score,
     "learn-shape": learn_shape,
 }

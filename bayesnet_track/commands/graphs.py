@@ -104,8 +104,9 @@ def schema(options: argparse.Namespace) -> int:
 
 
 def list_installed(options: argparse.Namespace) -> int:
-    """List graphs, cues and scenes."""
+    """List graphs, cues, detectors and scenes."""
     from bayesnet_track.cue import installed_cues
+    from bayesnet_track.detector import installed_detectors
     from bayesnet_track.graphs import graph_names
     from bayesnet_track.scenes import scene_names
 
@@ -114,4 +115,7 @@ def list_installed(options: argparse.Namespace) -> int:
     say("cues:")
     for cue in installed_cues().values():
         say(f"  {cue.name:18} {cue.summary}")
+    say("detectors:")
+    for detector in installed_detectors().values():
+        say(f"  {detector.name:21} {detector.summary}")
     return OK
