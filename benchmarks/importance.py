@@ -22,7 +22,6 @@ from bayesnet_track.belief.contract import Evaluate, Evidence, Step
 from bayesnet_track.belief.importance import surprise
 from bayesnet_track.belief.motion import KinematicMotion, linear_gaussian, make_motion
 from bayesnet_track.belief.particles import ParticleFilter, ParticleSet
-from bayesnet_track.belief.passes import Pass
 from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import LogWeights
@@ -98,8 +97,7 @@ def kl_of_draws(size: int, seed: int) -> float:
     x = np.where(rng.random(size) < 0.5, 2.0, 7.0) + 2.0 * rng.standard_normal(size)
     log_p = np.logaddexp(-((x - 3) ** 2) / 4, -((x - 10) ** 2) / 4) - 0.5 * np.log(2)
     log_q = np.logaddexp(-((x - 2) ** 2) / 8, -((x - 7) ** 2) / 8) - 0.5 * np.log(4)
-    states = np.tile(x[:, None], (1, 4))
-    return surprise(Pass(states, np.full(size, -np.log(size)), np.arange(size), Evidence(log_p - log_q)))
+    return surprise(np.full(size, -np.log(size)), log_p - log_q)
 
 
 def kl_true() -> float:
@@ -185,9 +183,8 @@ def frame_kl(frame: OneFrame, size: int, seed: int) -> float:
     """The larger surprise of the two halves of a first pass."""
     step = frame.step(particle_filter(size, "regular"), seed)
     likelihood = step.evidence.log_likelihood
-    states, none = step.support.states, np.zeros(size // 2, dtype=np.intp)
     beta = np.full(size // 2, -np.log(size // 2))
-    return max(surprise(Pass(states[k::2], beta, none, Evidence(likelihood[k::2]))) for k in (0, 1))
+    return max(surprise(beta, likelihood[k::2]) for k in (0, 1))
 
 
 # ------------------------------------------------------------------------------------ 40 steps

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +12,9 @@ from bayesnet_track.belief.alternatives import auxiliary_pass, edited, mixture_p
 from bayesnet_track.belief.contract import Evidence, Report
 from bayesnet_track.belief.need import Sized
 from bayesnet_track.belief.particle_set import Inputs
-from bayesnet_track.belief.passes import Pass, prior_of
+from bayesnet_track.belief.passes import Pass
 from bayesnet_track.belief.proposals import Both, fitted_draws, log_sum, parent_draws, taken
-from bayesnet_track.belief.sizes import First, first_pass, start_size
+from bayesnet_track.belief.sizes import First, first_pass, resized_by, start_size
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.importance_settings import (
     Adaptive,
@@ -54,27 +55,34 @@ def drawn(settings: spec.Particles, inputs: Inputs) -> Drawn:
             return Drawn(auxiliary_pass(inputs, start_size(settings), chosen))
         case LikelihoodMixture():
             return Drawn(mixture_pass(inputs, start_size(settings), chosen))
-    first = first_pass(settings, inputs)
-    match chosen:
-        case Rejection():
-            return Drawn(edited(inputs, first.one, chosen), first.sized, first.reports)
         case Adaptive() | West():
-            return _twice(inputs, first, chosen)
+            first = first_pass(settings, inputs, partial(_is_surprise, chosen.above_kl))
+            twice = _twice(inputs, first, chosen)
+            if len(twice.whole) == len(first.one):
+                return twice
+            return replace(twice, sized=resized_by(settings, inputs, twice.whole, first.sized))
+    first = first_pass(settings, inputs)
+    if isinstance(chosen, Rejection):
+        return Drawn(edited(inputs, first.one, chosen), first.sized, first.reports)
     return Drawn(first.one, first.sized, first.reports)
 
 
-def surprise(one: Pass) -> float:
-    """KL(posterior || prior) = sum f ln(f / beta) in nats, of a pass drawn from the prior (eq. 5.30).
+def surprise(prior_log: Floats, log_likelihood: Floats) -> float:
+    """KL(posterior || prior) = sum f ln(f / beta) in nats, of hypotheses drawn from the prior (eq. 5.30).
 
     log N - H(f) for equal beta. It cannot exceed log N, and that is what it is said to be when no hypothesis
     has a positive, finite likelihood.
     """
-    beta = prior_of(one)
+    beta = LogWeights.normalise(prior_log)[0]
     try:
-        posterior, _ = LogWeights.normalise(beta.log + one.evidence.log_likelihood)
+        posterior, _ = LogWeights.normalise(beta.log + log_likelihood)
     except DegenerateWeights:
-        return float(np.log(len(one)))
+        return float(np.log(len(beta)))
     return kl(posterior.log, beta.log)
+
+
+def _is_surprise(above_kl: float, prior_log: Floats, log_likelihood: Floats) -> bool:
+    return above_kl == 0 or surprise(prior_log, log_likelihood) > above_kl
 
 
 def _twice(inputs: Inputs, first: First, settings: Adaptive | West) -> Drawn:
@@ -86,7 +94,7 @@ def _twice(inputs: Inputs, first: First, settings: Adaptive | West) -> Drawn:
     """
     once = Drawn(first.one, first.sized, first.reports)
     halves = tuple(_half(first.one, start) for start in (0, 1))
-    found = tuple(surprise(half) for half in halves)
+    found = tuple(surprise(half.prior_log, half.evidence.log_likelihood) for half in halves)
     if max(found) <= settings.above_kl and settings.above_kl > 0:
         return once
     try:

@@ -10,6 +10,7 @@ evaluation is needed while frames ask for the same.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,11 +49,28 @@ def start_size(settings: spec.Particles) -> int:
     return settings.size if isinstance(settings.size, int) else settings.least
 
 
-def first_pass(settings: spec.Particles, inputs: Inputs) -> First:
-    """Hypotheses drawn from the motion model, with their evidence."""
+WillRepeat = Callable[[Floats, Floats], bool]
+"""(prior log-weights, log-likelihoods) of a half -> whether it calls for a second pass of the frame."""
+
+
+def first_pass(
+    settings: spec.Particles, inputs: Inputs, will_repeat: WillRepeat = lambda prior_log, likelihood: False
+) -> First:
+    """Hypotheses drawn from the motion model, with their evidence.
+
+    An adaptive size is not enlarged on account of a half that calls for a second pass, whose hypotheses are
+    better placed (`resized_by` looks at both).
+    """
     if isinstance(settings.size, int):
         return First(_fixed(settings, inputs, settings.size))
-    return _adaptive(settings, settings.size, inputs)
+    return _adaptive(settings, settings.size, inputs, will_repeat)
+
+
+def resized_by(settings: spec.Particles, inputs: Inputs, whole: Pass, sized: Sized | None) -> Sized | None:
+    """What an adaptive size remembers of a frame whose passes are `whole`."""
+    if sized is None or isinstance(settings.size, int):
+        return sized
+    return replace(sized, need=_need(settings.size, inputs, whole, slice(None)))
 
 
 def _fixed(settings: spec.Particles, inputs: Inputs, size: int) -> Pass:
@@ -64,12 +82,17 @@ def _fixed(settings: spec.Particles, inputs: Inputs, size: int) -> Pass:
     return evaluated(inputs, moved(inputs, ancestors, "propagate"), beta.log, ancestors)
 
 
-def _adaptive(settings: spec.Particles, size: spec.AdaptiveSize, inputs: Inputs) -> First:
+def _adaptive(
+    settings: spec.Particles, size: spec.AdaptiveSize, inputs: Inputs, will_repeat: WillRepeat
+) -> First:
     low, high = settings.least, settings.most
     before = inputs.prior.sized or Sized(low, low, Need(low, 0.0))
     halves = halved(begin_with(before, low, high))
     one = _drawn(settings, inputs, halves, "")
-    first, second = (_need(size, inputs, one, part) for part in (slice(halves[0]), slice(halves[0], None)))
+    first, second = (
+        _need_unless(will_repeat, size, inputs, one, part)
+        for part in (slice(halves[0]), slice(halves[0], None))
+    )
     sizing = Sizing(size, before, (first, second), low, high)
     if any(sizing.more):
         one = _enlarged(one, _drawn(settings, inputs, sizing.more, " more"), halves, sizing.more)
@@ -82,6 +105,16 @@ def _adaptive(settings: spec.Particles, size: spec.AdaptiveSize, inputs: Inputs)
 def _need(size: spec.AdaptiveSize, inputs: Inputs, one: Pass, part: slice) -> Need:
     likelihood = one.evidence.log_likelihood[part]
     return need_of(size, one.states[part], inputs.prior.fields, one.prior_log[part], likelihood)
+
+
+def _need_unless(
+    will_repeat: WillRepeat, size: spec.AdaptiveSize, inputs: Inputs, one: Pass, part: slice
+) -> Need:
+    """The need of a part; no more than there are where it calls for a second pass."""
+    need = _need(size, inputs, one, part)
+    if will_repeat(one.prior_log[part], one.evidence.log_likelihood[part]):
+        return replace(need, particles=min(need.particles, float(len(one))))
+    return need
 
 
 def _drawn(settings: spec.Particles, inputs: Inputs, counts: tuple[int, int], again: str) -> Pass:

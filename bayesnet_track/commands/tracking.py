@@ -22,12 +22,14 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.stop import StopRequest
 
 SCENE_GRAPHS = {
+    "ball_between_children": "ball_between_children",
     "orange_and_gray": "orange_and_gray",
     "gray_square": "color_fusion",
     "flying_ball": "kalman_ball",
     "person_and_board": "person_shape",
     "person_stereo": "person_stereo",
     "glass_wall": "person_stereo",
+    "person_color_stereo": "person_color_stereo",
 }
 """Scenes that do not run with the graph `two_squares`."""
 

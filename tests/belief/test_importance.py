@@ -12,7 +12,6 @@ from bayesnet_track.belief.importance import surprise
 from bayesnet_track.belief.kernels import Kernels, log_mixture, log_prior
 from bayesnet_track.belief.motion import linear_gaussian
 from bayesnet_track.belief.particles import ParticleFilter, ParticleSet
-from bayesnet_track.belief.passes import Pass
 from bayesnet_track.belief.proposals import neighbourhoods
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.load import load_graph
@@ -107,7 +106,7 @@ def drawn_kl(size, seed):
     log_p = np.logaddexp(-((x - 3) ** 2) / 4, -((x - 10) ** 2) / 4) - 0.5 * np.log(2)
     log_q = np.logaddexp(-((x - 2) ** 2) / 8, -((x - 7) ** 2) / 8) - 0.5 * np.log(4)
     uniform = np.full(size, -np.log(size))
-    return surprise(Pass(np.tile(x[:, None], (1, 4)), uniform, np.arange(size), Evidence(log_p - log_q)))
+    return surprise(uniform, log_p - log_q)
 
 
 @pytest.mark.parametrize(("size", "runs"), [(200, 400), (5000, 60)])
@@ -120,12 +119,10 @@ def test_the_surprise_is_the_divergence_by_quadrature(size, runs):
 
 def test_the_surprise_counts_prior_weights_and_saturates():
     beta, likelihood = np.array([0.5, 0.25, 0.25]), np.array([1.0, 1.0, 2.0])
-    one = Pass(np.zeros((3, 4)), np.log(beta), np.arange(3), Evidence(np.log(likelihood)))
     posterior = beta * likelihood / (beta @ likelihood)
-    assert surprise(one) == pytest.approx(posterior @ np.log(posterior / beta))
-    sharp = Evidence(np.r_[0.0, np.full(99, -1e9)])
-    same = np.full(100, -np.log(100))
-    assert surprise(Pass(np.zeros((100, 4)), same, np.arange(100), sharp)) == pytest.approx(np.log(100))
+    assert surprise(np.log(beta), np.log(likelihood)) == pytest.approx(posterior @ np.log(posterior / beta))
+    sharp, same = np.r_[0.0, np.full(99, -1e9)], np.full(100, -np.log(100))
+    assert surprise(same, sharp) == pytest.approx(np.log(100))
 
 
 # ------------------------------------------------------------------------------------ evidence
