@@ -24,7 +24,7 @@ MOMENTS = 6
 
 
 @compiled
-def _edges(low: float, size: float, origin: int, limit: int, units: Ints, spans: Ints) -> int:
+def edge_units(low: float, size: float, origin: int, limit: int, units: Ints, spans: Ints) -> int:
     """Fill `units` with the edges of cells, in steps from the crop's first pixel, cut to the frame's `limit`.
 
     Fills `spans` with the lengths of cells before cutting; returns their sum, 0 when nothing can be sampled.
@@ -49,7 +49,7 @@ def _edges(low: float, size: float, origin: int, limit: int, units: Ints, spans:
 
 
 @compiled
-def _pixels(units: Ints, count: int, pixels: Ints, parts: Floats) -> None:
+def split_edges(units: Ints, count: int, pixels: Ints, parts: Floats) -> None:
     """Split edges into a pixel (kept inside the crop's `count`) and the part of it before the edge."""
     for i in range(units.shape[0]):
         pixel = min(max(units[i] // UNITS, 0), count - 1)
@@ -58,7 +58,7 @@ def _pixels(units: Ints, count: int, pixels: Ints, parts: Floats) -> None:
 
 
 @compiled
-def _corner_sums(
+def corner_sums(
     flat: Floats,
     stride: int,
     rows: Ints,
@@ -82,7 +82,7 @@ def _corner_sums(
 
 
 @compiled
-def _cell_means(
+def cell_means(
     sums: Floats, x_units: Ints, y_units: Ints, x_spans: Ints, y_spans: Ints, means: Floats, shares: Floats
 ) -> None:
     """Fill `means` and `shares` (G, G) of one box from the sums at its edges' crossings."""
@@ -112,13 +112,13 @@ def patch_means(
     sums = np.empty((edges, edges))
     means[:] = 0.0
     shares[:] = 0.0
-    x_span = _edges(box[0] - 0.5 * box[2] + 0.5, box[2], origin[0], frame[0], x_units, x_spans)
-    y_span = _edges(box[1] - 0.5 * box[3] + 0.5, box[3], origin[1], frame[1], y_units, y_spans)
+    x_span = edge_units(box[0] - 0.5 * box[2] + 0.5, box[2], origin[0], frame[0], x_units, x_spans)
+    y_span = edge_units(box[1] - 0.5 * box[3] + 0.5, box[3], origin[1], frame[1], y_units, y_spans)
     if x_span > 0 and y_span > 0:
-        _pixels(x_units, integral.shape[1] - 1, columns, column_parts)
-        _pixels(y_units, integral.shape[0] - 1, rows, row_parts)
-        _corner_sums(integral.ravel(), integral.shape[1], rows, row_parts, columns, column_parts, sums)
-        _cell_means(sums, x_units, y_units, x_spans, y_spans, means, shares)
+        split_edges(x_units, integral.shape[1] - 1, columns, column_parts)
+        split_edges(y_units, integral.shape[0] - 1, rows, row_parts)
+        corner_sums(integral.ravel(), integral.shape[1], rows, row_parts, columns, column_parts, sums)
+        cell_means(sums, x_units, y_units, x_spans, y_spans, means, shares)
 
 
 @compiled_summing
@@ -175,18 +175,18 @@ def patch_moments(
             whole_r += weights[j, i] * reference[j, i]
             whole_rr += weights[j, i] * reference[j, i] * reference[j, i]
     for n in range(boxes.shape[0]):
-        x_span = _edges(
+        x_span = edge_units(
             boxes[n, 0] - 0.5 * boxes[n, 2] + 0.5, boxes[n, 2], origin[0], frame[0], x_units, x_spans
         )
-        y_span = _edges(
+        y_span = edge_units(
             boxes[n, 1] - 0.5 * boxes[n, 3] + 0.5, boxes[n, 3], origin[1], frame[1], y_units, y_spans
         )
         if x_span == 0 or y_span == 0:
             moments[n] = 0.0
             continue
-        _pixels(x_units, stride - 1, columns, column_parts)
-        _pixels(y_units, integral.shape[0] - 1, rows, row_parts)
-        _corner_sums(flat, stride, rows, row_parts, columns, column_parts, sums)
+        split_edges(x_units, stride - 1, columns, column_parts)
+        split_edges(y_units, integral.shape[0] - 1, rows, row_parts)
+        corner_sums(flat, stride, rows, row_parts, columns, column_parts, sums)
         sw, sr, sv, srr, srv, svv = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         if x_units[cells] - x_units[0] == x_span and y_units[cells] - y_units[0] == y_span:
             sw, sr, srr = whole_w, whole_r, whole_rr
@@ -200,7 +200,7 @@ def patch_moments(
                     row[i] = total * (scale * per_length[i])
             sv, srv, svv = _weighted_sums(values, flat_weights, weighted_reference)
         else:
-            _cell_means(sums, x_units, y_units, x_spans, y_spans, means, shares)
+            cell_means(sums, x_units, y_units, x_spans, y_spans, means, shares)
             for j in range(cells):
                 for i in range(cells):
                     w, r, v = weights[j, i] * shares[j, i], reference[j, i], means[j, i]
