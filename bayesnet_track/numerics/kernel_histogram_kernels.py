@@ -1,0 +1,99 @@
+"""Compiled kernels: colour histograms of boxes under an Epanechnikov kernel, compared with a model.
+
+Nothing depends on where the array of cells begins: places are those of the frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.numerics.compiled import compiled
+
+Floats = NDArray[np.float64]
+Cells = NDArray[np.uint16]
+
+
+@compiled
+def _count(cells: Cells, left: int, top: int, box: Floats, most: int, parts: Floats) -> float:
+    """Fill `parts` (2, cells) with the weights 1 - |d|^2 of the box's ellipse by cell; the weight of it all.
+
+    Two sums, of every other pixel: neighbours have one colour, and an addition would wait for the one before.
+
+    Pixels outside the frame count in the whole only. Of a box of more than `most` pixels every k-th row and
+    column is taken, counted from the frame's first. Radii below 1 px are taken as 1.
+    """
+    rows, columns = cells.shape
+    x, y = box[0], box[1]
+    rx, ry = max(box[2] / 2, 1.0), max(box[3] / 2, 1.0)
+    step = max(int(np.ceil(np.sqrt(4.0 * rx * ry / most))), 1)
+    parts[:] = 0.0
+    even, odd = parts[0], parts[1]
+    whole = 0.0
+    if not (x + rx >= left and x - rx < left + columns and y + ry >= top and y - ry < top + rows):
+        return whole
+    for row in range(int(np.ceil((y - ry) / step)) * step, int(np.floor(y + ry)) + 1, step):
+        height = 1.0 - ((row - y) / ry) ** 2
+        if height <= 0.0:
+            continue
+        reach = rx * np.sqrt(height)
+        first, last = int(np.ceil((x - reach) / step)), int(np.floor((x + reach) / step))
+        count = last - first + 1
+        if count <= 0:
+            continue
+        # The row's weight, count * height - sum of squares, in closed form.
+        near = first * step - x
+        squares = count * near * near + near * step * count * (count - 1)
+        squares += step * step * (count - 1) * count * (2 * count - 1) / 6.0
+        whole += count * height - squares / (rx * rx)
+        if not top <= row < top + rows:
+            continue
+        line = cells[row - top]
+        begin = max(first * step, (left + step - 1) // step * step)
+        end = min(last * step, left + columns - 1)
+        column = begin
+        while column + step <= end:
+            one, two = (column - x) / rx, (column + step - x) / rx
+            even[line[column - left]] += max(height - one * one, 0.0)
+            odd[line[column + step - left]] += max(height - two * two, 0.0)
+            column += 2 * step
+        if column <= end:
+            away = (column - x) / rx
+            even[line[column - left]] += max(height - away * away, 0.0)
+    return whole
+
+
+@compiled
+def kernel_shares(cells: Cells, left: int, top: int, box: Floats, most: int, bins: int) -> Floats:
+    """(bins,) shares of the colours of a centre box (4,) under the kernel, of what lies in the frame.
+
+    Their sum is 1, or 0 when nothing does. Tracking chapter, 3.83-3.85. Arguments as of `coefficients`.
+    """
+    parts = np.zeros((2, bins))
+    _count(cells, left, top, box, most, parts)
+    histogram = parts[0] + parts[1]
+    return histogram / max(histogram.sum(), 1e-9)
+
+
+@compiled
+def coefficients(cells: Cells, left: int, top: int, boxes: Floats, most: int, roots: Floats) -> Floats:
+    """(N,) rho = sum over u of sqrt(p_u q_u), p the histogram of each box and q the model (3.87).
+
+    The part of a box outside the frame has colours that no model has.
+
+    Args:
+        cells: (rows, columns) cell of each pixel, 0 for the cells that the model has not.
+        left, top: column and row of the frame at the first of them.
+        boxes: (N, 4) centre boxes in the frame, px.
+        most: larger boxes, in pixels, are sampled.
+        roots: (K,) sqrt(q) of the cells; the first is 0.
+    """
+    rho, parts = np.zeros(len(boxes)), np.zeros((2, len(roots)))
+    for n in range(len(boxes)):
+        whole = _count(cells, left, top, boxes[n], most, parts)
+        if whole > 0.0:
+            total = 0.0
+            for u in range(1, len(roots)):
+                total += np.sqrt(parts[0, u] + parts[1, u]) * roots[u]
+            rho[n] = total / np.sqrt(whole)
+    return rho
