@@ -1,7 +1,12 @@
-"""Motion models and streams that the tests of beliefs share."""
+"""Motion models and streams that the tests of beliefs share, and every belief of the language."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from bayesnet_track.belief.motion import make_motion
 from bayesnet_track.graph import spec
@@ -50,3 +55,54 @@ def stream_of():
 @pytest.fixture
 def rng():
     return np.random.default_rng(12)
+
+
+# ------------------------------------------------------------------------------------ conformance
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A belief of the language.
+
+    Attributes:
+        name: how the test calls it.
+        says: what a graph file says.
+        tolerance: error against the exact answer, in its sds; None when that is for its effective sample size
+            to say, NaN when it does not aim at the exact answer.
+    """
+
+    name: str
+    says: Any
+    tolerance: float | None
+
+    @property
+    def is_kalman(self):
+        """True when it aims at the exact answer of a linear model."""
+        return self.tolerance is None or not np.isnan(self.tolerance)
+
+
+def _every_belief():
+    told = yaml.safe_load((Path(__file__).parent / "beliefs.yaml").read_text())
+    yield from (Asked(name, says, None) for name, says in told["sampled"].items())
+    yield from (Asked(name, each["belief"], each["to"]) for name, each in told["exact"].items())
+    yield from (Asked(name, says, float("nan")) for name, says in told["other"].items())
+
+
+BELIEFS = tuple(_every_belief())
+
+
+@pytest.fixture(params=BELIEFS, ids=lambda asked: asked.name)
+def asked(request):
+    """Every belief of `beliefs.yaml`."""
+    return request.param
+
+
+@pytest.fixture(params=[asked for asked in BELIEFS if asked.is_kalman], ids=lambda asked: asked.name)
+def asked_exactly(request):
+    """Those that aim at the exact answer."""
+    return request.param
+
+
+@pytest.fixture
+def every_belief():
+    return BELIEFS
