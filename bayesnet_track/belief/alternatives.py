@@ -13,7 +13,7 @@ from bayesnet_track.belief.kernels import Kernels, log_prior
 from bayesnet_track.belief.noise import Transition
 from bayesnet_track.belief.particle_set import Inputs, hypotheses_of
 from bayesnet_track.belief.passes import Pass, joined, prior_of
-from bayesnet_track.belief.proposals import Both, log_sum, mixed, reweighted
+from bayesnet_track.belief.proposals import Both, inside, log_sum, mixed, reweighted
 from bayesnet_track.belief.sizes import evaluated, moved
 from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph.importance_settings import Auxiliary, LikelihoodMixture, Rejection, West
@@ -75,7 +75,7 @@ def edited(inputs: Inputs, first: Pass, settings: Rejection) -> Pass:
         again = evaluated(inputs, states, LogWeights.uniform(more).log, ancestors)
         whole = joined(first, again, 1.0 / settings.rounds)
     likelihood = whole.evidence.log_likelihood
-    if not np.isfinite(likelihood).any() or np.isnan(likelihood).any():
+    if not np.isfinite(np.max(likelihood)):  # all -inf, or one a NaN or inf
         return whole
     best = int(np.argmax(likelihood))
     second = float(np.max(np.delete(likelihood, best)))
@@ -144,6 +144,7 @@ def refined(inputs: Inputs, first: Pass, settings: West) -> Both | None:
             mixed(each.log_density(points, len(each.centres)) - log_p, as_first / n) for each in mixtures
         ]
         alone = -np.log(n) - ratios[-1][len(whole) :]
+        states = inside(inputs.motion, states)
         more = evaluated(inputs, states, LogWeights.normalise(alone)[0].log, ancestors)
         if more.evidence.faults.keys() != first.evidence.faults.keys():
             return None
@@ -191,7 +192,7 @@ def mixture_pass(inputs: Inputs, size: int, settings: LikelihoodMixture) -> Pass
     points = transition.coordinates(states)[0]
     log_ratio = kernels.log_density(points) - log_prior(transition, beta, points)
     prior_log = -np.logaddexp(np.log(size - part), np.log(part) + log_ratio)
-    of = np.concatenate([ancestors[stay], parents])
+    of, states = np.concatenate([ancestors[stay], parents]), inside(inputs.motion, states)
     return reweighted(evaluated(inputs, states, LogWeights.normalise(prior_log)[0].log, of), prior_log)
 
 

@@ -59,8 +59,8 @@ def fitted_message(
     centre, spread = _moments(points, beta.weights)
     mean, covariance = _moments(points, posterior.weights)
     # In coordinates in which the prior has covariance 1.
-    scale = np.sqrt(np.diagonal(spread))
-    root = np.linalg.cholesky(spread + 1e-9 * np.diag(scale**2))
+    # Where all of it lies on the image's border a coordinate has no variance of its own.
+    root = np.linalg.cholesky(spread + np.diag(1e-9 * np.diagonal(spread) + 1e-12))
     whiten = np.linalg.inv(root)
     variances, axes = np.linalg.eigh(whiten @ covariance @ whiten.T)
     precisions = 1.0 / np.maximum(variances, 1e-6)

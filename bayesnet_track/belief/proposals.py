@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.belief.bounds import Confined
+from bayesnet_track.belief.contract import Motion
 from bayesnet_track.belief.fitted import EFFECTIVE, fitted_message, fitted_proposal, paired_log_density
 from bayesnet_track.belief.particle_set import Inputs
 from bayesnet_track.belief.passes import Pass, joined, prior_of
@@ -85,6 +87,11 @@ def taken(inputs: Inputs, first: Pass, draws: Draws, weights: str) -> Both | Non
     return Both(reweighted(whole, np.concatenate([of_first, of_second])), log_second)
 
 
+def inside(motion: Motion, states: Floats) -> Floats:
+    """`states` (N, D), changed in place to lie on the image where `motion` is confined to it."""
+    return motion.confined(states) if isinstance(motion, Confined) else states
+
+
 def reweighted(one: Pass, prior_log: Floats) -> Pass:
     """The pass with other prior log-weights (N,)."""
     return Pass(one.states, prior_log, one.ancestors, one.evidence)
@@ -140,10 +147,12 @@ def fitted_draws(inputs: Inputs, first: Pass, settings: Adaptive) -> Draws | Non
             shares = np.log(np.array([*counts, as_first]) / m)[:, None]
         return np.asarray(np.logaddexp.reduce(shares + np.array([*own, np.zeros(len(points))])))
 
+    # Densities are those of the model without borders, so they are taken before states are confined.
+    of_second = log_ratio(transition.coordinates(states)[0], ancestors)
     return Draws(
-        states,
+        inside(motion, states),
         ancestors,
-        log_ratio(transition.coordinates(states)[0], ancestors),
+        of_second,
         log_ratio(points, first.ancestors),
     )
 
