@@ -66,7 +66,7 @@ def test_it_runs_from_pictures_to_files(asked, scene, tmp_path):
     held = overlap(boxes_of(results), centre_from_corner(scene.truth[:FRAMES]))
     # Before the squares meet.
     assert held[:24].min() > (0.3 if asked.name == "few_particles" else 0.5)
-    # Where the squares part again. Sigma points, five places in all, follow the wrong one in two of four seeds.
+    # Where the squares part again. Sigma points, five places, follow the wrong one in two of four seeds.
     if asked.says.get("gaussian", {}).get("likelihood") != "sigma_points":
         assert held[-5:].min() > 0.5
         assert "gaussian" in asked.says or any(isinstance(event, Activated) for event in events)
