@@ -224,8 +224,12 @@ def all_points(frame: Frame, matcher: Matcher, reach: Range, region: Region) -> 
 
     Raises:
         NoDepth: the frame has neither a second eye nor a point map.
+        ValueError: they are of another size than the picture.
     """
     match frame.depth:
+        case PointMap(points=other) | RightEye(image=other) if other.shape[:2] != frame.image.shape[:2]:
+            # the kernels would read beyond it
+            raise ValueError(f"depth of shape {other.shape} does not fit a picture of {frame.image.shape}")
         case PointMap(points):
             return np.array(region.of(points), dtype=np.float32)
         case RightEye(image, geometry):
