@@ -26,7 +26,7 @@ class BackgroundParameters(BlobParameters):
     """Parameters of the background subtraction."""
 
     modes: int = Field(
-        default=3, ge=1, le=5, description="Gaussians of each pixel; 1 is a running Gaussian (count)."
+        default=3, ge=2, le=5, description="Gaussians of each pixel: background, and what passes (count)."
     )
     memory_frames: float = Field(
         default=200.0,
