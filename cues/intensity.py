@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 Ints = NDArray[np.int64]
 
+LOOKS = (("grid", "known"), ("coarse", "coarse_known"))
+"""The arrays of a reference: mean gray of cells, and how much of them was seen; the first look's last."""
+
 
 class IntensityParameters(SizedCueParameters):
     """Parameters of the intensity cue."""
@@ -69,6 +72,19 @@ class IntensityParameters(SizedCueParameters):
     sharpness: float = Field(
         default=1.0, gt=0, description="Factor on the log-likelihood before the floor (no unit)."
     )
+    coarse: int = Field(
+        default=0,
+        ge=0,
+        le=16,
+        description="Cells per side of a first look at every hypothesis, before `grid` of them; 0 is without "
+        "(count). It pays for grids of 16 cells and more.",
+    )
+    coarse_below: float = Field(
+        default=0.05,
+        gt=0,
+        lt=1,
+        description="Likelihood at the first look below which a hypothesis keeps it (share of the best).",
+    )
 
 
 @dataclass(frozen=True)
@@ -76,7 +92,8 @@ class IntensityCue:
     """Compares resampled gray patches.
 
     Reference: `grid` (G, G) mean gray of each cell, rows top to bottom; `known` (G, G) the share of each cell
-    that lay inside the frame when learnt; `size` (2,) width and height in pixels.
+    that lay inside the frame when learnt; `size` (2,) width and height in pixels; with a first look also
+    `coarse` and `coarse_known` (C, C), the same of its cells.
     """
 
     parameters: IntensityParameters
@@ -88,49 +105,69 @@ class IntensityCue:
         """The gray plane."""
         return (self.gray,)
 
+    @property
+    def _cells(self) -> tuple[int, ...]:
+        """Cells per side of the looks."""
+        fine, coarse = self.parameters.grid, self.parameters.coarse
+        return (fine, coarse) if coarse else (fine,)
+
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """The patch under the centre box (4,)."""
         from bayesnet_track.numerics.patch_kernels import patch_means
 
-        cells = self.parameters.grid
-        means, shares = np.zeros((cells, cells)), np.zeros((cells, cells))
-        if not planes.region.is_empty:
-            patch_means(*_sampling(planes, self.gray, np.asarray(box, dtype=np.float64)), means, shares)
-        return {"grid": means, "known": shares, "size": np.array(box[2:], dtype=np.float64)}
+        learnt: dict[str, Floats] = {}
+        for cells, (grid, known) in zip(self._cells, LOOKS, strict=False):
+            means, shares = np.zeros((cells, cells)), np.zeros((cells, cells))
+            if not planes.region.is_empty:
+                sampling = _sampling(planes, self.gray, np.asarray(box, dtype=np.float64))
+                patch_means(*sampling, means, shares)
+            learnt |= {grid: means, known: shares}
+        return {**learnt, "size": np.array(box[2:], dtype=np.float64)}
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """Linear (eq. 2.15), cell by cell; what only one of the two has seen counts as far as it was seen."""
-        weight_old, weight_new = (1.0 - rate) * old["known"], rate * new["known"]
-        known = weight_old + weight_new
-        total = weight_old * old["grid"] + weight_new * new["grid"]
-        return {
-            "grid": np.divide(total, known, out=np.array(old["grid"]), where=known > 0),
-            "known": known,
-            "size": (1.0 - rate) * old["size"] + rate * new["size"],
-        }
+        blended: dict[str, Floats] = {}
+        for _, (grid, known) in zip(self._cells, LOOKS, strict=False):
+            weight_old, weight_new = (1.0 - rate) * old[known], rate * new[known]
+            total, seen = weight_old * old[grid] + weight_new * new[grid], weight_old + weight_new
+            blended[grid] = np.divide(total, seen, out=np.array(old[grid]), where=seen > 0)
+            blended[known] = seen
+        return {**blended, "size": (1.0 - rate) * old["size"] + rate * new["size"]}
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """(N,) log-likelihood. Cells outside the frame count as unmatched; a box outside is at the floor.
 
-        All 0 when the reference has seen nothing (it lay outside the frame).
+        All 0 when the reference has seen nothing (it lay outside the frame). With `coarse`, from coarse to
+        fine: only hypotheses that are good enough at the first look are compared on the whole grid.
         """
+        settings = self.parameters
+        if self._weights(reference["known"]).sum() <= 0.0:
+            return np.zeros(len(hypotheses))
+        boxes = np.ascontiguousarray(hypotheses.boxes, dtype=np.float64)
+        penalty = log_size_penalty(boxes, reference["size"], settings.sd_log_area, settings.sd_log_aspect)
+        if settings.coarse:
+            log = self._look(planes, boxes, reference["coarse"], reference["coarse_known"])
+            fine = settings.sharpness * log + penalty >= np.log(settings.coarse_below)
+            log[fine] = self._look(planes, boxes[fine], reference["grid"], reference["known"])
+        else:
+            log = self._look(planes, boxes, reference["grid"], reference["known"])
+        return floored(settings.sharpness * log + penalty, settings.floor)
+
+    def _look(self, planes: Planes, boxes: Floats, grid: Floats, known: Floats) -> Floats:
+        """(N,) log-likelihood by the cells of one grid, before sharpness, size and floor."""
         from bayesnet_track.numerics.patch_kernels import MOMENTS, patch_moments
 
-        settings = self.parameters
-        weights = _mask(settings.grid, settings.sd_mask) * reference["known"]
-        total = float(weights.sum())
-        if total <= 0.0:
-            return np.zeros(len(hypotheses))
-        moments = np.zeros((len(hypotheses), MOMENTS))
-        boxes = np.ascontiguousarray(hypotheses.boxes, dtype=np.float64)
-        if len(hypotheses) and not planes.region.is_empty:
-            patch_moments(*_sampling(planes, self.gray, boxes), reference["grid"], weights / total, moments)
-        log = self._correlation(moments) if settings.form == "correlation" else self._difference(moments)
-        log = np.where(moments[:, 0] > 0, np.minimum(log, 0.0), -np.inf)
-        penalty = log_size_penalty(
-            hypotheses.boxes, reference["size"], settings.sd_log_area, settings.sd_log_aspect
+        weights = self._weights(known)
+        moments = np.zeros((len(boxes), MOMENTS))
+        if len(boxes) and not planes.region.is_empty:
+            patch_moments(*_sampling(planes, self.gray, boxes), grid, weights / weights.sum(), moments)
+        log = (
+            self._correlation(moments) if self.parameters.form == "correlation" else self._difference(moments)
         )
-        return floored(settings.sharpness * log + penalty, settings.floor)
+        return np.where(moments[:, 0] > 0, np.minimum(log, 0.0), -np.inf)
+
+    def _weights(self, known: Floats) -> Floats:
+        return _mask(len(known), self.parameters.sd_mask) * known
 
     def _correlation(self, moments: Floats) -> Floats:
         """-(1 - s rho) / sd^2 - (difference of means)^2 / (2 sd_level^2), s the share inside the frame.

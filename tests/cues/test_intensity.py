@@ -206,3 +206,41 @@ def test_a_reference_that_has_seen_nothing_is_no_evidence() -> None:
     cue, gray = made(), textured()
     outside = cue.learn(planes_of(gray), np.array([-300.0, 60.0, 40.0, 40.0]))
     assert scores(cue, planes_of(gray), [[50.0, 50.0, 20.0, 20.0]], outside).tolist() == [0.0]
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_coarse_to_fine_keeps_the_first_look_only_where_it_is_bad(form: str) -> None:
+    settings = {"form": form, "sd_gray": 15.0, "sd_pattern": 0.4}
+    fine, coarse = made(grid=16, **settings), made(grid=4, floor=0.02, **settings)
+    both = made(grid=16, coarse=4, coarse_below=0.3, **settings)
+    gray, box = textured(), np.array([60.0, 50.0, 40.0, 32.0])
+    rng = np.random.default_rng(2)
+    boxes = np.column_stack([rng.normal(box[:2], 15.0, (300, 2)), np.tile(box[2:], (300, 1))])
+    boxes[0] = box
+    found = {
+        name: cue.log_likelihood(planes_of(gray), Hypotheses(boxes), cue.learn(planes_of(gray), box))
+        for name, cue in (("fine", fine), ("coarse", coarse), ("both", both))
+    }
+    bad = found["coarse"] < floored(np.log([0.3]), 0.02)[0]
+    assert 5 < bad.sum() < 295  # both kinds are there
+    assert np.array_equal(found["both"][bad], found["coarse"][bad])
+    assert np.array_equal(found["both"][~bad], found["fine"][~bad])
+    assert found["both"][0] == found["both"].max() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_first_look_is_learnt_and_blended_too() -> None:
+    cue, gray = made(grid=12, coarse=3), textured()
+    old = cue.learn(planes_of(gray), np.array([60.0, 50.0, 30.0, 24.0]))
+    new = cue.learn(planes_of(gray), np.array([64.0, 52.0, 30.0, 24.0]))
+    assert old["coarse"] == pytest.approx(old["grid"].reshape(3, 4, 3, 4).mean(axis=(1, 3)), abs=0.1)
+    assert cue.blend(old, new, 0.25)["coarse"] == pytest.approx(0.75 * old["coarse"] + 0.25 * new["coarse"])
+    assert "coarse" not in made().learn(planes_of(gray), np.array([60.0, 50.0, 30.0, 24.0]))
+
+
+def test_a_first_look_at_nothing_and_at_nobody() -> None:
+    cue, gray = made(grid=12, coarse=3), textured()
+    outside = cue.learn(planes_of(gray), np.array([-300.0, 60.0, 40.0, 40.0]))
+    assert scores(cue, planes_of(gray), [[50.0, 50.0, 20.0, 20.0]], outside).tolist() == [0.0]
+    inside = cue.learn(planes_of(gray), np.array([60.0, 50.0, 30.0, 24.0]))
+    far = scores(cue, planes_of(gray), [[-300.0, 50.0, 30.0, 24.0]], inside)
+    assert far == pytest.approx(np.log(cue.parameters.floor), abs=1e-9)

@@ -42,7 +42,7 @@ def test_the_polynomials_are_orthonormal_under_the_mask(cells: int, degree: int)
 
 
 def test_a_slope_has_the_coefficients_of_a_slope() -> None:
-    """Brightness a x + b y, in half sides, has the coefficients a sd and b sd, sd that of place in the mask."""
+    """Brightness a x + b y, in half sides, has coefficients a sd and b sd, sd that of place in the mask."""
     cue = made(degree=3)
     found = cue.shading(planes_of(cue, hill(60, 50, (24.0, -8.0), 0.0)), np.array([BOX]))[1][0]
     mask, _ = polynomials(8, 3, 0.5)
@@ -69,7 +69,7 @@ def test_fine_texture_does_not_matter() -> None:
     reference = cue.learn(planes_of(cue, gray), np.array(BOX))
     rng = np.random.default_rng(1)
     speckles = rng.choice([-20.0, 20.0], (60, 80)).repeat(2, axis=0).repeat(2, axis=1)
-    # the mask counts 2 (pi/2) sd^2 20^2 = 314 of 400 speckles at most: a coefficient moves by 20/sqrt(100) = 2
+    # the mask counts (pi/2) 2 sd^2 20^2 = 314 of 400 speckles at most: a coefficient moves by 20/10 = 2
     # with a cautious 100 of them, against |b| = 16; 1 - rho is then below 9 (2/16)^2 / 2 = 0.07, times 1/sd^2
     assert scores(cue, gray + speckles, [BOX], reference)[0] > -0.28
 
