@@ -1,4 +1,4 @@
-"""The flow plane: how corners moved since the previous frame."""
+"""Planes of motion since the previous frame: the flow of corners, and the motion of the camera."""
 
 from __future__ import annotations
 
@@ -12,6 +12,19 @@ from bayesnet_track.planes import Array, Frame, FramePair, Plane, Region
 
 COARSEST = 4
 """Pixels of the frame per pixel of the coarsest of the three pyramid levels."""
+
+LONGEST_PX = 160
+"""Longest side of the picture in which the camera's motion is looked for."""
+CAMERA_AGREE_PX = 1.0
+"""A point of that picture moves with the camera when it is no further off."""
+LEAST_POINTS = 8
+"""Fewer points tell nothing of the camera."""
+LEAST_SHARE = 0.4
+"""Share of the points that agree when the picture moves as a whole."""
+LEAST_CELLS = 6
+"""A picture that moves as a whole moves in at least so many of its 4 x 4 parts."""
+LEAST_PX = 0.5
+"""Less than this, in pixels of the frame, is no motion of the camera."""
 
 
 @dataclass(frozen=True)
@@ -60,12 +73,9 @@ class FlowPlane:
         """The valid vectors of the current frame whose points lie in `region`."""
         from bayesnet_track.numerics import flow_kernels
 
-        current, previous = frames.current, frames.previous
-        if previous is None or region.is_empty or previous.image.shape != current.image.shape:
-            return np.empty((0, 4))
-        interval = current.time - previous.time
-        points = self._corners(current, region)
-        if not (interval > 0) or len(points) == 0:
+        current, previous, interval = frames.current, frames.previous, interval_of(frames)
+        points = self._corners(current, region) if interval > 0 and not region.is_empty else ()
+        if previous is None or len(points) == 0:
             return np.empty((0, 4))
         crop = _aligned(region.grown(self.margin), COARSEST).within(current)
         origin = np.array([crop.x0, crop.y0], dtype=np.int64)
@@ -91,7 +101,7 @@ class FlowPlane:
 
         cells = _aligned(region, self.spacing_px).within(frame)
         crop = cells.grown(corner_kernels.RIM + 1).within(frame)
-        image = gray(crop.of(frame.image))
+        image = _brightness(frame, crop)
         scores = np.zeros(image.shape)
         corner_kernels.corner_scores(image, self.min_gradient_gray**2, scores)
         origin, low = np.array([crop.x0, crop.y0]), np.array([cells.x0, cells.y0])
@@ -101,6 +111,97 @@ class FlowPlane:
         found = found[: corner_kernels.lattice_corners(scores, origin, low, high, self.spacing_px, found)]
         x, y = found[:, 0], found[:, 1]
         return found[(x >= region.x0) & (x < region.x1) & (y >= region.y0) & (y < region.y1)]
+
+
+@dataclass(frozen=True)
+class CameraPlane:
+    """How the whole picture moved since the previous frame: (2, 3) float64 M.
+
+    The flow of the background at (x, y) is M @ (x, y, 1), pixels per nominal frame interval. Corners all over
+    the picture, made smaller until no side exceeds LONGEST_PX, and the similarity that most of them follow.
+    0 where that cannot be told: without a previous frame, with fewer than LEAST_POINTS that agree.
+
+    Attributes:
+        only_clear: 0 also unless the picture moves as a whole: LEAST_SHARE of the corners agree, in
+            LEAST_CELLS of the 4 x 4 parts of the frame, and they move by LEAST_PX (root mean square).
+    """
+
+    only_clear: bool = True
+
+    @property
+    def margin(self) -> None:
+        """It depends on the whole frame."""
+        return None
+
+    @property
+    def inputs(self) -> tuple[Plane, ...]:
+        """Made from the two frames."""
+        return ()
+
+    @property
+    def is_points(self) -> bool:
+        """One matrix for the frame, whatever the region."""
+        return True
+
+    def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
+        """The matrix, from the whole frames."""
+        from bayesnet_track.numerics.camera_motion import similarity
+
+        interval = interval_of(frames)
+        if frames.previous is None or not interval > 0:
+            return np.zeros((2, 3))
+        current, scale = _smaller(frames.current)
+        previous, _ = _smaller(frames.previous)
+        size = np.array([current.width, current.height])
+        vectors = CAMERA_FLOW.compute(FramePair(current, previous), (), Region(0, 0, *size.tolist()))
+        moved = vectors * np.array([1.0, 1.0, interval, interval])  # pixels of the smaller picture
+        found = similarity(moved, CAMERA_AGREE_PX)
+        agree = found.agree
+        if agree.sum() < LEAST_POINTS:
+            return np.zeros((2, 3))
+        if self.only_clear:
+            parts = np.unique(moved[agree, :2] * 4 // size, axis=0)
+            way = (moved[agree, :2] @ found.matrix[:, :2].T + found.matrix[:, 2]) * scale
+            clear = agree.sum() >= LEAST_SHARE * agree.size and len(parts) >= LEAST_CELLS
+            if not clear or np.mean((way**2).sum(axis=1)) < LEAST_PX**2:
+                return np.zeros((2, 3))
+        return found.matrix * np.array([1.0, 1.0, scale]) / interval
+
+
+def interval_of(frames: FramePair) -> float:
+    """Time between the two frames, in nominal intervals; 0 where motion is unknown.
+
+    It is unknown without a previous frame, or when that one has another size or is not earlier.
+    """
+    current, previous = frames.current, frames.previous
+    if previous is None or previous.image.shape != current.image.shape or previous.time >= current.time:
+        return 0.0
+    return current.time - previous.time
+
+
+def against_background(vectors: Array, camera: Array) -> Array:
+    """The vectors (P, 4) x, y, dx, dy with the camera's motion (2, 3) there taken off dx and dy."""
+    x, y = vectors[:, 0], vectors[:, 1]
+    relative = vectors.copy()
+    for k in range(2):
+        relative[:, 2 + k] -= camera[k, 0] * x + camera[k, 1] * y + camera[k, 2]
+    return relative
+
+
+def _smaller(frame: Frame) -> tuple[Frame, int]:
+    """The frame in gray, halved until no side exceeds LONGEST_PX, and how many of its pixels one is wide."""
+    import cv2
+
+    image, scale = gray(frame.image), 1
+    while max(image.shape) > LONGEST_PX:
+        image, scale = cv2.pyrDown(image), 2 * scale
+    return Frame(frame.index, frame.time, image), scale
+
+
+def _brightness(frame: Frame, region: Region) -> Array:
+    """(rows, columns) uint8; a picture that is gray already may have one channel."""
+    part = region.of(frame.image)
+    return part if part.ndim == 2 else gray(part)
 
 
 def _aligned(region: Region, step: int) -> Region:
@@ -117,6 +218,10 @@ def _pyramid(frame: Frame, crop: Region) -> tuple[Array, Array, Array]:
     """Three levels, coarsest first, of the frame's brightness on a crop that starts at a multiple of 4."""
     import cv2
 
-    fine = gray(crop.of(frame.image))
+    fine = _brightness(frame, crop)
     middle = cv2.pyrDown(fine)
     return cv2.pyrDown(middle), middle, fine
+
+
+CAMERA_FLOW = FlowPlane(spacing_px=12)
+"""How the points are followed from which the camera's motion is told, in the smaller picture."""

@@ -22,7 +22,7 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
-from bayesnet_track.motion_planes import FlowPlane
+from bayesnet_track.motion_planes import CameraPlane, FlowPlane, against_background
 
 if TYPE_CHECKING:
     from bayesnet_track.planes import Plane, Planes
@@ -31,6 +31,11 @@ if TYPE_CHECKING:
 class MotionParameters(SizedCueParameters):
     """Parameters of the motion cue."""
 
+    camera: Literal["ignore", "auto", "compensate"] = Field(
+        default="ignore",
+        description="Whether the camera's motion is taken off all flow: never, where the picture clearly "
+        "moves as a whole, or whenever it can be estimated.",
+    )
     compare: Literal["mean", "each"] = Field(
         default="mean",
         description="What is compared with the target's flow: the box's mean flow, or each of its vectors.",
@@ -84,20 +89,22 @@ class MotionCue:
 
     parameters: MotionParameters
     flow: FlowPlane
+    camera: CameraPlane | None
     context: ClassVar[float] = 0.0
 
     @property
     def needs(self) -> tuple[Plane, ...]:
-        """The flow plane."""
-        return (self.flow,)
+        """The flow plane, and that of the camera's motion."""
+        return (self.flow,) if self.camera is None else (self.flow, self.camera)
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """The mean flow inside the centre box (4,); unknown without a valid vector, or when they disagree.
 
         Where two things overlap, their vectors disagree, and the mean is the flow of neither.
         """
-        counts, means = self._inside(planes[self.flow], np.asarray(box, dtype=np.float64)[None])
-        known = counts[0] > 0 and self._agrees(planes[self.flow], box, means[0])
+        vectors = self._vectors(planes)
+        counts, means = self._inside(vectors, np.asarray(box, dtype=np.float64)[None])
+        known = counts[0] > 0 and self._agrees(vectors, box, means[0])
         return {
             "flow": means[0],
             "valid": np.array(counts[0]),
@@ -123,7 +130,7 @@ class MotionCue:
         if not reference["known"]:
             return np.zeros(len(hypotheses))
         settings = self.parameters
-        vectors = planes[self.flow]
+        vectors = self._vectors(planes)
         with np.errstate(divide="ignore"):
             if settings.compare == "each":
                 agreement = np.exp(self._log_agreement(vectors[:, 2:4], reference))
@@ -138,6 +145,11 @@ class MotionCue:
             hypotheses.boxes, reference["size"], settings.sd_log_area, settings.sd_log_aspect
         )
         return floored(settings.sharpness * log + penalty, settings.floor)
+
+    def _vectors(self, planes: Planes) -> Floats:
+        """(P, 4) x, y, dx, dy of the valid vectors, the camera's motion taken off."""
+        vectors = planes[self.flow]
+        return vectors if self.camera is None else against_background(vectors, planes[self.camera])
 
     def _agrees(self, vectors: Floats, box: Floats, mean: Floats) -> bool:
         limit = self.parameters.coherent_px
@@ -162,7 +174,7 @@ class MotionCue:
 def _make(parameters: MotionParameters) -> MotionCue:
     import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
 
-    from bayesnet_track.numerics import corner_kernels, flow_kernels  # noqa: F401
+    from bayesnet_track.numerics import camera_motion, corner_kernels, flow_kernels  # noqa: F401
 
     plane = FlowPlane(
         spacing_px=parameters.spacing_px,
@@ -171,7 +183,8 @@ def _make(parameters: MotionParameters) -> MotionCue:
         reach_px=parameters.reach_px,
         agree_px=parameters.agree_px,
     )
-    return MotionCue(parameters, plane)
+    camera = None if parameters.camera == "ignore" else CameraPlane(parameters.camera == "auto")
+    return MotionCue(parameters, plane, camera)
 
 
 CUE = CueDeclaration(
