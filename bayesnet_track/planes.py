@@ -135,7 +135,7 @@ class Plane(Protocol):
 
     @property
     def is_points(self) -> bool:
-        """True for a list of points in frame coordinates, False for an image-like array."""
+        """True for points, or what else is in frame coordinates and never cut; False when image-like."""
         ...
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:

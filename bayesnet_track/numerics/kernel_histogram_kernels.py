@@ -72,7 +72,8 @@ def kernel_shares(cells: Cells, left: int, top: int, box: Floats, most: int, bin
     parts = np.zeros((2, bins))
     _count(cells, left, top, box, most, parts)
     histogram = parts[0] + parts[1]
-    return histogram / max(histogram.sum(), 1e-9)
+    shares: Floats = histogram / max(histogram.sum(), 1e-9)
+    return shares
 
 
 @compiled

@@ -178,6 +178,8 @@ def test_company_planes_and_threads_change_no_bit(measuring, scene):
         cv2.setNumThreads(before)
     region = Region(101, 53, 230, 187)
     for plane in measuring.cue.needs:
+        if plane.is_points:
+            continue
         whole = PlaneCache(pair).planes([plane], Region(0, 0, scene.width, scene.height))[plane]
         np.testing.assert_array_equal(region.of(whole), PlaneCache(pair).planes([plane], region)[plane])
 

@@ -1,0 +1,31 @@
+"""The whole picture as a plane, for agents that look beyond the boxes of the hypotheses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bayesnet_track.planes import Array, FramePair, Plane, Region
+
+
+@dataclass(frozen=True)
+class WholeFrame:
+    """The frame's own picture, (H, W, 3) uint8 BGR, not copied and never cut: in frame coordinates."""
+
+    @property
+    def margin(self) -> None:
+        """All of the frame."""
+        return None
+
+    @property
+    def inputs(self) -> tuple[Plane, ...]:
+        """Made from the frame."""
+        return ()
+
+    @property
+    def is_points(self) -> bool:
+        """In frame coordinates, as points are."""
+        return True
+
+    def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
+        """The picture, whatever the region."""
+        return frames.current.image
