@@ -50,7 +50,8 @@ def signed_distance(contour: Floats, xs: Floats, ys: Floats, field: Floats) -> N
                 t = min(max((u * dx + v * dy) * scale, 0.0), 1.0)
                 a, b = u - t * dx, v - t * dy
                 nearest[i] = min(nearest[i], a * a + b * b)
-            if (v >= 0.0) != (v >= dy):
+            # The corner itself is compared, not differences: two sides that share it must agree on its row.
+            if (ys[j] >= contour[p, 1]) != (ys[j] >= contour[(p + 1) % count, 1]):
                 crossing = x0 + dx * v / dy
                 for i in range(xs.shape[0]):
                     sign[i] = -sign[i] if xs[i] > crossing else sign[i]

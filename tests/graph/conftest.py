@@ -67,6 +67,27 @@ def _adaptive_sizes(positive: st.SearchStrategy[float]) -> st.SearchStrategy[Any
     )
 
 
+def _importance(positive: st.SearchStrategy[float]) -> st.SearchStrategy[Any]:
+    """Every importance function."""
+    defensive = st.floats(min_value=0, max_value=1, exclude_max=True)
+    share = st.floats(min_value=0, max_value=1, exclude_min=True, exclude_max=True)
+    above = {"above_kl": st.just(0) | positive, "defensive": defensive}
+    adaptive = {
+        **above,
+        "by": st.sampled_from(["fitted", "parents"]),
+        "weights": st.sampled_from(["balance", "separate", "second_only"]),
+        "neighbours": st.integers(1, 1000),
+    }
+    return _choice(
+        ["regular", "adaptive", "auxiliary", "rejection", "west", "likelihood_mixture"],
+        adaptive=_mapping({}, adaptive),
+        auxiliary=_mapping({}, {"defensive": defensive}),
+        rejection=_mapping({}, {"rounds": st.integers(1, 20), "accept_above": share}),
+        west=_mapping({}, {**above, "refinements": st.integers(1, 10), "bandwidth": positive}),
+        likelihood_mixture=_mapping({}, {"share": share, "reach_sd": positive}),
+    )
+
+
 def _graphs() -> st.SearchStrategy[dict[str, Any]]:
     names = st.from_regex(r"[A-Za-z][A-Za-z0-9_]{0,8}", fullmatch=True)
     positive = st.floats(min_value=1e-300, max_value=1e300) | st.integers(1, 1000)
@@ -100,7 +121,17 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
     when = st.just("every_frame") | _mapping({"ess_below": share | st.just(1)}, {})
     counts = st.integers(100, 1_000_000)
     sizes = st.integers(2, 1_000_000) | _adaptive_sizes(positive)
-    particles = _mapping({}, {"size": sizes, "min": counts, "max": counts, "resample": schemes, "when": when})
+    particles = _mapping(
+        {},
+        {
+            "size": sizes,
+            "min": counts,
+            "max": counts,
+            "resample": schemes,
+            "when": when,
+            "importance": _importance(positive),
+        },
+    )
     spread = st.floats(min_value=1e-6, max_value=9)
     gaussian = _mapping(
         {},
@@ -259,6 +290,11 @@ def everything() -> dict[str, Any]:
             "fuse": "pool",
             "belief": {"particles": {"size": {"likelihood_sum": {"threshold": 20}}}},
         },
+        "m": {"belief": {"particles": {"importance": {"adaptive": {"by": "parents"}}}}},
+        "n": {"belief": {"particles": {"importance": {"auxiliary": {"defensive": 0.2}}}}},
+        "o": {"belief": {"particles": {"importance": {"rejection": {"rounds": 3}}}}},
+        "p": {"belief": {"particles": {"importance": {"west": {"bandwidth": 2}}}}},
+        "q": {"belief": {"particles": {"importance": {"likelihood_mixture": {"share": 0.3}}}}},
         "h": {"belief": {"grid": {"cell_px": 3, "reset": {"region": "image", "false_rate": 0.01}}}},
         "d": {"parent": "c", "agent": {"hue": {"bins": 16, "window": [5, 5]}}, "learn_rate_max": 0},
         "e": {"parent": "c", "agent": "motion", "active": False, "self_check": {"above": level, "rest": 7}},
