@@ -140,7 +140,7 @@ class Background:
         return evidence, after
 
     def _first(self, image: NDArray[np.uint8], time: float) -> DetectorState:
-        state = _empty(*image.shape[:2], self.parameters.modes, time)
+        state = _empty(image.shape[0], image.shape[1], self.parameters.modes, time)
         state["weights"][:, :, 0] = 1.0
         state["means"][:, :, 0] = image
         state["variances"][:] = self.parameters.first_sd**2

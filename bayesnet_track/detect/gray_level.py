@@ -122,7 +122,7 @@ def outliers(counts: NDArray[np.int64], spread: float, least: float) -> Bytes:
     away = np.abs(levels - middle)
     limit = max(spread * SD_OF_MAD * _median(counts, away), least)
     share = np.where(away > limit, np.minimum(away / (2.0 * limit), 1.0), 0.0)
-    return np.rint(SURE * share).astype(np.uint8)
+    return np.asarray(np.rint(SURE * share), dtype=np.uint8)
 
 
 def _median(counts: NDArray[np.int64], values: NDArray[np.int64]) -> int:

@@ -107,7 +107,9 @@ class Onnx:
         )
         if settings.channels == "rgb":
             canvas = canvas[:, :, ::-1]
-        values = (canvas.astype(np.float32) - np.float32(settings.mean)) * np.float32(settings.scale)
+        values = (canvas.astype(np.float32) - np.array(settings.mean, dtype=np.float32)) * np.float32(
+            settings.scale
+        )
         return inner / frame, rim, np.ascontiguousarray(values.transpose(2, 0, 1)[None])
 
     def _found(self, outputs: Any) -> Found:

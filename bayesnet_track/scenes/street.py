@@ -63,7 +63,8 @@ def street(seed: int = 0, frames: int = 160, brighter_from: int = 100, gain: flo
         np.column_stack([340.0 - 2.6 * (at - 42.0), np.full(frames, 172.0), size]),
     )
     cart = Sprite(flat((60.0, 110.0, 120.0)), np.tile([236.0, 60.0, 44.0, 30.0], (frames, 1)))
-    background = np.kron(shaded_cells(HEIGHT // 8, WIDTH // 8, GROUND, 0.75, rng), np.ones((8, 8, 1)))
+    cells = shaded_cells(HEIGHT // 8, WIDTH // 8, GROUND, 0.75, rng)
+    background: Floats = cells.repeat(8, axis=0).repeat(8, axis=1)
     sprites = (
         cart,
         *(part for walk, jacket in zip(walks, JACKETS, strict=True) for part in _dressed(walk, jacket)),
