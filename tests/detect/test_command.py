@@ -1,0 +1,92 @@
+"""The command `detect`."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import pytest
+
+from bayesnet_track.cli import main
+from bayesnet_track.scenes import make_scene
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Six frames of two orange squares, as images."""
+    path = tmp_path_factory.mktemp("frames")
+    for index, image in zip(range(6), make_scene("two_squares", 0).frames, strict=False):
+        cv2.imwrite(str(path / f"{index:03}.png"), image)
+    return str(path)
+
+
+def test_mot_lines_are_printed(folder, capsys):
+    assert main(["detect", "gray_level", "--source", folder, "--start", "2", "--end", "4"]) == 0
+    out, err = capsys.readouterr()
+    lines = [line.split(",") for line in out.splitlines()]
+    assert [line[0] for line in lines] == ["3", "3", "4", "4"] and "4 detections in 2 frames" in err
+    assert all(line[1] == "-1" and line[7:] == ["-1"] * 3 and len(line) == 10 for line in lines)
+    truth = make_scene("two_squares", 0).truth[2]
+    near = min(abs(float(line[2]) - truth[0]) + abs(float(line[3]) - truth[1]) for line in lines[:2])
+    assert near < 3.0 and all(0 < float(line[6]) <= 1 for line in lines)
+
+
+def test_json_lines_and_a_video_are_written(folder, tmp_path):
+    out, video = tmp_path / "found.jsonl", tmp_path / "found.mkv"
+    arguments = ["detect", "motion", "--source", folder, "--out", str(out), "--video", str(video)]
+    assert main(arguments) == 0
+    rows = [json.loads(line) for line in out.read_text().splitlines()]
+    assert [row["frame"] for row in rows] == list(range(6)) and rows[0]["detections"] == []
+    assert set(rows[2]["detections"][0]) == {"box", "score", "label"} and video.stat().st_size > 1000
+    before = out.read_bytes()
+    assert main(arguments) == 6 and out.read_bytes() == before
+    assert main([*arguments, "--overwrite"]) == 0 and out.read_bytes() == before
+
+
+def test_a_target_is_shown(folder, capsys):
+    x, y, w, h = (round(v) for v in make_scene("two_squares", 0).truth[0])
+    shown = ["--learn", f"{x},{y},{w},{h}", "--set", "min_chroma=40"]
+    assert main(["detect", "color_backprojection", "--source", folder, *shown]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 12  # both squares are of this colour
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["backgruond"], 2, "no detector is called 'backgruond'; there are background, color"),
+        (["motion", "--set", "min_sped_px=2"], 2, "did you mean min_speed_px?"),
+        (["motion", "--set", "min_speed_px=fast"], 2, "min_speed_px: Input should be a valid number"),
+        (["motion", "--set", "max_count"], 2, "--set 'max_count': key=value is needed"),
+        (["motion", "--set", "max_count=[", "--set", "x=1"], 2, "--set max_count: '[' is no value"),
+        (["motion", "--set", "max_count=1", "--set", "max_count=2"], 2, "--set max_count is given twice"),
+        (["gray_level", "--set", "split=bands"], 2, "`split: bands` and a list of bands belong together"),
+        (["contour_shape"], 2, "model: Field required (Shape model file"),
+        (["contour_shape", "--set", "model=none.npz"], 2, "none.npz is not there"),
+        (["onnx", "--set", "model=none.onnx"], 2, "none.onnx: no such model file"),
+        (["color_backprojection"], 2, "has nothing to look for: give --learn X,Y,W,H"),
+        (["color_backprojection", "--learn", "1,2,3"], 2, "four numbers X,Y,W,H are needed"),
+        (["color_backprojection", "--learn", "2,2,9,9"], 2, "nothing inside the box has a hue"),
+        (["motion", "--learn", "2,2,9,9"], 2, "--learn: motion cannot be shown a target"),
+        (["motion", "--start", "4", "--end", "4"], 2, "--end 4 must be greater than --start 4"),
+        (["motion", "--calibration", "c.yml"], 2, "--calibration is of a pair"),
+        (["stereo_blobs"], 4, "stereo_blobs needs depth, and the source is one eye"),
+        (["motion", "--start", "40"], 4, "no frame can be read from frame 40 on"),
+        (["motion", "--out", "/no/folder/x.txt"], 6, "/no/folder/x.txt: cannot write"),
+    ],
+)
+def test_mistakes_are_told_with_their_exit_code(folder, capsys, arguments, code, said):
+    assert main(["detect", *arguments, "--source", folder]) == code
+    out, err = capsys.readouterr()
+    assert said in err and "Traceback" not in err and out == ""
+
+
+def test_a_gray_source_is_refused_by_a_detector_of_colour(tmp_path, capsys):
+    cv2.imwrite(str(tmp_path / "0.png"), make_scene("two_squares", 0).frames[0][:, :, 1])
+    arguments = ["detect", "color_backprojection", "--set", "hue_deg=30", "--source", str(tmp_path)]
+    assert main(arguments) == 4
+    assert "needs colour, and the source is gray" in capsys.readouterr().err
+
+
+def test_detectors_are_listed(capsys):
+    assert main(["list"]) == 0
+    assert "background" in capsys.readouterr().out.split("detectors:")[1]

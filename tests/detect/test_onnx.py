@@ -1,0 +1,88 @@
+"""Detection networks: layouts, geometry and files that are wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bayesnet_track.detect.onnx_layouts import LAYOUTS, LayoutError
+from bayesnet_track.detector import DetectorError
+from bayesnet_track.planes import Frame, FramePair
+
+INPUT = {"input_width": 32, "input_height": 32}
+
+
+def one_bright(height, width, rows, columns):
+    image = np.zeros((height, width, 3), np.uint8)
+    image[rows, columns] = 255
+    return FramePair(Frame(0, 0.0, image), None)
+
+
+@pytest.mark.parametrize(
+    ("kind", "parameters", "label"),
+    [
+        ({}, {"layout": "rows"}, ""),
+        ({}, {"layout": "rows", "classes": ["lamp"]}, "lamp"),
+        ({"after": (0.25,)}, {"layout": "yolo", "classes": ["lamp", "other"]}, "lamp"),
+        ({"after": (0.25,), "turned": True}, {"layout": "yolo"}, "0"),
+        ({"after": (0.3, 0.9)}, {"layout": "yolo_objectness", "classes": ["a", "b"]}, "b"),
+        ({"after": "ssd"}, {"layout": "ssd", "classes": ["none", "lamp"]}, "lamp"),
+        ({"units": 1 / 32}, {"layout": "rows", "units": "share"}, ""),
+    ],
+)
+def test_every_layout_gives_the_bright_cell(bench, network, kind, parameters, label):
+    detector = bench.made("onnx", model=network(**kind), **INPUT, **parameters)
+    found, state = detector.detect(one_bright(32, 32, slice(8, 16), slice(16, 24)), detector.start())
+    assert state == {} and found.labels == (label,)
+    assert found.boxes[0] == pytest.approx([19.5, 11.5, 8.0, 8.0], abs=1e-4)  # columns 16 to 23, rows 8 to 15
+    assert found.scores[0] == pytest.approx(0.9 if label == "b" else 1.0, abs=1e-3)
+
+
+def test_boxes_are_brought_back_to_the_frame(bench, network):
+    wide = one_bright(48, 96, slice(0, 24), slice(24, 48))  # a rim of 8 above and below, 3 px for one
+    detector = bench.made("onnx", model=network(), **INPUT, min_score=0.6)
+    assert detector.detect(wide, {})[0].boxes[0] == pytest.approx([35.5, 11.5, 24.0, 24.0], abs=1e-4)
+    stretched = bench.made("onnx", model=network(), **INPUT, fit="stretch", min_score=0.6)
+    found, _ = stretched.detect(wide, {})
+    assert sorted(found.boxes[:, 1].round(2)) == [5.5, 17.5] and (found.boxes[:, 0] == 35.5).all()
+    assert found.boxes[:, 2:] == pytest.approx(np.array([[24.0, 12.0]] * 2), abs=1e-4)
+
+
+def test_labels_can_be_chosen(bench, network):
+    parameters = {"model": network(after=(0.25,)), "layout": "yolo", "classes": ["lamp", "other"], **INPUT}
+    pair = one_bright(32, 32, slice(8, 16), slice(16, 24))
+    assert len(bench.made("onnx", **parameters, keep=["lamp"]).detect(pair, {})[0]) == 1
+    assert len(bench.made("onnx", **parameters, keep=["other"]).detect(pair, {})[0]) == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"model": "not_there.onnx"}, "not_there.onnx: no such model file"),
+        ({"layout": "ssd"}, "gives an output of 1 x 16 x 5; the layout wants rows of image, class, score"),
+        ({"layout": "yolo_objectness"}, "gives an output of 1 x 16 x 5; the layout wants"),
+        ({"input_width": 48}, "does not run on a 3-channel input of 48x32 px"),
+    ],
+)
+def test_a_model_that_is_missing_or_of_another_shape_is_refused_before_the_first_frame(
+    bench, network, change, said
+):
+    with pytest.raises(DetectorError) as error:
+        bench.made("onnx", **{"model": network(), **INPUT, **change})
+    assert said in str(error.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"no model", None])
+def test_a_file_that_is_no_model_is_refused(bench, network, tmp_path, content):
+    path = tmp_path / "wrong.onnx"
+    whole = open(network(), "rb").read()  # noqa: SIM115, PTH123
+    path.write_bytes(whole[: len(whole) // 2] if content is None else content)
+    with pytest.raises(DetectorError, match=r"wrong\.onnx: "):
+        bench.made("onnx", model=str(path), **INPUT)
+
+
+@pytest.mark.parametrize("layout", sorted(LAYOUTS))
+def test_layouts_refuse_what_they_cannot_be(layout):
+    for shape in [(), (3,), (2, 4, 9), (2, 2), (16, 3)]:
+        with pytest.raises(LayoutError):
+            LAYOUTS[layout](np.zeros(shape))
