@@ -12,10 +12,12 @@ import numpy as np
 from bayesnet_track.scenes.ball import flying_ball
 from bayesnet_track.scenes.children import ball_between_children
 from bayesnet_track.scenes.occluder import occluder
+from bayesnet_track.scenes.passer import person_color_stereo
 from bayesnet_track.scenes.scene import Scene
 from bayesnet_track.scenes.silhouettes import person_and_board
 from bayesnet_track.scenes.squares import gray_square, orange_and_gray, random_geometry, two_squares
 from bayesnet_track.scenes.stereo import glass_wall, person_stereo
+from bayesnet_track.scenes.two_people import two_people_color_stereo_shape
 
 
 def _random_squares(seed: int) -> Scene:
@@ -35,6 +37,8 @@ _SCENES: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
         "occluder_long": lambda seed: occluder(seed, hidden=22),
         "person_stereo": person_stereo,
         "glass_wall": glass_wall,
+        "person_color_stereo": person_color_stereo,
+        "two_people_color_stereo_shape": two_people_color_stereo_shape,
     }
 )
 

@@ -29,6 +29,21 @@ class Sprite:
     is_round: bool = False
 
 
+@dataclass(frozen=True, eq=False)
+class Veil:
+    """Light that comes and goes, added to what is behind it; the camera's range cuts it off.
+
+    Attributes:
+        light: (H, W, 3) BGR at full strength.
+        strength: (n,) share of it in every frame.
+        above: number of sprites behind it, the first ones.
+    """
+
+    light: Floats
+    strength: Floats
+    above: int
+
+
 def coverage(centre: float, size: float, cells: int, pixels: int) -> tuple[int, Floats]:
     """How much of each pixel each cell of a segment covers.
 
@@ -97,12 +112,14 @@ class Movie:
         sprites: painted in this order, so the last is nearest to the camera.
         noise_sd: sd of the independent noise of every pixel and channel, in gray levels.
         seed: seed of the noise.
+        veils: light between and before the sprites.
     """
 
     background: Floats
     sprites: tuple[Sprite, ...]
     noise_sd: float
     seed: int
+    veils: tuple[Veil, ...] = ()
 
     def __len__(self) -> int:
         return int(self.sprites[0].path.shape[0])
@@ -117,11 +134,19 @@ class Movie:
 
     def _render(self, index: int) -> Image:
         canvas = self.background.copy()
-        for sprite in self.sprites:
+        for count, sprite in enumerate(self.sprites):
+            self._light(canvas, index, count)
             paint(canvas, sprite, index)
+        self._light(canvas, index, len(self.sprites))
         np.rint(canvas, out=canvas)
         values = canvas.astype(np.int16)
         if self.noise_sd > 0:
             rng = np.random.Generator(np.random.SFC64((self.seed, index)))
             values += _noise_table(self.noise_sd)[rng.integers(0, 65536, size=values.shape, dtype=np.uint16)]
         return np.clip(values, 0, 255).astype(np.uint8)
+
+    def _light(self, canvas: Floats, index: int, painted: int) -> None:
+        """Add the veils that lie over exactly the first `painted` sprites."""
+        for veil in self.veils:
+            if veil.above == painted and veil.strength[index]:
+                canvas += veil.strength[index] * veil.light

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,10 +35,15 @@ PARTS = (
 
 
 def person(path: Floats, colour: Colour = CLOTHES) -> tuple[Sprite, ...]:
-    """A standing person that fills the centre boxes `path` (n, 4)."""
+    """A standing person of one colour that fills the centre boxes `path` (n, 4)."""
+    return dressed(path, (flat(colour),) * len(PARTS))
+
+
+def dressed(path: Floats, cells: Sequence[Floats]) -> tuple[Sprite, ...]:
+    """A standing person that fills the centre boxes `path` (n, 4), with (rows, columns, 3) cells per part."""
     return tuple(
         Sprite(
-            flat(colour),
+            surface,
             np.column_stack(
                 [
                     path[:, 0] + x * path[:, 2],
@@ -47,7 +54,7 @@ def person(path: Floats, colour: Colour = CLOTHES) -> tuple[Sprite, ...]:
             ),
             is_round,
         )
-        for x, y, w, h, is_round in PARTS
+        for surface, (x, y, w, h, is_round) in zip(cells, PARTS, strict=True)
     )
 
 

@@ -85,12 +85,12 @@ def person_stereo(seed: int = 0, frames: int = 150) -> Scene:
     frame 100, when the target is nearer by 0.3 m (after thesis Figure 3.12).
     """
     rng = _rng(seed)
-    room = Room(7.0, CAMERA_HEIGHT_M, _texture(rng, BROWN), _texture(rng, BROWN), 0.1)
+    room = Room(7.0, CAMERA_HEIGHT_M, room_texture(rng, BROWN), room_texture(rng, BROWN), 0.1)
     at = np.arange(frames, dtype=np.float64)
     x = 0.9 * np.sin(2 * np.pi * (at - 20) / 150)
-    target = Walker(_clothes(rng, BROWN), x, 4.0 + 0.3 * np.sin(2 * np.pi * at / 110))
-    other = Walker(_clothes(rng, GREEN), -2.44 + 0.057 * (at - 60), np.full(frames, 4.1))
-    return _scene("person_stereo", room, (other, target), 1, seed)
+    target = Walker(clothes(rng, BROWN), x, 4.0 + 0.3 * np.sin(2 * np.pi * at / 110))
+    other = Walker(clothes(rng, GREEN), -2.44 + 0.057 * (at - 60), np.full(frames, 4.1))
+    return room_scene("person_stereo", room, (other, target), 1, seed)
 
 
 def glass_wall(seed: int = 0, frames: int = 120) -> Scene:
@@ -100,13 +100,14 @@ def glass_wall(seed: int = 0, frames: int = 120) -> Scene:
     """
     rng = _rng(seed)
     pane = Pane(-0.4, 2.2, 5.0, 0.12, 0.7)
-    room = Room(7.0, CAMERA_HEIGHT_M, _texture(rng, BROWN), _texture(rng, BROWN), 0.1, pane)
+    room = Room(7.0, CAMERA_HEIGHT_M, room_texture(rng, BROWN), room_texture(rng, BROWN), 0.1, pane)
     x = np.linspace(-1.0, 1.1, frames, dtype=np.float64)
-    target = Walker(_clothes(rng, GREEN), x, np.linspace(3.6, 4.6, frames, dtype=np.float64))
-    return _scene("glass_wall", room, (target,), 0, seed)
+    target = Walker(clothes(rng, GREEN), x, np.linspace(3.6, 4.6, frames, dtype=np.float64))
+    return room_scene("glass_wall", room, (target,), 0, seed)
 
 
-def _scene(name: str, room: Room, walkers: tuple[Walker, ...], target: int, seed: int) -> Scene:
+def room_scene(name: str, room: Room, walkers: tuple[Walker, ...], target: int, seed: int) -> Scene:
+    """People who walk in a room, the nearest last, seen by both eyes; the target is `walkers[target]`."""
     eyes = (0.0, GEOMETRY.baseline_m)
     (left, depth), (right, _) = (room.seen(GEOMETRY, eye, WIDTH, HEIGHT) for eye in eyes)
     sprites, others = (tuple(walker.sprite(eye) for walker in walkers) for eye in eyes)
@@ -121,11 +122,12 @@ def _scene(name: str, room: Room, walkers: tuple[Walker, ...], target: int, seed
     return replace(scene, stereo=view)
 
 
-def _texture(rng: np.random.Generator, colour: tuple[float, float, float]) -> Floats:
+def room_texture(rng: np.random.Generator, colour: tuple[float, float, float]) -> Floats:
+    """Cells of wall or floor, in shades of one colour."""
     return shaded_cells(160, 160, colour, 0.35, rng)
 
 
-def _clothes(rng: np.random.Generator, colour: tuple[float, float, float]) -> Floats:
+def clothes(rng: np.random.Generator, colour: tuple[float, float, float]) -> Floats:
     """Cells of 5 cm, in shades of one colour, with a little gray."""
     shades = shaded_cells(34, 10, colour, 0.35, rng)
     return np.asarray(0.8 * shades + 0.2 * gray_cells(34, 10, 20, 235, rng))

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesnet_track.scenes.render import Movie, Sprite, coverage, paint
+from bayesnet_track.scenes.render import Movie, Sprite, Veil, coverage, paint
 
 FINE = 8  # boxes on a grid of 1/8 px, so that 8 x 8 sub-pixels reproduce area coverage without error
 eighths = st.integers(-40, 200).map(lambda n: n / FINE)
@@ -88,3 +88,14 @@ def test_a_round_sprite_is_its_ellipse(box):
     # 4 x 4 points against 8 x 8 on a smooth border: at most one row of 4 of them apart.
     np.testing.assert_allclose(canvas[:, :, 0] / 100, share, atol=0.25)
     assert canvas[:, :, 0].sum() / 100 == pytest.approx(share.sum(), rel=0.01)
+
+
+def test_a_veil_lights_what_is_behind_it_and_the_camera_cuts_it_off():
+    """Black, a sprite of 100, then light of 200 over the background alone or over both; 255 at most."""
+    sprite = Sprite(np.full((1, 1, 3), 100.0), np.full((2, 4), (4.5, 4.5, 4.0, 4.0)))
+    light, strength = np.full((10, 10, 3), 200.0), np.array([0.0, 1.0])
+    for above, seen in ((0, 100), (1, 255)):
+        movie = Movie(np.zeros((10, 10, 3)), (sprite,), 0.0, 0, (Veil(light, strength, above),))
+        dark, lit = movie
+        assert (dark[4, 4] == 100).all() and (dark[0, 0] == 0).all()
+        assert (lit[4, 4] == seen).all() and (lit[0, 0] == 200).all()

@@ -1,0 +1,40 @@
+"""People who pass each other in a room, for a pair of cameras: alike in depth, or alike in clothes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.scenes.room import Room
+from bayesnet_track.scenes.scene import Scene
+from bayesnet_track.scenes.stereo import (
+    BROWN,
+    CAMERA_HEIGHT_M,
+    GREEN,
+    Walker,
+    clothes,
+    room_scene,
+    room_texture,
+)
+
+Floats = NDArray[np.float64]
+
+
+def person_color_stereo(seed: int = 0, frames: int = 150) -> Scene:
+    """Somebody in green steps into the picture, stands beside the target, and leaves (thesis Figure 3.12).
+
+    The target wears the colours of the room, walks to the right until frame 50 and back from frame 100 on.
+    The other one, as far away as the target, comes in at frame 60, stands 0.6 m beside it in frames 66 to
+    80, and has left at frame 88.
+    """
+    rng = np.random.Generator(np.random.Philox(seed))
+    at = np.arange(frames, dtype=np.float64)
+    target = np.interp(at, [0.0, 50.0, 100.0, 150.0], [0.2, 1.1, 1.1, 0.2])
+    other = np.interp(at, [60.0, 66.0, 80.0, 88.0], [2.32, 1.7, 1.7, 2.4])
+    depth = 3.9 + 0.1 * np.sin(2 * np.pi * at / 90)
+    walkers = (Walker(clothes(rng, GREEN), other, depth), Walker(clothes(rng, BROWN), target, depth))
+    return room_scene("person_color_stereo", _room(rng), walkers, 1, seed)
+
+
+def _room(rng: np.random.Generator) -> Room:
+    return Room(7.0, CAMERA_HEIGHT_M, room_texture(rng, BROWN), room_texture(rng, BROWN), 0.1)
