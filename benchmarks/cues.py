@@ -1,4 +1,4 @@
-"""What each installed cue costs: 1000 hypotheses of 60x60 px in 640x480, milliseconds on one core.
+"""What each installed cue costs: 1000 hypotheses of 60x60 px in 640x480, ms of CPU time on one core.
 
 Run ``python benchmarks/cues.py``. The last column is the cost against one ``cv2.calcHist`` per box, measured
 in the same run, so that figures of different machines can be compared. Each call sees another cloud of
@@ -14,6 +14,7 @@ from itertools import cycle
 
 import cv2
 import numpy as np
+from measuring import environment, on_one_thread, table
 
 from bayesnet_track.cue import Hypotheses, MeasuringCue, installed_cues
 from bayesnet_track.depth import RightEye, StereoGeometry
@@ -23,13 +24,13 @@ WIDTH, HEIGHT, SIDE = 640, 480, 60.0
 
 
 def milliseconds(work: Callable[[], object], repeats: int) -> float:
-    """Median time of one call, after one that is not counted."""
+    """Median CPU time of one call, after one that is not counted."""
     work()
     taken = []
     for _ in range(repeats):
-        start = time.perf_counter()
+        start = time.process_time()
         work()
-        taken.append(time.perf_counter() - start)
+        taken.append(time.process_time() - start)
     return 1e3 * float(np.median(taken))
 
 
@@ -64,11 +65,10 @@ def main() -> None:
     parser.add_argument("--sd", type=float, default=20.0, help="of the hypotheses' centres, px")
     parser.add_argument("--repeats", type=int, default=50)
     options = parser.parse_args()
-    cv2.setNumThreads(1)
+    on_one_thread()
 
     previous, current = (
-        frame(n, picture(np.random.default_rng(0), shift))
-        for n, shift in enumerate([(0, 0), (4, 2)])
+        frame(n, picture(np.random.default_rng(0), shift)) for n, shift in enumerate([(0, 0), (4, 2)])
     )
     frames = FramePair(current, previous)
     rng = np.random.default_rng(1)
@@ -85,10 +85,7 @@ def main() -> None:
 
     equal = np.full(options.hypotheses, 1.0 / options.hypotheses)
     loop = milliseconds(opencv, options.repeats)
-    print(f"{options.hypotheses} boxes, {SIDE:.0f}x{SIDE:.0f} px of {WIDTH}x{HEIGHT}, sd {options.sd:g}, ms")
-    print(
-        f"{'cue':18}{'planes':>9}{'likelihood':>12}{'learn':>9}{'sum':>9}{'declared':>10}{'/ calcHist':>12}"
-    )
+    rows = []
     for name, declaration in installed_cues().items():
         cue = declaration.make(declaration.parameters())
         near = PlaneCache(frames).planes(cue.needs, region_of_boxes(box[None], 1.0))
@@ -114,11 +111,12 @@ def main() -> None:
         likelihood = milliseconds(ask, options.repeats)
         learn = milliseconds(lambda cue=cue, near=near: cue.learn(near, box), options.repeats)
         total = planes + likelihood
-        print(
-            f"{name:18}{planes:9.2f}{likelihood:12.2f}{learn:9.2f}{total:9.2f}"
-            f"{declaration.cost_ms:10.2f}{total / loop:12.2f}"
-        )
-    print(f"{'calcHist per box':18}{'':9}{loop:12.2f}{'':9}{loop:9.2f}{'':10}{1:12.2f}")
+        figures = (planes, likelihood, total, learn, declaration.cost_ms)
+        rows.append([f"`{name}`", *(f"{value:.2f}" for value in figures), f"{total / loop:.1f}"])
+    rows.append(["`cv2.calcHist` per box", "", f"{loop:.2f}", f"{loop:.2f}", "", "", "1.0"])
+    size = f"{options.hypotheses} boxes of {SIDE:.0f}x{SIDE:.0f} px in {WIDTH}x{HEIGHT}, sd {options.sd:g} px"
+    print(f"{environment()}\n{size}, CPU ms, median of {options.repeats}\n")
+    print(table(["cue", "planes", "likelihood", "sum", "learn", "declared", "sum / calcHist"], rows))
 
 
 if __name__ == "__main__":

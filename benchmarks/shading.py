@@ -52,6 +52,8 @@ class Balls:
         rolling: the balls are speckled, and the speckles move over them.
         light_changes: gain 0.65 .. 1.35 and offset -25 .. 25 over the frames.
         frames: number of frames.
+        hills: how much brighter and darker the hills of the background are, gray levels.
+        noise_sd: of the camera, gray levels.
     """
 
     seed: int
@@ -59,6 +61,8 @@ class Balls:
     rolling: bool = False
     light_changes: bool = False
     frames: int = 80
+    hills: float = 40.0
+    noise_sd: float = 4.0
 
     def centres(self, frame: int) -> np.ndarray:
         """(4, 2) whole px."""
@@ -77,7 +81,7 @@ class Balls:
     def image(self, frame: int) -> Image:
         """(HEIGHT, WIDTH, 3) gray picture."""
         still = np.random.default_rng((self.seed, 2))
-        picture = cv2.resize(still.uniform(70.0, 150.0, (16, 21)), (WIDTH, HEIGHT))
+        picture = cv2.resize(still.uniform(MEAN - self.hills, MEAN + self.hills, (16, 21)), (WIDTH, HEIGHT))
         speckles = still.uniform(0.75, 1.25, (40, 40)).repeat(6, axis=0).repeat(6, axis=1)
         for ball in (1, 2, 3, 0):
             value, inside = lambert(LIT if ball == 0 else OPPOSITE)
@@ -91,7 +95,7 @@ class Balls:
             picture[y : y + SIDE, x : x + SIDE][inside] = value[inside]
         if self.light_changes:
             picture = picture * (1.0 + 0.35 * np.sin(0.15 * frame)) + 25.0 * np.sin(0.07 * frame)
-        noise = np.random.default_rng((self.seed, 3, frame)).normal(0.0, 4.0, picture.shape)
+        noise = np.random.default_rng((self.seed, 3, frame)).normal(0.0, self.noise_sd, picture.shape)
         gray = np.clip(np.rint(picture + noise), 0, 255).astype(np.uint8)
         return np.repeat(gray[:, :, None], 3, axis=2)
 
