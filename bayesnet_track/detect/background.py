@@ -186,5 +186,5 @@ DETECTOR = DetectorDeclaration(
     summary="What differs from the usual picture, shadows left out.",
     parameters=BackgroundParameters,
     make=_make,
-    cost_ms=25.0,
+    cost_ms=40.0,
 )

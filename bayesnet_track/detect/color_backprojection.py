@@ -173,5 +173,5 @@ DETECTOR = DetectorDeclaration(
     parameters=ColorBackprojectionParameters,
     make=_make,
     needs_color=True,
-    cost_ms=6.0,
+    cost_ms=8.0,
 )

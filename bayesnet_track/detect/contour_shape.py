@@ -168,5 +168,5 @@ DETECTOR = DetectorDeclaration(
     summary="Closed contours that fit a shape model.",
     parameters=ContourShapeParameters,
     make=_make,
-    cost_ms=25.0,
+    cost_ms=20.0,
 )

@@ -165,5 +165,5 @@ DETECTOR = DetectorDeclaration(
     summary="Regions that stand out by their gray level.",
     parameters=GrayLevelParameters,
     make=_make,
-    cost_ms=3.0,
+    cost_ms=7.0,
 )

@@ -188,5 +188,5 @@ DETECTOR = DetectorDeclaration(
     summary="Regions that move against the rest of the picture.",
     parameters=MotionParameters,
     make=_make,
-    cost_ms=30.0,
+    cost_ms=27.0,
 )

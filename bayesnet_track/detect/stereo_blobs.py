@@ -102,5 +102,5 @@ DETECTOR = DetectorDeclaration(
     parameters=StereoBlobsParameters,
     make=_make,
     needs_depth=True,
-    cost_ms=150.0,
+    cost_ms=105.0,
 )
