@@ -22,6 +22,7 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
+from bayesnet_track.dense_flow_planes import DenseFlowPlane
 from bayesnet_track.motion_planes import CameraPlane, FlowPlane, against_background
 
 if TYPE_CHECKING:
@@ -31,6 +32,11 @@ if TYPE_CHECKING:
 class MotionParameters(SizedCueParameters):
     """Parameters of the motion cue."""
 
+    flow: Literal["sparse", "dense", "odp"] = Field(
+        default="sparse",
+        description="How flow is found: at corners by Lucas and Kanade's method, or for every pixel by dense "
+        "inverse search or by orthogonal dynamic programming (dear: for small boxes).",
+    )
     camera: Literal["ignore", "auto", "compensate"] = Field(
         default="ignore",
         description="Whether the camera's motion is taken off all flow: never, where the picture clearly "
@@ -47,18 +53,21 @@ class MotionParameters(SizedCueParameters):
         default=2.0, gt=0, description="Standard deviation of that flow in y, pixels per frame interval."
     )
     spacing_px: int = Field(
-        default=12, ge=4, le=128, description="Width of the lattice cells that hold one corner each, pixels."
+        default=12,
+        ge=4,
+        le=128,
+        description="`sparse`: width of the lattice cells that hold one corner each, pixels.",
     )
     min_gradient_gray: float = Field(
         default=3.0,
         gt=0,
-        description="Least gradient of a corner in its weakest direction, gray levels of 255 per pixel.",
+        description="Least gradient of a point in its weakest direction, gray levels of 255 per pixel.",
     )
     half_window_px: int = Field(
         default=5,
         ge=2,
         le=15,
-        description="The matched patch reaches this far around a corner, pixels of each pyramid level.",
+        description="`sparse`: the matched patch reaches this far around a corner, pixels of each level.",
     )
     reach_px: int = Field(
         default=24, ge=4, le=128, description="Largest displacement that is looked for, pixels in x and in y."
@@ -88,7 +97,7 @@ class MotionCue:
     """
 
     parameters: MotionParameters
-    flow: FlowPlane
+    flow: FlowPlane | DenseFlowPlane
     camera: CameraPlane | None
     context: ClassVar[float] = 0.0
 
@@ -103,7 +112,7 @@ class MotionCue:
         Where two things overlap, their vectors disagree, and the mean is the flow of neither.
         """
         vectors = self._vectors(planes)
-        counts, means = self._inside(vectors, np.asarray(box, dtype=np.float64)[None])
+        counts, means = self._inside(vectors, np.asarray(box, dtype=np.float64)[None], planes)
         known = counts[0] > 0 and self._agrees(vectors, box, means[0])
         return {
             "flow": means[0],
@@ -135,10 +144,10 @@ class MotionCue:
             if settings.compare == "each":
                 agreement = np.exp(self._log_agreement(vectors[:, 2:4], reference))
                 points = np.column_stack([vectors[:, :2], agreement, agreement])
-                counts, means = self._inside(points, hypotheses.boxes)
+                counts, means = self._inside(points, hypotheses.boxes, planes)
                 log = np.log(means[:, 0])
             else:
-                counts, means = self._inside(vectors, hypotheses.boxes)
+                counts, means = self._inside(vectors, hypotheses.boxes, planes)
                 log = self._log_agreement(means, reference)
             log = np.log(np.minimum(counts / reference["valid"], 1.0)) + log
         penalty = log_size_penalty(
@@ -149,6 +158,12 @@ class MotionCue:
     def _vectors(self, planes: Planes) -> Floats:
         """(P, 4) x, y, dx, dy of the valid vectors, the camera's motion taken off."""
         vectors = planes[self.flow]
+        if not self.flow.is_points:
+            from bayesnet_track.numerics.dense_flow_kernels import valid_vectors
+
+            found = np.empty((vectors[..., 0].size, 4))
+            field = np.ascontiguousarray(vectors)
+            vectors = found[: valid_vectors(field, planes.region.x0, planes.region.y0, found)]
         return vectors if self.camera is None else against_background(vectors, planes[self.camera])
 
     def _agrees(self, vectors: Floats, box: Floats, mean: Floats) -> bool:
@@ -162,27 +177,47 @@ class MotionCue:
         off = (flows - reference["flow"]) / np.array([self.parameters.sd_x_px, self.parameters.sd_y_px])
         return np.asarray(-0.5 * (off**2).sum(axis=1))
 
-    def _inside(self, points: Floats, boxes: Floats) -> tuple[Floats, Floats]:
+    def _inside(self, points: Floats, boxes: Floats, planes: Planes) -> tuple[Floats, Floats]:
         """(N,) points x, y, u, v inside each box, and (N, 2) their mean u and v."""
-        from bayesnet_track.numerics.flow_kernels import flow_in_boxes
-
         counts, means = np.zeros(len(boxes)), np.zeros((len(boxes), 2))
-        flow_in_boxes(points, np.ascontiguousarray(boxes, dtype=np.float64), counts, means)
+        boxes = np.ascontiguousarray(boxes, dtype=np.float64)
+        if self.flow.is_points:
+            from bayesnet_track.numerics.flow_kernels import flow_in_boxes
+
+            flow_in_boxes(points, boxes, counts, means)
+        else:
+            from bayesnet_track.numerics.dense_flow_kernels import dense_in_boxes
+
+            r = planes.region
+            dense_in_boxes(points, r.x0, r.y0, r.x1 - r.x0, r.y1 - r.y0, boxes, counts, means)
         return counts, means
 
 
 def _make(parameters: MotionParameters) -> MotionCue:
     import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
 
-    from bayesnet_track.numerics import camera_motion, corner_kernels, flow_kernels  # noqa: F401
+    from bayesnet_track.numerics import camera_motion, corner_kernels  # noqa: F401
 
-    plane = FlowPlane(
-        spacing_px=parameters.spacing_px,
-        min_gradient_gray=parameters.min_gradient_gray,
-        half_window_px=parameters.half_window_px,
-        reach_px=parameters.reach_px,
-        agree_px=parameters.agree_px,
-    )
+    plane: FlowPlane | DenseFlowPlane
+    if parameters.flow == "sparse":
+        from bayesnet_track.numerics import flow_kernels  # noqa: F401
+
+        plane = FlowPlane(
+            spacing_px=parameters.spacing_px,
+            min_gradient_gray=parameters.min_gradient_gray,
+            half_window_px=parameters.half_window_px,
+            reach_px=parameters.reach_px,
+            agree_px=parameters.agree_px,
+        )
+    else:
+        from bayesnet_track.numerics import dense_flow_kernels, odp_kernels  # noqa: F401
+
+        plane = DenseFlowPlane(
+            by="dis" if parameters.flow == "dense" else "odp",
+            min_gradient_gray=parameters.min_gradient_gray,
+            reach_px=parameters.reach_px,
+            agree_px=parameters.agree_px,
+        )
     camera = None if parameters.camera == "ignore" else CameraPlane(parameters.camera == "auto")
     return MotionCue(parameters, plane, camera)
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import pytest
+from pydantic import Field, create_model
 
 from bayesnet_track.cue import Cue, CueDeclaration, Hypotheses, MeasuringCue, Reference, installed_cues
 from bayesnet_track.depth import RightEye, StereoGeometry
@@ -122,9 +123,30 @@ def measuring(request):
     return Asked(declaration, declaration.make(declaration.parameters()))
 
 
-@pytest.fixture(params=_names(Cue))
+VARIANTS = {
+    f"motion {flow} {camera}": ("motion", {"flow": flow, "camera": camera})
+    for flow, camera in (("sparse", "compensate"), ("dense", "ignore"), ("dense", "auto"), ("odp", "ignore"))
+}
+"""Further settings of a cue that keep to what its defaults keep to: the cue's name and the settings."""
+
+
+def _declaration(name):
+    """An installed cue's declaration, or that of a variant: the same with other defaults."""
+    if name not in VARIANTS:
+        return installed_cues()[name]
+    base, settings = VARIANTS[name]
+    declaration = installed_cues()[base]
+    fields = declaration.parameters.model_fields
+    others = {
+        key: (fields[key].annotation, Field(value, description="other")) for key, value in settings.items()
+    }
+    model = create_model("Variant", __base__=declaration.parameters, **others)
+    return replace(declaration, parameters=model)
+
+
+@pytest.fixture(params=[*_names(Cue), *VARIANTS])
 def asked(request):
-    declaration = installed_cues()[request.param]
+    declaration = _declaration(request.param)
     return Asked(declaration, declaration.make(declaration.parameters()))
 
 
