@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -71,12 +71,12 @@ def made(name: str) -> Cue:
 
 def planes_of(cue: Cue, image: Image) -> Planes:
     """The cue's planes of a whole picture."""
-    frame = Frame(0, 0.0, image)
-    return PlaneCache(FramePair(frame, None)).planes(cue.needs, Region(0, 0, frame.width, frame.height))
+    whole = Region(0, 0, image.shape[1], image.shape[0])
+    return PlaneCache(FramePair(Frame(0, 0.0, image), None)).planes(cue.needs, whole)
 
 
 def learnt(cue: Cue, case: Case) -> Reference:
-    """What the cue remembers of the case's target."""
+    """What it remembers of the case's target."""
     return cue.learn(planes_of(cue, case.first), case.box)
 
 
@@ -155,9 +155,9 @@ ORANGE_ = np.array(ORANGE)
 
 def histogram_cases() -> list[Case]:
     """A green and blue target: among other colours; beside the same colours the other way up."""
-    first = still((two_halves(START, GREEN, BLUE),))
-    others = (two_halves(THERE, RED, ORANGE_), two_halves(HERE, GREEN, BLUE))
-    upside_down = (two_halves(THERE, BLUE, GREEN), two_halves(HERE, GREEN, BLUE))
+    first, target = still((two_halves(START, GREEN, BLUE),)), two_halves(HERE, GREEN, BLUE)
+    others = (two_halves(THERE, RED, ORANGE_), target)
+    upside_down = (two_halves(THERE, BLUE, GREEN), target)
     return [
         case_of("good: other colours", first, still(others, 2), START, HERE),
         case_of("bad: the same colours, upside down", first, still(upside_down, 3), START, HERE),
@@ -166,7 +166,7 @@ def histogram_cases() -> list[Case]:
 
 def blobs_cases() -> list[Case]:
     """The same target: upside down beside it; and a target of many small patches of colour."""
-    first, good = histogram_cases()[1].first, histogram_cases()[1].image
+    upside_down = histogram_cases()[1]
     rng = np.random.Generator(np.random.Philox(4))
     palette = np.array([GREEN, BLUE, RED, ORANGE_])
 
@@ -176,7 +176,7 @@ def blobs_cases() -> list[Case]:
     start = confetti(START)
     moved, other = Sprite(start.cells, np.array([HERE])), confetti(THERE)
     return [
-        case_of("good: the same colours, upside down", first, good, START, HERE),
+        replace(upside_down, title="good: the same colours, upside down"),
         case_of("bad: patches too small for blobs", still((start,)), still((other, moved), 5), START, HERE),
     ]
 
@@ -239,14 +239,12 @@ def explain_histogram(panels: list[Axes], cue: Cue, case: Case) -> None:
 def explain_blobs(panels: list[Axes], cue: Cue, case: Case) -> None:
     """Thesis Figure 3.4: the target, the hue of its samples, its blobs."""
     crop(panels[0], case, "the target")
-    planes = planes_of(cue, case.first)
-    hue = planes[cue.needs[0]]
+    hue = planes_of(cue, case.first)[cue.needs[0]]
     cells = 8
     x = case.box[0] + case.box[2] * ((np.arange(cells) + 0.5) / cells - 0.5)
     y = case.box[1] + case.box[3] * ((np.arange(cells) + 0.5) / cells - 0.5)
-    sampled = hue[np.ix_(np.rint(y).astype(int), np.rint(x).astype(int))]
     across, down = np.meshgrid(x, y)
-    seen = sampled >= 0
+    seen = hue[np.ix_(np.rint(y).astype(int), np.rint(x).astype(int))] >= 0
     pixels = case.first[np.rint(down[seen]).astype(int), np.rint(across[seen]).astype(int), ::-1] / 255.0
     panels[1].scatter(across[seen], down[seen], c=pixels, s=60, edgecolors="white", linewidths=0.5)
     panels[1].set(xticks=[], yticks=[], aspect="equal", title="8 × 8 samples with a hue")
@@ -341,6 +339,8 @@ def main() -> None:
             parser.error("--frame needs one CUE, --box and --out")
         save(own(options.cues[0], options.frame, options.box, options.later), options.out)
         return
+    if unknown := set(options.cues) - set(PAGES):
+        parser.error(f"no page of {', '.join(sorted(unknown))}; there are {', '.join(PAGES)}")
     for name in options.cues or PAGES:
         cases, explain = PAGES[name]
         save(page(made(name), cases(), explain), FOLDER / f"cue_{name}.png")
