@@ -1,7 +1,8 @@
 """Recall and precision on rendered scenes with truth.
 
-Bounds: over seeds 0 to 7 the figure in the comment is the lowest; a test asks for that of its seed, less
-three standard deviations of a share p of n independent boxes, sqrt(p (1 - p) / n) with p = .98, n = 100: .04.
+A comment beside a bound holds the lowest figure of seeds 0 to 2 (street: 0 to 3, gray_square: 0 and 1, stereo:
+0), or, where there is none, it is 1. A bound lies below it by at least `MARGIN`, three standard deviations of a
+share p of n independent boxes, sqrt(p (1 - p) / n) with p = .98, n = 100; the tests themselves take seed 0.
 """
 
 from __future__ import annotations
@@ -66,9 +67,9 @@ def test_a_target_that_is_shown_is_found_again_among_others(bench):
 
 def test_motion_finds_what_moves_and_not_what_stands(bench):
     score = measured(bench, "motion", make_scene("gray_square", 0))
-    assert score.recall >= 0.95 and score.precision >= 0.95  # .98 and .98
+    assert score.recall >= 1 - MARGIN and score.precision >= 1 - MARGIN
     score = measured(bench, "motion", street(0), 75, 1)  # a cart stands in it
-    assert score.recall >= 0.94 and score.precision >= 0.94  # .98 and .98
+    assert score.recall >= 0.94 and score.precision >= 0.94  # .987 and .993
 
 
 def test_motion_takes_the_cameras_own_out(bench):
@@ -101,7 +102,7 @@ def test_the_background_bears_shadows_and_a_sudden_change_of_light(bench):
     frames = bench.frames(scene, 112)
     found, _ = bench.run(bench.made("background"), frames)
     score = bench.scored(found, scene, 26)
-    assert score.recall >= 1 - MARGIN and score.precision >= 0.85  # 1. and .88
+    assert score.recall >= 1 - MARGIN and score.precision >= 0.83  # 1. and .875
     # the light changes in frame 100: nothing of the ground in it, everybody in it
     assert score_of(bench, found, scene, 100, 110).recall == 1.0
     assert score_of(bench, found, scene, 100, 110).false == 0
@@ -154,7 +155,7 @@ def test_stereo_finds_both_people_off_the_floor_and_before_the_wall(bench):
     scores = [bench.scored([NOTHING] * k + [one], scene, k) for k, one in enumerate(found) if one is not None]
     score = sum(scores[1:], scores[0])
     assert score.found + score.missed >= 15
-    assert score.recall >= 0.85 and score.precision >= 0.85
+    assert score.recall >= 0.84 and score.precision >= 0.84  # .887 and .926
 
 
 def test_contours_tell_a_person_from_a_board_of_the_same_size_and_colour(bench, person_model):
