@@ -1,8 +1,9 @@
 """Recall and precision on rendered scenes with truth.
 
-A comment beside a bound holds the lowest figure of seeds 0 to 2 (street: 0 to 3, gray_square: 0 and 1, stereo:
-0), or, where there is none, it is 1. A bound lies below it by at least `MARGIN`, three standard deviations of a
-share p of n independent boxes, sqrt(p (1 - p) / n) with p = .98, n = 100; the tests themselves take seed 0.
+A comment beside a bound holds the lowest figure of seeds 0 to 2 (street: 0 to 3, gray_square: 0 and 1,
+stereo: 0), or, where there is none, it is 1. A bound lies below it by about `MARGIN`, three standard
+deviations of a share p of n independent boxes, sqrt(p (1 - p) / n) with p = .98, n = 100.
+The tests take seed 0.
 """
 
 from __future__ import annotations
