@@ -74,8 +74,10 @@ class FlowPlane:
         from bayesnet_track.numerics import flow_kernels
 
         current, previous, interval = frames.current, frames.previous, interval_of(frames)
-        points = self._corners(current, region) if interval > 0 and not region.is_empty else ()
-        if previous is None or len(points) == 0:
+        if previous is None or not interval > 0 or region.is_empty:
+            return np.empty((0, 4))
+        points = self._corners(current, region)
+        if len(points) == 0:
             return np.empty((0, 4))
         crop = _aligned(region.grown(self.margin), COARSEST).within(current)
         origin = np.array([crop.x0, crop.y0], dtype=np.int64)
@@ -160,12 +162,13 @@ class CameraPlane:
         if agree.sum() < LEAST_POINTS:
             return np.zeros((2, 3))
         if self.only_clear:
-            parts = np.unique(moved[agree, :2] * 4 // size, axis=0)
-            way = (moved[agree, :2] @ found.matrix[:, :2].T + found.matrix[:, 2]) * scale
+            column, row = (moved[agree, :2] * 4 // size).T
+            parts = np.unique(column + 4 * row)
+            way = scale * _flow_at(moved[agree], found.matrix)
             clear = agree.sum() >= LEAST_SHARE * agree.size and len(parts) >= LEAST_CELLS
             if not clear or np.mean((way**2).sum(axis=1)) < LEAST_PX**2:
                 return np.zeros((2, 3))
-        return found.matrix * np.array([1.0, 1.0, scale]) / interval
+        return np.asarray(found.matrix * np.array([1.0, 1.0, scale]) / interval)
 
 
 def interval_of(frames: FramePair) -> float:
@@ -181,11 +184,13 @@ def interval_of(frames: FramePair) -> float:
 
 def against_background(vectors: Array, camera: Array) -> Array:
     """The vectors (P, 4) x, y, dx, dy with the camera's motion (2, 3) there taken off dx and dy."""
-    x, y = vectors[:, 0], vectors[:, 1]
-    relative = vectors.copy()
-    for k in range(2):
-        relative[:, 2 + k] -= camera[k, 0] * x + camera[k, 1] * y + camera[k, 2]
-    return relative
+    return np.concatenate([vectors[:, :2], vectors[:, 2:4] - _flow_at(vectors, camera)], axis=1)
+
+
+def _flow_at(points: Array, camera: Array) -> Array:
+    """(P, 2) the camera's motion at points (P, 2 or more) x, y; no BLAS, whose sums depend on threads."""
+    x, y = points[:, 0], points[:, 1]
+    return np.column_stack([row[0] * x + row[1] * y + row[2] for row in camera])
 
 
 def _smaller(frame: Frame) -> tuple[Frame, int]:

@@ -111,7 +111,7 @@ class MotionCue:
 
         Where two things overlap, their vectors disagree, and the mean is the flow of neither.
         """
-        vectors = self._vectors(planes)
+        vectors = self.vectors(planes)
         counts, means = self._inside(vectors, np.asarray(box, dtype=np.float64)[None], planes)
         known = counts[0] > 0 and self._agrees(vectors, box, means[0])
         return {
@@ -139,7 +139,7 @@ class MotionCue:
         if not reference["known"]:
             return np.zeros(len(hypotheses))
         settings = self.parameters
-        vectors = self._vectors(planes)
+        vectors = self.vectors(planes)
         with np.errstate(divide="ignore"):
             if settings.compare == "each":
                 agreement = np.exp(self._log_agreement(vectors[:, 2:4], reference))
@@ -155,7 +155,7 @@ class MotionCue:
         )
         return floored(settings.sharpness * log + penalty, settings.floor)
 
-    def _vectors(self, planes: Planes) -> Floats:
+    def vectors(self, planes: Planes) -> Floats:
         """(P, 4) x, y, dx, dy of the valid vectors, the camera's motion taken off."""
         vectors = planes[self.flow]
         if not self.flow.is_points:

@@ -51,7 +51,7 @@ def plane(flow: str) -> FlowPlane | DenseFlowPlane:
 def vectors(flow: str, pair: FramePair, region: Region = INNER) -> np.ndarray:
     """(P, 4) the valid ones, as the cue sees them."""
     cue = CUE.make(CUE.parameters(flow=flow))
-    return cue._vectors(PlaneCache(pair).planes(cue.needs, region))
+    return cue.vectors(PlaneCache(pair).planes(cue.needs, region))
 
 
 MOVES = {
