@@ -16,7 +16,7 @@ from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import BOX_FIELDS, Evaluate, Evidence, Motion, Report, Step, Stream
 from bayesnet_track.belief.grid_cells import GridBelief, Lattice
 from bayesnet_track.belief.grid_evidence import asked_again, log_gaussian
-from bayesnet_track.belief.grid_motion import limits_of, predicted, scale_sd
+from bayesnet_track.belief.grid_motion import predicted, scale_sd
 from bayesnet_track.belief.grid_reset import (
     Verdict,
     judged_in_box,
@@ -24,6 +24,7 @@ from bayesnet_track.belief.grid_reset import (
     unknown_velocity,
     window_around,
 )
+from bayesnet_track.belief.grid_window import limits_of
 from bayesnet_track.cue import Hypotheses, Measurement
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.distributions import flattened, spreading_matrix

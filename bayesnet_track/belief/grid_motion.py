@@ -9,30 +9,21 @@ what is left of the position's noise e (variance Q_xx - c Q_xv, split between th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Motion
 from bayesnet_track.belief.grid_cells import GridBelief, Lattice, X, Y
+from bayesnet_track.belief.grid_gaps import Leap, leapt
+from bayesnet_track.belief.grid_window import Limits, Patch, limits_of, stacked, within
 from bayesnet_track.numerics.distributions import gaussian_taps, spreading_matrix
 
 Floats = NDArray[np.float64]
 
-NEGLIGIBLE = 1e-13
-"""Outer rows and columns with less than this share of the heaviest one's mass are dropped."""
-
-
-@dataclass(frozen=True, eq=False)
-class Patch:
-    """Masses (vy, vx, rows, columns) of one scale; the first cell stands in `column`, `row`."""
-
-    mass: Floats
-    column: int
-    row: int
+FEW = 96
+"""Cells by which a window may grow on the way to the next frame, however small it is."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +36,7 @@ class AxisStep:
         decay: F_vv.
         sd_velocity: of the velocity's noise.
         variances: of e, for each component of the noise.
+        offset: a shift that all masses take in the first step.
     """
 
     first: float
@@ -52,15 +44,7 @@ class AxisStep:
     decay: float
     sd_velocity: float
     variances: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Limits:
-    """First and last column and row of the image (None: no borders), and most cells of a window."""
-
-    columns: tuple[int, int] | None
-    rows: tuple[int, int] | None
-    window: int
+    offset: float = 0.0
 
 
 def predicted(prior: GridBelief, motion: Motion, dt: float, window: int) -> GridBelief:
@@ -75,31 +59,24 @@ def predicted(prior: GridBelief, motion: Motion, dt: float, window: int) -> Grid
     lattice, limits = prior.lattice, limits_of(prior.lattice, motion, window)
     sizes = np.exp(lattice.log_scales)[:, None] * np.array(lattice.size)
     moved: list[Patch] = []
-    for mass, size in zip(prior.mass, sizes, strict=True):
+    held = np.flatnonzero(prior.mass.sum(axis=(1, 2, 3, 4)) > 0)
+    for scale in held:
         state = prior.mean.copy()
-        state[2:4] = size
+        state[2:4] = sizes[scale]
         steps, shares = axis_steps(motion, state, dt)
-        moved.append(_moved(Patch(mass, lattice.column, lattice.row), steps, shares, lattice, limits))
-    layers, column, row = _stacked(moved)
+        patch = Patch(prior.mass[scale], lattice.column, lattice.row)
+        moved.append(_moved(patch, steps, shares, lattice, limits))
+    layers, column, row = stacked(moved)
+    if len(held) < len(sizes):
+        known, layers = layers, np.zeros((len(sizes), *layers.shape[1:]))
+        layers[held] = known
     if len(layers) > 1:
         sd = scale_sd(motion, prior.mean, dt) / float(lattice.log_scales[1] - lattice.log_scales[0])
         layers = np.tensordot(spreading_matrix(len(layers), 1.0, sd), layers, 1)
-    whole = _within(Patch(layers.reshape(-1, *layers.shape[2:]), column, row), limits, limits.window)
+    whole = within(Patch(layers.reshape(-1, *layers.shape[2:]), column, row), limits, limits.window)
     mass = np.maximum(whole.mass, 0.0).reshape(*layers.shape[:3], *whole.mass.shape[2:])
     mass /= mass.sum()
     return replace(prior, mass=mass, lattice=replace(lattice, column=whole.column, row=whole.row))
-
-
-def limits_of(lattice: Lattice, motion: Motion, window: int) -> Limits:
-    """The columns and rows of the image that a confined motion keeps to."""
-    if not isinstance(motion, Confined):
-        return Limits(None, None, window)
-    bounds: list[tuple[int, int]] = []
-    for anchor, size in zip(lattice.anchor, (motion.width, motion.height), strict=True):
-        low = int(np.ceil(-anchor / lattice.cell_px - 1e-9))
-        high = int(np.floor((size - 1 - anchor) / lattice.cell_px + 1e-9))
-        bounds.append((low, high) if low <= high else (low, low))
-    return Limits(bounds[0], bounds[1], window)
 
 
 def axis_steps(motion: Motion, state: Floats, dt: float) -> tuple[tuple[AxisStep, AxisStep], Floats]:
@@ -143,27 +120,74 @@ def _moved(
     patch: Patch, steps: tuple[AxisStep, AxisStep], shares: Floats, lattice: Lattice, limits: Limits
 ) -> Patch:
     """One scale's masses after the motion. The wide part of the noise takes all axes together."""
+    velocities, cell = lattice.velocities, lattice.cell_px
+    changes = [_change(step, velocities) for step in steps]
+    across, down = (_bounded(k, patch, steps[k], shares, changes[k], lattice, limits) for k in (0, 1))
+    leaps = [
+        [
+            Leap((step.first * velocities + step.offset) / cell, step.second * velocities / cell, change, sd)
+            for sd in np.sqrt(step.variances) / cell
+        ]
+        for step, change in zip((across, down), changes, strict=True)
+    ]
+    if max(np.ptp(leap.reach) for leap in (*leaps[0], *leaps[1])) > max(limits.window, FEW):
+        return leapt(patch, leaps[0], leaps[1], shares, limits)
     half = [0.0, 0.0]
-    across, down = steps
-    if len(lattice.velocities) > 1:
-        half = [min(step.variances) / 2 for step in steps]
-        patch = _spread(patch, X, across.first * lattice.velocities, half[0], lattice, limits)
-        patch = _spread(patch, Y, down.first * lattice.velocities, half[1], lattice, limits)
-        spacing = float(lattice.velocities[1] - lattice.velocities[0])
-        size = len(lattice.velocities)
-        change = [spreading_matrix(size, step.decay, step.sd_velocity / spacing) for step in steps]
-        patch = replace(patch, mass=_turned(patch.mass, change[1], change[0]))
+    if len(velocities) > 1:
+        half = [min(step.variances) / 2 for step in (across, down)]
+        patch = _spread(patch, X, across.first * velocities + across.offset, half[0], lattice)
+        patch = _spread(patch, Y, down.first * velocities + down.offset, half[1], lattice)
+        patch = replace(patch, mass=_turned(patch.mass, changes[1], changes[0]))
     parts: list[Patch] = []
     for k, share in enumerate(shares):
         part = replace(patch, mass=patch.mass * share) if len(shares) > 1 else patch
-        shift = across.second * lattice.velocities
-        part = _spread(part, X, shift, across.variances[k] - half[0], lattice, limits)
-        shift = down.second * lattice.velocities
-        parts.append(_spread(part, Y, shift, down.variances[k] - half[1], lattice, limits))
+        part = _spread(part, X, across.second * velocities, across.variances[k] - half[0], lattice)
+        parts.append(_spread(part, Y, down.second * velocities, down.variances[k] - half[1], lattice))
     if len(parts) == 1:
         return parts[0]
-    layers, column, row = _stacked(parts)
+    layers, column, row = stacked(parts)
     return Patch(layers.sum(axis=0), column, row)
+
+
+def _change(step: AxisStep, velocities: Floats) -> Floats:
+    """(V, V) of p(new velocity | old velocity) along an axis."""
+    size = len(velocities)
+    if size == 1:
+        return np.ones((1, 1))
+    sd = min(step.sd_velocity / float(velocities[1] - velocities[0]), 20.0 * size)  # even, but for the ends
+    return spreading_matrix(size, step.decay, sd)
+
+
+def _bounded(
+    axis: int, patch: Patch, step: AxisStep, shares: Floats, change: Floats, lattice: Lattice, limits: Limits
+) -> AxisStep:
+    """The step, with a spread of at most that of a target which may be anywhere in the image.
+
+    As for Gaussians, the mean then goes to its place in the image. Without an image the window is its stead.
+    """
+    mass = patch.mass.sum(axis=(0, 2) if axis == 0 else (1, 3))  # (V, cells)
+    known = mass.sum(axis=1) / mass.sum()
+    shifts = step.first * lattice.velocities[None, :] + step.second * lattice.velocities[:, None]
+    joint = change * known
+    drift = float((joint * shifts).sum())
+    spread = float((joint * (shifts - drift) ** 2).sum() + shares @ np.array(step.variances))
+    at = float(mass.sum(axis=0) @ np.arange(mass.shape[1]) / mass.sum()) + (patch.column, patch.row)[axis]
+    ends, goal = (limits.columns, limits.rows)[axis], at * lattice.cell_px + drift
+    most = (limits.window * lattice.cell_px) ** 2
+    if ends is not None:
+        low, high = (end * lattice.cell_px for end in ends)
+        goal = min(max(goal, low), high)
+        most = (high - low + lattice.cell_px) ** 2 / 12 + (goal - (low + high) / 2) ** 2
+    if spread <= most:
+        return step
+    less = np.sqrt(most / spread)
+    return replace(
+        step,
+        first=step.first * less,
+        second=step.second * less,
+        offset=goal - at * lattice.cell_px - less * drift,
+        variances=tuple(variance * most / spread for variance in step.variances),
+    )
 
 
 def _turned(mass: Floats, down: Floats, across: Floats) -> Floats:
@@ -176,18 +200,14 @@ def _turned(mass: Floats, down: Floats, across: Floats) -> Floats:
     return out.reshape(mass.shape)
 
 
-def _spread(
-    patch: Patch, axis: int, shifts: Floats, variance: float, lattice: Lattice, limits: Limits
-) -> Patch:
+def _spread(patch: Patch, axis: int, shifts: Floats, variance: float, lattice: Lattice) -> Patch:
     """The masses moved along X or Y by a shift (px) of each velocity and spread by noise (px^2)."""
     from bayesnet_track.numerics import grid_kernels
 
     if variance <= 0.0 and not shifts.any():
         return patch
-    most = 4.0 * limits.window  # further than any window reaches
-    sd = min(float(np.sqrt(max(variance, 0.0))) / lattice.cell_px, float(limits.window))
-    cells = np.clip(shifts / lattice.cell_px, -most, most)
-    kernels = [gaussian_taps(float(cell), sd) for cell in cells]
+    sd = float(np.sqrt(max(variance, 0.0))) / lattice.cell_px
+    kernels = [gaussian_taps(float(cell), sd) for cell in shifts / lattice.cell_px]
     first = np.array([kernel[0] for kernel in kernels], dtype=np.int64)
     taps = np.stack([kernel[1] for kernel in kernels])
     low = int(first.min())
@@ -197,74 +217,6 @@ def _spread(
     mass = np.ascontiguousarray(patch.mass)
     if axis == X:
         grid_kernels.spread_columns(mass, taps, first - low, out)
-        spread = Patch(out, patch.column + low, patch.row)
-    else:
-        grid_kernels.spread_rows(mass, taps, first - low, out)
-        spread = Patch(out, patch.column, patch.row + low)
-    # Trimmed at the end; on the way only what a long gap has spread beyond use.
-    return _within(spread, limits, 2 * limits.window) if max(grown) > 4 * limits.window else spread
-
-
-def _within(patch: Patch, limits: Limits, most: int) -> Patch:
-    """The masses inside the image, without empty borders, and at most `most` cells to a side."""
-    across = patch.mass.sum(axis=(0, 1, 2))
-    column, keep, ends = _kept(across, patch.column, limits.columns, most)
-    mass = _folded(patch.mass, keep, ends)
-    down = mass.sum(axis=(0, 1, 3))
-    row, keep, ends = _kept(down, patch.row, limits.rows, most)
-    return Patch(_folded(mass.swapaxes(2, 3), keep, ends).swapaxes(2, 3), column, row)
-
-
-def _kept(
-    line: Floats, start: int, bounds: tuple[int, int] | None, most: int
-) -> tuple[int, slice, tuple[bool, bool]]:
-    """First cell kept, the slice of the line that is kept, and whether the ends take what lies beyond."""
-    low, high = 0, len(line) - 1
-    folds = (False, False)
-    if bounds is not None:
-        low, high = min(max(bounds[0] - start, 0), high), max(min(bounds[1] - start, high), 0)
-        folds = (start + low > start, high < len(line) - 1)
-    inside = np.abs(line)
-    if folds[0]:
-        inside[low] += inside[:low].sum()
-    if folds[1]:
-        inside[high] += inside[high + 1 :].sum()
-    heavy = low + np.flatnonzero(inside[low : high + 1] > NEGLIGIBLE * inside[low : high + 1].max())
-    first, last = int(heavy[0]), int(heavy[-1])
-    if last - first >= most:
-        cells = np.arange(first, last + 1)
-        middle = float(inside[first : last + 1] @ cells / inside[first : last + 1].sum())
-        first = min(max(round(middle) - most // 2, first), last - most + 1)
-        last = first + most - 1
-    at = start + first
-    if bounds is not None:  # all of it may lie beyond a border
-        at = min(max(at, bounds[0]), bounds[1])
-    return at, slice(first, last + 1), (folds[0] and first == low, folds[1] and last == high)
-
-
-def _folded(mass: Floats, keep: slice, ends: tuple[bool, bool]) -> Floats:
-    """The columns that are kept; an end that is the image's border takes the mass beyond it."""
-    kept = mass[..., keep]
-    if not any(ends):
-        return kept
-    kept = kept.copy()
-    if ends[0]:
-        kept[..., 0] += mass[..., : keep.start].sum(axis=-1)
-    if ends[1]:
-        kept[..., -1] += mass[..., keep.stop :].sum(axis=-1)
-    return kept
-
-
-def _stacked(patches: Sequence[Patch]) -> tuple[Floats, int, int]:
-    """(patches, vy, vx, rows, columns) on the smallest common window, and its first column and row."""
-    column, row = min(p.column for p in patches), min(p.row for p in patches)
-    columns = max(p.column + p.mass.shape[3] for p in patches) - column
-    rows = max(p.row + p.mass.shape[2] for p in patches) - row
-    if len(patches) == 1:
-        return patches[0].mass[None], column, row
-    stacked = np.zeros((len(patches), *patches[0].mass.shape[:2], rows, columns))
-    for layer, patch in zip(stacked, patches, strict=True):
-        at_row, at_column = patch.row - row, patch.column - column
-        height, width = patch.mass.shape[2:]
-        layer[:, :, at_row : at_row + height, at_column : at_column + width] = patch.mass
-    return stacked, column, row
+        return Patch(out, patch.column + low, patch.row)
+    grid_kernels.spread_rows(mass, taps, first - low, out)
+    return Patch(out, patch.column, patch.row + low)

@@ -1,5 +1,7 @@
 """The grid belief against the Kalman filter, and its masses, borders, resets and working points."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -103,6 +105,64 @@ def test_size_and_heavy_tails(motion_of, stream_of):
     excess = line @ (known.values[0] - 100) ** 4 / known.covariance[0, 0] ** 2
     # One step: 3 (.8 16 + .2 1296) / 10.4^2 = 7.54; two independent ones halve the excess over 3.
     assert excess == pytest.approx(3 + (3 * (0.8 * 16 + 0.2 * 1296) / 10.4**2 - 3) / 2, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("kind", "dt", "cell", "tolerance"),
+    [
+        ("random_walk", 200.0, 1.0, 1e-8),
+        ("constant_velocity", 12.0, 2.0, 3e-5),
+        ("damped_velocity", 24.0, 2.0, 1e-6),
+    ],
+)
+def test_a_long_gap_is_exact_while_the_window_holds_it(kind, dt, cell, tolerance, motion_of, stream_of):
+    """Then a measurement, against the Kalman filter. Window and velocities end at 5 sds or more.
+
+    A constant velocity that led to the place measured has an sd of .8 cells: 2 exp(-2 pi^2 .8^2) = 7e-6.
+    """
+    noise = {"sd_px": {"x": 1.5, "y": 1.5}}
+    if kind != "random_walk":
+        noise |= {"sd_velocity_px": 0.25, "start_velocity_sd_px": 0.5}
+    motion = motion_of(kind, **noise)
+    chosen = spec.Grid(cell_px=cell, cut=0.0, window=256, velocity_cells=21, velocity_cell_px=0.5)
+    belief = GridFilter(chosen)
+    known = belief.start(BOX, motion, stream_of(0, 0))
+    mean, covariance = motion.start_moments(BOX)
+    place = BOX[:2] + np.array([9.0, -14.0])
+    stepped = belief.step(known, motion, dt, around(place, 6.0), stream_of(0, 1))
+    mean, covariance, log = kalman(mean, covariance, motion, dt, place, 6.0)
+    np.testing.assert_allclose(stepped.posterior.mean, mean, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(stepped.posterior.covariance, covariance, rtol=0, atol=30 * tolerance)
+    assert stepped.log_evidence == pytest.approx(log, abs=tolerance)
+
+
+def test_what_a_long_gap_takes_beyond_the_border_stays_there(motion_of, stream_of):
+    """100 frames of a walk with an sd of 2 px, 15 px from the left border."""
+    motion = Confined(motion_of("random_walk", sd_px={"x": 2.0, "y": 1.0}), 300, 200)
+    known = GridFilter(spec.Grid(cell_px=1.0, window=300)).start(
+        np.array([15.0, 100.0, 9, 9]), motion, stream_of(0, 0)
+    )
+    known = predicted(known, motion, 100.0, 300)
+    masses = known.positions[0].sum(axis=0)
+    assert known.values[0][0] == 0.0
+    x = np.arange(-150.0, known.values[0][-1] + 1)
+    density = np.exp(-0.5 * ((x - 15) / 20) ** 2) / (20 * np.sqrt(2 * np.pi))
+    np.testing.assert_allclose(masses, [density[x <= 0].sum(), *density[x > 0]], atol=1e-9)
+
+
+@pytest.mark.parametrize("dt", [7.5, 30.0, 600.0, 1e6])
+def test_gaps_are_bounded(dt, motion_of, stream_of):
+    """Memory of a few beliefs however long, and the target may be anywhere, but not only at the borders."""
+    motion = Confined(motion_of("constant_velocity", **NOISE["constant_velocity"]), 160, 120)
+    known = GridFilter(spec.Grid()).start(BOX, motion, stream_of(0, 0))
+    known = predicted(known, motion, dt, 128)
+    tracemalloc.start()
+    known = predicted(known, motion, dt, 128)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20 * known.mass.nbytes
+    assert known.mass.shape[3:] == (60, 80)
+    assert known.positions[0, 1:-1, 1:-1].sum() > 0.2
 
 
 @pytest.mark.parametrize("dt", [0.5, 1.0, 3.0, 200.0])
