@@ -30,10 +30,27 @@ def person_color_stereo(seed: int = 0, frames: int = 150) -> Scene:
     rng = np.random.Generator(np.random.Philox(seed))
     at = np.arange(frames, dtype=np.float64)
     target = np.interp(at, [0.0, 50.0, 100.0, 150.0], [0.2, 1.1, 1.1, 0.2])
-    other = np.interp(at, [60.0, 66.0, 80.0, 88.0], [2.32, 1.7, 1.7, 2.4])
+    other = np.interp(at, [60.0, 66.0, 80.0, 88.0], [2.4, 1.7, 1.7, 2.4])
     depth = 3.9 + 0.1 * np.sin(2 * np.pi * at / 90)
     walkers = (Walker(clothes(rng, GREEN), other, depth), Walker(clothes(rng, BROWN), target, depth))
     return room_scene("person_color_stereo", _room(rng), walkers, 1, seed)
+
+
+def person_same_clothes(seed: int = 0, frames: int = 150) -> Scene:
+    """Somebody in the target's clothes steps up 0.4 m behind and beside it, and leaves: only depth can tell.
+
+    The target wears green in a brown room and walks as in `person_color_stereo`; the other one comes and
+    goes in the same frames.
+    """
+    rng = np.random.Generator(np.random.Philox(seed))
+    at = np.arange(frames, dtype=np.float64)
+    target = np.interp(at, [0.0, 50.0, 100.0, 150.0], [0.2, 1.1, 1.1, 0.2])
+    other = np.interp(at, [60.0, 66.0, 80.0, 88.0], [2.64, 1.83, 1.83, 2.64])
+    walkers = (
+        Walker(clothes(rng, GREEN), other, np.full(frames, 4.3)),
+        Walker(clothes(rng, GREEN), target, np.full(frames, 3.9)),
+    )
+    return room_scene("person_same_clothes", _room(rng), walkers, 1, seed)
 
 
 def _room(rng: np.random.Generator) -> Room:
