@@ -33,6 +33,8 @@ AGENTS = {
     "blobs": "#a3521b",
     "intensity": "#2f8f5b",
     "motion": "#2b6cb0",
+    "stereo": "#0e7490",
+    "shape": "#7c3aed",
 }
 
 mpl.rcParams.update(

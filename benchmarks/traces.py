@@ -96,7 +96,8 @@ def trace(
     decisions: list[Decision] = []
     outcome: Outcome | None = None
     for index in range(frames or len(scene.frames)):
-        frame = Frame(index, float(index), scene.frames[index])
+        depth = None if scene.stereo is None else scene.stereo.eye(index)
+        frame = Frame(index, float(index), scene.frames[index], depth=depth)
         if outcome is None:
             outcome = start_targets(checked, engine, frame, starts)
         else:
