@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import cycle
 
 import cv2
@@ -90,12 +91,19 @@ def main() -> None:
         cue = declaration.make(declaration.parameters())
         near = PlaneCache(frames).planes(cue.needs, region_of_boxes(box[None], 1.0))
         reference = cue.learn(near, box)
-        ready = cycle(
-            [
-                (PlaneCache(frames).planes(cue.needs, region), Hypotheses(boxes))
-                for region, boxes in zip(regions, clouds, strict=True)
-            ]
-        )
+        # A tracker sees each frame once: every call has a frame of its own, as in a run.
+        follows = isinstance(cue, MeasuringCue)
+        pairs = [
+            FramePair(replace(current, index=n, time=float(n), image=current.image.copy()), current)
+            for n in range(2, options.repeats + 3)
+        ]
+        seen = [
+            (PlaneCache(pair).planes(cue.needs, region), Hypotheses(boxes))
+            for pair, region, boxes in zip(
+                pairs if follows else [frames] * len(clouds), cycle(regions), cycle(clouds), strict=False
+            )
+        ]
+        ready = cycle(seen)
         asked = cycle(regions)
         planes = milliseconds(
             lambda cue=cue, asked=asked: PlaneCache(frames).planes(cue.needs, next(asked)), options.repeats
