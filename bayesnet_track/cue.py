@@ -194,6 +194,10 @@ class CueDeclaration:
         cost_ms: declared price of 1000 hypotheses of 60x60 px, planes included (rules weigh with it, so that
             a run never depends on a clock).
         rate_max: learning rate this cue wants instead of the graph's `learn.rate_max`, or None.
+        opaque: True when it keeps something that cannot be stored: a run that is taken up again where it
+            stopped is then another than one that went on.
+        missing: parameters -> what they need and this computer has not (a library's part, a file), in words,
+            or None; `validate` asks it. Without it nothing is needed.
     """
 
     name: str
@@ -203,6 +207,8 @@ class CueDeclaration:
     needs_color: bool = False
     cost_ms: float = 1.0
     rate_max: float | None = None
+    opaque: bool = False
+    missing: Callable[[Any], str | None] | None = None
 
 
 def floored(log_likelihood: Floats, floor: float) -> Floats:

@@ -121,7 +121,7 @@ def corners_in(
 
 def clearest_mix(image: Image, origin: tuple[int, int], box: Floats, least: float) -> Floats:
     """(3,) weights of B, G, R: brightness, or the one channel in which the box's corners are far stronger."""
-    mixes = [GRAY, *np.eye(3)]
+    mixes: list[Floats] = [GRAY, *np.eye(3)]
     totals = [float(_scores(mixed(image, mix), origin, box, least)[0].sum()) for mix in mixes]
     best = int(np.argmax(totals))
     return mixes[best] if totals[best] > CLEARER * totals[0] else mixes[0]
@@ -139,7 +139,7 @@ def _scores(image: Image, origin: tuple[int, int], box: Floats, least: float) ->
     scores = np.zeros(part.shape)
     corner_scores(part, least**2, scores)
     start, end = low - wide_low, high - wide_low
-    return scores[start[1] : end[1], start[0] : end[0]], low + np.array(origin, dtype=np.float64)
+    return scores[start[1] : end[1], start[0] : end[0]], np.asarray(low + np.array(origin, dtype=np.float64))
 
 
 def patches_at(image: Image, origin: tuple[int, int], at: Floats, turns: Array, side: int) -> Floats:

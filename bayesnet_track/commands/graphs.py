@@ -28,7 +28,24 @@ def validate(options: argparse.Namespace) -> int:
         nodes = sum(len(plate.order) for plate in graph.targets.values())
         agents = sum(len(plate.agents) for plate in graph.targets.values())
         say(f"{name}: ok ({graph.spec.name}: {nodes} nodes, {agents} of them agents)")
+        opaque = ", ".join(_opaque(graph))
+        if opaque:
+            say(
+                f"  opaque: {opaque} cannot be stored; a run repeats from its start only, not from its middle"
+            )
     return code
+
+
+def _opaque(graph: CheckedGraph) -> list[str]:
+    from bayesnet_track.cue import installed_cues
+
+    cues = installed_cues()
+    return [
+        f"{agent} ({cue})"
+        for plate in graph.targets.values()
+        for agent in plate.agents
+        if cues[cue := plate.agent(agent).agent.cue].opaque
+    ]
 
 
 def graph(options: argparse.Namespace) -> int:

@@ -46,6 +46,21 @@ def parameters_fit_the_cue(plate: Plate) -> Iterator[GraphMessage]:
                 )
 
 
+def cues_have_what_they_need(plate: Plate) -> Iterator[GraphMessage]:
+    """What an agent's parameters ask for is there: parts of other libraries, files."""
+    for name, node in plate.agents.items():
+        declaration = plate.cues.get(node.agent.cue)
+        if declaration is None or declaration.missing is None:
+            continue
+        try:
+            parameters = cue_parameters(node.agent, declaration)
+        except ValidationError:
+            continue
+        absent = declaration.missing(parameters)
+        if absent is not None:
+            yield plate.message(name, absent, key=("agent", node.agent.cue))
+
+
 def cue_parameters(agent: AgentChoice, declaration: CueDeclaration) -> CueParameters:
     """The agent's parameters as the cue's own type.
 
@@ -58,4 +73,4 @@ def cue_parameters(agent: AgentChoice, declaration: CueDeclaration) -> CueParame
     return declaration.parameters.model_validate_json(text, strict=True)
 
 
-CUE_LAWS: tuple[Law, ...] = (cues_are_installed, parameters_fit_the_cue)
+CUE_LAWS: tuple[Law, ...] = (cues_are_installed, parameters_fit_the_cue, cues_have_what_they_need)

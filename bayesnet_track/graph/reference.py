@@ -141,6 +141,7 @@ def _cues(cues: Mapping[str, CueDeclaration]) -> Iterator[str]:
         facts += ["Blind on a gray source."] if cue.needs_color else []
         facts += [f"Declared cost {cue.cost_ms:g} ms for 1000 hypotheses."]
         facts += [f"Learns at up to {cue.rate_max:g} per frame."] if cue.rate_max is not None else []
+        facts += ["Opaque: what it keeps cannot be stored."] if cue.opaque else []
         yield f"### {name}\n\n{' '.join(facts)}\n\n{_table(cue.parameters)}"
 
 
