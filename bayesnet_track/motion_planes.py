@@ -21,8 +21,12 @@ LEAST_POINTS = 8
 """Fewer points tell nothing of the camera."""
 LEAST_SHARE = 0.4
 """Share of the points that agree when the picture moves as a whole."""
-LEAST_CELLS = 6
-"""A picture that moves as a whole moves in at least so many of its 4 x 4 parts."""
+CELLS = 8
+"""The two pictures are compared in so many parts across and down."""
+CLEAR_GRAY = 0.5
+"""A part tells for motion or for rest when one explains it better by so many gray levels a pixel."""
+LEAST_CELLS = 16
+"""A picture that moves as a whole shows it in at least so many parts, three times as many as show rest."""
 LEAST_PX = 0.5
 """Less than this, in pixels of the frame, is no motion of the camera."""
 
@@ -124,8 +128,8 @@ class CameraPlane:
     0 where that cannot be told: without a previous frame, with fewer than LEAST_POINTS that agree.
 
     Attributes:
-        only_clear: 0 also unless the picture moves as a whole: LEAST_SHARE of the corners agree, in
-            LEAST_CELLS of the 4 x 4 parts of the frame, and they move by LEAST_PX (root mean square).
+        only_clear: 0 also unless the picture moves as a whole: LEAST_SHARE of the corners agree, they
+            move by LEAST_PX (root mean square), and that explains most of what differs between the frames.
     """
 
     only_clear: bool = True
@@ -162,11 +166,9 @@ class CameraPlane:
         if agree.sum() < LEAST_POINTS:
             return np.zeros((2, 3))
         if self.only_clear:
-            column, row = (moved[agree, :2] * 4 // size).T
-            parts = np.unique(column + 4 * row)
             way = scale * _flow_at(moved[agree], found.matrix)
-            clear = agree.sum() >= LEAST_SHARE * agree.size and len(parts) >= LEAST_CELLS
-            if not clear or np.mean((way**2).sum(axis=1)) < LEAST_PX**2:
+            clear = agree.sum() >= LEAST_SHARE * agree.size and np.mean((way**2).sum(axis=1)) >= LEAST_PX**2
+            if not clear or not _explains(found.matrix, current.image, previous.image):
                 return np.zeros((2, 3))
         return np.asarray(found.matrix * np.array([1.0, 1.0, scale]) / interval)
 
@@ -191,6 +193,22 @@ def _flow_at(points: Array, camera: Array) -> Array:
     """(P, 2) the camera's motion at points (P, 2 or more) x, y; no BLAS, whose sums depend on threads."""
     x, y = points[:, 0], points[:, 1]
     return np.column_stack([row[0] * x + row[1] * y + row[2] for row in camera])
+
+
+def _explains(matrix: Array, now: Array, then: Array) -> bool:
+    """Whether the motion explains the gray picture `now` better than rest, nearly wherever the two differ.
+
+    Corners alone do not tell: on a plain ground that rests, all of them may be on things that move.
+    """
+    import cv2
+
+    back = np.hstack([np.eye(2), np.zeros((2, 1))]) - matrix  # where a point of `now` was
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    moved = cv2.warpAffine(then, back, now.shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    off = (cv2.absdiff(now, one).astype(np.float32) for one in (then, moved))
+    still, moving = (cv2.resize(one, (CELLS, CELLS), interpolation=cv2.INTER_AREA) for one in off)
+    ahead, behind = np.sum(still - moving > CLEAR_GRAY), np.sum(moving - still > CLEAR_GRAY)
+    return bool(ahead >= LEAST_CELLS and ahead >= 3 * behind)
 
 
 def _smaller(frame: Frame) -> tuple[Frame, int]:

@@ -10,6 +10,7 @@ from bayesnet_track.cue import Hypotheses
 from bayesnet_track.cues.motion import CUE
 from bayesnet_track.motion_planes import CameraPlane, against_background
 from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
+from bayesnet_track.scenes import make_scene
 
 WIDTH, HEIGHT = 320, 240
 WHOLE = Region(0, 0, WIDTH, HEIGHT)
@@ -116,6 +117,16 @@ def test_one_thing_on_flat_ground_is_no_camera() -> None:
     pair = FramePair(frame(1, moved), frame(0, wide))
     assert not camera(pair).any()
     assert camera(pair, only_clear=False) @ [160, 120, 1] == pytest.approx([6.0, 4.0], abs=0.25)
+
+
+@pytest.mark.parametrize("name", ["two_squares", "person_and_board"])
+def test_movers_on_plain_ground_are_no_camera(name: str) -> None:
+    """Nearly all corners of these scenes are on what moves; the camera rests."""
+    frames = make_scene(name).frames
+    for n in range(1, 100, 7):
+        assert not camera(
+            FramePair(Frame(n, float(n), frames[n]), Frame(n - 1, n - 1.0, frames[n - 1]))
+        ).any()
 
 
 def test_against_background() -> None:
