@@ -75,7 +75,7 @@ def resized_by(settings: spec.Particles, inputs: Inputs, whole: Pass, sized: Siz
 
 def _fixed(settings: spec.Particles, inputs: Inputs, size: int) -> Pass:
     prior = inputs.prior
-    if must_resample(settings, prior):
+    if must_resample(settings, prior, size):
         ancestors, beta = parents(settings, inputs, size, "resample"), LogWeights.uniform(size)
     else:
         ancestors, beta = np.arange(len(prior)), prior.weights
@@ -135,10 +135,15 @@ def _enlarged(one: Pass, more: Pass, halves: tuple[int, int], counts: tuple[int,
     return replace(whole, prior_log=np.repeat(log_beta * 2, (*halves, *counts)))
 
 
-def must_resample(settings: spec.Particles, prior: ParticleSet) -> bool:
-    """True when the settings ask for new parents, given the weights of the last posterior."""
+def must_resample(settings: spec.Particles, prior: ParticleSet, size: int) -> bool:
+    """True when the settings ask for new parents, given the weights of the last posterior.
+
+    So does a number other than `size`: each second pass would add to it, and each rejection take away.
+    """
     when = settings.when
-    return not isinstance(when, spec.EssBelow) or prior.weights.ess < when.ess_below * len(prior)
+    if not isinstance(when, spec.EssBelow) or len(prior) != size:
+        return True
+    return prior.weights.ess < when.ess_below * size
 
 
 def parents(settings: spec.Particles, inputs: Inputs, size: int, purpose: str) -> Ancestors:

@@ -358,6 +358,22 @@ def test_adaptive_sizes_and_uneven_parents_go_with_a_second_pass(frame_of, strea
         assert abs(found.mean() - exact.mean[0]) < 4 * found.std() / np.sqrt(40) + 0.1 * sd
 
 
+@pytest.mark.parametrize("method", ["adaptive", "west", "rejection"])
+def test_numbers_stay_where_parents_are_not_redrawn_at_every_frame(method, frame_of, stream_of):
+    """Each second pass adds hypotheses and each rejection takes some away, but not of those of the last frame."""
+    frame = frame_of()
+    belief = belief_of(method, 100, 0.0 if method in BY_LEVEL else None, when={"ess_below": 0.001})
+    now, numbers = frame.prior, []
+
+    def counted(hypotheses, log_prior):
+        numbers.append(len(hypotheses))
+        return near(frame.place)(hypotheses, log_prior)
+
+    for k in range(6):
+        now = belief.step(now, frame.motion, 1.0, counted, stream_of(0, k + 1)).posterior
+    assert numbers == [100] * 12
+
+
 # ------------------------------------------------------------------------------------ parts
 
 
