@@ -270,7 +270,7 @@ def _limits(constraints: Iterable[Any]) -> Iterator[str]:
         for attribute, text in words:
             bound = _get(constraint, attribute)
             if bound is not None:
-                yield text.format(f"{bound:.17g}" if isinstance(bound, float) else bound)
+                yield text.format(f"{bound:.15g}" if isinstance(bound, float) else bound)
 
 
 def _flattened(constraints: Iterable[Any]) -> Iterator[Any]:

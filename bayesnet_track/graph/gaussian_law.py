@@ -1,4 +1,4 @@
-"""The law of the Gaussian belief: the Kalman filter is for linear motion with Gaussian noise."""
+"""The laws of the Gaussian belief: which motions `kalman` takes, and which settings have an effect."""
 
 from __future__ import annotations
 
@@ -26,3 +26,21 @@ def kalman_moves_linearly(plate: Plate) -> Iterator[GraphMessage]:
             found = f"filter: kalman with {', '.join(further)}, which is not Gaussian noise in px"
             allowed = "filter: extended or unscented, or noise by sd_px alone"
             yield plate.message(name, found, allowed, key=("belief", "gaussian", "filter"))
+
+
+def gaussian_settings_have_effect(plate: Plate) -> Iterator[GraphMessage]:
+    """`samples` and `sigma` stand only where they are used."""
+    for name, node in plate.inference.items():
+        gaussian = node.belief.gaussian if node.belief is not None else None
+        if gaussian is None or node.parent is not None:
+            continue
+        unused = {
+            "samples": ("likelihood", "samples"),
+            "sigma": ("filter", "unscented"),
+        }
+        for key, (setting, needed) in unused.items():
+            own = getattr(gaussian, setting)
+            if key in gaussian.model_fields_set and own != needed:
+                found = f"{key} has no effect beside {setting}: {own}"
+                allowed = f"{setting}: {needed}, or no {key}"
+                yield plate.message(name, found, allowed, key=("belief", "gaussian", key), on_key=True)

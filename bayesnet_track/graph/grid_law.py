@@ -1,4 +1,4 @@
-"""The law of the grid belief: which motions its cells can hold."""
+"""The laws of the grid belief: which motions its cells can hold, and at which level it is reset."""
 
 from __future__ import annotations
 
@@ -25,3 +25,12 @@ def grid_holds_the_motion(plate: Plate) -> Iterator[GraphMessage]:
             found = f"a grid has no cells for {', '.join(sized)}"
             allowed = "size noise by sd_log.scale alone, or none"
             yield plate.message(name, found, allowed, key=("motion", kind))
+
+
+def grid_resets_at_one_level(plate: Plate) -> Iterator[GraphMessage]:
+    """A level of gamma is stated, or the rate of false resets that it follows from."""
+    for name, node in plate.inference.items():
+        reset = node.belief.grid.reset if node.belief is not None and node.belief.grid is not None else None
+        if reset is not None and reset.below is not None and reset.false_rate is not None:
+            found, allowed = "reset with both below and false_rate", "one of below, false_rate"
+            yield plate.message(name, found, allowed, key=("belief", "grid", "reset"))

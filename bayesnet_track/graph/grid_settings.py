@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field
 
 from bayesnet_track.graph.model import Model, Number, Positive, Whole
 
-Odd = Annotated[Whole, Field(ge=3, le=63)]
+
+def _odd(count: int) -> int:
+    if count % 2 == 0:
+        raise ValueError("an odd number, so that there is a middle cell")
+    return count
+
+
+Odd = Annotated[Whole, Field(ge=3, le=63, json_schema_extra={"not": {"multipleOf": 2}}), AfterValidator(_odd)]
 
 
 class Reset(Model):
@@ -33,12 +40,6 @@ class Reset(Model):
         default="reset",
         description="start again from the frame's likelihood over U, or keep the prediction",
     )
-
-    @model_validator(mode="after")
-    def _one_level(self) -> Self:
-        if self.below is not None and self.false_rate is not None:
-            raise ValueError("choose one of below, false_rate")
-        return self
 
 
 class Grid(Model):

@@ -10,8 +10,9 @@ from bayesnet_track.graph.plate import Plate
 
 
 def sizes_in_order(plate: Plate) -> Iterator[GraphMessage]:
-    """An adaptive size has its bounds in order, one error, and new parents at every frame; a fixed one no
-    bounds."""
+    """An adaptive size has its bounds in order, one error, and new parents at every frame; a fixed one has no
+    bounds, and every setting an effect.
+    """
     for name, node in plate.inference.items():
         particles = None if node.belief is None else node.belief.particles
         if particles is None:
@@ -24,6 +25,16 @@ def sizes_in_order(plate: Plate) -> Iterator[GraphMessage]:
                     found = f"{key} beside a size of {particles.size}, which is fixed"
                     allowed = f"an adaptive size ({', '.join(AdaptiveSize.model_fields)}), or no {key}"
                     yield plate.message(name, found, allowed, key=(*_KEY, key), on_key=True)
+            if isinstance(particles.when, EssBelow) and particles.importance.kind in _REDRAWN:
+                found = (
+                    f"when: ess_below beside importance: {particles.importance.kind}, which draws new parents"
+                )
+                yield plate.message(name, found, "when: every_frame", key=(*_KEY, "when"))
+        adaptive = particles.importance.adaptive
+        if adaptive is not None and adaptive.by == "fitted" and "neighbours" in adaptive.model_fields_set:
+            key_of_pass = (*_KEY, "importance", "adaptive", "neighbours")
+            found = "neighbours has no effect beside by: fitted"
+            yield plate.message(name, found, "by: parents, or no neighbours", key=key_of_pass, on_key=True)
 
 
 def _adaptive(plate: Plate, name: str, particles: Particles, size: AdaptiveSize) -> Iterator[GraphMessage]:
@@ -36,7 +47,7 @@ def _adaptive(plate: Plate, name: str, particles: Particles, size: AdaptiveSize)
     if isinstance(particles.when, EssBelow):
         found = "when: ess_below beside an adaptive size, which changes by drawing new parents"
         yield plate.message(name, found, "when: every_frame", key=(*_KEY, "when"))
-    if particles.importance.kind in ("auxiliary", "likelihood_mixture"):
+    if particles.importance.kind in _REDRAWN:
         found = f"importance: {particles.importance.kind} beside an adaptive size"
         allowed = "regular, adaptive, west or rejection; or a size that is a number"
         yield plate.message(name, found, allowed, key=(*_KEY, "importance"))
@@ -49,3 +60,5 @@ def _adaptive(plate: Plate, name: str, particles: Particles, size: AdaptiveSize)
 
 
 _KEY = ("belief", "particles")
+_REDRAWN = ("auxiliary", "likelihood_mixture")
+"""Importance functions that draw a fixed number of new parents at every frame."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from bayesnet_track.graph.gaussian_law import kalman_moves_linearly
-from bayesnet_track.graph.grid_law import grid_holds_the_motion
+from bayesnet_track.graph.gaussian_law import gaussian_settings_have_effect, kalman_moves_linearly
+from bayesnet_track.graph.grid_law import grid_holds_the_motion, grid_resets_at_one_level
 from bayesnet_track.graph.messages import GraphMessage
 from bayesnet_track.graph.particle_laws import sizes_in_order
 from bayesnet_track.graph.plate import Law, Plate
@@ -132,7 +132,9 @@ VALUE_LAWS: tuple[Law, ...] = (
     learning_has_a_rule,
     sizes_in_order,
     kalman_moves_linearly,
+    gaussian_settings_have_effect,
     grid_holds_the_motion,
+    grid_resets_at_one_level,
 )
 """These need no sound tree."""
 
