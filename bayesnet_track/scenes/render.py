@@ -75,7 +75,8 @@ def paint(canvas: Floats, sprite: Sprite, index: int) -> None:
     )
     patch = canvas[top : top + down.shape[0], left : left + across.shape[0]]
     if sprite.is_round:
-        rows_at, columns_at = np.arange(top, top + len(down)), np.arange(left, left + len(across))
+        rows_at = np.arange(top, top + len(down), dtype=np.float64)
+        columns_at = np.arange(left, left + len(across), dtype=np.float64)
         inside = ellipse_share(sprite.path[index], rows_at, columns_at)
         colour = np.divide(colour, covered, out=colour, where=covered > 0) * inside
         covered = inside
