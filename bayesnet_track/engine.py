@@ -180,7 +180,7 @@ def _step_target(
     box = _inside(estimate(root.estimate, stepped)[:4], frame)
     started = _charge(engine, seconds, "belief", started)
 
-    faults = _quarantined(frame.index, target, stepped.evidence.faults)
+    faults = _quarantined(frame.index, target, observer.faults)
     working = _applied(state.net, faults).targets[target]
     measures = measure(machine.plate, before.plan, stepped, float(box[2] * box[3]))
     now = Situation(

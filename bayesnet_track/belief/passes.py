@@ -43,10 +43,10 @@ def joined(first: Pass, second: Pass, share: float) -> Pass:
 
     The evidence sum beta L stays unbiased as long as `share` was fixed before the first pass was drawn, and
     the second pass happens whatever the first one gave. When other agents failed in the second pass than in
-    the first, their evidence is of different nets, so only the first is kept, with the faults of both.
+    the first, their evidence is of different nets, so only the first is kept.
     """
     if second.evidence.faults.keys() != first.evidence.faults.keys():
-        return Pass(first.states, first.prior_log, first.ancestors, _with_faults(first, second))
+        return first
     return Pass(
         np.concatenate([first.states, second.states]),
         np.concatenate([first.prior_log + np.log(share), second.prior_log + np.log1p(-share)]),
@@ -62,19 +62,6 @@ def prior_of(one: Pass) -> LogWeights:
         return equal
     beta, log_total = LogWeights.normalise(one.prior_log)
     return LogWeights(one.prior_log) if abs(log_total) < ROUNDING else beta
-
-
-def _with_faults(first: Pass, second: Pass) -> Evidence:
-    kept = first.evidence
-    return Evidence(
-        kept.log_likelihood,
-        kept.messages,
-        kept.latent,
-        {**second.evidence.faults, **kept.faults},
-        kept.gaussians,
-        kept.sampled,
-        kept.measured,
-    )
 
 
 def _both(first: Evidence, second: Evidence) -> Evidence:

@@ -41,6 +41,7 @@ class Observer:
         passes: counts the evaluations of the frame, so that no two draw the same latent states.
         measured: (agent, node) -> what an agent that measures answered at the hypotheses of the node: it is
             asked once a frame, however often the net is evaluated.
+        faults: agent -> what was wrong with it in any evaluation of the frame; it is not asked again.
     """
 
     cache: PlaneCache
@@ -51,6 +52,7 @@ class Observer:
     seconds: MutableMapping[str, float] = field(default_factory=dict)
     passes: Iterator[int] = field(default_factory=count)
     measured: MutableMapping[tuple[str, str], Answer] = field(default_factory=dict)
+    faults: MutableMapping[str, str] = field(default_factory=dict)
 
 
 def observe(
@@ -61,12 +63,17 @@ def observe(
     A message to the caller instead of an exception: the cue raised, or returned anything but N
     log-likelihoods of at most 0, one of them above -inf, or a Gaussian over fields of the hypotheses.
     """
-    if not step.measures:
-        return _asked(step, hypotheses, prior_log, region, observer)
     key = (step.agent, step.at)
-    if key not in observer.measured:
-        observer.measured[key] = _asked(step, hypotheses, prior_log, region, observer)
-    return observer.measured[key]
+    if step.agent in observer.faults:
+        return observer.faults[step.agent]
+    if key in observer.measured:
+        return observer.measured[key]
+    answer = _asked(step, hypotheses, prior_log, region, observer)
+    if isinstance(answer, str):
+        observer.faults[step.agent] = answer
+    elif step.measures:
+        observer.measured[key] = answer
+    return answer
 
 
 def _asked(

@@ -88,18 +88,18 @@ def exact_log_evidence(columns, sd):
 
 @pytest.mark.parametrize("kind", METHODS)
 def test_the_evidence_is_unbiased_while_the_number_changes(kind, walk, stream_of):
-    """The mean of exp over 400 runs of three frames, one a surprise, within four of its standard errors."""
+    """The mean of exp over 200 runs of three frames, one a surprise, within four of its standard errors."""
     columns, sd = [160.0, 185.0, 186.0], 4.0
     exact = exact_log_evidence(columns, sd)
     settings = in_x(kind, high=700)
     ratios, sizes = [], []
-    for seed in range(400):
+    for seed in range(200):
         steps = follow(settings, walk, columns, stream_of, seed, sd)
         ratios.append(np.exp(sum(step.log_evidence for step, _ in steps) - exact))
         sizes.append([len(step.posterior) for step, _ in steps])
     assert len(np.unique(sizes)) > 20  # the number does depend on the run
     error = np.std(ratios) / np.sqrt(len(ratios))
-    assert error < 0.05
+    assert error < 0.07
     assert abs(np.mean(ratios) - 1) < 4 * error
 
 
@@ -203,7 +203,7 @@ def test_where_the_second_look_fails_differently_the_first_is_kept(walk, stream_
     step = belief.step(now, walk, 1.0, evaluate, stream_of(0, 1))
     assert len(calls) == 2 and len(step.posterior) == calls[0] == 400
     assert (step.posterior.sized.drawn, step.posterior.sized.told, step.reports) == (400, 400, ())
-    assert dict(step.evidence.faults) == {"a": "raised OSError"}
+    assert not step.evidence.faults
 
 
 # ------------------------------------------------------------------------------------ the need

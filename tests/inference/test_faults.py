@@ -225,3 +225,35 @@ def test_hostile_likelihoods(fakes):
 @pytest.mark.slow
 def test_ten_thousand_hostile_likelihoods(fakes):
     assert_survives(fakes, 10_000)
+
+
+def again(method, **settings):
+    return {"particles": {"size": 120, "importance": {method: settings}}}
+
+
+LATER = {
+    "adaptive": again("adaptive", above_kl=0),
+    "west": again("west", above_kl=0),
+    "rejection": again("rejection"),
+    "auxiliary": again("auxiliary"),
+    "likelihood_mixture": again("likelihood_mixture"),
+    "size": {"particles": {"size": {"kld": {"bin_px": 0.5}}, "min": 120, "max": 2000}},
+    "grid": {"grid": {"reset": {"region": "image"}}},
+}
+
+
+@pytest.mark.parametrize("belief", LATER)
+def test_an_agent_that_fails_when_asked_again_in_a_frame_is_out(fakes, belief):
+    """Whatever the belief makes of that answer, the fault is written down and the run goes on."""
+    calls = []
+
+    def at_the_second_call(planes, hypotheses, reference):
+        calls.append(len(hypotheses))
+        return raising(planes, hypotheses, reference) if len(calls) == 2 else np.full(len(hypotheses), -0.1)
+
+    nodes = {**product(), "bad": "root"}
+    nodes["root"] = {**nodes["root"], "belief": LATER[belief]}
+    sees = {"a": fakes.gaussian(52, 41, 9), "b": fakes.gaussian(49, 37, 14), "bad": at_the_second_call}
+    outcomes = fakes.play(fakes.engine(nodes, sees)[0], 2)
+    assert outcomes[1].events[-1] == Quarantined(1, "1", "bad", HOSTILE["raises"][1])
+    assert len(calls) == 2 and np.isfinite(outcomes[2].metrics[0].log_evidence)
