@@ -140,7 +140,7 @@ def gray_pictures(folder: Path | None, count: int) -> tuple[list[NDArray[np.uint
     """The pictures of a folder, or of a rendered scene with its start box."""
     import cv2
 
-    from bayesnet_track.gray_plane import gray
+    from bayesnet_track.vision.gray_plane import gray
     from bayesnet_track.numerics.boxes import centre_from_corner
     from bayesnet_track.scenes import make_scene
 
@@ -153,7 +153,7 @@ def gray_pictures(folder: Path | None, count: int) -> tuple[list[NDArray[np.uint
 
 def as_gaussian(matrix: Floats) -> Floats:
     """A Gaussian of the matrix' mean and covariance, on the same cells."""
-    from bayesnet_track.displacement import moments
+    from bayesnet_track.vision.displacement import moments
 
     mean, covariance = moments(matrix)
     steps = np.arange(len(matrix)) - (len(matrix) - 1) / 2
@@ -169,7 +169,7 @@ def matrices(out: Path, folder: Path | None = None, box: Floats | None = None) -
     import figure_style as style
     import matplotlib.pyplot as plt
 
-    from bayesnet_track.displacement import Matching, Points, cut_patches, displaced, flat_motion, moments
+    from bayesnet_track.vision.displacement import Matching, Points, cut_patches, displaced, flat_motion, moments
 
     pictures, start = gray_pictures(folder, 6)
     start = start if box is None else box

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bayesnet_track.color_planes import Hue
+from bayesnet_track.vision.color_planes import Hue
 from bayesnet_track.cue import (
     Cue,
     CueDeclaration,

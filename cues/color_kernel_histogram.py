@@ -14,7 +14,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from bayesnet_track.color_cells import ColorCells
+from bayesnet_track.vision.color_cells import ColorCells
 from bayesnet_track.cue import (
     Cue,
     CueDeclaration,

@@ -21,7 +21,7 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
-from bayesnet_track.gray_plane import GrayPlane
+from bayesnet_track.vision.gray_plane import GrayPlane
 
 if TYPE_CHECKING:
     from bayesnet_track.planes import Plane, Planes

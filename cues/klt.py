@@ -22,7 +22,7 @@ from bayesnet_track.cue import (
     Reference,
 )
 from bayesnet_track.planes import Plane, Planes, Region, region_of_boxes
-from bayesnet_track.point_tracking import (
+from bayesnet_track.vision.point_tracking import (
     COARSEST,
     FEW,
     Following,
@@ -37,7 +37,7 @@ from bayesnet_track.point_tracking import (
     mixed,
     patches_at,
 )
-from bayesnet_track.whole_frame import WholeFrame
+from bayesnet_track.vision.whole_frame import WholeFrame
 
 
 class KltParameters(CueParameters):

@@ -22,8 +22,8 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
-from bayesnet_track.dense_flow_planes import DenseFlowPlane
-from bayesnet_track.motion_planes import CameraPlane, FlowPlane, against_background
+from bayesnet_track.vision.dense_flow_planes import DenseFlowPlane
+from bayesnet_track.vision.motion_planes import CameraPlane, FlowPlane, against_background
 
 if TYPE_CHECKING:
     from bayesnet_track.planes import Plane, Planes

@@ -25,9 +25,9 @@ from bayesnet_track.cue import (
     Reference,
 )
 from bayesnet_track.numerics.boxes import overlap
-from bayesnet_track.opencv_trackers import Session, missing_tracker
+from bayesnet_track.vision.opencv_trackers import Session, missing_tracker
 from bayesnet_track.planes import Plane, Planes
-from bayesnet_track.whole_frame import WholeFrame
+from bayesnet_track.vision.whole_frame import WholeFrame
 
 TrackerName = Literal[
     "MIL", "CSRT", "KCF", "MOSSE", "MedianFlow", "TLD", "Boosting", "Nano", "Vit", "DaSiamRPN"

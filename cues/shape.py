@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from bayesnet_track.cue import CueDeclaration, CueParameters, Floats, Hypotheses, Reference, floored
-from bayesnet_track.shape_contours import COVER, contours, fields, vectors
-from bayesnet_track.shape_model import ShapeModel, ShapeModelError, load_model, merge
-from bayesnet_track.shape_planes import CONTRASTS, EdgePlane
+from bayesnet_track.vision.shape_contours import COVER, contours, fields, vectors
+from bayesnet_track.vision.shape_model import ShapeModel, ShapeModelError, load_model, merge
+from bayesnet_track.vision.shape_planes import CONTRASTS, EdgePlane
 
 if TYPE_CHECKING:
     from bayesnet_track.planes import Plane, Planes

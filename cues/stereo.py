@@ -22,7 +22,7 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
-from bayesnet_track.stereo_planes import Correlation, Matcher, PointsPlane, Range, SemiGlobal
+from bayesnet_track.vision.stereo_planes import Correlation, Matcher, PointsPlane, Range, SemiGlobal
 
 if TYPE_CHECKING:
     from bayesnet_track.planes import Plane, Planes

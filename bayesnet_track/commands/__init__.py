@@ -60,7 +60,7 @@ def _code_of(error: Exception, command: str) -> int | None:
     from bayesnet_track.journal.writer import OutputError
     from bayesnet_track.runtime.frames import SourceError
     from bayesnet_track.runtime.rundir import RunDirectoryError
-    from bayesnet_track.stereo import CalibrationError
+    from bayesnet_track.vision.stereo import CalibrationError
 
     if isinstance(error, UsageError):
         return USAGE

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from bayesnet_track.color_planes import HueBins
+from bayesnet_track.vision.color_planes import HueBins
 from bayesnet_track.detect.selection import SURE, BlobParameters, blobs, select
 from bayesnet_track.detector import (
     NOTHING,

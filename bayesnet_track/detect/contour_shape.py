@@ -20,9 +20,9 @@ from bayesnet_track.detector import (
 )
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
-from bayesnet_track.shape_contours import COVER, contours, fields
-from bayesnet_track.shape_model import ShapeModel, ShapeModelError, load_model
-from bayesnet_track.shape_planes import EdgePlane
+from bayesnet_track.vision.shape_contours import COVER, contours, fields
+from bayesnet_track.vision.shape_model import ShapeModel, ShapeModelError, load_model
+from bayesnet_track.vision.shape_planes import EdgePlane
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -17,8 +17,8 @@ from bayesnet_track.detector import (
     DetectorState,
 )
 from bayesnet_track.planes import FramePair
-from bayesnet_track.stereo_blobs import StereoBlobSettings, detect_stereo_blobs
-from bayesnet_track.stereo_planes import Correlation, Range, SemiGlobal
+from bayesnet_track.vision.stereo_blobs import StereoBlobSettings, detect_stereo_blobs
+from bayesnet_track.vision.stereo_planes import Correlation, Range, SemiGlobal
 
 
 class StereoBlobsParameters(DetectorParameters):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.runtime.frames import PictureError, SourceError
 from bayesnet_track.runtime.images import natural_key
-from bayesnet_track.stereo import RectifiedPair
+from bayesnet_track.vision.stereo import RectifiedPair
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesnet_track.color_planes import Hue, HueBins
+from bayesnet_track.vision.color_planes import Hue, HueBins
 from bayesnet_track.numerics.color_kernels import hue_of_bgr
 from bayesnet_track.numerics.histogram_kernels import (
     circular_distances,

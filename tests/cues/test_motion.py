@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from bayesnet_track.cue import Hypotheses, floored, log_size_penalty
 from bayesnet_track.cues.motion import CUE, MotionCue
-from bayesnet_track.motion_planes import FlowPlane
+from bayesnet_track.vision.motion_planes import FlowPlane
 from bayesnet_track.numerics.corner_kernels import RIM, corner_scores
 from bayesnet_track.planes import Frame, FramePair, Planes, Region
 

@@ -8,7 +8,7 @@ import pytest
 
 from bayesnet_track.cue import Hypotheses
 from bayesnet_track.cues.motion import CUE
-from bayesnet_track.motion_planes import CameraPlane, against_background
+from bayesnet_track.vision.motion_planes import CameraPlane, against_background
 from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.scenes import make_scene
 

@@ -13,8 +13,8 @@ from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.messages import GraphError
 from bayesnet_track.numerics.shape_kernels import shape_energy
 from bayesnet_track.planes import Frame, FramePair, PlaneCache, Planes, Region
-from bayesnet_track.shape_contours import contours, vectors
-from bayesnet_track.shape_model import learn_model, save_model
+from bayesnet_track.vision.shape_contours import contours, vectors
+from bayesnet_track.vision.shape_model import learn_model, save_model
 
 BOX = np.array([80.0, 60.0, 50.0, 60.0])
 FORMS = ("ellipse", "rectangle", "triangle")

@@ -13,9 +13,9 @@ from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.planes import Frame, FramePair
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.scenes import make_scene
-from bayesnet_track.shape_examples import frame_example
-from bayesnet_track.shape_model import learn_model, save_model
-from bayesnet_track.shape_planes import EdgePlane
+from bayesnet_track.vision.shape_examples import frame_example
+from bayesnet_track.vision.shape_model import learn_model, save_model
+from bayesnet_track.vision.shape_planes import EdgePlane
 
 
 def made(name, **parameters):

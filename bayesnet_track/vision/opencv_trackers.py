@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.planes import Region, region_of_boxes
-from bayesnet_track.point_tracking import GRAY, correlations, cut, mixed
+from bayesnet_track.vision.point_tracking import GRAY, correlations, cut, mixed
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]

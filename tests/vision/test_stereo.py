@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.depth import StereoGeometry
-from bayesnet_track.stereo import (
+from bayesnet_track.vision.stereo import (
     CalibrationError,
     Cameras,
     Rectification,

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.gray_plane import gray
-from bayesnet_track.motion_planes import interval_of
+from bayesnet_track.vision.gray_plane import gray
+from bayesnet_track.vision.motion_planes import interval_of
 from bayesnet_track.planes import Array, Frame, FramePair, Plane, Region
 
 LEAST_SIDE = 16

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Tracker
-from bayesnet_track.displacement import (
+from bayesnet_track.vision.displacement import (
     Matching,
     Points,
     cut_patches,

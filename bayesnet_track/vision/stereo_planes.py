@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.depth import NoDepth, PointMap, Points, RightEye
-from bayesnet_track.gray_plane import gray
+from bayesnet_track.vision.gray_plane import gray
 from bayesnet_track.planes import Array, Frame, FramePair, Plane, Region
 
 GRAY_STEPS = 8

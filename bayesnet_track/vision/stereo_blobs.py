@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.depth import NoDepth
 from bayesnet_track.planes import Frame, Region
-from bayesnet_track.stereo_planes import Correlation, Matcher, Range, all_points
+from bayesnet_track.vision.stereo_planes import Correlation, Matcher, Range, all_points
 
 Floats = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.gray_plane import GrayPlane
+from bayesnet_track.vision.gray_plane import GrayPlane
 from bayesnet_track.planes import Array, FramePair, Plane, Region
 
 SOBEL = 8.0

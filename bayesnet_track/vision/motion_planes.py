@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.gray_plane import gray
+from bayesnet_track.vision.gray_plane import gray
 from bayesnet_track.planes import Array, Frame, FramePair, Plane, Region
 
 COARSEST = 4
