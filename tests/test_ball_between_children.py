@@ -55,10 +55,10 @@ def run(seed, importance=None):
     return np.array(rows).transpose(1, 0, 2), kept.events
 
 
-@pytest.fixture(scope="module")
-def runs():
-    """Five seeds, as the graph is and with the motion model alone."""
-    return {kind: [run(seed, kind) for seed in range(5)] for kind in (None, "regular")}
+@pytest.fixture(scope="module", params=[range(2), pytest.param(range(2, 8), marks=pytest.mark.slow)])
+def runs(request):
+    """Some seeds, as the graph is and with the motion model alone."""
+    return {kind: [run(seed, kind) for seed in request.param] for kind in (None, "regular")}
 
 
 def mean(runs, target, frames, column):

@@ -40,7 +40,7 @@ def statuses(results):
 
 
 @pytest.mark.parametrize(
-    ("seeds", "lost"), [(range(5), 0), pytest.param(range(5, 25), 1, marks=pytest.mark.slow)]
+    ("seeds", "lost"), [(range(2), 0), pytest.param(range(2, 22), 1, marks=pytest.mark.slow)]
 )
 def test_it_is_held_through_the_occlusion(seeds, lost):
     """At most one in 20 may be lost; behind the pillar the prediction stays within a ball and a half."""
@@ -83,7 +83,7 @@ def test_the_same_graph_with_particles_or_with_camshift(tmp_path, changes):
     """Particles take the measurement as a likelihood; CamShift measures width and height besides."""
     path = changed(tmp_path, changes)
     held = []
-    for seed in range(4):
+    for seed in range(2):
         scene, results, iou, _ = play(path, seed)
         hidden = np.flatnonzero(scene.visible < 1e-9)
         held.append(iou[np.arange(hidden[-1] + 8, len(results))].min() > 0.5)
@@ -154,5 +154,5 @@ def test_the_three_kinds_mix_in_one_net(tmp_path, root, latent):
         assert np.hypot(*(np.array(target.box) - centre_from_corner(scene.truth[index]))[:2]) < 5.0
         if index > 0:
             assert set(target.active) == {"histogram", "intensity", "place"}
-        if index == 14:
+        if index == 8:
             break

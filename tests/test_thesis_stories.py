@@ -81,9 +81,8 @@ def the_hidden_square_calls_for_help(run: Run) -> bool:
     return orange and told and gray and run.active(60) == {"color"} and run.overlaps()[-10:].mean() > 0.6
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_the_hidden_square_calls_for_help(seed: int) -> None:
-    run = play("orange_and_gray", seed)
+def test_the_hidden_square_calls_for_help() -> None:
+    run = play("orange_and_gray", 0)
     assert the_hidden_square_calls_for_help(run) and causes_hold(run)
 
 
@@ -173,6 +172,7 @@ def two_people(run: Run) -> bool:
     return colour_alone_until_the_daylight(run) and shape_stops_itself_in_the_glare(run)
 
 
+@pytest.mark.slow
 def test_two_people_are_each_followed_by_what_is_reliable() -> None:
     run = play("two_people_color_stereo_shape", 0)
     assert colour_alone_until_the_daylight(run) and shape_stops_itself_in_the_glare(run)

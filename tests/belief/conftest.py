@@ -97,6 +97,32 @@ def asked(request):
     return request.param
 
 
+AT_WORK = {
+    "bootstrap",
+    "kld_revised",
+    "likelihood_sum",
+    "adaptive_size_and_importance",
+    "auxiliary",
+    "rejection",
+    "kalman",
+    "unscented_samples",
+    "grid_that_resets",
+    "few_particles",
+}
+"""One of every way of working: a whole run of each of the others is slow."""
+
+
+@pytest.fixture(
+    params=[
+        pytest.param(asked, marks=() if asked.name in AT_WORK else pytest.mark.slow) for asked in BELIEFS
+    ],
+    ids=lambda asked: asked.name,
+)
+def asked_at_work(request):
+    """Every belief, for whole runs."""
+    return request.param
+
+
 @pytest.fixture(params=[asked for asked in BELIEFS if asked.is_kalman], ids=lambda asked: asked.name)
 def asked_exactly(request):
     """Those that aim at the exact answer."""

@@ -32,7 +32,7 @@ def brute(log_likelihood, states, parents, weights, motion, dt):
 @pytest.mark.parametrize("shape", ["flat", "sharp", "floored", "partly zero", "very wide"])
 def test_same_index_as_brute_force(kind, settings, shape, motion_of):
     motion = motion_of(kind, **settings)
-    for seed in range(12):
+    for seed in range(8):
         rng = np.random.default_rng(seed)
         count, dt = int(rng.integers(2, 350)), float(rng.choice([0.5, 1.0, 3.0]))
         parents = motion.propagate(motion.start(BOX, count, rng), 2.0, rng)

@@ -17,7 +17,7 @@ from bayesnet_track.graph.schema import graph_schema
 from bayesnet_track.graph.spec import AgentNode, GraphSpec
 from bayesnet_track.graphs import find_graph, graph_names
 
-LENIENT = settings(max_examples=80, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+LENIENT = settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from bayesnet_track.graph.read import read_graph
 from bayesnet_track.graph.spec import AgentChoice, Fuse, GraphSpec, Motion
 from bayesnet_track.graph.write import as_plain, graph_sha256, write_graph
 
-LENIENT = settings(max_examples=80, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+LENIENT = settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 
 
 @LENIENT
@@ -31,14 +31,14 @@ def test_the_plain_form_means_the_same(graphs, data):
     assert GraphSpec.model_validate(as_plain(spec)) == spec
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=50, deadline=None, derandomize=True)
 @given(st.text(st.characters(exclude_categories=["Cs"]), max_size=60))
 def test_any_text_survives(about):
     spec = GraphSpec.model_validate({"name": "g", "about": about, "targets": {"t": {"nodes": {"t": {}}}}})
     assert read_graph(write_graph(spec).encode())[0].about == about
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=50, deadline=None, derandomize=True)
 @given(st.floats(min_value=0, allow_nan=False, allow_infinity=False))
 def test_floats_survive_bit_for_bit(sd):
     node = {"motion": {"random_walk": {"sd_px": {"x": sd}}}}

@@ -99,11 +99,11 @@ def test_the_latent_kernel_covers_nearly_what_it_says(fakes):
 @pytest.mark.parametrize("belief", ["gaussian", "grid"])
 def test_a_gaussian_or_a_grid_covers_what_the_kernel_does_in_less_time(fakes, belief):
     """O(N) and O(N + G log G): at least the kernel's coverage, at most what the regions say."""
-    runs = 600
+    runs = 300
     shares, ratio = coverage(fakes, belief, runs)
     assert_covers(np.maximum(shares, [0.47, 0.84]), [0.47, 0.84], runs)
     assert_covers(np.minimum(shares, [0.5, 0.9]), [0.5, 0.9], runs)
-    assert 0.85 < ratio < 1.3  # squared errors in two dimensions, 600 runs: sd about 0.06
+    assert 0.8 < ratio < 1.35  # squared errors in two dimensions, 300 runs: sd about 0.08
 
 
 def test_one_draw_needs_many_hypotheses(fakes):
@@ -112,6 +112,6 @@ def test_one_draw_needs_many_hypotheses(fakes):
     """
     few, _ = coverage(fakes, "one", 300)
     assert few[0] < 0.5 - 3.5 * np.sqrt(0.25 / 300) and few[1] < 0.9 - 3.5 * np.sqrt(0.09 / 300)
-    many, ratio = coverage(fakes, "one", 200, size=30_000)
-    assert_covers(many, [0.5, 0.9], 200)
-    assert 0.75 < ratio < 1.3
+    many, ratio = coverage(fakes, "one", 120, size=30_000)
+    assert_covers(many, [0.5, 0.9], 120)
+    assert 0.7 < ratio < 1.35

@@ -19,7 +19,7 @@ def counts(scheme: str, weights: np.ndarray, count: int, seed: int) -> np.ndarra
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("count", [1, 7, 50])
 def test_every_scheme_is_unbiased(scheme, count):
-    runs = 4000
+    runs = 2000
     mean = np.mean([counts(scheme, WEIGHTS, count, seed) for seed in range(runs)], axis=0)
     # No scheme has a larger variance than the binomial; 4.5 sd over 72 comparisons.
     sd = np.sqrt(count * WEIGHTS * (1 - WEIGHTS) / runs)
