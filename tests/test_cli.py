@@ -254,6 +254,8 @@ def test_several_targets_with_plates(cli, images, two_plates, tmp_path):
         ("3", "ball"),
     ]
     assert {line.split(",")[1] for line in lines_of(out / "tracks.txt")} == {"1", "2", "3"}
+    told = [line for line in cli("log", out)[1].splitlines() if line.startswith("frame ")]
+    assert told and all(re.search("target [123]", line) for line in told)
 
 
 @pytest.mark.parametrize("init", ["--init -3,14,16,12", "--init=-3,14,16,12", "--init ' -3, 14, 16, 12'"])

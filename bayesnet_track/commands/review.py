@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def log(options: argparse.Namespace) -> int:
     """Tell a run's reconfigurations."""
     from bayesnet_track.journal.codec import to_json
-    from bayesnet_track.journal.explain import explain, why
+    from bayesnet_track.journal.explain import explain, has_several_targets, why
     from bayesnet_track.journal.reader import read_events, read_metrics
     from bayesnet_track.runtime.rundir import RunDirectory
 
@@ -32,8 +32,9 @@ def log(options: argparse.Namespace) -> int:
     if not chosen:
         _check_node(directory, options.node)
         complain("no event is left by these filters")
+    name_target = has_several_targets(events)
     for event in chosen:
-        say(to_json(event) if options.json else explain(event))
+        say(to_json(event) if options.json else explain(event, name_target))
     return OK
 
 

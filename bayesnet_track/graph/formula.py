@@ -199,8 +199,13 @@ def _held(target: CheckedTarget, state: str) -> str:
 def _motion(target: CheckedTarget) -> str:
     motion = target.inference(target.root).motion
     assert motion is not None
-    noise: Noise = motion.settings
-    return ", ".join(filter(None, (motion.kind.replace("_", " "), _noise(noise))))
+    settings = motion.settings
+    further = [
+        f"sd {field} {sd:g} {unit}"
+        for field, unit in (("velocity", "px/frame"), ("acceleration", "px/frame²"))
+        if (sd := getattr(settings, f"sd_{field}_px", 0.0)) > 0
+    ]
+    return ", ".join(filter(None, (motion.kind.replace("_", " "), _noise(settings), *further)))
 
 
 def _noise(noise: Noise) -> str:

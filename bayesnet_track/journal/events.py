@@ -107,7 +107,7 @@ class DegenerateBelief:
 
 @dataclass(frozen=True)
 class BeliefReset:
-    """A grid's evidence was not feasible under its prediction: gamma fell below a level (distribution filter).
+    """A grid's evidence was not feasible under its prediction: gamma fell below a level.
 
     Attributes:
         frame: the frame.

@@ -18,7 +18,12 @@ from bayesnet_track.journal.codec import event_classes, event_name
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.journal.sentences import UNIT, explain
 
-__all__ = ["Filter", "explain", "why"]
+__all__ = ["Filter", "explain", "has_several_targets", "why"]
+
+
+def has_several_targets(events: Iterable[Event]) -> bool:
+    """True when more than one target starts, so that sentences have to say whose net they are about."""
+    return len({event.target for event in events if isinstance(event, TargetStarted)}) > 1
 
 
 @dataclass(frozen=True)

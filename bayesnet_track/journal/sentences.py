@@ -58,8 +58,9 @@ def explain(event: Event, name_target: bool = False) -> str:
         case SourceDamaged():
             return f"frame {event.frame}: the source is damaged: {event.reason}"
         case _:
-            whose = f", target {event.target}" if name_target else ""
-            return f"frame {event.frame}{whose}: {happened(event)}"
+            sentence, target = happened(event), f"target {event.target}"
+            whose = f", {target}" if name_target and target not in sentence else ""
+            return f"frame {event.frame}{whose}: {sentence}"
 
 
 def _run_started(event: RunStarted) -> str:

@@ -43,6 +43,13 @@ def test_product_over_pool(target):
     ]
 
 
+def test_the_noise_of_velocities_is_told(target):
+    nodes = _fusion()
+    nodes["s"]["motion"] = {"constant_velocity": {"sd_px": {"x": 2}, "sd_velocity_px": 1.5}}
+    told = "p(s_t | s_t-1): constant velocity, sd x 2 px, sd velocity 1.5 px/frame"
+    assert formula_text(target(nodes)).splitlines()[-1] == told
+
+
 def test_the_weights_of_a_pool_are_its_exponents(target):
     two_to_one = _first(formula_text(target(_fusion({"pool": {"hist": 2, "blobs": 1}}))))
     assert "[p(e_hist | s_t)^(2/3) · p(e_blobs | s_t)^(1/3)]" in two_to_one

@@ -1,6 +1,7 @@
 """Every event as the sentence that a person reads; golden."""
 
 import re
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -30,7 +31,7 @@ from bayesnet_track.journal.events import (
     SecondPass,
     SourceDamaged,
 )
-from bayesnet_track.journal.explain import Filter, explain, why
+from bayesnet_track.journal.explain import Filter, explain, has_several_targets, why
 
 STARTED = RunStarted(1, "two_squares", "ab" * 32, 0, "scene:two_squares", 320, 240, True, 200, 0.04)
 BORN = TargetStarted(0, "1", "square", (270.0, 190.0, 40.0, 40.0), ("hue", "motion"))
@@ -121,8 +122,8 @@ GOLDEN = [
     ),
     (
         BeliefReset(33, "1", 0.2834, 1.0, "belief", 3600.0, "reset"),
-        "frame 33: γ 0.283 < 1 over the belief's bounding box (3600 px²) → the belief of target 1 starts again "
-        "from the frame's likelihood; not at below ≤ 0.283",
+        "frame 33: γ 0.283 < 1 over the belief's bounding box (3600 px²) → the belief of target 1 starts "
+        "again from the frame's likelihood; not at below ≤ 0.283",
     ),
     (
         BeliefReset(34, "1", 0.00512, 0.0177, "image", 76800.0, "ignore"),
@@ -225,6 +226,9 @@ def test_every_kind_of_event_has_a_sentence():
 
 def test_the_target_can_be_named():
     assert explain(ON, name_target=True).startswith("frame 29, target 1: UD 212 px²")
+    assert explain(BORN, name_target=True) == explain(BORN), "it is named already"
+    assert not has_several_targets([BORN, ON])
+    assert has_several_targets([BORN, ON, replace(BORN, target="2")])
 
 
 @given(
