@@ -50,7 +50,7 @@ def demo(options: argparse.Namespace) -> int:
     from bayesnet_track.evaluate.runs import score_run
     from bayesnet_track.evaluate.truth import format_truth
     from bayesnet_track.graph.load import load_graph
-    from bayesnet_track.journal.explain import explain
+    from bayesnet_track.journal.explain import explain, has_several_targets
     from bayesnet_track.journal.reader import read_events
     from bayesnet_track.runtime.run import Start
     from bayesnet_track.runtime.rundir import RunDirectory
@@ -72,9 +72,11 @@ def demo(options: argparse.Namespace) -> int:
     if code != OK:
         return code
     say("\nwhat was decided, and why:")
-    for event in read_events(directory.journal):
-        say(explain(event))
-    say("\nagainst the true boxes:")
+    events = list(read_events(directory.journal))
+    name_target = has_several_targets(events)
+    for event in events:
+        say(explain(event, name_target))
+    say(f"\nagainst the true boxes{' of target 1' if name_target else ''}:")
     say(score_run(out, directory.truth, target="1").text(explained=True))
     told = min(29, source.expected_frames - 1)
     say(f"\nopen {directory.video} to watch it; `bayesnet-track log {out} --why {told}` explains a frame")
