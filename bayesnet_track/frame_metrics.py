@@ -66,6 +66,7 @@ def frame_metrics(
         region50=_floats(posterior.region(0.5)),
         region90=_floats(posterior.region(0.9)),
         cloud=tuple(map(tuple, np.rint(cloud).astype(np.int64).tolist())),
+        silent=measures.silent,
     )
 
 

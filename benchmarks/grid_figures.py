@@ -140,9 +140,9 @@ def gray_pictures(folder: Path | None, count: int) -> tuple[list[NDArray[np.uint
     """The pictures of a folder, or of a rendered scene with its start box."""
     import cv2
 
-    from bayesnet_track.vision.gray_plane import gray
     from bayesnet_track.numerics.boxes import centre_from_corner
     from bayesnet_track.scenes import make_scene
+    from bayesnet_track.vision.gray_plane import gray
 
     if folder is None:
         scene = make_scene("gray_square", 0)
@@ -169,7 +169,14 @@ def matrices(out: Path, folder: Path | None = None, box: Floats | None = None) -
     import figure_style as style
     import matplotlib.pyplot as plt
 
-    from bayesnet_track.vision.displacement import Matching, Points, cut_patches, displaced, flat_motion, moments
+    from bayesnet_track.vision.displacement import (
+        Matching,
+        Points,
+        cut_patches,
+        displaced,
+        flat_motion,
+        moments,
+    )
 
     pictures, start = gray_pictures(folder, 6)
     start = start if box is None else box

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bayesnet_track.vision.color_planes import HueBins
 from bayesnet_track.cue import (
     CueDeclaration,
     CueParameters,
@@ -28,6 +27,7 @@ from bayesnet_track.cue import (
 )
 from bayesnet_track.cues.mean_shift import seen_cells
 from bayesnet_track.planes import Plane, Planes
+from bayesnet_track.vision.color_planes import HueBins
 
 WINDOW = 1.3
 """The window's side in sides of the target: room to grow."""

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bayesnet_track.vision.color_planes import Hue
 from bayesnet_track.cue import (
     Cue,
     CueDeclaration,
@@ -27,6 +26,7 @@ from bayesnet_track.cue import (
     log_size_penalty,
 )
 from bayesnet_track.planes import Frame, Plane, Planes
+from bayesnet_track.vision.color_planes import Hue
 
 SHARE = 3
 """Column of a blob that holds its share of the box."""

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bayesnet_track.vision.color_planes import HueBins
 from bayesnet_track.cue import (
     Cue,
     CueDeclaration,
@@ -28,6 +27,7 @@ from bayesnet_track.cue import (
     log_size_penalty,
 )
 from bayesnet_track.planes import Plane, Planes
+from bayesnet_track.vision.color_planes import HueBins
 
 HALF_OVERLAP = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
 SHARPEN = 0.7

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from bayesnet_track.cue import CueDeclaration, CueParameters, Floats, Hypotheses, Measurement, Reference
+from bayesnet_track.planes import Region, region_of_boxes
 from bayesnet_track.vision.displacement import (
     Displaced,
     Matching,
@@ -24,7 +25,6 @@ from bayesnet_track.vision.displacement import (
     flat_motion,
 )
 from bayesnet_track.vision.gray_plane import GrayPlane
-from bayesnet_track.planes import Region, region_of_boxes
 
 if TYPE_CHECKING:
     from bayesnet_track.planes import Plane, Planes
@@ -87,8 +87,8 @@ class DisplacementCue:
     """Finds the target by the displacement of its points.
 
     Reference: `at` (N, 2), `patches` (N, P, P), `motion` (N, K, K), `centre` (2,) of the points (see
-    `bayesnet_track.vision.displacement`); `box` (4,) where the target was, px; `time` () when, frame intervals;
-    `image` (rows, columns) uint8 the picture around it then, `origin` (2,) its first pixel.
+    `bayesnet_track.vision.displacement`); `box` (4,) where the target was, px; `time` () when, frame
+    intervals; `image` (rows, columns) uint8 the picture around it then, `origin` (2,) its first pixel.
     """
 
     parameters: DisplacementParameters

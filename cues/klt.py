@@ -260,6 +260,6 @@ CUE = CueDeclaration(
     summary="KLT point tracker: measures where corners of the target have moved.",
     parameters=KltParameters,
     make=_make,
-    cost_ms=1.5,
+    cost_ms=0.9,
     rate_max=0.2,
 )

@@ -1,9 +1,10 @@
 """Cue: mean shift, which climbs to where the colours are the target's and measures x and y.
 
 Tracking chapter, 3.3-3.5 and 3.86-3.88: histograms under an Epanechnikov kernel are compared by the
-Bhattacharyya coefficient rho, each pixel is weighed sqrt(q / p), and the window moves to the weighted mean until
-it rests. It starts at the prediction's mean, in a window that its spread enlarges and that then shrinks to the
-target. What it says is a Gaussian message: the likelihood (3.92) at its peak, by the curvature of rho there.
+Bhattacharyya coefficient rho, each pixel is weighed sqrt(q / p), and the window moves to the weighted mean
+until it rests. It starts at the prediction's mean, in a window that its spread enlarges and that then shrinks
+to the target. What it says is a Gaussian message: the likelihood (3.92) at its peak, by the curvature of rho
+there.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from bayesnet_track.vision.color_cells import ColorCells
 from bayesnet_track.cue import (
     CueDeclaration,
     CueParameters,
@@ -27,6 +27,7 @@ from bayesnet_track.cue import (
     blend_arrays,
 )
 from bayesnet_track.planes import Array, Plane, Planes, Region, region_of_boxes
+from bayesnet_track.vision.color_cells import ColorCells
 
 SHRINK = 0.7
 """Factor of the search window from one stage to the next."""
@@ -100,9 +101,10 @@ class MeanShift:
     ) -> Measurement | None:
         """x and y of the peak, with the inverse curvature there as covariance; None when not seen.
 
-        Not seen: fewer than `seen_above` of the target's colours lie under the window, or rho has no peak that is
-        narrower than the box. The covariance is 2 variance (-rho'')^-1 + sd_px^2, and ((1 - share) r)^2 for a
-        box of radii r of which only a share is seen: the rest may be hidden on either side.
+        Not seen: fewer than `seen_above` of the target's colours lie under the window, or rho has no peak
+        that is narrower than the box. The covariance is 2 variance (-rho'')^-1 + sd_px^2, and
+        ((1 - share) r)^2 for a box of radii r of which only a share is seen: the rest may be hidden on either
+        side.
         """
         from bayesnet_track.numerics.mean_shift_kernels import bhattacharyya, kernel_histogram
 
@@ -132,7 +134,7 @@ class MeanShift:
     def climb(
         self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
     ) -> Floats | None:
-        """(K, 4) the windows it stood in: centre x, y and radii, px; None where no colour of the target is."""
+        """(K, 4) windows it stood in: centre x, y and radii, px; None where no colour of the target is."""
         from bayesnet_track.numerics.mean_shift_kernels import shifted
 
         p, model = self.parameters, reference["shares"]
@@ -153,7 +155,7 @@ class MeanShift:
 
 
 def seen_cells(planes: Planes, plane: Plane, boxes: Floats) -> tuple[Array, Floats]:
-    """The cells inside `boxes` (N, 4), whatever else was computed, and the frame's x, y of their first pixel."""
+    """The cells inside `boxes` (N, 4), whatever else was computed, and the x, y of their first pixel."""
     own, has = region_of_boxes(boxes).within(planes.frame), planes.region
     inner = Region(own.x0 - has.x0, own.y0 - has.y0, own.x1 - has.x0, own.y1 - has.y0)
     cells = inner.of(planes[plane]) if not own.is_empty else np.zeros((0, 0), np.uint16)

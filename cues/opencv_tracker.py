@@ -25,8 +25,8 @@ from bayesnet_track.cue import (
     Reference,
 )
 from bayesnet_track.numerics.boxes import overlap
-from bayesnet_track.vision.opencv_trackers import Session, missing_tracker
 from bayesnet_track.planes import Plane, Planes
+from bayesnet_track.vision.opencv_trackers import Session, missing_tracker
 from bayesnet_track.vision.whole_frame import WholeFrame
 
 TrackerName = Literal[
@@ -175,7 +175,7 @@ CUE = CueDeclaration(
     summary="A tracker of OpenCV's (MIL, CSRT, KCF, Nano, ...): measures where it finds the target.",
     parameters=OpencvTrackerParameters,
     make=_make,
-    cost_ms=35.0,
+    cost_ms=55.0,
     rate_max=0.2,
     opaque=True,
     missing=_missing,

@@ -18,17 +18,8 @@ from bayesnet_track.graph.messages import GraphError
 from bayesnet_track.journal.reader import read_metrics
 
 ROOT = Path(__file__).parents[1]
-BUILT_IN = [
-    "camshift",
-    "color_blobs",
-    "color_histogram",
-    "displacement",
-    "intensity",
-    "mean_shift",
-    "motion",
-    "shape",
-    "stereo",
-]
+BUILT_IN = sorted(file.stem for file in (ROOT / "cues").glob("[a-z]*.py"))
+"""Every file of the folder is a cue, and none may be left unregistered."""
 
 
 def python(*arguments, **settings):

@@ -35,6 +35,7 @@ class Measures:
         fit: largest geometric mean of a hypothesis' likelihood over the agents that saw something; 1 is a
             perfect match, 0 says that none saw anything.
         area_px2: area of the estimate.
+        silent: active agents that measure and did not see the target.
     """
 
     ud_px2: Mapping[str, float]
@@ -44,6 +45,7 @@ class Measures:
     strength: Mapping[str, float]
     fit: float
     area_px2: float
+    silent: tuple[str, ...] = ()
 
 
 def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: float) -> Measures:
@@ -70,7 +72,7 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
     rest = tilted(prior, _rows(left, len(prior)))
     alone = _rows((beliefs[agent] for agent in agents), len(prior))
 
-    silent = {agent for agent, own in evidence.measured.items() if own is None}
+    silent = tuple(agent for agent, own in evidence.measured.items() if own is None)
     seeing = [agent for agent in agents if agent not in silent]
     mean = sum((evidence.messages[agent] / len(seeing) for agent in seeing), np.zeros(len(prior)))
     return Measures(
@@ -81,6 +83,7 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
         strength=_named(nodes, divergences(logs, prior)),
         fit=float(np.exp(min(np.max(mean), 0.0))) if seeing else 0.0,
         area_px2=area_px2,
+        silent=silent,
     )
 
 

@@ -278,5 +278,7 @@ def _judge_status(now: Situation, memory: Memory, decisions: list[Decision]) -> 
 def _reason(now: Situation, rule: Lost, fits: bool) -> str:
     if not now.net.active:
         return "no agent is active, so the belief is prediction only"
+    if now.net.active <= set(now.measures.silent):
+        return "no active agent saw it"
     fit = f"{now.measures.fit:.3g} {'≥' if fits else '<'} {rule.fit_below:.3g}"
     return f"the best hypothesis has a likelihood of {fit} of a perfect match"

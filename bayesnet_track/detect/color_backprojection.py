@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from bayesnet_track.vision.color_planes import HueBins
 from bayesnet_track.detect.selection import SURE, BlobParameters, blobs, select
 from bayesnet_track.detector import (
     NOTHING,
@@ -19,6 +18,7 @@ from bayesnet_track.detector import (
     DetectorState,
 )
 from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region, region_of_boxes
+from bayesnet_track.vision.color_planes import HueBins
 
 Floats = NDArray[np.float64]
 

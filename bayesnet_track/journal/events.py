@@ -290,6 +290,7 @@ class FrameMetrics:
         region50: bounds of the central 50 % of the centre: x_low, x_high, y_low, y_high in px.
         region90: the same of the central 90 %.
         cloud: hypotheses drawn from the posterior, whole px, centre boxes.
+        silent: those of the active agents that measure and did not see the target.
     """
 
     frame: int
@@ -316,3 +317,4 @@ class FrameMetrics:
     region50: tuple[float, ...]
     region90: tuple[float, ...]
     cloud: tuple[tuple[int, ...], ...]
+    silent: tuple[str, ...] = ()

@@ -127,6 +127,8 @@ def _agents(events: Sequence[Event], line: FrameMetrics) -> list[str]:
 def _measured(agent: str, line: FrameMetrics) -> str:
     if agent not in line.active:
         return "gave no evidence"
+    if agent in line.silent:
+        return "did not see the target"
     parts = [f"KL {line.kl[agent]:.2f}"] if agent in line.kl else []
     parts += [f"contribution {line.contribution[agent]:.2f} nats"] if agent in line.contribution else []
     parts += [f"its own UD {_ud(line.agent_ud_px2[agent])} px²"] if agent in line.agent_ud_px2 else []

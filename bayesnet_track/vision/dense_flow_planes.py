@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesnet_track.planes import Array, Frame, FramePair, Plane, Region
 from bayesnet_track.vision.gray_plane import gray
 from bayesnet_track.vision.motion_planes import interval_of
-from bayesnet_track.planes import Array, Frame, FramePair, Plane, Region
 
 LEAST_SIDE = 16
 """Pictures with a shorter side, pixels, have no dense flow: they are too small for a pyramid."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.vision.gray_plane import gray
 from bayesnet_track.planes import Array, Frame, FramePair, Plane, Region
+from bayesnet_track.vision.gray_plane import gray
 
 COARSEST = 4
 """Pixels of the frame per pixel of the coarsest of the three pyramid levels."""

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.depth import NoDepth, PointMap, Points, RightEye
-from bayesnet_track.vision.gray_plane import gray
 from bayesnet_track.planes import Array, Frame, FramePair, Plane, Region
+from bayesnet_track.vision.gray_plane import gray
 
 GRAY_STEPS = 8
 """Filtered pictures hold steps of 1 / GRAY_STEPS gray level."""

@@ -360,7 +360,7 @@ def test_adaptive_sizes_and_uneven_parents_go_with_a_second_pass(frame_of, strea
 
 @pytest.mark.parametrize("method", ["adaptive", "west", "rejection"])
 def test_numbers_stay_where_parents_are_not_redrawn_at_every_frame(method, frame_of, stream_of):
-    """Each second pass adds hypotheses and each rejection takes some away, but not of those of the last frame."""
+    """A second pass adds hypotheses and a rejection takes some away, but not of those of the last frame."""
     frame = frame_of()
     belief = belief_of(method, 100, 0.0 if method in BY_LEVEL else None, when={"ess_below": 0.001})
     now, numbers = frame.prior, []

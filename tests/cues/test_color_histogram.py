@@ -4,7 +4,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesnet_track.vision.color_planes import Hue, HueBins
 from bayesnet_track.numerics.color_kernels import hue_of_bgr
 from bayesnet_track.numerics.histogram_kernels import (
     circular_distances,
@@ -13,6 +12,7 @@ from bayesnet_track.numerics.histogram_kernels import (
     count_in_boxes,
 )
 from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
+from bayesnet_track.vision.color_planes import Hue, HueBins
 
 ORANGE, GREEN, BLUE, GRAY = (0, 128, 255), (0, 255, 0), (255, 0, 0), (90, 90, 90)
 

@@ -132,7 +132,11 @@ def test_pixels_show_the_same_layout(color_fusion, scale):
 
 def test_a_latent_node_says_how_it_holds_its_state(fakes):
     node = {"parent": "root", "fuse": {"latent": {"given": {"sd_px": {"x": 6.0, "y": 6.0}}}}}
-    for belief, note in ((None, "own state"), ("gaussian", "own state, gaussian"), ("grid", "own state, grid")):
+    for belief, note in (
+        (None, "own state"),
+        ("gaussian", "own state, gaussian"),
+        ("grid", "own state, grid"),
+    ):
         own = node if belief is None else {**node, "belief": belief}
         plate, _ = fakes.plate({"root": {}, "part": own, "a": "part"})
         assert f">{note}<" in graph_svg(plate, {"a"})

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.vision.chessboard import calibrate
 from bayesnet_track.cli import main
+from bayesnet_track.vision.chessboard import calibrate
 from bayesnet_track.vision.stereo import CalibrationError, Rectification, read_calibration
 
 BOARD, SQUARE, SIZE = (8, 5), 0.04, (400, 300)
