@@ -66,7 +66,9 @@ def test_the_log_tells_that_it_was_lost_and_found(tmp_path):
     assert (first, second) == ("lost", "tracking")
     assert hidden[0] - 5 <= lost <= hidden[0] + 3 and hidden[-1] < found <= hidden[-1] + 8
     journal = (tmp_path / "run" / "journal.jsonl").read_text(encoding="utf-8")
-    assert "the best hypothesis has a likelihood of 0 < 0.05 of a perfect match" in journal
+    assert "no active agent saw it" in journal
+    assert [result.targets[0].silent for result in results[lost - 1 : lost + 1]] == [("place",)] * 2
+    assert not results[found].targets[0].silent
 
 
 @pytest.mark.parametrize(

@@ -311,6 +311,11 @@ def test_why():
     )
 
 
+def test_why_tells_who_saw_nothing():
+    told = why([STARTED, BORN], [replace(METRICS, silent=("hue",))], 29)
+    assert "  hue        on   did not see the target\n" in told
+
+
 def test_why_of_a_frame_that_is_not_there():
     with pytest.raises(ValueError, match="frame 30 is not in this run; it has frames 29 to 29"):
         why([BORN], [METRICS], 30)
