@@ -9,11 +9,9 @@ Cues are found through the entry-point group ``bayesnet_track.cues``; the built-
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -21,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from bayesnet_track.planes import Plane, Planes
+from bayesnet_track.plugins import declared
 
 ENTRY_POINT_GROUP = "bayesnet_track.cues"
 
@@ -245,21 +244,4 @@ def installed_cues() -> Mapping[str, CueDeclaration]:
     A package whose cue cannot be loaded, or has the name of another, is left out with a warning: it must not
     keep graphs that do not use it from running.
     """
-    found: dict[str, CueDeclaration] = {}
-    for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=_built_in_first):
-        try:
-            declaration = point.load()
-            if not isinstance(declaration, CueDeclaration):
-                raise TypeError(f"{point.value} is a {type(declaration).__name__}, not a CueDeclaration")
-            if declaration.name in found:
-                raise ValueError(f"another cue has the name {declaration.name!r}")
-        except Exception as error:
-            where = f"of {point.dist.name} " if point.dist is not None else ""
-            warnings.warn(f"the cue {point.name!r} {where}is left out: {error}", RuntimeWarning, stacklevel=2)
-            continue
-        found[declaration.name] = declaration
-    return dict(sorted(found.items()))
-
-
-def _built_in_first(point: EntryPoint) -> tuple[bool, str, str]:
-    return not point.value.startswith("bayesnet_track."), point.name, point.value
+    return declared(ENTRY_POINT_GROUP, CueDeclaration, "cue")

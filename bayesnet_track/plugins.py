@@ -36,7 +36,7 @@ def declared(group: str, kind: type[Declaration], word: str) -> dict[str, Declar
         except Exception as error:
             where = f"of {point.dist.name} " if point.dist is not None else ""
             message = f"the {word} {point.name!r} {where}is left out: {error}"
-            warnings.warn(message, RuntimeWarning, stacklevel=2)
+            warnings.warn(message, RuntimeWarning, stacklevel=3)
             continue
         found[declaration.name] = declaration
     return dict(sorted(found.items()))

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.scenes.render import Movie, Sprite
-
-if TYPE_CHECKING:
-    from bayesnet_track.scenes.stereo import StereoView
+from bayesnet_track.scenes.stereo_view import StereoView
 
 Floats = NDArray[np.float64]
 CornerBox = tuple[float, float, float, float]

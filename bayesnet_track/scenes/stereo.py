@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.depth import RightEye, StereoGeometry
+from bayesnet_track.depth import StereoGeometry
 from bayesnet_track.scenes.render import Movie, Sprite
 from bayesnet_track.scenes.room import Pane, Room
 from bayesnet_track.scenes.scene import Scene, assemble
+from bayesnet_track.scenes.stereo_view import StereoView
 from bayesnet_track.scenes.texture import gray_cells, shaded_cells
 
 Floats = NDArray[np.float64]
@@ -22,38 +23,6 @@ PERSON_M = (0.5, 1.7)
 """Width and height of a block."""
 
 BROWN, GREEN = (60.0, 110.0, 170.0), (90.0, 200.0, 80.0)
-
-
-@dataclass(frozen=True, eq=False)
-class StereoView:
-    """The second eye of a scene, and its true depth.
-
-    Attributes:
-        right: the right pictures.
-        geometry: the pair's.
-        background_m: (H, W) depth of the left picture's background.
-        paths: centre boxes (n, 4) in the left picture of everything that moves, the nearest last.
-        depths_m: (n,) depth of each of these.
-    """
-
-    right: Movie
-    geometry: StereoGeometry
-    background_m: Floats
-    paths: tuple[Floats, ...]
-    depths_m: tuple[Floats, ...]
-
-    def eye(self, index: int) -> RightEye:
-        """What a frame carries of it."""
-        return RightEye(self.right[index], self.geometry)
-
-    def true_depth(self, index: int) -> Floats:
-        """(H, W) depth in m of the left picture's pixels (of their centres)."""
-        depth = self.background_m.copy()
-        rows, columns = np.ogrid[: depth.shape[0], : depth.shape[1]]
-        for path, depths in zip(self.paths, self.depths_m, strict=True):
-            x, y, w, h = path[index]
-            depth[(np.abs(columns - x) <= w / 2) & (np.abs(rows - y) <= h / 2)] = depths[index]
-        return depth
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,8 @@ from bayesnet_track.scenes.render import Movie, Sprite, Veil
 from bayesnet_track.scenes.room import Room
 from bayesnet_track.scenes.scene import Scene
 from bayesnet_track.scenes.silhouettes import PARTS, dressed
-from bayesnet_track.scenes.stereo import CAMERA_HEIGHT_M, GEOMETRY, HEIGHT, NOISE_SD, WIDTH, StereoView
+from bayesnet_track.scenes.stereo import CAMERA_HEIGHT_M, GEOMETRY, HEIGHT, NOISE_SD, WIDTH
+from bayesnet_track.scenes.stereo_view import StereoView
 from bayesnet_track.scenes.texture import shaded_cells
 
 Floats = NDArray[np.float64]
