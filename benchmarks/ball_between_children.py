@@ -87,7 +87,7 @@ def traced(graph: GraphSpec, scene: Scene, seed: int) -> Traced:
 
 
 def report(runs: dict[str, list[Traced]]) -> str:
-    """One row for each variant: medians over runs and frames."""
+    """One row for each variant: means over runs and frames, the largest error, and runs held to the end."""
     rows = []
     for name, all_runs in runs.items():
         ball = {
