@@ -11,12 +11,14 @@ from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.fitted import flattened
 from bayesnet_track.belief.kernels import Kernels, log_prior
 from bayesnet_track.belief.noise import Transition
-from bayesnet_track.belief.particle_set import Inputs, hypotheses_of
+from bayesnet_track.belief.particle_set import Inputs
 from bayesnet_track.belief.passes import Pass, joined, prior_of
 from bayesnet_track.belief.proposals import Both, inside, log_sum, mixed, reweighted
 from bayesnet_track.belief.sizes import evaluated, moved
+from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph.importance_settings import Auxiliary, LikelihoodMixture, Rejection, West
+from bayesnet_track.numerics.gaussian import weighted_moments
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import systematic
 
@@ -158,9 +160,7 @@ def _around(points: Floats, whole: Pass, bandwidth: float) -> Kernels:
     """Kernels around weighted hypotheses, by the normal reference rule for their effective size."""
     size = points.shape[1]
     _, weights = flattened(prior_of(whole), whole.evidence.log_likelihood, LEAST_EFFECTIVE)
-    mean = weights.weights @ points
-    away = points - mean
-    spread = (away * weights.weights[:, None]).T @ away
+    spread = weighted_moments(points, weights.weights)[1]
     width = bandwidth * (4.0 / ((size + 2) * weights.ess)) ** (1.0 / (size + 4))
     scale = np.diag(np.maximum(np.diagonal(spread), 1e-12))
     return Kernels(weights, points, width * np.linalg.cholesky(spread + 1e-6 * scale))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.noise import Transition
+from bayesnet_track.numerics.gaussian import weighted_moments
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.resampling import systematic
 
@@ -56,8 +57,8 @@ def fitted_message(
         DegenerateWeights: no hypothesis has a positive, finite weight.
     """
     power, posterior = flattened(beta, log_likelihood, min(effective, len(points) / 4))
-    centre, spread = _moments(points, beta.weights)
-    mean, covariance = _moments(points, posterior.weights)
+    centre, spread = weighted_moments(points, beta.weights)
+    mean, covariance = weighted_moments(points, posterior.weights)
     # In coordinates in which the prior has covariance 1.
     # Where all of it lies on the image's border a coordinate has no variance of its own.
     root = np.linalg.cholesky(spread + np.diag(1e-9 * np.diagonal(spread) + 1e-12))
@@ -156,9 +157,3 @@ def paired_log_density(transition: Transition, points: Floats, parents: Ancestor
         away = (points - means) / sds[parents]
         parts.append(share - np.sum(0.5 * (away**2 + np.log(2 * np.pi)) + np.log(sds[parents]), axis=1))
     return np.asarray(np.logaddexp.reduce(parts, axis=0))
-
-
-def _moments(points: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    mean = weights @ points
-    away = points - mean
-    return mean, (away * weights[:, None]).T @ away

@@ -22,6 +22,7 @@ from bayesnet_track.belief.gaussian_update import (
     matched,
     take,
 )
+from bayesnet_track.belief.states import WeightedStates, hypotheses_of
 from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events import Event, MeasurementGated
@@ -70,19 +71,6 @@ class GaussianPosterior:
         return np.asarray(boxes)
 
 
-@dataclass(frozen=True, eq=False)
-class WeightedStates:
-    """Hypotheses (N, D) with their posterior weights (`belief.contract.Support`)."""
-
-    states: Floats
-    weights: LogWeights
-
-    @property
-    def boxes(self) -> Floats:
-        """(N, 4) centre boxes."""
-        return self.states[:, :4]
-
-
 @dataclass(frozen=True)
 class GaussianFilter:
     """The Kalman family, as `settings` say."""
@@ -113,7 +101,7 @@ class GaussianFilter:
 
         # Evaluate
         asked = ask(mean, covariance, motion, self.settings, stream("samples"))
-        hypotheses = _hypotheses(asked.states, prior.fields)
+        hypotheses = hypotheses_of(asked.states, prior.fields)
         evidence = evaluate(hypotheses, asked.beta.log)
 
         # Update
@@ -138,10 +126,6 @@ class GaussianFilter:
         if self.settings.likelihood == "sigma_points":
             return 2 * width + 1
         return max(self.settings.samples, 2 * (width + 1))
-
-
-def _hypotheses(states: Floats, fields: tuple[str, ...]) -> Hypotheses:
-    return Hypotheses(states[:, :4], {name: states[:, k] for k, name in enumerate(fields) if k >= 4})
 
 
 def _posterior(mean: Floats, covariance: Floats, fields: tuple[str, ...], size: int) -> GaussianPosterior:

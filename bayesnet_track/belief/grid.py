@@ -25,6 +25,7 @@ from bayesnet_track.belief.grid_reset import (
     window_around,
 )
 from bayesnet_track.belief.grid_window import limits_of
+from bayesnet_track.belief.states import WeightedStates, hypotheses_of
 from bayesnet_track.cue import Hypotheses, Measurement
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.distributions import flattened, spreading_matrix
@@ -32,24 +33,6 @@ from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-
-@dataclass(frozen=True, eq=False)
-class AskedCells:
-    """The cells at which evidence was taken, whatever their velocity, and their weights.
-
-    Attributes:
-        states: (N, D); a velocity is the mean one of the cell.
-        weights: posterior weights.
-    """
-
-    states: Floats
-    weights: LogWeights
-
-    @property
-    def boxes(self) -> Floats:
-        """(N, 4) centre boxes."""
-        return self.states[:, :4]
 
 
 @dataclass(frozen=True)
@@ -183,8 +166,7 @@ class _Asked:
 
     @property
     def hypotheses(self) -> Hypotheses:
-        further = {name: self.states[:, k] for k, name in enumerate(self.belief.fields) if k >= 4}
-        return Hypotheses(self.states[:, :4], further)
+        return hypotheses_of(self.states, self.belief.fields)
 
     def updated(self, evidence: Evidence) -> tuple[GridBelief, float]:
         """The posterior and the log-evidence sum beta L; what was measured of velocities acts on their cells.
@@ -236,7 +218,7 @@ class _Asked:
         return Step(
             posterior=known,
             log_evidence=log_evidence,
-            support=AskedCells(self.states, weights),
+            support=WeightedStates(self.states, weights),
             prior=self.prior,
             evidence=evidence,
             find_map=known.most_probable,

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, Evidence
-from bayesnet_track.cue import Hypotheses, Measurement
+from bayesnet_track.belief.states import hypotheses_of
+from bayesnet_track.cue import Measurement
 from bayesnet_track.numerics.log_weights import LogWeights
 
 Floats = NDArray[np.float64]
@@ -34,9 +35,8 @@ def asked_again(
     Agents that measure look around the hypotheses that they are given, and would find another place now.
     What they measured first stands, so that both are evidence of one frame.
     """
-    further = {name: states[:, k] for k, name in enumerate(fields) if k >= 4}
     prior_log = LogWeights.uniform(len(states)).log if prior_log is None else prior_log
-    again = evaluate(Hypotheses(states[:, :4], further), prior_log)
+    again = evaluate(hypotheses_of(states, fields), prior_log)
     if not first.gaussians and not again.gaussians:
         return again
     sampled = again.log_likelihood if again.sampled is None else again.sampled

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, Motion, Stream
 from bayesnet_track.belief.need import Sized
+from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.cue import Hypotheses
 from bayesnet_track.numerics.divergence import uncertainty_deviation
 from bayesnet_track.numerics.log_weights import LogWeights
@@ -78,11 +79,6 @@ class ParticleSet:
     def draw(self, size: int, rng: np.random.Generator) -> Floats:
         """(size, 4) boxes of hypotheses, drawn systematically."""
         return self.boxes[resample("systematic", self.weights.weights, size, rng)]
-
-
-def hypotheses_of(states: Floats, fields: tuple[str, ...]) -> Hypotheses:
-    """What cues see of `states` (N, D): the boxes, and the further fields by name."""
-    return Hypotheses(states[:, :4], {name: states[:, k] for k, name in enumerate(fields) if k >= 4})
 
 
 def weighted_quantiles(values: Floats, weights: Floats, shares: Floats) -> tuple[float, ...]:

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Report
 from bayesnet_track.belief.need import Need, Sized, need_of
-from bayesnet_track.belief.particle_set import Inputs, ParticleSet, hypotheses_of
+from bayesnet_track.belief.particle_set import Inputs, ParticleSet
 from bayesnet_track.belief.passes import Pass, joined
 from bayesnet_track.belief.resized import Sizing, begin_with, halved, report_of
+from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.resampling import resample
