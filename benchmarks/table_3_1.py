@@ -3,10 +3,10 @@
     python benchmarks/table_3_1.py [--first 10] [--seeds 20] [--graphs person_color_stereo]
 
 Each graph tracks in the scene of its name. The levels were chosen on seeds 0 to 9 of the first graph, and 0
-to 3 of the second. Frames are rendered before the clock starts; time is CPU time of one thread. UD is averaged
-as its root, in px; the error is the distance of the centres; after the sign is the sd from seed to seed.
-"Held" is an IoU above one half over the last ten frames. Asked for: adaptive within 5 % of the lowest error,
-in at most 0.4 of both's time.
+to 3 of the second. Frames are rendered before the clock starts; time is CPU time of one thread. UD is
+averaged as its root, in px; the error is the distance of the centres; after the sign is the sd from seed to
+seed. "Held" is an IoU above one half over the last ten frames. Asked for: adaptive within 5 % of the lowest
+error, in at most 0.4 of both's time.
 """
 
 from __future__ import annotations
