@@ -148,7 +148,7 @@ def test_any_size_of_frame_and_a_change_of_size_are_borne(name, size, build, ben
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "stereo_blobs"])
-def test_a_picture_of_targets_everywhere_stays_within_count_and_time(name, build, bench):
+def test_a_picture_of_targets_everywhere_does_not_hang_and_stays_within_the_count(name, build, bench):
     rng = np.random.default_rng(1)
     board = np.kron(rng.integers(0, 2, (120, 160)) * 255, np.ones((4, 4)))
     orange = np.where(board[..., None] > 0, [30, 135, 240], [200, 60, 20])
@@ -159,12 +159,11 @@ def test_a_picture_of_targets_everywhere_stays_within_count_and_time(name, build
     detector = build(name, **most)
     frames = bench.pictures([orange, moved, orange, moved, orange, moved])
     bench.run(detector, frames[:2])  # compiles
-    began = time.perf_counter()
+    began = time.process_time()
     found, _ = bench.run(detector, frames)
     assert max(map(len, found)) <= 50
-    assert (
-        time.perf_counter() - began < 6.0
-    )  # 640x480, six frames; some 0.1 s each, with room for a busy machine
+    # Six frames of 640x480 take some 0.1 s each; what grows with pairs of regions would take minutes.
+    assert time.process_time() - began < 60.0
 
 
 def test_the_first_frame_is_enough_for_those_that_need_one_frame_only(build, scene, bench):

@@ -58,12 +58,13 @@ def test_each_limit_leaves_out_what_it_says(rule, kept):
     assert found.labels == tuple("abc"[k] for k in kept)
 
 
-def test_a_hundred_thousand_boxes_on_top_of_each_other_take_no_time():
+def test_a_hundred_thousand_boxes_on_top_of_each_other_do_not_hang():
     rng = np.random.default_rng(0)
     boxes = np.column_stack([rng.uniform(0, 100, (100_000, 2)), rng.uniform(5, 9, (100_000, 2))])
-    began = time.perf_counter()
+    began = time.process_time()
     found = select(boxes, rng.random(100_000), FRAME, OPEN)
-    assert len(found) == 32 and time.perf_counter() - began < 2.0  # 0.1 s alone
+    assert len(found) == 32
+    assert time.process_time() - began < 60.0  # 0.1 s; all pairs of them would take hours
 
 
 def blob_parameters(**more):

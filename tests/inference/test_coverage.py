@@ -97,7 +97,7 @@ def test_the_latent_kernel_covers_nearly_what_it_says(fakes):
 
 
 @pytest.mark.parametrize("belief", ["gaussian", "grid"])
-def test_a_gaussian_or_a_grid_covers_what_the_kernel_does_in_less_time(fakes, belief):
+def test_a_gaussian_or_a_grid_covers_what_the_kernel_does(fakes, belief):
     """O(N) and O(N + G log G): at least the kernel's coverage, at most what the regions say."""
     runs = 300
     shares, ratio = coverage(fakes, belief, runs)
