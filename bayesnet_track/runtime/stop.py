@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
+from contextlib import suppress
 from queue import Empty, SimpleQueue
 from types import FrameType, TracebackType
 from typing import Any, Self
@@ -44,6 +45,7 @@ class StopRequest:
         self._is_repeat = False
         self._is_heard = False
         self._is_over = False
+        self._has_raised = False
         self._pending: SimpleQueue[tuple[int, float] | None] = SimpleQueue()
         self._repeater = threading.Thread(target=self._repeat, name="stop", daemon=True)
 
@@ -73,6 +75,8 @@ class StopRequest:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if isinstance(error, KeyboardInterrupt):
+            _let_go(error)
         if self._repeater.is_alive():
             self._leave()
 
@@ -103,6 +107,7 @@ class StopRequest:
         # A queue of this kind may be used in a handler, unlike locks.
         self._pending.put((number, PATIENCE_S if is_noted else REPEAT_S))
         if not is_noted:
+            self._has_raised = True
             raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
 
     def _repeat(self) -> None:
@@ -117,13 +122,25 @@ class StopRequest:
                 pending = number, REPEAT_S
 
     def _given_up(self, what: sys.UnraisableHookArgs) -> None:
-        if self.signal is None or not issubclass(what.exc_type, KeyboardInterrupt):
+        """Once interrupted, other errors are silent, too: what is left half made complains when it goes."""
+        if not self._has_raised:
             self._hooks[0](what)
 
     def _printed(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         """C code prints so what it gives up (that of NumPy's `import_array` does)."""
         if self.signal is None or not issubclass(kind, KeyboardInterrupt):
             self._hooks[1](kind, error, trace)
+
+
+def _let_go(error: BaseException | None) -> None:
+    """Drop what the frames that an interruption left hold, so that all of it goes before the hooks do."""
+    while error is not None:
+        trace = error.__traceback__
+        while trace is not None:
+            with suppress(RuntimeError):  # a frame that still runs
+                trace.tb_frame.clear()
+            trace = trace.tb_next
+        error = error.__context__
 
 
 def _is_passing() -> bool:
