@@ -1,3 +1,5 @@
+"""Colour blobs: matching by hand, its penalties, and targets moved, turned in hue or cut off."""
+
 import numpy as np
 import pytest
 from scipy import ndimage

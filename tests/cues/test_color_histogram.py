@@ -1,3 +1,5 @@
+"""Hue histograms against OpenCV, their circular distance, and what the cue makes of them."""
+
 import cv2
 import numpy as np
 import pytest

@@ -1,3 +1,5 @@
+"""The gray pattern: both forms against their formulas, and the coarse look first."""
+
 from __future__ import annotations
 
 import cv2

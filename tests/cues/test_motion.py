@@ -1,3 +1,5 @@
+"""The motion cue with sparse flow: its likelihood, what it learns, and where it knows nothing."""
+
 from __future__ import annotations
 
 import cv2

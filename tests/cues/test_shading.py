@@ -1,3 +1,5 @@
+"""Shading against its definition, and what it does not depend on."""
+
 from __future__ import annotations
 
 import cv2

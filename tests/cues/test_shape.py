@@ -1,3 +1,5 @@
+"""The shape cue: contours shared by cells, its score, learning, and models from files."""
+
 from __future__ import annotations
 
 from pathlib import Path

@@ -107,4 +107,9 @@ def test_the_bounds_have_defaults(cues):
 
 
 def test_equal_bounds_are_accepted(cues):
-    parsed("{size: {likelihood_sum: {threshold: 9}}, min: 301, max: 301}", cues)
+    node = (
+        parsed("{size: {likelihood_sum: {threshold: 9}}, min: 301, max: 301}", cues)
+        .spec.targets["t"]
+        .nodes["s"]
+    )
+    assert (node.belief.particles.least, node.belief.particles.most) == (301, 301)

@@ -1,3 +1,5 @@
+"""The similarity that most points agree on, with outliers, noise and too few points."""
+
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,3 +1,5 @@
+"""Dense flow there and back, and its sums over boxes, against plain NumPy."""
+
 import numpy as np
 import pytest
 from hypothesis import given, settings

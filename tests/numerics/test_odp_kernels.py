@@ -1,3 +1,5 @@
+"""Orthogonal dynamic programming against every possible path."""
+
 from itertools import product
 
 import numpy as np

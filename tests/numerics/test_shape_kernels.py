@@ -1,3 +1,5 @@
+"""Signed distances and shape scores against brute force and closed forms."""
+
 from __future__ import annotations
 
 import numpy as np

@@ -1,3 +1,5 @@
+"""Snakes find drawn outlines and keep to what an active contour promises."""
+
 from __future__ import annotations
 
 import numpy as np

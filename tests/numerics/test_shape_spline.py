@@ -1,3 +1,5 @@
+"""Uniform cubic B-splines against scipy."""
+
 from __future__ import annotations
 
 import numpy as np

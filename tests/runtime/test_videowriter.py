@@ -49,6 +49,9 @@ def test_a_writer_without_frames_closes_twice(tmp_path):
     writer = VideoWriter(tmp_path / "v.mkv", 64, 48, 0.04)
     writer.close()
     writer.close()
+    assert {file.name for file in tmp_path.iterdir()} <= {"v.mkv"}
+    with pytest.raises(av.FFmpegError):  # no picture was ever in it
+        av.open(str(tmp_path / "v.mkv"))
 
 
 @pytest.mark.parametrize(

@@ -1,3 +1,5 @@
+"""The shape model against a plain decomposition, merging, and files that are damaged."""
+
 from __future__ import annotations
 
 from pathlib import Path

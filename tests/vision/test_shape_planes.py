@@ -1,3 +1,5 @@
+"""The edges that shapes are made from."""
+
 from __future__ import annotations
 
 import cv2
