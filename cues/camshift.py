@@ -25,8 +25,8 @@ from bayesnet_track.cue import (
     Reference,
     blend_arrays,
 )
-from bayesnet_track.cues.mean_shift import seen_cells
 from bayesnet_track.planes import Plane, Planes
+from bayesnet_track.vision.color_cells import seen_cells
 from bayesnet_track.vision.color_planes import HueBins
 
 WINDOW = 1.3

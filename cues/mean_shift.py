@@ -26,8 +26,8 @@ from bayesnet_track.cue import (
     Reference,
     blend_arrays,
 )
-from bayesnet_track.planes import Array, Plane, Planes, Region, region_of_boxes
-from bayesnet_track.vision.color_cells import ColorCells
+from bayesnet_track.planes import Plane, Planes
+from bayesnet_track.vision.color_cells import ColorCells, seen_cells
 
 SHRINK = 0.7
 """Factor of the search window from one stage to the next."""
@@ -152,14 +152,6 @@ class MeanShift:
             if (radii <= least).all():
                 return np.array(path) + [*origin, 0.0, 0.0]
             radii = np.maximum(radii * SHRINK, least)
-
-
-def seen_cells(planes: Planes, plane: Plane, boxes: Floats) -> tuple[Array, Floats]:
-    """The cells inside `boxes` (N, 4), whatever else was computed, and the x, y of their first pixel."""
-    own, has = region_of_boxes(boxes).within(planes.frame), planes.region
-    inner = Region(own.x0 - has.x0, own.y0 - has.y0, own.x1 - has.x0, own.y1 - has.y0)
-    cells = inner.of(planes[plane]) if not own.is_empty else np.zeros((0, 0), np.uint16)
-    return np.ascontiguousarray(cells), np.array([own.x0, own.y0], dtype=np.float64)
 
 
 def _curvature(rho: Callable[[float, float], float], step: Floats, variance: float) -> Floats | None:

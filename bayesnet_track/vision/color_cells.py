@@ -6,8 +6,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bayesnet_track.planes import Array, FramePair, Plane, Region
+from bayesnet_track.planes import Array, FramePair, Plane, Planes, Region, region_of_boxes
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -58,3 +61,11 @@ class ColorCells:
         second = (value * self.levels // 256 * last).astype(np.uint16)
         third = (value * last // 256).astype(np.uint16)
         return np.asarray(first[image[..., 0]] + second[image[..., 1]] + third[image[..., 2]])
+
+
+def seen_cells(planes: Planes, plane: Plane, boxes: Floats) -> tuple[Array, Floats]:
+    """The cells inside `boxes` (N, 4), whatever else was computed, and the x, y of their first pixel."""
+    own, has = region_of_boxes(boxes).within(planes.frame), planes.region
+    inner = Region(own.x0 - has.x0, own.y0 - has.y0, own.x1 - has.x0, own.y1 - has.y0)
+    cells = inner.of(planes[plane]) if not own.is_empty else np.zeros((0, 0), np.uint16)
+    return np.ascontiguousarray(cells), np.array([own.x0, own.y0], dtype=np.float64)
