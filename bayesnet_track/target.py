@@ -1,0 +1,267 @@
+"""One target of the net: how it starts, and how one frame goes for it.
+
+A frame has two halves. `weigh` predicts the target's belief and weighs it by what its agents see; `conclude`
+measures that, decides what changes, and learns. Between the two the beliefs of several targets can be joined.
+Both are functions of the target's state and the frame; time is read for the timings only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.learn import adapt_reference, learn_first, learn_references, learning_rate
+from bayesnet_track.adapt.measure import measure
+from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.rules import Situation, decide, quiet_level
+from bayesnet_track.belief.bounds import Confined
+from bayesnet_track.belief.contract import Posterior, Step
+from bayesnet_track.belief.estimate import estimate
+from bayesnet_track.cue import LocallyAdaptable, Reference
+from bayesnet_track.frame_metrics import first_frame_metrics, frame_metrics
+from bayesnet_track.graph.net import Decision, LocallyAdapted, Net, Quarantined, TargetStarted, apply
+from bayesnet_track.inference.compile import Plan, compile_plan
+from bayesnet_track.inference.messages import Observer, evaluate
+from bayesnet_track.journal.events import DegenerateBelief, Event, FrameMetrics
+from bayesnet_track.machinery import Engine, Machinery
+from bayesnet_track.planes import Frame, FramePair, PlaneCache
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class TargetState:
+    """What is known of one live target.
+
+    Attributes:
+        belief: the posterior of the last frame.
+        references: agent -> what it remembers.
+        memory: what the rules remember.
+        plan: the compiled net.
+        time: time of the last frame, frame intervals.
+    """
+
+    belief: Posterior
+    references: Mapping[str, Reference]
+    memory: Memory
+    plan: Plan
+    time: float
+
+
+@dataclass(frozen=True, eq=False)
+class Born:
+    """A target that starts in a frame: its state, the decisions, and what is written down of it."""
+
+    state: TargetState
+    decisions: tuple[Decision, ...]
+    metrics: FrameMetrics
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """The first half of a target's frame: its belief, weighed by its own agents.
+
+    Attributes:
+        target: target id.
+        before: its state after the last frame.
+        step: the belief's step.
+        faults: agents that failed while they observed.
+    """
+
+    target: str
+    before: TargetState
+    step: Step[Posterior]
+    faults: tuple[Quarantined, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Concluded:
+    """The second half: what one frame gave for one target.
+
+    Attributes:
+        state: its state after the frame, still with the plan that the frame began with.
+        metrics: what was measured.
+        decisions: in order; they take effect on the next frame.
+        told: what is written down besides.
+        covariance: (D, D) of its belief.
+    """
+
+    state: TargetState
+    metrics: FrameMetrics
+    decisions: tuple[Decision, ...]
+    told: tuple[Event, ...]
+    covariance: Floats
+
+
+def start(
+    engine: Engine, frame: Frame, previous: Frame | None, target: str, template: str, box: Floats
+) -> Born:
+    """A net for the target inside the centre box (4,) of `frame`: references learnt, belief placed.
+
+    The belief of the first frame is the box itself; hypotheses spread with the first prediction. An agent
+    that cannot learn its reference, or that needs colour where the frame has none, is out from the start.
+    """
+    machine = engine.machinery[template]
+    active = tuple(agent for agent in machine.plate.agents if machine.plate.agent(agent).active)
+    stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
+    references, faults = learn_first(machine.cues, PlaneCache(FramePair(frame, previous)), box)
+    if not frame.has_color:
+        faults |= dict.fromkeys(sorted(machine.color_agents), "needs colour, and the source is gray")
+    x, y, w, h = (float(v) for v in box)
+    decisions: list[Decision] = [
+        TargetStarted(frame.index, target, template, (x, y, w, h), active),
+        *_quarantined(frame.index, target, faults),
+    ]
+    working = tuple(agent for agent in active if agent not in faults)
+    born = TargetState(
+        belief=machine.belief.start(box, Confined(machine.motion, frame.width, frame.height), stream),
+        references=references,
+        memory=Memory(),
+        plan=compile_plan(machine.plate, working, machine.cues),
+        time=frame.time,
+    )
+    metrics = first_frame_metrics(frame, target, len(born.belief), working, box)
+    return Born(born, tuple(decisions), metrics)
+
+
+def weigh(
+    engine: Engine,
+    net: Net,
+    before: TargetState,
+    target: str,
+    frame: Frame,
+    cache: PlaneCache,
+    seconds: dict[str, float],
+) -> Weighed:
+    """Predict the target's belief and weigh it by what its active agents see; `seconds` is added to."""
+    machine = engine.machinery[net.targets[target].template]
+    stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
+    started = engine.clock()
+    observer = Observer(cache, machine.cues, before.references, stream, engine.clock, seconds)
+    stepped = machine.belief.step(
+        before.belief,
+        Confined(machine.motion, frame.width, frame.height),
+        frame.time - before.time,
+        partial(evaluate, before.plan, observer),
+        stream,
+    )
+    _charge(engine, seconds, "belief", started)
+    return Weighed(target, before, stepped, _quarantined(frame.index, target, observer.faults))
+
+
+def conclude(
+    engine: Engine, net: Net, weighed: Weighed, frame: Frame, cache: PlaneCache, seconds: dict[str, float]
+) -> Concluded:
+    """Measure the belief, decide what changes, learn the references; `seconds` is added to."""
+    target, before, stepped = weighed.target, weighed.before, weighed.step
+    live = net.targets[target]
+    machine = engine.machinery[live.template]
+    root = machine.plate.inference(machine.plate.root)
+    stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
+
+    started = engine.clock()
+    box = _inside(estimate(root.estimate, stepped)[:4], frame)
+    started = _charge(engine, seconds, "belief", started)
+
+    working = applied(net, weighed.faults).targets[target]
+    measures = measure(machine.plate, before.plan, stepped, float(box[2] * box[3]))
+    now = Situation(
+        frame.index, target, machine.plate, working, measures, machine.costs_ms, machine.adaptable
+    )
+    chosen, memory = decide(now, before.memory)
+    started = _charge(engine, seconds, "measure", started)
+
+    quiet = quiet_level(machine.plate, working, memory, machine.plate.root)
+    rate = learning_rate(root.learn, measures.ud_px2[machine.plate.root], measures.area_px2, quiet)
+    if working.status == "lost" or not working.active or stepped.degenerate is not None:
+        rate = 0.0
+    rates = {
+        agent: rate * most for agent, most in machine.rate_max.items() if agent not in working.quarantined
+    }
+    references, decisions = _learn(now, machine, before.references, rates, cache, box, chosen)
+    _charge(engine, seconds, "learn", started)
+
+    after = TargetState(stepped.posterior, references, memory, before.plan, frame.time)
+    told = [report(frame.index, target) for report in stepped.reports]
+    if stepped.degenerate is not None:
+        told.append(DegenerateBelief(frame.index, target, stepped.degenerate))
+    spread = stepped.posterior.covariance
+    metrics = frame_metrics(
+        frame, target, machine.plate, live.status, stepped, measures, box, spread, quiet, rate, stream
+    )
+    return Concluded(after, metrics, (*weighed.faults, *decisions), tuple(told), spread)
+
+
+def applied(net: Net, decisions: Iterable[Decision]) -> Net:
+    """The net after the decisions, in their order."""
+    for decision in decisions:
+        net = apply(net, decision)
+    return net
+
+
+def recompiled(engine: Engine, net: Net, target: str, state: TargetState) -> TargetState:
+    """The state with its plan compiled again when its active agents changed."""
+    live = net.targets[target]
+    if live.active == state.plan.active:
+        return state
+    machine = engine.machinery[live.template]
+    return replace(state, plan=compile_plan(machine.plate, live.active, machine.cues))
+
+
+def _learn(
+    now: Situation,
+    machine: Machinery,
+    references: Mapping[str, Reference],
+    rates: Mapping[str, float],
+    cache: PlaneCache,
+    box: Floats,
+    chosen: tuple[Decision, ...],
+) -> tuple[dict[str, Reference], tuple[Decision, ...]]:
+    """Move all references, then carry out local actions.
+
+    Returns:
+        The references, and the decisions that stand: those chosen, without actions that found nothing left to
+        try, and the quarantine of agents that failed here.
+    """
+    moved, faults = learn_references(references, machine.cues, rates, cache, box)
+    kept: list[Decision] = []
+    for decision in chosen:
+        if isinstance(decision, LocallyAdapted):
+            cue = machine.cues[decision.node]
+            assert isinstance(cue, LocallyAdaptable)
+            if decision.node in faults:
+                continue
+            tuned = adapt_reference(cue, moved[decision.node], decision.attempt)
+            if isinstance(tuned, str):
+                faults[decision.node] = tuned
+            if tuned is None or isinstance(tuned, str):
+                continue
+            moved[decision.node] = tuned
+        kept.append(decision)
+    return moved, (*kept, *_quarantined(now.frame, now.target, faults))
+
+
+def _quarantined(frame: int, target: str, faults: Mapping[str, str]) -> tuple[Quarantined, ...]:
+    return tuple(Quarantined(frame, target, agent, reason) for agent, reason in faults.items())
+
+
+def _inside(box: Floats, frame: Frame) -> Floats:
+    """The box with its centre on the image, so that tracks and references stay meaningful."""
+    return np.array(
+        [
+            min(max(box[0], 0.0), frame.width - 1.0),
+            min(max(box[1], 0.0), frame.height - 1.0),
+            min(max(box[2], 1.0), 2.0 * frame.width),
+            min(max(box[3], 1.0), 2.0 * frame.height),
+        ]
+    )
+
+
+def _charge(engine: Engine, seconds: dict[str, float], name: str, started: float) -> float:
+    now = engine.clock()
+    seconds[name] = seconds.get(name, 0.0) + now - started
+    return now
