@@ -1,0 +1,134 @@
+"""Detections from files: what `detect` writes is found again, and mistakes name file and line."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bayesnet_track.detector import Detections, Detector
+from bayesnet_track.planes import Frame, FramePair
+from bayesnet_track.runtime.detection_files import file_detector, parse_detections
+from bayesnet_track.runtime.detections import format_frame
+
+
+def frame(index):
+    return Frame(index, float(index), np.zeros((48, 64, 3), np.uint8))
+
+
+def found_in(detector, index):
+    return detector.detect(FramePair(frame(index), None), detector.start())[0]
+
+
+boxes = st.tuples(
+    *[st.integers(-999_000, 999_000)] * 2, *[st.integers(2, 999_000).map(lambda half: 2 * half)] * 2
+).map(lambda thousandths: np.array(thousandths) / 1000)
+frames = st.lists(
+    st.lists(st.tuples(boxes, st.integers(0, 10**6), st.sampled_from(["", "person", 'a "b"\n', "é"]))),
+    max_size=5,
+)
+
+
+@given(frames, st.booleans())
+def test_what_is_written_is_found_again(several, as_json):
+    """Boxes to half a thousandth of a pixel (their text has 3 decimals), scores bit for bit."""
+    written = []
+    for found in several:
+        found.sort(key=lambda one: -one[1])
+        written.append(
+            Detections(
+                np.array([box for box, _, _ in found]).reshape(-1, 4),
+                np.array([score / 1e6 for _, score, _ in found]),
+                tuple(label if as_json else "" for _, _, label in found),
+            )
+        )
+    text = "\n".join(
+        line for n, found in enumerate(written) for line in format_frame(frame(n), found, as_json)
+    )
+    read = parse_detections(text)
+    assert set(read) == {n for n, found in enumerate(written) if len(found)}
+    for n, back in read.items():
+        np.testing.assert_allclose(back.boxes, written[n].boxes, atol=1.001e-3, rtol=0)
+        assert back.scores.tolist() == written[n].scores.tolist() and back.labels == written[n].labels
+
+
+def test_a_detector_finds_the_boxes_of_the_current_frame_the_best_first(tmp_path):
+    path = tmp_path / "det.txt"
+    path.write_text("9,-1,0,0,3,3,0.5\r\n3,-1,10,20,41,31,0.25,-1,-1,-1\n\n3 -1 0 0 1 1 0.75\n3,4,5,5,2,2\n")
+    detector = file_detector(path)
+    assert isinstance(detector, Detector)
+    found = found_in(detector, 2)
+    assert found.boxes.tolist() == [[5.5, 5.5, 2, 2], [0, 0, 1, 1], [30, 35, 41, 31]]
+    assert found.scores.tolist() == [1.0, 0.75, 0.25] and found.labels == ("", "", "")
+    assert [len(found_in(detector, n)) for n in (0, 3, 8, 9)] == [0, 0, 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("confidences", "scores"),
+    [
+        ((-1, -1), [1, 1]),
+        ((0, 1), [1, 0]),
+        ((0.2, 0.4), [0.4, 0.2]),
+        ((10, 30, 50), [1, 0.5, 0]),
+        ((-0.5, 0.5), [1, 0]),
+    ],
+)
+def test_confidences_on_another_scale_are_mapped_to_scores(confidences, scores):
+    text = "\n".join(f"1,-1,0,0,4,4,{confidence}" for confidence in confidences)
+    assert parse_detections(text)[0].scores.tolist() == scores
+
+
+@pytest.mark.parametrize("text", ["", "\n \n", '{"frame": 4, "detections": []}\n'])
+def test_a_file_may_hold_nothing(tmp_path, text):
+    path = tmp_path / "none"
+    path.write_text(text)
+    assert len(found_in(file_detector(path), 4)) == 0
+
+
+GOOD_MOT, GOOD_JSON = "1,-1,0,0,4,4,1", '{"frame": 0, "detections": [{"box": [0, 0, 4, 4]}]}'
+WRONG = {
+    "1,-1,0,0,4": "5 numbers; expected 6 to 10 (frame,id,left,top,width,height,confidence,...)",
+    "1,-1,0,0,4,4,1,1,1,1,1": "11 numbers; expected 6 to 10 (frame,id,left,top,width,height,confidence,...)",
+    "1,-1,0,,4,4": "'' is not a number; expected frame,id,left,top,width,height,confidence,...",
+    "one,-1,0,0,4,4": "'one' is not a number; expected frame,id,left,top,width,height,confidence,...",
+    "0,-1,0,0,4,4": "frame 0; frames of MOT files count from 1",
+    "1.5,-1,0,0,4,4": "frame 1.5 is not a whole number",
+    "1,nan,0,0,4,4": "id nan is not a whole number",
+    "1e300,1,0,0,4,4": "frame 1e+300 is not a whole number",
+    "1,-1,0,inf,4,4": "box 0,inf,4,4; expected finite numbers, width and height above 0",
+    "1,-1,0,0,4,0": "box 0,0,4,0; expected finite numbers, width and height above 0",
+    "1,-1,0,0,4,4,inf": "confidence inf; expected a finite number",
+    '{"frame": 0': "expected an object with frame and detections",
+    "[1]": "expected an object with frame and detections",
+    '{"frame": -1, "detections": []}': "frame -1; expected a whole number from 0 on",
+    '{"frame": true, "detections": []}': "frame true; expected a whole number from 0 on",
+    '{"frame": 1, "detections": {}}': "detections {}; expected a list",
+    '{"frame": 1, "detections": [7]}': "detection 1: 7; expected an object with box, score, label",
+    '{"frame": 1, "detections": [{"box": [0, 0, 4, 4]}, {"box": [1, 2, 3]}]}': (
+        "detection 2: box [1, 2, 3]; expected [left, top, width, height], width and height above 0"
+    ),
+    '{"frame": 1, "detections": [{"box": [0, 0, NaN, 4]}]}': (
+        "detection 1: box [0, 0, NaN, 4]; expected [left, top, width, height], width and height above 0"
+    ),
+    '{"frame": 1, "detections": [{"box": [0, 0, 4, 4], "score": 1.5}]}': (
+        "detection 1: score 1.5; expected a number from 0 to 1"
+    ),
+    '{"frame": 1, "detections": [{"box": [0, 0, 4, 4], "label": 3}]}': (
+        "detection 1: label 3; expected a text"
+    ),
+}
+
+
+@pytest.mark.parametrize("line", WRONG)
+def test_a_wrong_line_is_named(tmp_path, line):
+    path = tmp_path / "det"
+    path.write_text(f"{GOOD_JSON if line[0] in '{[' else GOOD_MOT}\n\n{line}\n")
+    with pytest.raises(ValueError) as error:
+        file_detector(path)
+    assert str(error.value) == f"{path}:3: {WRONG[line]}"
+
+
+def test_what_is_no_text_is_refused(tmp_path):
+    path = tmp_path / "picture.png"
+    path.write_bytes(b"\x89PNG\r\n\xff")
+    with pytest.raises(ValueError, match=r"picture\.png: not a text file"):
+        file_detector(path)
