@@ -1,0 +1,81 @@
+"""HOTA (Luiten et al. 2021): detection and association in equal parts, over thresholds of overlap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesnet_track.evaluate.mot_pairs import EPSILON, Floats, Integers, Pairs, assign
+
+ALPHAS = np.arange(0.05, 0.99, 0.05)
+"""The 19 thresholds 0.05, 0.1 .. 0.95."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hota:
+    """The curves over `ALPHAS`; each figure of a sequence is the mean of its curve.
+
+    Attributes:
+        tp: (19,) matched pairs.
+        fn: (19,) true boxes without a match.
+        fp: (19,) tracked boxes without a match.
+        assa: (19,) association accuracy; 0 without a match.
+        loca: (19,) mean overlap of the matched pairs; 1 without a match.
+    """
+
+    tp: Integers
+    fn: Integers
+    fp: Integers
+    assa: Floats
+    loca: Floats
+
+    @property
+    def deta(self) -> Floats:
+        """(19,) detection accuracy TP / (TP + FN + FP)."""
+        return np.asarray(self.tp / (self.tp + self.fn + self.fp), dtype=np.float64)
+
+    @property
+    def hota(self) -> Floats:
+        """(19,) sqrt(DetA AssA)."""
+        return np.asarray(np.sqrt(self.deta * self.assa), dtype=np.float64)
+
+
+def hota(pairs: Pairs) -> Hota:
+    """HOTA of a sequence with true boxes.
+
+    In each frame boxes are matched one to one so that the sum of overlap times alignment is largest, where
+    the alignment of a target and a track says how well they agree over the whole sequence; a matched pair
+    counts for every alpha that its overlap reaches. AssA is the mean over the matched pairs c of
+    TPA(c) / (TPA(c) + FNA(c) + FPA(c)): of the boxes of its target or its track, the share where both match.
+    """
+    both_sizes = pairs.true_boxes[:, None] + pairs.tracked_boxes[None, :]
+    alignment = _alignment(pairs, both_sizes)
+    matches = np.zeros((len(ALPHAS), *both_sizes.shape), dtype=np.int32)
+    iou_sum = np.zeros(len(ALPHAS))
+    for frame in pairs.frames:
+        rows, columns = assign(alignment[np.ix_(frame.true, frame.tracked)] * frame.iou)
+        iou = frame.iou[rows, columns]
+        reached = iou >= ALPHAS[:, None] - EPSILON
+        matches[:, frame.true[rows], frame.tracked[columns]] += reached
+        iou_sum += reached @ iou
+    tp = matches.sum(axis=(1, 2))
+    shares = np.array([(count * (count / (both_sizes - count))).sum() for count in matches])
+    return Hota(
+        tp=tp,
+        fn=pairs.true_boxes.sum() - tp,
+        fp=pairs.tracked_boxes.sum() - tp,
+        assa=shares / np.maximum(tp, 1),
+        loca=np.where(tp > 0, iou_sum / np.maximum(tp, 1), 1.0),
+    )
+
+
+def _alignment(pairs: Pairs, both_sizes: Integers) -> Floats:
+    """(targets, tracks) Jaccard alignment; in a frame a pair counts by its share of both's overlaps."""
+    shared = np.zeros(both_sizes.shape)
+    for frame in pairs.frames:
+        iou = frame.iou
+        all_of_both = iou.sum(axis=0)[None, :] + iou.sum(axis=1)[:, None] - iou
+        part = np.divide(iou, all_of_both, out=np.zeros_like(iou), where=all_of_both > EPSILON)
+        shared[np.ix_(frame.true, frame.tracked)] += part
+    return np.asarray(shared / (both_sizes - shared), dtype=np.float64)

@@ -1,0 +1,108 @@
+"""True and tracked boxes of several targets, frame by frame, with their overlaps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.numerics.boxes import centre_from_corner, overlap
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+EPSILON = float(np.finfo(np.float64).eps)
+"""What an overlap may lack of a threshold: equal ones count as reaching it."""
+
+
+class NeedsScipy(ValueError):
+    """The assignment problem cannot be solved: scipy is not installed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Boxes of several targets, in any order; no identity twice in a frame.
+
+    Attributes:
+        frames: (N,) indices of frames, from 0.
+        ids: (N,) whole numbers; which target each box is of.
+        boxes: (N, 4) corner boxes left, top, width, height in px.
+    """
+
+    frames: Integers
+    ids: Integers
+    boxes: Floats
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+
+@dataclass(frozen=True, eq=False)
+class FramePairs:
+    """All pairs of a true and a tracked box in one frame.
+
+    Attributes:
+        true: (G,) numbers of the true targets, from 0 without gaps over the sequence.
+        tracked: (K,) the same of the tracks.
+        iou: (G, K) intersection over union.
+    """
+
+    true: Integers
+    tracked: Integers
+    iou: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """All pairs of a sequence.
+
+    Attributes:
+        frames: of each frame with a box, in order.
+        true_boxes: how many boxes each true target has.
+        tracked_boxes: the same of each track.
+    """
+
+    frames: tuple[FramePairs, ...]
+    true_boxes: Integers
+    tracked_boxes: Integers
+
+
+def pair(truth: Tracks, tracks: Tracks) -> Pairs:
+    """Every true box beside every tracked box of its frame; of identities only equality matters."""
+    (true, true_boxes), (tracked, tracked_boxes) = _numbered(truth.ids), _numbered(tracks.ids)
+    centres, tracked_centres = centre_from_corner(truth.boxes), centre_from_corner(tracks.boxes)
+    rows, tracked_rows = _rows_of_frames(truth.frames), _rows_of_frames(tracks.frames)
+    nothing = np.empty(0, dtype=np.int64)
+    frames = []
+    for frame in sorted(rows.keys() | tracked_rows.keys()):
+        i, j = rows.get(frame, nothing), tracked_rows.get(frame, nothing)
+        frames.append(
+            FramePairs(true[i], tracked[j], overlap(centres[i][:, None], tracked_centres[j][None, :]))
+        )
+    return Pairs(tuple(frames), true_boxes, tracked_boxes)
+
+
+def assign(gains: Floats) -> tuple[Integers, Integers]:
+    """Rows and columns of the one-to-one assignment with the largest sum of gains (G, K).
+
+    Raises:
+        NeedsScipy: it is not installed.
+    """
+    try:
+        from scipy.optimize import linear_sum_assignment
+    except ImportError:
+        raise NeedsScipy("scores of several targets need scipy: pip install scipy") from None
+    rows, columns = linear_sum_assignment(gains, maximize=True)
+    return np.asarray(rows, dtype=np.int64), np.asarray(columns, dtype=np.int64)
+
+
+def _numbered(ids: Integers) -> tuple[Integers, Integers]:
+    _, numbers, counts = np.unique(ids, return_inverse=True, return_counts=True)
+    return numbers.astype(np.int64), counts.astype(np.int64)
+
+
+def _rows_of_frames(frames: Integers) -> dict[int, Integers]:
+    order = np.argsort(frames, kind="stable")
+    present, starts = np.unique(frames[order], return_index=True)
+    return dict(zip(present.tolist(), np.split(order, starts[1:]), strict=True)) if len(frames) else {}
