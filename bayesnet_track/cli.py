@@ -126,9 +126,15 @@ def make_parser() -> argparse.ArgumentParser:
     log.add_argument("--json", action="store_true", help="print the events as they stand in the journal")
 
     score = commands.add_parser("score", help="score a run against ground truth")
-    score.add_argument("run", metavar="RUN", help="run directory")
-    score.add_argument("--truth", help="ground-truth file (default: the run's own truth.txt)")
-    score.add_argument("--target", metavar="ID", help="which target, where the run has several")
+    score.add_argument("run", metavar="RUN", help="run directory, or a file of tracks (MOT)")
+    score.add_argument(
+        "--truth",
+        help="ground-truth file: a box a line, or MOT, then all targets are scored at once "
+        "(default: the run's own truth.txt)",
+    )
+    score.add_argument(
+        "--target", metavar="ID", help="which target, where the run has several and the truth one"
+    )
     score.add_argument("--json", action="store_true", help="print the scores as JSON")
 
     shape = commands.add_parser("learn-shape", help="learn a shape model from masks, or boxes on a video")

@@ -75,15 +75,34 @@ def _check_node(directory: RunDirectory, node: str | None) -> None:
 
 
 def score(options: argparse.Namespace) -> int:
-    """Score a run against ground truth."""
+    """Score a run, or a file of tracks, against ground truth."""
+    from bayesnet_track.evaluate.mot_files import is_mot
     from bayesnet_track.evaluate.runs import score_run
     from bayesnet_track.runtime.rundir import RunDirectory
 
-    directory = RunDirectory.open(options.run)
+    given = Path(options.run)
+    if given.is_file():
+        if not options.truth:
+            raise UsageError(f"{given}: a file of tracks brings no ground truth; name one with --truth FILE")
+        return _score_several(given, Path(options.truth), options)
+    directory = RunDirectory.open(given)
     truth = Path(options.truth) if options.truth else directory.truth
     if not truth.is_file():
         raise UsageError(f"no ground truth at {truth}; name one with --truth FILE")
     with users_mistake():
+        if is_mot(truth):
+            return _score_several(directory.mot, truth, options)
         result = score_run(directory.path, truth, options.target)
+    say(result.json() if options.json else result.text(explained=True))
+    return OK
+
+
+def _score_several(tracks: Path, truth: Path, options: argparse.Namespace) -> int:
+    from bayesnet_track.evaluate.mot import score_mot_files
+
+    if options.target is not None:
+        raise UsageError(f"--target: all targets in {truth} are scored at once; leave it out")
+    with users_mistake():
+        result = score_mot_files(tracks, truth)
     say(result.json() if options.json else result.text(explained=True))
     return OK
