@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bayesnet_track.adapt.rules import read_level
+from bayesnet_track.adapt.conditions import read_level
 from bayesnet_track.cue import AnyCue, Floats, LocallyAdaptable, Reference, context_of
 from bayesnet_track.graph.spec import Learn
 from bayesnet_track.planes import PlaneCache, region_of_boxes

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.adapt.conditions import Inside
 from bayesnet_track.belief.contract import BOX_FIELDS, Posterior, Step
 from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.messages import without
+from bayesnet_track.numerics.disc import weighted_mass_in_disc
 from bayesnet_track.numerics.divergence import uncertainty_deviation
 from bayesnet_track.numerics.tilts import divergences, tilted
 
@@ -36,6 +38,8 @@ class Measures:
             perfect match, 0 says that none saw anything.
         area_px2: area of the estimate.
         silent: active agents that measure and did not see the target.
+        inside: (node, radius in sqrt(w h) of its most probable state) -> what of its belief lies within, for
+            the windows that its rules ask about.
     """
 
     ud_px2: Mapping[str, float]
@@ -46,6 +50,7 @@ class Measures:
     fit: float
     area_px2: float
     silent: tuple[str, ...] = ()
+    inside: Mapping[tuple[str, float], Inside] = field(default_factory=dict)
 
 
 def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: float) -> Measures:
@@ -84,6 +89,7 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
         fit=float(np.exp(min(np.max(mean), 0.0))) if seeing else 0.0,
         area_px2=area_px2,
         silent=silent,
+        inside=_insides(target, step, beliefs),
     )
 
 
@@ -136,6 +142,45 @@ def _inherited(
     latent = step.evidence.latent.get(above)
     boxes = step.support.boxes if latent is None else latent.boxes
     return _ud(target, node, boxes, beliefs[above], boxes[int(np.argmax(beliefs[above]))])
+
+
+def _insides(
+    target: CheckedTarget, step: Step[Posterior], beliefs: Mapping[str, Floats]
+) -> dict[tuple[str, float], Inside]:
+    """What lies around the mode of every node's belief, in the windows that its rules ask about."""
+    found: dict[tuple[str, float], Inside] = {}
+    for node in target.children:
+        for within_box in _windows(target, node):
+            found[node, within_box] = _inside(target, node, step, beliefs, within_box)
+    return found
+
+
+def _windows(target: CheckedTarget, node: str) -> set[float]:
+    rules = target.inference(node).adapt
+    on = None if rules is None or rules.activate is None else rules.activate.unless
+    off = None if rules is None or rules.deactivate is None else rules.deactivate.when
+    tests = [one.concentrated for one in (on, off) if one is not None]
+    return {test.within_box for test in tests if test is not None}
+
+
+def _inside(
+    target: CheckedTarget, node: str, step: Step[Posterior], beliefs: Mapping[str, Floats], within_box: float
+) -> Inside:
+    """Of the root's posterior about the MAP; of another node's belief about its most probable hypothesis."""
+    above: str | None = node
+    while above is not None and above not in beliefs:
+        above = target.parent[above]
+    if above is None or above == target.root:
+        mode = step.map_state
+        radius = within_box * float(np.sqrt(mode[2] * mode[3]))
+        share, trials = step.posterior.mass_within(mode[:2], radius)
+        return Inside(share, trials, radius)
+    latent, log = step.evidence.latent.get(above), beliefs[above]
+    boxes = step.support.boxes if latent is None else latent.boxes
+    mode, weights = boxes[int(np.argmax(log))], np.exp(log)
+    radius = within_box * float(np.sqrt(mode[2] * mode[3]))
+    share = weighted_mass_in_disc(boxes[:, :2], weights, mode[:2], radius)
+    return Inside(share, float(1.0 / np.sum(weights**2)), radius)
 
 
 def _agent_ud(target: CheckedTarget, boxes: Floats, message: Floats, belief: Floats) -> float:

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from statistics import median
 
+from bayesnet_track.adapt.information import Worth
+
 QUIET_WINDOW = 50
 QUIET_MINIMUM = 10
 
@@ -69,6 +71,7 @@ class Memory:
         found: streak of frames that look found.
         quiet: governor (and root) -> quiet level.
         helpful: agent -> (sum of contributions while active, frames).
+        worth: governor whose rules go by it -> what its agents contributed, the past fading.
     """
 
     activate: Mapping[str, Streak] = field(default_factory=dict)
@@ -78,6 +81,7 @@ class Memory:
     found: Streak = Streak()
     quiet: Mapping[str, Quiet] = field(default_factory=dict)
     helpful: Mapping[str, tuple[float, int]] = field(default_factory=dict)
+    worth: Mapping[str, Worth] = field(default_factory=dict)
 
     def with_contributions(self, contribution: Mapping[str, float]) -> Memory:
         """With this frame's contributions of the active agents counted."""

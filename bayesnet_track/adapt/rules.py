@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+from bayesnet_track.adapt.conditions import Reading, Tested, apply_test, read_level
+from bayesnet_track.adapt.information import Worth, expected_per_ms, remembered_per_ms
 from bayesnet_track.adapt.measure import Measures
 from bayesnet_track.adapt.memory import Memory, Quiet, Streak
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.net import (
     Activated,
-    Cause,
     Deactivated,
     Decision,
     LocallyAdapted,
@@ -23,7 +24,7 @@ from bayesnet_track.graph.net import (
     StatusChanged,
     TargetNet,
 )
-from bayesnet_track.graph.spec import Adapt, Level, Lost
+from bayesnet_track.graph.spec import Adapt, Condition, Level, Lost
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,32 +50,9 @@ class Situation:
     adaptable: frozenset[str]
 
 
-@dataclass(frozen=True)
-class Reading:
-    """A level applied to one value of UD: both in the level's unit."""
-
-    unit: str
-    level: float
-    value: float
-    ud_px2: float
-    scale_px2: float
-
-    def cause(self, frames: int, turning: float) -> Cause:
-        """The numbers for the journal."""
-        return Cause(self.unit, self.level, self.value, frames, turning, self.ud_px2, self.scale_px2)
-
-
-def read_level(level: Level, ud_px2: float, area_px2: float, quiet_px2: float | None) -> Reading | None:
-    """`ud_px2` in the level's unit; None while the quiet level that it needs is unknown."""
-    scale = {"ud_px2": 1.0, "ud_box": area_px2, "ud_quiet": quiet_px2}[level.kind]
-    if scale is None or scale <= 0:
-        return None
-    return Reading(level.kind, level.settings, ud_px2 / scale, ud_px2, scale)
-
-
 def decide(now: Situation, memory: Memory) -> tuple[tuple[Decision, ...], Memory]:
     """The decisions of one frame for one target, and what the rules remember of it."""
-    memory = memory.with_contributions(now.measures.contribution)
+    memory = _note_worth(now, memory.with_contributions(now.measures.contribution))
     memory = _note_quiet(now, memory)
     decisions: list[Decision] = []
     memory = _check_selves(now, memory, decisions)
@@ -92,6 +70,26 @@ def quiet_level(plate: CheckedTarget, net: TargetNet, memory: Memory, node: str)
     return memory.quiet.get(node, Quiet()).level_px2(_active_below(plate, net, node))
 
 
+def _note_worth(now: Situation, memory: Memory) -> Memory:
+    """Count what agents contributed in this frame, for the rules that go by it."""
+    worth = dict(memory.worth)
+    for node in now.plate.children:
+        rules = now.plate.inference(node).adapt
+        if rules is not None and _goes_by_worth(rules):
+            governed = {
+                agent: nats
+                for agent, nats in now.measures.contribution.items()
+                if now.plate.governor[agent] == node
+            }
+            worth[node] = worth.get(node, Worth()).after(governed, rules.information.memory)
+    return replace(memory, worth=worth)
+
+
+def _goes_by_worth(rules: Adapt) -> bool:
+    on = rules.activate is not None and rules.activate.which == "information_per_ms"
+    return on or (rules.deactivate is not None and rules.deactivate.drop == "least_information_per_ms")
+
+
 def _note_quiet(now: Situation, memory: Memory) -> Memory:
     """Count this frame's UD toward the quiet level, where it is a quiet one."""
     if now.net.status == "lost":
@@ -102,8 +100,8 @@ def _note_quiet(now: Situation, memory: Memory) -> Memory:
         rules = now.plate.inference(node).adapt
         loud = False
         if rules is not None and rules.activate is not None:
-            reading = _read(now, memory, node, rules.activate.above)
-            loud = reading is not None and reading.value > reading.level
+            found = _find(now, memory, node, rules.activate.above, rules.activate.unless)
+            loud = found is not None and found.above
         if active and not loud:
             quiet[node] = quiet.get(node, Quiet()).seen(active, ud)
     return replace(memory, quiet=quiet)
@@ -113,6 +111,18 @@ def _read(now: Situation, memory: Memory, node: str, level: Level) -> Reading | 
     """The UD of an inference node in the level's unit."""
     quiet = quiet_level(now.plate, now.net, memory, node)
     return read_level(level, now.measures.ud_px2[node], now.measures.area_px2, quiet)
+
+
+def _find(
+    now: Situation, memory: Memory, node: str, level: Level | None, test: Condition | None
+) -> Reading | Tested | None:
+    """What a rule's condition finds in the node's belief; None while it cannot be told."""
+    if level is not None:
+        return _read(now, memory, node, level)
+    if test is None or test.concentrated is None:
+        return None
+    inside = now.measures.inside.get((node, test.concentrated.within_box))
+    return None if inside is None else apply_test(test.concentrated, inside, now.measures.ud_px2[node])
 
 
 def _active_below(plate: CheckedTarget, net: TargetNet, node: str) -> frozenset[str]:
@@ -168,27 +178,27 @@ def _govern(now: Situation, memory: Memory, node: str, rules: Adapt, decisions: 
     up = down = Streak()
     fired = False
     if rules.activate is not None:
-        reading, frames = _read(now, memory, node, rules.activate.above), rules.activate.frames
-        if reading is not None:
-            above = reading.value > reading.level
-            up = memory.activate.get(node, up).then(above, reading.value, frames)
-        if reading is not None and up.count >= frames:
-            chosen = _choose_to_activate(now, memory, node, rules.activate.which)
-            cause = reading.cause(frames, min(up.values))
+        found = _find(now, memory, node, rules.activate.above, rules.activate.unless)
+        frames = rules.activate.frames
+        if found is not None:
+            up = memory.activate.get(node, up).then(found.above, found.value, frames)
+        if found is not None and up.count >= frames:
+            chosen = _choose_to_activate(now, memory, node, rules)
+            cause = found.cause_above(frames, up.values)
             decisions += [
-                Activated(now.frame, now.target, agent, node, cause, helpfulness)
-                for agent, helpfulness in chosen
+                Activated(now.frame, now.target, one.agent, node, cause, one.helpfulness, one.expected)
+                for one in chosen
             ]
             fired = bool(chosen)
     if rules.deactivate is not None:
-        reading, frames = _read(now, memory, node, rules.deactivate.below), rules.deactivate.frames
-        if reading is not None:
-            below = reading.value < reading.level
-            down = memory.deactivate.get(node, down).then(below, reading.value, frames)
-        if reading is not None and down.count >= frames and not fired:
-            index = _drop_index(now, node, rules.deactivate.drop, decisions)
+        found = _find(now, memory, node, rules.deactivate.below, rules.deactivate.when)
+        frames = rules.deactivate.frames
+        if found is not None:
+            down = memory.deactivate.get(node, down).then(found.below, found.value, frames)
+        if found is not None and down.count >= frames and not fired:
+            index = _drop_index(now, memory, node, rules.deactivate.drop, decisions)
             if len(index) > rules.keep:
-                cause = reading.cause(frames, max(down.values))
+                cause = found.cause_below(frames, down.values)
                 largest = rules.deactivate.drop == "largest_kl"
                 agent = (max if largest else min)(index, key=lambda name: index[name])
                 decisions.append(
@@ -213,19 +223,38 @@ def _eligible(now: Situation) -> list[str]:
     ]
 
 
-def _choose_to_activate(
-    now: Situation, memory: Memory, node: str, which: str
-) -> list[tuple[str, float | None]]:
-    """(agent, its helpfulness when that chose it): all, or the most helpful; one never tried comes first."""
+@dataclass(frozen=True)
+class _Chosen:
+    """An agent to switch on, and what spoke for it."""
+
+    agent: str
+    helpfulness: float | None = None
+    expected: Mapping[str, float] = field(default_factory=dict)
+
+
+def _choose_to_activate(now: Situation, memory: Memory, node: str, rules: Adapt) -> list[_Chosen]:
+    """All, or the one that a rule thinks best; one never tried comes first.
+
+    By expected information all are switched on while the target is lost: what it is worth was learnt while it
+    was seen.
+    """
     agents = [agent for agent in _eligible(now) if now.plate.governor[agent] == node]
-    if which == "all" or not agents:
-        return [(agent, None) for agent in agents]
+    which = "all" if rules.activate is None else rules.activate.which
+    if which == "information_per_ms" and agents and now.net.status != "lost":
+        worth = memory.worth.get(node, Worth())
+        expected = expected_per_ms(worth, agents, now.costs_ms, rules.information)
+        best = max(agents, key=lambda agent: expected[agent])
+        return [_Chosen(best, worth.mean(best), expected)]
+    if which != "most_helpful" or not agents:
+        return [_Chosen(agent) for agent in agents]
     known = {agent: memory.helpfulness(agent) for agent in agents}
     best = max(agents, key=lambda agent: float("inf") if known[agent] is None else float(known[agent] or 0.0))
-    return [(best, known[best])]
+    return [_Chosen(best, known[best])]
 
 
-def _drop_index(now: Situation, node: str, drop: str, decisions: list[Decision]) -> dict[str, float]:
+def _drop_index(
+    now: Situation, memory: Memory, node: str, drop: str, decisions: list[Decision]
+) -> dict[str, float]:
     """Governed agent -> the index by which one is dropped; those that just stopped themselves are out."""
     stopped = {d.node for d in decisions if isinstance(d, SelfStopped)}
     agents = [
@@ -235,6 +264,8 @@ def _drop_index(now: Situation, node: str, drop: str, decisions: list[Decision])
     ]
     if drop == "largest_kl":
         return {agent: now.measures.kl[agent] for agent in agents}
+    if drop == "least_information_per_ms":
+        return remembered_per_ms(memory.worth.get(node, Worth()), agents, now.costs_ms)
     return {agent: now.measures.contribution[agent] / now.costs_ms[agent] for agent in agents}
 
 

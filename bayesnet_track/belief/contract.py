@@ -125,6 +125,13 @@ class Posterior(Protocol):
         """UD = E |s - about|^2 over the columns of the state, about a state (D,)."""
         ...
 
+    def mass_within(self, centre: Floats, radius: float) -> tuple[float, float]:
+        """Share of it whose centre (x, y) lies within `radius` px of `centre` (2,), and of how many draws.
+
+        The second number is the effective number of draws that know the share; inf where it is exact.
+        """
+        ...
+
     def region(self, share: float) -> tuple[float, float, float, float]:
         """x_low, x_high, y_low, y_high in px: the central `share` of the centre's weight on each axis."""
         ...

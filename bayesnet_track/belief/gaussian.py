@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -26,6 +27,7 @@ from bayesnet_track.belief.states import WeightedStates, hypotheses_of
 from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events import Event, MeasurementGated
+from bayesnet_track.numerics.disc import gaussian_mass_in_disc
 from bayesnet_track.numerics.gaussian import root
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 
@@ -56,6 +58,10 @@ class GaussianPosterior:
         chosen = list(columns)
         away = self.mean[chosen] - about[chosen]
         return float(np.diagonal(self.covariance)[chosen].sum() + away @ away)
+
+    def mass_within(self, centre: Floats, radius: float) -> tuple[float, float]:
+        """Mass within `radius` px of `centre` (2,), exact."""
+        return gaussian_mass_in_disc(self.mean[:2] - centre, self.covariance[:2, :2], radius), math.inf
 
     def region(self, share: float) -> tuple[float, float, float, float]:
         """x_low, x_high, y_low, y_high in px: the central `share` of the centre's weight on each axis."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -126,6 +127,12 @@ class GridBelief:
         chosen = list(columns)
         off = self.mean[chosen] - about[chosen]
         return float(np.diag(self.covariance)[chosen].sum() + off @ off)
+
+    def mass_within(self, centre: Floats, radius: float) -> tuple[float, float]:
+        """Mass of the cells whose points lie within `radius` px of `centre` (2,), exact."""
+        x, y = self.values[:2]
+        inside = (y[:, None] - centre[1]) ** 2 + (x - centre[0]) ** 2 <= radius * radius
+        return min(float(self.positions.sum(axis=0)[inside].sum()), 1.0), math.inf
 
     def region(self, share: float) -> tuple[float, float, float, float]:
         """x_low, x_high, y_low, y_high in px: the central `share` on each axis, even inside a cell."""

@@ -12,6 +12,7 @@ from bayesnet_track.belief.contract import Evaluate, Motion, Stream
 from bayesnet_track.belief.need import Sized
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.cue import Hypotheses
+from bayesnet_track.numerics.disc import weighted_mass_in_disc
 from bayesnet_track.numerics.divergence import uncertainty_deviation
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.resampling import resample
@@ -67,6 +68,11 @@ class ParticleSet:
         """UD = sum w |s - about|^2 over the columns of the state."""
         chosen = list(columns)
         return uncertainty_deviation(self.states[:, chosen], self.weights.weights, about[chosen])
+
+    def mass_within(self, centre: Floats, radius: float) -> tuple[float, float]:
+        """Share of the weight within `radius` px of `centre` (2,), known by so many effective draws."""
+        share = weighted_mass_in_disc(self.states[:, :2], self.weights.weights, centre, radius)
+        return share, self.weights.ess
 
     def region(self, share: float) -> tuple[float, float, float, float]:
         """x_low, x_high, y_low, y_high in px: the central `share` of the centre's weight on each axis."""

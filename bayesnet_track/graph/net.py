@@ -35,6 +35,36 @@ class Cause:
 
 
 @dataclass(frozen=True)
+class Concentration:
+    """The numbers of the test whether a belief lies around one mode: a one-sided binomial test.
+
+    Attributes:
+        share: share of the belief that has to lie inside the window.
+        within_box: radius of the window, in sqrt(w h) of the most probable state.
+        confidence: confidence of the test.
+        inside: share that lies inside at this frame.
+        trials: effective hypotheses that know it; infinite when it is exact.
+        vouched: largest `share` at which the test would say at this frame that the belief is concentrated.
+        frames: how many consecutive frames it had to say so, or not to say so.
+        turning: the `share` at which the rule would not have fired: at or below it for one that switches on,
+            above it for one that switches off.
+        radius_px: radius of the window.
+        ud_px2: UD at this frame.
+    """
+
+    share: float
+    within_box: float
+    confidence: float
+    inside: float
+    trials: float
+    vouched: float
+    frames: int
+    turning: float
+    radius_px: float
+    ud_px2: float
+
+
+@dataclass(frozen=True)
 class TargetStarted:
     """A net is born: a copy of the plate `template` for the target inside `box`.
 
@@ -64,15 +94,18 @@ class Activated:
         governor: the inference node whose rule fired.
         cause: the numbers; None when it was switched on because no agent was active.
         helpfulness: mean contribution (nats) over the frames in which it was active; None when never measured
-            or when the rule switches on all agents.
+            or when the rule does not go by it.
+        expected: agent -> expected information per declared cost, nats per ms, for every inactive agent it
+            was chosen among by `information_per_ms`; infinite for one that was never active; else empty.
     """
 
     frame: int
     target: str
     node: str
     governor: str
-    cause: Cause | None
+    cause: Cause | Concentration | None
     helpfulness: float | None = None
+    expected: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -85,7 +118,7 @@ class Deactivated:
         node: the agent.
         governor: the inference node whose rule fired.
         cause: the numbers.
-        drop: which index chose it: largest_kl or least_contribution_per_ms.
+        drop: which index chose it: largest_kl, least_contribution_per_ms or least_information_per_ms.
         index: agent -> that index, for every active agent it was chosen among.
     """
 
@@ -93,7 +126,7 @@ class Deactivated:
     target: str
     node: str
     governor: str
-    cause: Cause
+    cause: Cause | Concentration
     drop: str
     index: Mapping[str, float] = field(default_factory=dict)
 

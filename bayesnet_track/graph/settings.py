@@ -1,4 +1,4 @@
-"""The settings of nodes: noise, motion, belief, estimate, fusion, and the rules of adaptation."""
+"""The settings of nodes: noise, motion, belief, estimate and fusion."""
 
 from __future__ import annotations
 
@@ -11,14 +11,12 @@ from bayesnet_track.graph.grid_settings import Grid
 from bayesnet_track.graph.model import (
     Choice,
     Empty,
-    FrameCount,
     Model,
     Name,
     NotNegative,
     Number,
     Positive,
     Share,
-    Whole,
     word_or_mapping,
 )
 from bayesnet_track.graph.particle_settings import Particles
@@ -206,78 +204,3 @@ class Fuse(Choice):
     def bare(cls, word: str) -> Any:
         """A bare `pool` means equal weights."""
         return "equal" if word == "pool" else {}
-
-
-# ---------------------------------------------------------------------------------- adaptation
-
-
-class Level(Choice):
-    """A level of the uncertainty deviation UD."""
-
-    ud_px2: Positive | None = Field(default=None, description="in px^2")
-    ud_box: Positive | None = Field(default=None, description="as a share of the estimate's area w h")
-    ud_quiet: Positive | None = Field(default=None, description="as a multiple of the measured quiet level")
-
-
-class Activate(Model):
-    """Switch agents on when UD stays above a level."""
-
-    above: Level = Field(description="level of UD")
-    frames: FrameCount = Field(default=1, description="consecutive frames above the level")
-    which: Literal["all", "most_helpful"] = Field(
-        default="all", description="every inactive agent, or the one that contributed most when last active"
-    )
-
-
-class Deactivate(Model):
-    """Switch one agent off when UD stays below a level."""
-
-    below: Level = Field(description="level of UD")
-    frames: FrameCount = Field(default=5, description="consecutive frames below the level")
-    drop: Literal["largest_kl", "least_contribution_per_ms"] = Field(
-        default="largest_kl",
-        description="largest KL(belief || agent), or least KL(belief || belief without it) per declared cost",
-    )
-
-
-class Adapt(Model):
-    """When agents below an inference node are switched on and off."""
-
-    activate: Activate | None = Field(default=None, description="when agents are switched on")
-    deactivate: Deactivate | None = Field(default=None, description="when an agent is switched off")
-    keep: Annotated[Whole, Field(ge=1)] = Field(default=1, description="agents that always stay active")
-
-
-class Learn(Model):
-    """References move toward the estimate while UD is low (eqs. 2.15-2.16 times rate_max)."""
-
-    below: Level = Field(description="level of UD")
-    rate_max: Annotated[Number, Field(gt=0, le=1)] = Field(
-        default=0.05, description="largest learning rate per frame"
-    )
-
-
-class Lost(Model):
-    """The target counts as lost while UD is above a level or nothing fits, until neither held as long."""
-
-    above: Level = Field(default=Level(ud_box=1.0), description="level of UD")
-    fit_below: Annotated[Number, Field(ge=0, lt=1)] = Field(
-        default=0.05,
-        description="largest likelihood of any hypothesis, geometric mean over the active agents",
-    )
-    frames: FrameCount = Field(default=3, description="consecutive frames before the status changes")
-
-
-class SelfCheck(Model):
-    """An agent watches its own uncertainty: acts locally, then stops itself.
-
-    After a self-stop the agent may be switched on again only after `rest` frames, by the `activate` rule
-    above it (or when no agent is left); each further self-stop doubles its rest, so that it cannot oscillate.
-    The last active agent never stops itself, and none does while the target is lost.
-    """
-
-    above: Level = Field(description="level of UD")
-    frames: FrameCount = Field(default=10, description="consecutive frames above the level before it stops")
-    rest: FrameCount = Field(
-        default=50, description="frames before it may be switched on again; doubles each time"
-    )

@@ -12,6 +12,18 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
+from bayesnet_track.graph.adapt_settings import (
+    Activate,
+    Adapt,
+    Concentrated,
+    Condition,
+    Deactivate,
+    Information,
+    Learn,
+    Level,
+    Lost,
+    SelfCheck,
+)
 from bayesnet_track.graph.gaussian_settings import Gaussian, Unscented
 from bayesnet_track.graph.grid_settings import Grid, Reset
 from bayesnet_track.graph.model import Choice, Empty, Model, Name, Number, Truth
@@ -24,27 +36,20 @@ from bayesnet_track.graph.particle_settings import (
     Particles,
 )
 from bayesnet_track.graph.settings import (
-    Activate,
-    Adapt,
     Belief,
     BoxSd,
     ConstantAcceleration,
     ConstantVelocity,
     DampedVelocity,
-    Deactivate,
     Estimate,
     Fuse,
     Latent,
-    Learn,
-    Level,
     LogSd,
-    Lost,
     Motion,
     Nearest,
     Noise,
     PixelSd,
     RandomWalk,
-    SelfCheck,
     Wide,
     Window,
 )
@@ -62,6 +67,8 @@ __all__ = [
     "BinnedSize",
     "BoxSd",
     "Choice",
+    "Concentrated",
+    "Condition",
     "ConstantAcceleration",
     "ConstantVelocity",
     "DampedVelocity",
@@ -74,6 +81,7 @@ __all__ = [
     "GraphSpec",
     "Grid",
     "InferenceNode",
+    "Information",
     "Latent",
     "Learn",
     "Level",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from bayesnet_track.graph.adapt_laws import ADAPT_LAWS
 from bayesnet_track.graph.gaussian_law import gaussian_settings_have_effect, kalman_moves_linearly
 from bayesnet_track.graph.grid_law import grid_holds_the_motion, grid_resets_at_one_level
 from bayesnet_track.graph.messages import GraphMessage
@@ -56,11 +57,11 @@ def thresholds_in_order(plate: Plate) -> Iterator[GraphMessage]:
     """Off lies below on, and learning below loss, where their units are the same."""
     for name, node in plate.inference.items():
         adapt = node.adapt
-        if adapt is not None and adapt.activate is not None and adapt.deactivate is not None:
+        on = None if adapt is None or adapt.activate is None else adapt.activate.above
+        off = None if adapt is None or adapt.deactivate is None else adapt.deactivate.below
+        if on is not None and off is not None:
             key = ("adapt", "deactivate", "below")
-            yield from _crossing(
-                plate, name, key, adapt.deactivate.below, adapt.activate.above, "adapt.activate.above"
-            )
+            yield from _crossing(plate, name, key, off, on, "adapt.activate.above")
         if node.learn is not None and node.parent is None:
             lost = node.lost or Lost()
             text = "lost.above" if node.lost is not None else "lost.above by default"
@@ -128,6 +129,7 @@ VALUE_LAWS: tuple[Law, ...] = (
     noise_is_there,
     weights_name_the_children,
     thresholds_in_order,
+    *ADAPT_LAWS,
     someone_is_active,
     learning_has_a_rule,
     sizes_in_order,

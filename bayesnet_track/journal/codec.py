@@ -93,8 +93,8 @@ def _encoded_fields(value: Any, kind: Any, where: str) -> dict[str, Any]:
 def _encode(value: Any, hint: Any, where: str) -> Any:
     shape, inner = _shape(hint)
     try:
-        if shape == "optional":
-            return None if value is None else _encode(value, inner[0], where)
+        if shape == "union":
+            return None if _absent(inner, value) else _encode(value, _member(inner, type(value)), where)
         if shape == "tuple":
             return [_encode(item, h, where) for item, h in zip(value, _per_item(inner, value), strict=True)]
         if shape == "mapping":
@@ -110,8 +110,8 @@ def _encode(value: Any, hint: Any, where: str) -> Any:
 
 def _decode(value: Any, hint: Any, where: str) -> Any:
     shape, inner = _shape(hint)
-    if shape == "optional":
-        return None if value is None else _decode(value, inner[0], where)
+    if shape == "union":
+        return None if _absent(inner, value) else _decode(value, _member_with(inner, value), where)
     if shape == "tuple" and isinstance(value, list):
         hints = _per_item(inner, value)
         if len(hints) == len(value):
@@ -143,12 +143,30 @@ def _decode_object(values: Mapping[str, Any], kind: Any, where: str) -> Any:
 def _shape(hint: Any) -> tuple[str, tuple[Any, ...]]:
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (types.UnionType, Union):
-        return "optional", tuple(part for part in inner if part is not types.NoneType)
+        return "union", inner
     if origin is tuple:
         return "tuple", inner
     if origin is not None and issubclass(origin, Mapping):
         return "mapping", inner
     return "simple", ()
+
+
+def _absent(inner: tuple[Any, ...], value: Any) -> bool:
+    return value is None and types.NoneType in inner
+
+
+def _member(inner: tuple[Any, ...], kind: type) -> Any:
+    """The member of a union that a value is of; the first when it is of none."""
+    return kind if kind in inner else inner[0]
+
+
+def _member_with(inner: tuple[Any, ...], value: Any) -> Any:
+    """The member of a union that has the most keys of an object, in order; the first for other values."""
+    if not isinstance(value, Mapping):
+        return inner[0]
+    return max(
+        inner, key=lambda kind: len(type_hints(kind).keys() & value.keys()) if is_dataclass(kind) else 0
+    )
 
 
 def _per_item(inner: tuple[Any, ...], value: Any) -> tuple[Any, ...]:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from inspect import cleandoc
 from typing import Any, get_args
 
-from bayesnet_track.graph.net import Cause
+from bayesnet_track.graph.net import Cause, Concentration
 from bayesnet_track.journal.codec import FLOAT_DIGITS, event_classes, event_name, type_hints
 from bayesnet_track.journal.events import JOURNAL_VERSION, FrameMetrics
 
@@ -46,6 +46,7 @@ def document_events() -> str:
         _section(FrameMetrics, f"`{event_name(FrameMetrics)}`"),
         "## Objects inside lines",
         _section(Cause, "`cause`"),
+        _section(Concentration, "`concentration`"),
     ]
     return "\n\n".join(sections) + "\n"
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from bayesnet_track.graph.net import (
     Activated,
     Cause,
+    Concentration,
     Deactivated,
     Quarantined,
     SelfStopped,
@@ -16,7 +17,8 @@ from bayesnet_track.graph.net import (
 )
 from bayesnet_track.journal.codec import event_classes, event_name
 from bayesnet_track.journal.events import Event, FrameMetrics
-from bayesnet_track.journal.sentences import UNIT, explain
+from bayesnet_track.journal.sentences import explain
+from bayesnet_track.journal.wording import UNIT
 
 __all__ = ["Filter", "explain", "has_several_targets", "why"]
 
@@ -153,6 +155,10 @@ def _levels(events: Sequence[Event]) -> list[str]:
     found: dict[str, None] = {}
     for event in events:
         cause = getattr(event, "cause", None)
+        if isinstance(cause, Concentration) and isinstance(event, Activated | Deactivated):
+            switches = "activates unless" if isinstance(event, Activated) else "deactivates when"
+            test = f"{cause.share:g} lies within {cause.within_box:g} box of the mode"
+            found[f"{event.governor} {switches} {test} (confidence {cause.confidence:g})"] = None
         if not isinstance(cause, Cause):
             continue
         level = f"{cause.level:g}{UNIT[cause.unit]}"

@@ -6,7 +6,6 @@ import math
 
 from bayesnet_track.graph.net import (
     Activated,
-    Cause,
     Deactivated,
     Decision,
     LocallyAdapted,
@@ -28,9 +27,8 @@ from bayesnet_track.journal.events import (
     SecondPass,
     SourceDamaged,
 )
-
-UNIT = {"ud_px2": " px²", "ud_box": " × box area", "ud_quiet": " × quiet level"}
-"""How a level's unit is written behind its number."""
+from bayesnet_track.journal.switch_sentences import activated, deactivated
+from bayesnet_track.journal.wording import decimals, held, plural, rounded, told_apart, turned_at
 
 
 def explain(event: Event, name_target: bool = False) -> str:
@@ -50,7 +48,7 @@ def explain(event: Event, name_target: bool = False) -> str:
         case RunEnded():
             return _run_ended(event)
         case FramesMissing():
-            gap = _plural(event.missing, "frame interval")
+            gap = plural(event.missing, "frame interval")
             return f"frame {event.frame}: {gap} missing before it; the belief is predicted over the gap"
         case FrameSizeChanged():
             then = "the run stops" if event.action == "stop" else "they are scaled to the first frame's size"
@@ -65,7 +63,7 @@ def explain(event: Event, name_target: bool = False) -> str:
 
 def _run_started(event: RunStarted) -> str:
     colour = "" if event.has_color else " gray"
-    length = "" if event.declared_frames is None else f", {_plural(event.declared_frames, 'frame')}"
+    length = "" if event.declared_frames is None else f", {plural(event.declared_frames, 'frame')}"
     rate = f"{1 / event.frame_interval_s:.4g} per second" if event.frame_interval_s > 0 else "no rate"
     return (
         f"run of {event.graph} ({event.graph_sha256[:12]}) on {event.source}: "
@@ -76,7 +74,7 @@ def _run_started(event: RunStarted) -> str:
 def _run_ended(event: RunEnded) -> str:
     declared = event.declared_frames
     whole = declared is None or declared == event.frames
-    frames = _plural(event.frames, "frame") if whole else f"{event.frames} of {declared} frames"
+    frames = plural(event.frames, "frame") if whole else f"{event.frames} of {declared} frames"
     how = "ended" if event.complete else "ended early"
     return f"run {how} after {frames}: {event.reason.replace('_', ' ')}"
 
@@ -94,19 +92,16 @@ def happened(
                 f"{w:.4g} x {h:.4g} px → {active} on"
             )
         case Activated():
-            return _activated(event)
+            return activated(event)
         case Deactivated():
-            return (
-                f"{_held(event.cause, '<')} → {event.node} off{_chosen_among(event)}; "
-                f"would have stayed on at deactivate ≤ {_turning(event.cause, up=False)}"
-            )
+            return deactivated(event)
         case LocallyAdapted():
-            return f"{event.node}: its own {_held(event.cause, '>')} → tuned itself, attempt {event.attempt}"
+            return f"{event.node}: its own {held(event.cause, '>')} → tuned itself, attempt {event.attempt}"
         case SelfStopped():
             return (
-                f"{event.node}: its own {_held(event.cause, '>')} → stopped itself; may be switched on again "
+                f"{event.node}: its own {held(event.cause, '>')} → stopped itself; may be switched on again "
                 f"from frame {event.rests_until}; would have gone on at self_check ≥ "
-                f"{_turning(event.cause, up=True)}"
+                f"{turned_at(event.cause, up=True)}"
             )
         case Quarantined():
             return f"{event.node} failed: {event.reason} → out for the rest of the run"
@@ -124,35 +119,27 @@ def happened(
             return f"no hypothesis of target {event.target} can be used: {event.reason}; the prediction stays"
 
 
-def _activated(event: Activated) -> str:
-    if event.cause is None:
-        return f"no agent was active → {event.node} on"
-    helped = "" if event.helpfulness is None else f" (helped most so far: {event.helpfulness:.2f} nats)"
-    stay = f"would have stayed off at activate ≥ {_turning(event.cause, up=True)}"
-    return f"{_held(event.cause, '>')} → {event.node} on{helped}; {stay}"
-
-
 def _status(event: StatusChanged) -> str:
     lost = event.status == "lost"
     result = f"target {event.target} {'lost' if lost else 'found again'}"
     if event.cause is None:
         return f"{event.reason} → {result}" if event.reason else result
     if not lost:
-        return f"{_held(event.cause, '≤')} → {result}"
+        return f"{held(event.cause, '≤')} → {result}"
     return (
-        f"{_held(event.cause, '>')} → {result}; would have stayed at lost ≥ {_turning(event.cause, up=True)}"
+        f"{held(event.cause, '>')} → {result}; would have stayed at lost ≥ {turned_at(event.cause, up=True)}"
     )
 
 
 def _reset(event: BeliefReset) -> str:
-    gamma, below = _told_apart(event.gamma, event.below)
+    gamma, below = told_apart(event.gamma, event.below)
     over = "the belief's bounding box" if event.region == "belief" else "the image"
     then = (
         f"the belief of target {event.target} starts again from the frame's likelihood"
         if event.action == "reset"
         else "the frame's evidence is ignored"
     )
-    turning = _rounded(event.gamma, _digits(event.gamma, event.below), up=False)
+    turning = rounded(event.gamma, decimals(event.gamma, event.below), up=False)
     return f"γ {gamma} < {below} over {over} ({event.region_px2:.0f} px²) → {then}; not at below ≤ {turning}"
 
 
@@ -169,7 +156,7 @@ def _why_so_many(event: ParticlesResized) -> str:
     """The numbers that the need was computed from."""
     parts = []
     if event.bins is not None and event.bin_px is not None:
-        parts.append(f"{event.field} spans {_plural(event.bins, 'bin')} of {event.bin_px:g} px")
+        parts.append(f"{event.field} spans {plural(event.bins, 'bin')} of {event.bin_px:g} px")
     if event.sd_px is not None:
         parts.append(f"{event.field} has an sd of {event.sd_px:.3g} px")
     if event.worth is not None and event.method != "kld":
@@ -182,13 +169,13 @@ def _not_resized(event: ParticlesResized) -> str:
     if event.turning is None:
         return ""
     up = (event.particles > event.before) == (event.setting != "threshold")
-    turning = _rounded(event.turning, _digits(event.turning, event.level), up)
+    turning = rounded(event.turning, decimals(event.turning, event.level), up)
     return f"; would have stayed near {event.before} at {event.setting} {'≥' if up else '≤'} {turning}"
 
 
 def _gated(event: MeasurementGated) -> str:
-    d2, limit = _told_apart(event.d2, event.limit)
-    of = _plural(event.degrees, "degree")
+    d2, limit = told_apart(event.d2, event.limit)
+    of = plural(event.degrees, "degree")
     then = "" if event.used else "; nothing else was measured near the prediction"
     # Rounded up, so that the gate named does let it pass.
     digits = min(max(2, math.ceil(-math.log10(max(1.0 - event.turning, 1e-300)))), 12)
@@ -201,79 +188,11 @@ def _gated(event: MeasurementGated) -> str:
 
 
 def _second_pass(event: SecondPass) -> str:
-    found, level = _told_apart(event.kl, event.above_kl)
+    found, level = told_apart(event.kl, event.above_kl)
     how = "" if event.method == "adaptive" else f", by {event.method}"
-    turning = _rounded(event.kl, _digits(event.kl, event.above_kl), up=True)
+    turning = rounded(event.kl, decimals(event.kl, event.above_kl), up=True)
     return (
         f"KL(posterior, prior) {found} nats > {level} → second pass of {event.particles} hypotheses{how}, "
         f"{event.ess_first:.0f} effective before, {event.ess:.0f} after; "
         f"would have been spared at above_kl ≥ {turning}"
     )
-
-
-def _chosen_among(event: Deactivated) -> str:
-    """Why this agent and not another: its index against that of the runner-up."""
-    own = event.index.get(event.node)
-    others = {name: value for name, value in event.index.items() if name != event.node}
-    if own is None or not others:
-        return ""
-    largest = event.drop == "largest_kl"
-    second = (min if not largest else max)(others, key=lambda name: others[name])
-    what = "largest KL" if largest else "least contribution per ms"
-    return f" ({what} {own:.2f} against {second} {others[second]:.2f})"
-
-
-# ------------------------------------------------------------------------------------ numbers
-
-
-def _held(cause: Cause, relation: str) -> str:
-    """`UD 212 px² > 200 for 3 frames`, or with the unit and px² in brackets."""
-    value, level = _told_apart(cause.value, cause.level)
-    span = f"for {_plural(cause.frames, 'frame')}"
-    if cause.unit == "ud_px2":
-        return f"UD {value} px² {relation} {level} {span}"
-    px, level_px = _told_apart(cause.ud_px2, cause.level * cause.scale_px2)
-    unit = UNIT[cause.unit]
-    return f"UD {value}{unit} ({px} px²) {relation} {level}{unit} ({level_px} px²) {span}"
-
-
-def _turning(cause: Cause, up: bool) -> str:
-    """The turning level with as many digits as tell it from the level, rounded so that it does turn."""
-    value = _rounded(cause.turning, _digits(cause.turning, cause.level), up)
-    if cause.unit == "ud_px2":
-        return value
-    px = cause.turning * cause.scale_px2
-    return f"{value}{UNIT[cause.unit]} ({_rounded(px, _digits(px, cause.level * cause.scale_px2), up)} px²)"
-
-
-def _told_apart(value: float, level: float) -> tuple[str, str]:
-    """Both numbers with three digits, or as many as it takes to show that they differ."""
-    for extra in range(7):
-        digits = _digits(value, level) + extra
-        first, second = f"{value:.{digits}f}", f"{level:.{digits}f}"
-        if first != second or value == level:
-            break
-    return _trimmed(first), _trimmed(second)
-
-
-def _digits(*values: float) -> int:
-    """Decimals that give the smallest of the numbers three digits."""
-    smallest = min((abs(v) for v in values if v), default=1.0)
-    return min(max(2 - math.floor(math.log10(smallest)), 0), 12) if math.isfinite(smallest) else 0
-
-
-def _rounded(value: float, digits: int, up: bool) -> str:
-    if not math.isfinite(value):
-        return str(value)
-    scaled = value * 10.0**digits
-    # A hair of rounding error must not move a whole number to the next one.
-    whole = math.ceil(scaled - 1e-9 * abs(scaled)) if up else math.floor(scaled + 1e-9 * abs(scaled))
-    return _trimmed(f"{whole / 10.0**digits:.{digits}f}")
-
-
-def _trimmed(text: str) -> str:
-    return text.rstrip("0").rstrip(".") if "." in text else text
-
-
-def _plural(count: float, noun: str) -> str:
-    return f"{count:.6g} {noun}{'' if count == 1 else 's'}"

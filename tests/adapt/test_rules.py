@@ -10,8 +10,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from bayesnet_track.adapt.conditions import read_level
 from bayesnet_track.adapt.memory import Memory
-from bayesnet_track.adapt.rules import read_level
 from bayesnet_track.graph.net import (
     Activated,
     Cause,

@@ -160,14 +160,22 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
         pool=st.just("equal") | st.dictionaries(names, positive, min_size=1, max_size=3),
         latent=_mapping({"given": _mapping({}, noise)}, {"draw": st.sampled_from(["one", "kernel"])}),
     )
-    which = st.sampled_from(["all", "most_helpful"])
-    drop = st.sampled_from(["largest_kl", "least_contribution_per_ms"])
+    which = st.sampled_from(["all", "most_helpful", "information_per_ms"])
+    drop = st.sampled_from(["largest_kl", "least_contribution_per_ms", "least_information_per_ms"])
+    half = st.floats(0.5, 0.99)
+    test = _choice(
+        ["concentrated"],
+        concentrated=_mapping({}, {"share": half, "within_box": positive, "confidence": half}),
+    )
     adapt = _mapping(
         {},
         {
-            "activate": _mapping({"above": level}, {"frames": frames, "which": which}),
-            "deactivate": _mapping({"below": level}, {"frames": frames, "drop": drop}),
+            "activate": _mapping({"above": level}, {"frames": frames, "which": which})
+            | _mapping({"unless": test}, {"frames": frames, "which": which}),
+            "deactivate": _mapping({"below": level}, {"frames": frames, "drop": drop})
+            | _mapping({"when": test}, {"frames": frames, "drop": drop}),
             "keep": st.integers(1, 9),
+            "information": _mapping({}, {"memory": frames, "explore": positive | st.just(0)}),
         },
     )
     inference = _mapping(
@@ -290,6 +298,7 @@ def everything() -> dict[str, Any]:
             "fuse": "pool",
             "belief": {"particles": {"size": {"likelihood_sum": {"threshold": 20}}}},
         },
+        "r": {"adapt": {"activate": {"unless": "concentrated"}, "information": {"explore": 1}}},
         "m": {"belief": {"particles": {"importance": {"adaptive": {"by": "parents"}}}}},
         "n": {"belief": {"particles": {"importance": {"auxiliary": {"defensive": 0.2}}}}},
         "o": {"belief": {"particles": {"importance": {"rejection": {"rounds": 3}}}}},

@@ -111,7 +111,7 @@ def test_the_line_of_an_activation_is_stable():
     assert to_json(event) == (
         '{"event": "activated", "frame": 29, "target": "square", "node": "motion", "governor": "square", '
         '"cause": {"unit": "ud_px2", "level": 200.0, "value": 212.0, "frames": 3, "turning": 213.0, '
-        '"ud_px2": 212.0, "scale_px2": 1.0}, "helpfulness": 0.333333333}'
+        '"ud_px2": 212.0, "scale_px2": 1.0}, "helpfulness": 0.333333333, "expected": {}}'
     )
 
 

@@ -4,14 +4,17 @@ from pathlib import Path
 
 import pytest
 
-from bayesnet_track.graph.net import Cause
+from bayesnet_track.graph.net import Cause, Concentration
 from bayesnet_track.journal.codec import event_classes, event_name, type_hints
 from bayesnet_track.journal.document import document_events, parts_of
 
+KINDS = [*event_classes().values(), Cause, Concentration]
 COMMITTED = Path(__file__).parents[2] / "docs" / "journal.md"
 
 
-@pytest.mark.parametrize("kind", [*event_classes().values(), Cause], ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize(
+    "kind", [*event_classes().values(), Cause, Concentration], ids=lambda kind: kind.__name__
+)
 def test_every_field_is_documented_and_nothing_else(kind):
     text, described = parts_of(kind)
     assert text

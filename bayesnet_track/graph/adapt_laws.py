@@ -1,0 +1,62 @@
+"""Laws of adaptation by evidence: tests that agree with each other, settings that have an effect."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from bayesnet_track.graph.adapt_settings import Concentrated
+from bayesnet_track.graph.messages import GraphMessage
+from bayesnet_track.graph.plate import Law, Plate
+
+
+def tests_in_order(plate: Plate) -> Iterator[GraphMessage]:
+    """What switches an agent off asks for no less concentration than what leaves it off."""
+    for name, node in plate.inference.items():
+        adapt = node.adapt
+        if adapt is None or adapt.activate is None or adapt.deactivate is None:
+            continue
+        on, off = adapt.activate.unless, adapt.deactivate.when
+        if on is None or off is None or on.concentrated is None or off.concentrated is None:
+            continue
+        for key in ("share", "confidence", "within_box"):
+            less, wanted = getattr(off.concentrated, key), getattr(on.concentrated, key)
+            narrower = key == "within_box"
+            if less > wanted if narrower else less < wanted:
+                yield _looser(plate, name, off.concentrated, key, less, wanted, narrower)
+
+
+def _looser(
+    plate: Plate, name: str, off: Concentrated, key: str, found: float, wanted: float, narrower: bool
+) -> GraphMessage:
+    path: tuple[str, ...] = ("adapt", "deactivate", "when")
+    if off.model_fields_set:
+        path += ("concentrated",)
+    if key in off.model_fields_set:
+        path += (key,)
+    default = "" if key in off.model_fields_set else " by default"
+    said = (
+        f"adapt.deactivate.when: {key} is {found:.6g}{default}, and {wanted:.6g} in adapt.activate.unless: "
+        "both rules could hold at once"
+    )
+    return plate.message(name, said, f"at {'most' if narrower else 'least'} {wanted:.6g}", key=path)
+
+
+def information_has_effect(plate: Plate) -> Iterator[GraphMessage]:
+    """What is remembered of agents' information serves a rule, and so does the hope of the unknown."""
+    for name, node in plate.inference.items():
+        adapt = node.adapt
+        if adapt is None or "information" not in adapt.model_fields_set:
+            continue
+        on = adapt.activate is not None and adapt.activate.which == "information_per_ms"
+        off = adapt.deactivate is not None and adapt.deactivate.drop == "least_information_per_ms"
+        if not on and not off:
+            allowed = "which: information_per_ms, drop: least_information_per_ms, or no such key"
+            found = "information has no effect: no rule here goes by it"
+            yield plate.message(name, found, allowed, key=("adapt", "information"), on_key=True)
+        elif not on and "explore" in adapt.information.model_fields_set:
+            key = ("adapt", "information", "explore")
+            found = "explore has no effect: only which: information_per_ms hopes for the unknown"
+            yield plate.message(name, found, "which: information_per_ms, or no explore", key=key, on_key=True)
+
+
+ADAPT_LAWS: tuple[Law, ...] = (tests_in_order, information_has_effect)

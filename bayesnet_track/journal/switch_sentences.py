@@ -1,0 +1,88 @@
+"""Why an agent was switched, as a sentence: the numbers, the choice, and what would have kept it."""
+
+from __future__ import annotations
+
+import math
+
+from bayesnet_track.graph.net import Activated, Cause, Concentration, Deactivated
+from bayesnet_track.journal.wording import held, plural, rounded, told_apart, turned_at
+
+
+def activated(event: Activated) -> str:
+    """`... → motion on (...); would have stayed off at ...`."""
+    if event.cause is None:
+        return f"no agent was active → {event.node} on"
+    helped = "" if event.helpfulness is None else f" (helped most so far: {event.helpfulness:.2f} nats)"
+    why = _expected_most(event) if event.expected else helped
+    if isinstance(event.cause, Concentration):
+        stay = f"share ≤ {rounded(event.cause.turning, _share_digits(event.cause), up=False)}"
+        found = concentration(event.cause, sure=False)
+        return f"{found} → {event.node} on{why}; would have stayed off at {stay}"
+    stay = f"activate ≥ {turned_at(event.cause, up=True)}"
+    return f"{held(event.cause, '>')} → {event.node} on{why}; would have stayed off at {stay}"
+
+
+def deactivated(event: Deactivated) -> str:
+    """`... → motion off (...); would have stayed on at ...`."""
+    return (
+        f"{_well(event.cause)} → {event.node} off{_chosen_among(event)}; "
+        f"would have stayed on at {_not_well(event.cause)}"
+    )
+
+
+def _expected_most(event: Activated) -> str:
+    """Why this agent and not another: what is expected of it against the runner-up."""
+    own = event.expected[event.node]
+    others = {name: value for name, value in event.expected.items() if name != event.node}
+    what = f"{own:.3g} nats per ms expected" if math.isfinite(own) else "never tried"
+    if not others:
+        return f" ({what})"
+    second = max(others, key=lambda name: others[name])
+    behind = f"{others[second]:.3g}" if math.isfinite(others[second]) else "never tried either"
+    return f" ({what} against {second} {behind})"
+
+
+def concentration(cause: Concentration, sure: bool) -> str:
+    """What the test found, and whether it can say that the belief lies around one mode."""
+    exact = not math.isfinite(cause.trials)
+    of = "exactly" if exact else f"of {_told(cause.trials)} effective hypotheses"
+    vouched, share = told_apart(cause.vouched, cause.share)
+    found = f"{100 * cause.inside:.3g} % within {cause.radius_px:.3g} px of the mode, {of}"
+    if exact:
+        return f"{found}: {'≥' if sure else '<'} {share} for {plural(cause.frames, 'frame')}"
+    says = f"at {100 * cause.confidence:.4g} % confidence at least {vouched} lies there"
+    return f"{found}: {says}, {'≥' if sure else '<'} {share} for {plural(cause.frames, 'frame')}"
+
+
+def _well(cause: Cause | Concentration) -> str:
+    """What let an agent be switched off."""
+    return concentration(cause, sure=True) if isinstance(cause, Concentration) else held(cause, "<")
+
+
+def _not_well(cause: Cause | Concentration) -> str:
+    """The level at which it would not have been."""
+    if isinstance(cause, Concentration):
+        return f"share > {rounded(cause.turning, _share_digits(cause), up=True)}"
+    return f"deactivate ≤ {turned_at(cause, up=False)}"
+
+
+def _share_digits(cause: Concentration) -> int:
+    """Decimals that tell the turning share from the one that was set, at least three."""
+    apart = abs(cause.turning - cause.share)
+    return min(max(3, 1 - math.floor(math.log10(apart))), 12) if apart > 0 else 3
+
+
+def _told(trials: float) -> str:
+    return f"{trials:.0f}" if trials >= 10 else f"{trials:.2g}"
+
+
+def _chosen_among(event: Deactivated) -> str:
+    """Why this agent and not another: its index against that of the runner-up."""
+    own = event.index.get(event.node)
+    others = {name: value for name, value in event.index.items() if name != event.node}
+    if own is None or not others:
+        return ""
+    largest = event.drop == "largest_kl"
+    second = (min if not largest else max)(others, key=lambda name: others[name])
+    what = event.drop.replace("_", " ").replace("kl", "KL")
+    return f" ({what} {own:.2f} against {second} {others[second]:.2f})"
