@@ -65,6 +65,11 @@ class Region:
         """True when it holds no pixel."""
         return self.x1 <= self.x0 or self.y1 <= self.y0
 
+    @property
+    def area(self) -> int:
+        """Number of pixels, 0 when it is empty."""
+        return 0 if self.is_empty else (self.x1 - self.x0) * (self.y1 - self.y0)
+
     def grown(self, margin: int) -> Region:
         """The region with `margin` more pixels on each side."""
         return Region(self.x0 - margin, self.y0 - margin, self.x1 + margin, self.y1 + margin)
@@ -167,11 +172,17 @@ class Planes:
 
 
 class PlaneCache:
-    """Computes the planes of one frame when they are first asked for, and keeps them for that frame."""
+    """Computes the planes of one frame when they are first asked for, and keeps them for that frame.
+
+    Once the regions asked for add up to the frame, an image-like plane is computed on the whole frame: with
+    many targets that costs at most twice the frame, and no region needs to be looked for among many.
+    """
 
     def __init__(self, frames: FramePair) -> None:
         self.frames = frames
+        self._whole = Region(0, 0, frames.current.width, frames.current.height)
         self._held: dict[Plane, list[tuple[Region, Array]]] = {}
+        self._spent: dict[Plane, int] = {}
 
     def planes(self, wanted: Iterable[Plane], region: Region) -> Planes:
         """The planes `wanted`, all on `region` cut to the frame."""
@@ -184,11 +195,20 @@ class PlaneCache:
         for covered, values in held:
             if covered.contains(region):
                 return values if plane.is_points else _cut(values, covered, region)
-        frame = self.frames.current
-        whole = Region(0, 0, frame.width, frame.height) if plane.margin is None else region
-        values = plane.compute(self.frames, tuple(self._on(p, whole) for p in plane.inputs), whole)
-        held.append((whole, values))
-        return values if plane.is_points else _cut(values, whole, region)
+        made = self._to_make(plane, region)
+        values = plane.compute(self.frames, tuple(self._on(p, made) for p in plane.inputs), made)
+        if made is self._whole:
+            held.clear()
+        held.append((made, values))
+        return values if plane.is_points else _cut(values, made, region)
+
+    def _to_make(self, plane: Plane, region: Region) -> Region:
+        """The region on which the plane is computed when it is asked for on `region`."""
+        if plane.margin is None:
+            return self._whole
+        spent = self._spent.get(plane, 0) + region.area
+        self._spent[plane] = spent
+        return self._whole if spent > self._whole.area and not plane.is_points else region
 
 
 def _cut(values: Array, covered: Region, region: Region) -> Array:

@@ -136,27 +136,23 @@ class KinematicMotion:
         triangular factor L of the kinematic covariance L D L' (last derivative first) is inverted, and the
         box's noise adds up with the last entry of D alone.
         """
-        covariance = _steps(self.dynamics, self.diffusion, dt)[1]
         mean = self.drift(old, dt)
         variances = component_variances(self.noise, old[:, :4], dt)
         keep = noisy(self.noise)
-        if self.diffusion == 0:
-            unmix = None
-        else:
-            lower = np.linalg.cholesky(covariance[::-1, ::-1])
-            scale = np.diag(lower)
-            unmix = _both_axes(np.linalg.inv(lower / scale)[::-1, ::-1])
-            pivots = (scale**2)[::-1]
-            variances[:, :, :2] += pivots[0]
+        chain = None if self.diffusion == 0 else _unmixing(self.dynamics, self.diffusion, dt)
+        if chain is not None:
+            variances[:, :, :2] += chain.pivots[0]
             keep = [True, True, *keep[2:]]
-            further = np.broadcast_to(np.repeat(pivots[1:], 2), (*variances.shape[:2], 2 * self.order - 2))
+            further = np.broadcast_to(
+                np.repeat(chain.pivots[1:], 2), (*variances.shape[:2], 2 * self.order - 2)
+            )
             variances = np.concatenate([variances, further], axis=2)
             keep += [True] * (2 * self.order - 2)
 
         def all_coordinates(states: Floats) -> tuple[Floats, Floats]:
             points, log_jacobian = box_coordinates(self.noise, states[:, :4])
-            if unmix is not None:
-                mixed = _chains(states) @ unmix.T
+            if chain is not None:
+                mixed = _chains(states) @ chain.unmix.T
                 points[:, :2] = mixed[:, :2]
                 points = np.concatenate([points, mixed[:, 2:]], axis=1)
             return points, log_jacobian
@@ -169,8 +165,8 @@ class KinematicMotion:
             full = all_coordinates(still)[0]
             full[:, keep] = points
             states = still.copy()
-            if unmix is not None:
-                chains = np.concatenate([full[:, :2], full[:, 4:]], axis=1) @ np.linalg.inv(unmix).T
+            if chain is not None:
+                chains = np.concatenate([full[:, :2], full[:, 4:]], axis=1) @ np.linalg.inv(chain.unmix).T
                 full[:, :2], states[:, 4:] = chains[:, :2], chains[:, 2:]
             states[:, :4] = boxes_at(self.noise, full[:, :4])
             return states
@@ -249,6 +245,22 @@ def _chains(states: Floats) -> Floats:
 def _both_axes(matrix: ArrayLike) -> Floats:
     """The (2 n, 2 n) matrix that does to x, y, vx, vy, ... what `matrix` (n, n) does to each axis."""
     return np.asarray(np.kron(np.asarray(matrix), np.eye(2)), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class _Unmixing:
+    """What makes the noise of an axis' chain independent: `unmix` for both axes, and the variances left."""
+
+    unmix: Floats
+    pivots: Floats
+
+
+@lru_cache(maxsize=256)
+def _unmixing(dynamics: Rows, diffusion: float, dt: float) -> _Unmixing:
+    covariance = _steps(dynamics, diffusion, dt)[1]
+    lower = np.linalg.cholesky(covariance[::-1, ::-1])
+    scale = np.diag(lower)
+    return _Unmixing(_both_axes(np.linalg.inv(lower / scale)[::-1, ::-1]), (scale**2)[::-1])
 
 
 @lru_cache(maxsize=256)
