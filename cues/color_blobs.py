@@ -31,6 +31,9 @@ from bayesnet_track.vision.color_planes import Hue
 SHARE = 3
 """Column of a blob that holds its share of the box."""
 
+ATTEMPTS, SHARPER = 3, 0.7
+"""How often blobs can be matched more tightly in all, and by which factor on their standard deviations."""
+
 
 class ColorBlobsParameters(SizedCueParameters):
     """Parameters of the colour blobs."""
@@ -66,8 +69,9 @@ class ColorBlobs:
     """The colour blobs at work.
 
     A reference holds ``blobs`` (K, 4), each a centre relative to the box's in its widths and heights, a mean
-    hue in degrees and a share of the box; and ``size`` (2,), w and h in px. Blobs below the least share are
-    remembered while they fade in or out, and not compared.
+    hue in degrees and a share of the box; ``size`` (2,), w and h in px; and ``sharper`` (), a factor on the
+    standard deviations of centre and hue, from 1 down to ``SHARPER ** ATTEMPTS``. Blobs below the least share
+    are remembered while they fade in or out, and not compared.
     """
 
     parameters: ColorBlobsParameters
@@ -85,12 +89,17 @@ class ColorBlobs:
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """The blobs inside `box`."""
         blobs, found = self._blobs(planes, box[None])
-        return {"blobs": blobs[0, : found[0]], "size": np.array(box[2:], dtype=np.float64)}
+        return {
+            "blobs": blobs[0, : found[0]],
+            "size": np.array(box[2:], dtype=np.float64),
+            "sharper": np.array(1.0),
+        }
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """Matching blobs linearly (eq. 2.15, the hue round its circle), the size in its logarithm.
 
-        A blob without a match is blended with one of size 0 in its place: old ones fade out, new ones in.
+        A blob without a match is blended with one of size 0 in its place: old ones fade out, new ones in. How
+        tightly blobs are matched goes back to 1 at the same rate.
         """
         from bayesnet_track.numerics.blob_kernels import match_blobs
 
@@ -112,7 +121,15 @@ class ColorBlobs:
         return {
             "blobs": blobs[blobs[:, SHARE] > 0],
             "size": old["size"] * (new["size"] / old["size"]) ** rate,
+            "sharper": np.asarray((1.0 - rate) * old["sharper"] + rate * new["sharper"]),
         }
+
+    def adapt(self, reference: Reference, attempt: int) -> Reference | None:
+        """A tighter match of the blobs, `ATTEMPTS` times; None at once when there is none to match."""
+        sharper, least = float(reference["sharper"]), SHARPER**ATTEMPTS
+        if attempt > ATTEMPTS or np.isclose(sharper, least) or not len(self._wanted(reference)):
+            return None
+        return {**reference, "sharper": np.array(max(sharper * SHARPER, least))}
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """Minus the mean cost of the reference's blobs, with the size penalty, over the floor.
@@ -124,12 +141,17 @@ class ColorBlobs:
         from bayesnet_track.numerics.blob_kernels import blob_costs
 
         p, boxes = self.parameters, hypotheses.boxes
-        wanted = np.ascontiguousarray(reference["blobs"][reference["blobs"][:, SHARE] >= p.min_share])
+        wanted, sharper = self._wanted(reference), float(reference["sharper"])
         blobs, found = self._blobs(planes, boxes)
-        cost = blob_costs(blobs, found, wanted, p.sd_offset, p.sd_hue_deg, p.unmatched)
+        cost = blob_costs(blobs, found, wanted, sharper * p.sd_offset, sharper * p.sd_hue_deg, p.unmatched)
         cost += p.unmatched * _share_outside(boxes, planes.frame)
         size = log_size_penalty(boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
         return floored(size - cost, p.floor)
+
+    def _wanted(self, reference: Reference) -> Floats:
+        """(K, 4) blobs that are compared."""
+        blobs = reference["blobs"]
+        return np.ascontiguousarray(blobs[blobs[:, SHARE] >= self.parameters.min_share])
 
     def _blobs(self, planes: Planes, boxes: Floats) -> tuple[Floats, NDArray[np.int64]]:
         from bayesnet_track.numerics.blob_kernels import grow_blobs

@@ -31,6 +31,9 @@ Ints = NDArray[np.int64]
 LOOKS = (("grid", "known"), ("coarse", "coarse_known"))
 """The arrays of a reference: mean gray of cells, and how much of them was seen; the first look's last."""
 
+ATTEMPTS, SHARPEN = 3, 1.4
+"""How often the cue can be made sharper in all, and by which factor on the exponent."""
+
 
 class IntensityParameters(SizedCueParameters):
     """Parameters of the intensity cue."""
@@ -92,8 +95,9 @@ class IntensityCue:
     """Compares resampled gray patches.
 
     Reference: `grid` (G, G) mean gray of each cell, rows top to bottom; `known` (G, G) the share of each cell
-    that lay inside the frame when learnt; `size` (2,) width and height in pixels; with a first look also
-    `coarse` and `coarse_known` (C, C), the same of its cells.
+    that lay inside the frame when learnt; `size` (2,) width and height in pixels; `sharper` () factor on the
+    exponent, from 1 to `SHARPEN ** ATTEMPTS`; with a first look also `coarse` and `coarse_known` (C, C), the
+    same of its cells.
     """
 
     parameters: IntensityParameters
@@ -122,17 +126,28 @@ class IntensityCue:
                 sampling = _sampling(planes, self.gray, np.asarray(box, dtype=np.float64))
                 patch_means(*sampling, means, shares)
             learnt |= {grid: means, known: shares}
-        return {**learnt, "size": np.array(box[2:], dtype=np.float64)}
+        return {**learnt, "size": np.array(box[2:], dtype=np.float64), "sharper": np.array(1.0)}
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
-        """Linear (eq. 2.15), cell by cell; what only one of the two has seen counts as far as it was seen."""
+        """Linear (eq. 2.15), cell by cell; what only one of the two has seen counts as far as it was seen.
+
+        How sharp the cue is goes back to 1 at the same rate.
+        """
         blended: dict[str, Floats] = {}
         for _, (grid, known) in zip(self._cells, LOOKS, strict=False):
             weight_old, weight_new = (1.0 - rate) * old[known], rate * new[known]
             total, seen = weight_old * old[grid] + weight_new * new[grid], weight_old + weight_new
             blended[grid] = np.divide(total, seen, out=np.array(old[grid]), where=seen > 0)
             blended[known] = seen
-        return {**blended, "size": (1.0 - rate) * old["size"] + rate * new["size"]}
+        rest = {name: np.asarray((1.0 - rate) * old[name] + rate * new[name]) for name in ("size", "sharper")}
+        return {**blended, **rest}
+
+    def adapt(self, reference: Reference, attempt: int) -> Reference | None:
+        """A sharper comparison, `ATTEMPTS` times; None at once when the reference has seen nothing."""
+        sharper, most = float(reference["sharper"]), SHARPEN**ATTEMPTS
+        if attempt > ATTEMPTS or np.isclose(sharper, most) or self._weights(reference["known"]).sum() <= 0.0:
+            return None
+        return {**reference, "sharper": np.array(min(sharper * SHARPEN, most))}
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """(N,) log-likelihood. Cells outside the frame count as unmatched; a box outside is at the floor.
@@ -145,13 +160,14 @@ class IntensityCue:
             return np.zeros(len(hypotheses))
         boxes = np.ascontiguousarray(hypotheses.boxes, dtype=np.float64)
         penalty = log_size_penalty(boxes, reference["size"], settings.sd_log_area, settings.sd_log_aspect)
+        sharpness = settings.sharpness * float(reference["sharper"])
         if settings.coarse:
             log = self._look(planes, boxes, reference["coarse"], reference["coarse_known"])
-            fine = settings.sharpness * log + penalty >= np.log(settings.coarse_below)
+            fine = sharpness * log + penalty >= np.log(settings.coarse_below)
             log[fine] = self._look(planes, boxes[fine], reference["grid"], reference["known"])
         else:
             log = self._look(planes, boxes, reference["grid"], reference["known"])
-        return floored(settings.sharpness * log + penalty, settings.floor)
+        return floored(sharpness * log + penalty, settings.floor)
 
     def _look(self, planes: Planes, boxes: Floats, grid: Floats, known: Floats) -> Floats:
         """(N,) log-likelihood by the cells of one grid, before sharpness, size and floor."""

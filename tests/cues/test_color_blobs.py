@@ -158,7 +158,8 @@ def test_blend_fades_blobs_in_and_out(ask):
 def test_blend_turns_hue_the_short_way(ask):
     asked = ask("color_blobs")
     old, new = (
-        {"blobs": np.array([[0.0, 0, hue, 0.5]]), "size": np.array([20.0, 20.0])} for hue in (350.0, 10.0)
+        {"blobs": np.array([[0.0, 0, hue, 0.5]]), "size": np.array([20.0, 20.0]), "sharper": np.array(1.0)}
+        for hue in (350.0, 10.0)
     )
     assert asked.cue.blend(old, new, 0.25)["blobs"][0, 2] == pytest.approx(355)
     assert asked.cue.blend(old, new, 0.75)["blobs"][0, 2] == pytest.approx(5)
