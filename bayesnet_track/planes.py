@@ -171,11 +171,16 @@ class Planes:
         return self.values[plane]
 
 
+MANY = 16
+"""Regions of one frame on which a plane is computed before it is computed on the whole frame."""
+
+
 class PlaneCache:
     """Computes the planes of one frame when they are first asked for, and keeps them for that frame.
 
-    Once the regions asked for add up to the frame, an image-like plane is computed on the whole frame: with
-    many targets that costs at most twice the frame, and no region needs to be looked for among many.
+    Once an image-like plane was computed on MANY regions, or on regions that add up to the frame, it is
+    computed on the whole frame: then many targets cost no more than a few, and no region needs to be looked for
+    among all others.
     """
 
     def __init__(self, frames: FramePair) -> None:
@@ -208,7 +213,8 @@ class PlaneCache:
             return self._whole
         spent = self._spent.get(plane, 0) + region.area
         self._spent[plane] = spent
-        return self._whole if spent > self._whole.area and not plane.is_points else region
+        many = spent > self._whole.area or len(self._held[plane]) >= MANY
+        return self._whole if many and not plane.is_points else region
 
 
 def _cut(values: Array, covered: Region, region: Region) -> Array:
