@@ -179,8 +179,8 @@ class PlaneCache:
     """Computes the planes of one frame when they are first asked for, and keeps them for that frame.
 
     Once an image-like plane was computed on MANY regions, or on regions that add up to the frame, it is
-    computed on the whole frame: then many targets cost no more than a few, and no region needs to be looked for
-    among all others.
+    computed on the whole frame: then many targets cost no more than a few, and no region needs to be looked
+    for among all others.
     """
 
     def __init__(self, frames: FramePair) -> None:
