@@ -195,6 +195,7 @@ class CueDeclaration:
         rate_max: learning rate this cue wants instead of the graph's `learn.rate_max`, or None.
         opaque: True when it keeps something that cannot be stored: a run that is taken up again where it
             stopped is then another than one that went on.
+        is_appearance: False when it does not tell one target from another by its looks: motion, place.
         missing: parameters -> what they need and this computer has not (a library's part, a file), in words,
             or None; `validate` asks it. Without it nothing is needed.
     """
@@ -207,6 +208,7 @@ class CueDeclaration:
     cost_ms: float = 1.0
     rate_max: float | None = None
     opaque: bool = False
+    is_appearance: bool = True
     missing: Callable[[Any], str | None] | None = None
 
 

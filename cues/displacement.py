@@ -255,5 +255,6 @@ CUE = CueDeclaration(
     parameters=DisplacementParameters,
     make=_make,
     cost_ms=1.5,
+    is_appearance=False,
     rate_max=0.3,
 )

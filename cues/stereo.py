@@ -248,5 +248,6 @@ CUE = CueDeclaration(
     parameters=StereoParameters,
     make=_make,
     cost_ms=25.0,
+    is_appearance=False,
     rate_max=0.3,
 )
