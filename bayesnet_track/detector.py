@@ -70,6 +70,9 @@ class Detections:
         return len(self.boxes)
 
 
+GIVEN = "detections"
+"""The name, in a graph, of a detector that is given from outside: detections that stand in a file."""
+
 NOTHING = Detections(np.empty((0, 4)), np.empty(0), ())
 """No detection."""
 
@@ -146,3 +149,19 @@ def installed_detectors() -> Mapping[str, DetectorDeclaration]:
     One that cannot be loaded, or has the name of another, is left out with a warning.
     """
     return declared(ENTRY_POINT_GROUP, DetectorDeclaration, "detector")
+
+
+def detectors_of_graphs() -> Mapping[str, DetectorDeclaration]:
+    """What a graph may name: the installed detectors, and `GIVEN`."""
+    given = DetectorDeclaration(
+        name=GIVEN,
+        summary="What a file of detections holds.",
+        parameters=DetectorParameters,
+        make=_not_given,
+        cost_ms=0.0,
+    )
+    return {**installed_detectors(), GIVEN: given}
+
+
+def _not_given(parameters: DetectorParameters) -> Detector:
+    raise DetectorError(f"no file of {GIVEN} is given")

@@ -5,14 +5,18 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from bayesnet_track.cue import CueDeclaration, CueParameters
 from bayesnet_track.graph.explain import explain
 from bayesnet_track.graph.messages import GraphMessage
+from bayesnet_track.graph.model import PluginChoice
 from bayesnet_track.graph.plate import Law, Plate
 from bayesnet_track.graph.spec import AgentChoice
+
+Parameters = TypeVar("Parameters", bound=BaseModel)
 
 
 def cues_are_installed(plate: Plate) -> Iterator[GraphMessage]:
@@ -62,15 +66,19 @@ def cues_have_what_they_need(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def cue_parameters(agent: AgentChoice, declaration: CueDeclaration) -> CueParameters:
-    """The agent's parameters as the cue's own type.
+    """The agent's parameters as the cue's own type; raises as `plugin_parameters`."""
+    return plugin_parameters(agent, declaration.parameters)
+
+
+def plugin_parameters(chosen: PluginChoice, model: type[Parameters]) -> Parameters:
+    """The parameters of a plug-in as its own type.
 
     Numbers must be numbers, as everywhere in the language; a list stands for a tuple.
 
     Raises:
         pydantic.ValidationError: some parameter does not fit.
     """
-    text = json.dumps(dict(agent.parameters))
-    return declaration.parameters.model_validate_json(text, strict=True)
+    return model.model_validate_json(json.dumps(dict(chosen.parameters)), strict=True)
 
 
 CUE_LAWS: tuple[Law, ...] = (cues_are_installed, parameters_fit_the_cue, cues_have_what_they_need)

@@ -19,8 +19,8 @@ from bayesnet_track.graph.messages import (
     shown,
     shown_name,
 )
-from bayesnet_track.graph.model import Choice, Name
-from bayesnet_track.graph.spec import AgentChoice, AgentNode, InferenceNode
+from bayesnet_track.graph.model import Choice, Name, PluginChoice
+from bayesnet_track.graph.spec import AgentNode, InferenceNode
 
 MAX_EXPLAINED = 4 * MAX_MESSAGES
 
@@ -76,8 +76,8 @@ def expects(annotation: Any, constraints: Iterable[Any] = ()) -> str:
         return ""
     if issubclass(kind, Choice):
         return f"one of {', '.join(kind.model_fields)}"
-    if issubclass(kind, AgentChoice):
-        return "a cue, or one cue with its parameters"
+    if issubclass(kind, PluginChoice):
+        return f"a {kind.WORD}, or one {kind.WORD} with its parameters"
     if issubclass(kind, BaseModel):
         return f"a mapping with {listed(kind.model_fields)}" if kind.model_fields else "no settings"
     plain = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}.get(kind, "")
@@ -148,7 +148,7 @@ def _value_inside(data: Any, part: str | int) -> Any:
 
 
 def _inside(kind: Any, part: str | int) -> Shape | None:
-    if isinstance(kind, type) and issubclass(kind, AgentChoice):
+    if isinstance(kind, type) and issubclass(kind, PluginChoice):
         return None
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         found = kind.model_fields.get(str(part))
@@ -172,11 +172,12 @@ def _explained(kind: str, said: str, steps: list[_Step], at: Positions, prefix: 
     if kind == "missing":
         wanted = expects(*_parts(last.shape)) if last.shape else ""
         return at.message(path[:-1], f"key {name!r} is missing", wanted)
-    if owner is AgentChoice:
+    if isinstance(owner, type) and issubclass(owner, PluginChoice):
         if kind == "value_error":
             found, allowed = "parameters that are not plain data", "words, finite numbers, lists and mappings"
         else:
-            found, allowed = "parameters that are not a mapping", "a mapping of parameters, or the cue alone"
+            found = "parameters that are not a mapping"
+            allowed = f"a mapping of parameters, or the {owner.WORD} alone"
         return at.message(path[:-1], found, allowed)
     if isinstance(last.value, (list, tuple)) and name == "parent":
         found = (
@@ -212,13 +213,13 @@ def _unknown_key(word: str, owner: Any, parent: _Step, path: Path, at: Positions
 
 def _bad_choice(last: _Step, name: str, said: str, path: Path, at: Positions) -> GraphMessage:
     kind: Any = last.shape.only if last.shape is not None else None
-    if not issubclass(kind, (Choice, AgentChoice)) or not isinstance(last.value, Mapping):
+    if not issubclass(kind, (Choice, PluginChoice)) or not isinstance(last.value, Mapping):
         return at.message(path, f"{name} is {shown(last.value)}", _said(said))
     given = listed(last.value)
     found = f"{name} names {given}" if len(last.value) else f"{name} is empty"
-    if issubclass(kind, AgentChoice):
+    if issubclass(kind, PluginChoice):
         one = len(last.value) == 1
-        return at.message(path, found, _said(said) if one else "exactly one cue")
+        return at.message(path, found, _said(said) if one else f"exactly one {kind.WORD}")
     return at.message(path, found, f"exactly one of {', '.join(kind.model_fields)}")
 
 

@@ -14,6 +14,7 @@ from bayesnet_track.graph.cue_laws import CUE_LAWS, cue_parameters
 from bayesnet_track.graph.document import MAX_BYTES
 from bayesnet_track.graph.evidence_law import evidence_counts_once
 from bayesnet_track.graph.explain import explain
+from bayesnet_track.graph.life_laws import LIFE_LAWS
 from bayesnet_track.graph.messages import MAX_MESSAGES, GraphError, GraphMessage, Positions
 from bayesnet_track.graph.plate import Law, Plate
 from bayesnet_track.graph.spec import GraphSpec
@@ -65,7 +66,7 @@ def check_graph(graph: GraphSpec | Mapping[str, Any], cues: Cues | None = None) 
 
 def _violations(plate: Plate) -> list[GraphMessage]:
     tree = _broken(plate, TREE_LAWS)
-    values = _broken(plate, (*CUE_LAWS, *VALUE_LAWS))
+    values = _broken(plate, (*CUE_LAWS, *LIFE_LAWS, *VALUE_LAWS))
     return tree + values if tree else values + _broken(plate, LAWS_OF_A_SOUND_TREE)
 
 

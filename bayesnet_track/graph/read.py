@@ -54,7 +54,7 @@ def _bytes_of(source: PathLike[str] | Traversable, file: str) -> bytes:
 
 
 def _only_in_python(document: Document) -> Iterator[GraphMessage]:
-    """What the specification takes from Python but a file does not say: None, and agents by `cue:`."""
+    """What the specification takes from Python but a file does not say: None, `cue:`, `detector:`."""
     waiting: list[tuple[Path, Any]] = [((), document.value)]
     while waiting:
         path, value = waiting.pop()
@@ -66,6 +66,13 @@ def _only_in_python(document: Document) -> Iterator[GraphMessage]:
                 yield document.at.message(
                     (*path, "cue"), "unknown cue 'cue'", "a cue, or one cue with its parameters", on_key=True
                 )
+        elif name == "detector" and len(path) == 4 and isinstance(value, dict) and "detector" in value:
+            yield document.at.message(
+                (*path, "detector"),
+                "unknown detector 'detector'",
+                "a detector, or one detector with its parameters",
+                on_key=True,
+            )
         elif isinstance(value, dict):
             waiting += [((*path, key), inside) for key, inside in value.items()]
         elif isinstance(value, list):

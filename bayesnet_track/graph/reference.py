@@ -16,8 +16,9 @@ from bayesnet_track.graph.cue_laws import CUE_LAWS
 from bayesnet_track.graph.document import MAX_BYTES, MAX_DEPTH, MAX_NODES, MAX_SCALAR
 from bayesnet_track.graph.evidence_law import evidence_counts_once
 from bayesnet_track.graph.explain import expects, shape_of
-from bayesnet_track.graph.model import Choice, Model
-from bayesnet_track.graph.spec import LANGUAGE_VERSION, AgentChoice, GraphSpec
+from bayesnet_track.graph.life_laws import LIFE_LAWS
+from bayesnet_track.graph.model import Choice, Model, PluginChoice
+from bayesnet_track.graph.spec import LANGUAGE_VERSION, GraphSpec
 from bayesnet_track.graph.tree_laws import TREE_LAWS
 from bayesnet_track.graph.value_laws import RULE_LAWS, VALUE_LAWS
 from bayesnet_track.graph.write import as_plain, flow_text
@@ -52,7 +53,7 @@ def _models_in_order() -> list[type[Model]]:
     while waiting:
         kind = waiting.pop(0)
         if isinstance(kind, type) and issubclass(kind, Model):
-            if kind not in found and (kind.model_fields or issubclass(kind, AgentChoice)):
+            if kind not in found and (kind.model_fields or issubclass(kind, PluginChoice)):
                 found.append(kind)
                 waiting = [field.annotation for field in kind.model_fields.values()] + waiting
         else:
@@ -62,7 +63,7 @@ def _models_in_order() -> list[type[Model]]:
 
 def _section(model: type[Model]) -> str:
     parts = [f"## {_title(model)}\n", _prose(model.__doc__ or "")]
-    if not issubclass(model, AgentChoice):
+    if not issubclass(model, PluginChoice):
         parts.append(_table(model))
     return "\n".join(parts)
 
@@ -74,7 +75,7 @@ def _title(model: type[BaseModel]) -> str:
     'graph'
     """
     words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", model.__name__).lower()
-    return {"graph spec": "graph", "agent choice": "agent"}.get(words, words)
+    return {"graph spec": "graph", "agent choice": "agent", "detector choice": "detector"}.get(words, words)
 
 
 def _prose(docstring: str) -> str:
@@ -146,7 +147,7 @@ def _cues(cues: Mapping[str, CueDeclaration]) -> Iterator[str]:
 
 
 def _laws() -> str:
-    laws = (*TREE_LAWS, *CUE_LAWS, *VALUE_LAWS, *RULE_LAWS, evidence_counts_once)
+    laws = (*TREE_LAWS, *CUE_LAWS, *LIFE_LAWS, *VALUE_LAWS, *RULE_LAWS, evidence_counts_once)
     lines = ["## Laws\n", "A graph is accepted when all of these hold:\n"]
     for law in laws:
         first = cleandoc(law.__doc__ or "").split("\n\n")[0].replace("\n", " ")

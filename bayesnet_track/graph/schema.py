@@ -12,6 +12,8 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from bayesnet_track.cue import CueDeclaration, installed_cues
+from bayesnet_track.detector import DetectorDeclaration, detectors_of_graphs
+from bayesnet_track.graph.life_settings import DetectorChoice
 from bayesnet_track.graph.model import Choice, Model
 from bayesnet_track.graph.spec import AgentChoice, GraphSpec
 
@@ -30,7 +32,10 @@ def graph_schema(cues: Mapping[str, CueDeclaration] | None = None) -> Schema:
     for name in definitions:
         if issubclass(models[name], Choice):
             definitions[name] = _choice(definitions[name], models[name])
-    definitions[AgentChoice.__name__] = _agent(cues, definitions)
+    definitions[AgentChoice.__name__] = _plugin("cue", "The cue of an agent", cues, definitions)
+    definitions[DetectorChoice.__name__] = _plugin(
+        "detector", "What finds targets", detectors_of_graphs(), definitions
+    )
     top = {"$schema": DRAFT, "title": "A graph of bayesnet_track", **_draft7(raw)}
     return {**top, "definitions": dict(sorted(definitions.items()))}
 
@@ -50,22 +55,28 @@ def _choice(schema: Schema, model: type[Model]) -> Schema:
     return {"description": description, "anyOf": either}
 
 
-def _agent(cues: Mapping[str, CueDeclaration], definitions: Schema) -> Schema:
-    """One cue of those installed, with its own parameters; defines each cue's parameters."""
+def _plugin(
+    kind: str,
+    what: str,
+    known: Mapping[str, CueDeclaration] | Mapping[str, DetectorDeclaration],
+    definitions: Schema,
+) -> Schema:
+    """One plug-in of those installed, with its own parameters; defines each one's parameters."""
     words, keys = [], {}
-    for name, cue in cues.items():
-        parameters = cue.parameters.model_json_schema(ref_template=f"#/definitions/cue_{name}_{{model}}")
+    for name, plugin in known.items():
+        own_name = f"{kind}_{name}"
+        parameters = plugin.parameters.model_json_schema(ref_template=f"#/definitions/{own_name}_{{model}}")
         for inner, part in parameters.pop("$defs", {}).items():
-            definitions[f"cue_{name}_{inner}"] = _draft7(part, keep_null=True)
+            definitions[f"{own_name}_{inner}"] = _draft7(part, keep_null=True)
         own = _draft7(parameters, keep_null=True)
-        definitions[f"cue_{name}"] = {**own, "description": cue.summary}
-        keys[name] = {"$ref": f"#/definitions/cue_{name}"}
-        if _accepts(cue.parameters, {}):
+        definitions[own_name] = {**own, "description": plugin.summary}
+        keys[name] = {"$ref": f"#/definitions/{own_name}"}
+        if _accepts(plugin.parameters, {}):
             words.append(name)
-    described = [{"const": word, "description": cues[word].summary} for word in words]
+    described = [{"const": word, "description": known[word].summary} for word in words]
     one = {"type": "object", "properties": keys, "additionalProperties": False}
     one |= {"minProperties": 1, "maxProperties": 1}
-    description = "The cue of an agent: its name, or its name with parameters."
+    description = f"{what}: its name, or its name with parameters."
     return {"description": description, "anyOf": [*described, one]}
 
 

@@ -6,11 +6,10 @@ Every model is frozen and refuses unknown keys. A *choice* (`Fuse`, `Motion`, ..
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, field_validator, model_validator
+from pydantic import Discriminator, Field, Tag
 
 from bayesnet_track.graph.adapt_settings import (
     Activate,
@@ -18,6 +17,7 @@ from bayesnet_track.graph.adapt_settings import (
     Concentrated,
     Condition,
     Deactivate,
+    Guard,
     Information,
     Learn,
     Level,
@@ -26,7 +26,8 @@ from bayesnet_track.graph.adapt_settings import (
 )
 from bayesnet_track.graph.gaussian_settings import Gaussian, Unscented
 from bayesnet_track.graph.grid_settings import Grid, Reset
-from bayesnet_track.graph.model import Choice, Empty, Model, Name, Number, Truth
+from bayesnet_track.graph.life_settings import Birth, Confirm, Death, DetectorChoice, Duplicates, Recall
+from bayesnet_track.graph.model import Choice, Empty, Model, Name, Number, PluginChoice, Truth
 from bayesnet_track.graph.particle_settings import (
     AdaptiveSize,
     BinnedSize,
@@ -65,14 +66,19 @@ __all__ = [
     "AgentNode",
     "Belief",
     "BinnedSize",
+    "Birth",
     "BoxSd",
     "Choice",
     "Concentrated",
     "Condition",
+    "Confirm",
     "ConstantAcceleration",
     "ConstantVelocity",
     "DampedVelocity",
     "Deactivate",
+    "Death",
+    "DetectorChoice",
+    "Duplicates",
     "Empty",
     "EssBelow",
     "Estimate",
@@ -80,6 +86,7 @@ __all__ = [
     "Gaussian",
     "GraphSpec",
     "Grid",
+    "Guard",
     "InferenceNode",
     "Information",
     "Latent",
@@ -98,6 +105,7 @@ __all__ = [
     "Particles",
     "PixelSd",
     "RandomWalk",
+    "Recall",
     "Reset",
     "SelfCheck",
     "Target",
@@ -107,48 +115,15 @@ __all__ = [
 ]
 
 
-class AgentChoice(Model):
+class AgentChoice(PluginChoice):
     """The cue of an agent: a registered name and its parameters, not yet checked against the cue.
 
     Written ``agent: motion`` or ``agent: {motion: {sd_px: 2}}``.
     """
 
+    WORD = "cue"
+
     cue: str = Field(max_length=64)
-    parameters: Mapping[str, Any] = Field(default_factory=dict)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_mapping(cls, value: Any) -> Any:
-        if isinstance(value, str):
-            return {"cue": value}
-        if isinstance(value, Mapping) and not ("cue" in value and set(value) <= {"cue", "parameters"}):
-            if len(value) != 1:
-                raise ValueError("an agent names exactly one cue")
-            ((cue, parameters),) = value.items()
-            return {"cue": cue, "parameters": {} if parameters is None else parameters}
-        return value
-
-    @field_validator("parameters")
-    @classmethod
-    def _plain(cls, parameters: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: _plain_data(value) for name, value in parameters.items()}
-
-
-def _plain_data(value: Any, depth: int = 0) -> Any:
-    """`value` as YAML would carry it: words, numbers, lists and mappings."""
-    if depth > 16:
-        raise ValueError("parameters are nested too deep")
-    if value is None or isinstance(value, (str, bool)):
-        return value
-    if isinstance(value, int) and abs(value) < 10**18:
-        return int(value)
-    if isinstance(value, float) and math.isfinite(value):
-        return float(value)
-    if isinstance(value, (list, tuple)):
-        return [_plain_data(item, depth + 1) for item in value]
-    if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
-        return {key: _plain_data(item, depth + 1) for key, item in value.items()}
-    raise ValueError("parameters are words, finite numbers, lists and mappings")
 
 
 class InferenceNode(Model):
@@ -211,6 +186,16 @@ class Target(Model):
     """A plate: one copy of this net per target."""
 
     state: Literal["box"] = Field(default="box", description="x, y, w, h in pixels; (x, y) is the centre")
+    birth: Birth | None = Field(
+        default=None, description="where targets come from besides the given start boxes; default nowhere"
+    )
+    duplicates: Duplicates | None = Field(
+        default=None, description="when two nets hold the same target; default, with `birth`, as below"
+    )
+    death: Death | None = Field(default=None, description="when a net ends; default, with `birth`, as below")
+    recall: Recall | None = Field(
+        default=None, description="how targets are recognised again; default, with `birth`, as below"
+    )
     nodes: dict[Name, Node] = Field(min_length=1, description="the net: one tree under its root")
 
 

@@ -10,8 +10,8 @@ from typing import Any
 from pydantic import BaseModel
 
 from bayesnet_track.graph.document import plain_scalar
-from bayesnet_track.graph.model import Choice
-from bayesnet_track.graph.spec import AgentChoice, GraphSpec
+from bayesnet_track.graph.model import Choice, PluginChoice
+from bayesnet_track.graph.spec import GraphSpec
 
 _PLAIN_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _NODE_DEPTH = 4
@@ -41,8 +41,8 @@ def graph_sha256(text: str) -> str:
 
 def as_plain(value: Any) -> Any:
     """A part of the specification as mappings, lists and scalars, as short as it can be written."""
-    if isinstance(value, AgentChoice):
-        return {value.cue: dict(value.parameters)} if value.parameters else value.cue
+    if isinstance(value, PluginChoice):
+        return {value.plugin: dict(value.parameters)} if value.parameters else value.plugin
     if isinstance(value, Choice):
         settings = as_plain(value.settings)
         return value.kind if settings == value.bare(value.kind) else {value.kind: settings}

@@ -193,7 +193,15 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
             "fuse": fuse,
             "ud_fields": st.lists(st.sampled_from("xywh"), min_size=1, max_size=4),
             "adapt": adapt,
-            "learn": _mapping({"below": level}, {"rate_max": share}),
+            "learn": _mapping(
+                {"below": level},
+                {
+                    "rate_max": share,
+                    "guard": _mapping(
+                        {}, {"rate": share, "apart_nats": positive, "pull": share | st.just(0)}
+                    ),
+                },
+            ),
             "lost": _mapping({}, {"above": level, "fit_below": st.just(0) | share, "frames": frames}),
         },
     )
@@ -218,10 +226,28 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
     )
     nodes = st.dictionaries(names, inference | agent, min_size=1, max_size=4)
     targets = st.dictionaries(
-        names, _mapping({"nodes": nodes}, {"state": st.just("box")}), min_size=1, max_size=2
+        names,
+        _mapping({"nodes": nodes}, {"state": st.just("box"), **_life(positive, share, frames)}),
+        min_size=1,
+        max_size=2,
     )
     about = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
     return _mapping({"name": names, "targets": targets}, {"bayesnet": st.just(1), "about": about})
+
+
+def _life(positive: Any, share: Any, frames: Any) -> dict[str, st.SearchStrategy[Any]]:
+    """How targets of a plate are born, recognised and end."""
+    settings = _mapping({}, {"min_area_px": st.floats(min_value=1, max_value=1e9), "max_count": st.integers(1, 1000)})
+    detector = _choice(["background", "detections"], gray_level=settings, detections=settings)
+    confirm = _mapping({}, {"looks": st.integers(1, 3), "of": st.integers(4, 1000)})
+    birth = {"labels": st.lists(st.text("abc", min_size=1), max_size=2), "every": frames, "confirm": confirm}
+    birth |= {"most": st.integers(1, 1000), "apart_box": positive}
+    return {
+        "birth": _mapping({"detector": detector}, birth),
+        "duplicates": _mapping({}, {"overlap": share, "frames": frames}),
+        "death": _mapping({}, {"lost_frames": frames, "unseen_frames": frames}),
+        "recall": _mapping({}, {"frames": frames, "least_probability": share, "lost": st.booleans()}),
+    }
 
 
 def _grids(positive: st.SearchStrategy[float]) -> st.SearchStrategy[dict[str, Any]]:
@@ -277,7 +303,7 @@ def everything() -> dict[str, Any]:
             "estimate": {"robust_mean": {"box": 0.1}},
             "fuse": "product",
             "adapt": {"activate": {"above": level}, "deactivate": {"below": {"ud_box": 0.5}}, "keep": 2},
-            "learn": {"below": {"ud_quiet": 2}},
+            "learn": {"below": {"ud_quiet": 2}, "guard": {}},
             "lost": {"frames": 9},
         },
         "b": {"parent": "a", "fuse": {"latent": {"given": noise, "draw": "kernel"}}, "ud_fields": ["x"]},
@@ -308,8 +334,14 @@ def everything() -> dict[str, Any]:
         "d": {"parent": "c", "agent": {"hue": {"bins": 16, "window": [5, 5]}}, "learn_rate_max": 0},
         "e": {"parent": "c", "agent": "motion", "active": False, "self_check": {"above": level, "rest": 7}},
     }
+    life = {
+        "birth": {"detector": {"background": {"min_area_px": 200}}, "labels": ["car"], "confirm": {"of": 5}},
+        "duplicates": {"overlap": 0.8},
+        "death": {"unseen_frames": 9},
+        "recall": {"lost": False},
+    }
     return {
         "name": "everything",
         "about": "two\nlines: \u00e9 # \U0001f600",
-        "targets": {"t": {"nodes": nodes}},
+        "targets": {"t": {"nodes": nodes, **life}},
     }

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from jsonschema import Draft7Validator
 from pydantic import ValidationError
 
-from bayesnet_track.graph.cue_laws import cue_parameters
+from bayesnet_track.detector import detectors_of_graphs
+from bayesnet_track.graph.cue_laws import cue_parameters, plugin_parameters
 from bayesnet_track.graph.document import read_document
 from bayesnet_track.graph.schema import graph_schema
 from bayesnet_track.graph.spec import AgentNode, GraphSpec
@@ -33,6 +34,9 @@ def _well_formed(data, cues):
             for node in target.nodes.values():
                 if isinstance(node, AgentNode):
                     cue_parameters(node.agent, cues[node.agent.cue])
+            if target.birth is not None:
+                chosen = target.birth.detector
+                plugin_parameters(chosen, detectors_of_graphs()[chosen.detector].parameters)
     except (ValidationError, KeyError):
         return False
     return True

@@ -1,0 +1,62 @@
+"""Laws of a plate's life: installed detectors, parameters that these take, rules that can act."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from pydantic import ValidationError
+
+from bayesnet_track.detector import detectors_of_graphs
+from bayesnet_track.graph.cue_laws import plugin_parameters
+from bayesnet_track.graph.explain import explain
+from bayesnet_track.graph.messages import GraphMessage, Path
+from bayesnet_track.graph.plate import Law, Plate
+
+DETECTOR = ("birth", "detector")
+
+
+def detectors_are_installed(plate: Plate) -> Iterator[GraphMessage]:
+    """Every `birth` names an installed detector, or `detections`."""
+    birth = plate.spec.birth
+    known = {} if birth is None else detectors_of_graphs()
+    if birth is not None and birth.detector.detector not in known:
+        word = birth.detector.detector
+        yield _message(plate, (*DETECTOR, word), f"unknown detector {word!r}", list(known), word)
+
+
+def parameters_fit_the_detector(plate: Plate) -> Iterator[GraphMessage]:
+    """Every parameter is one that the detector declares, of its type and within its range."""
+    birth = plate.spec.birth
+    declaration = None if birth is None else detectors_of_graphs().get(birth.detector.detector)
+    if birth is None or declaration is None:
+        return
+    try:
+        plugin_parameters(birth.detector, declaration.parameters)
+    except ValidationError as error:
+        path = ("targets", plate.name, *DETECTOR, declaration.name)
+        yield from explain(error, declaration.parameters, birth.detector.parameters, plate.at, path)
+
+
+def recall_has_a_detector(plate: Plate) -> Iterator[GraphMessage]:
+    """`recall` stands beside `birth`: without detections nothing is there to be recognised."""
+    if plate.spec.recall is not None and plate.spec.birth is None:
+        yield _message(plate, ("recall",), "recall without birth", "birth, too, or no such key", on_key=True)
+
+
+def _message(
+    plate: Plate,
+    key: Path,
+    found: str,
+    allowed: str | list[str],
+    word: str = "",
+    on_key: bool = False,
+) -> GraphMessage:
+    path = ("targets", plate.name, *key)
+    return plate.at.message(path, found, allowed, word=word, on_key=on_key or bool(word))
+
+
+LIFE_LAWS: tuple[Law, ...] = (
+    detectors_are_installed,
+    parameters_fit_the_detector,
+    recall_has_a_detector,
+)
