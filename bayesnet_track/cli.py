@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
 from io import TextIOWrapper
 
+from bayesnet_track.arguments import cells, gradient, metres, share, whole_number
 from bayesnet_track.runtime.stop import StopRequest, Terminated
 
 EXIT_CODES = """\
@@ -43,7 +44,7 @@ def make_parser() -> argparse.ArgumentParser:
     demo.add_argument(
         "--out", metavar="RUN", help="run directory (default runs/SCENE, replaced if it exists)"
     )
-    demo.add_argument("--end", type=_whole_number(1), metavar="N", help="frame to stop before")
+    demo.add_argument("--end", type=whole_number(1), metavar="N", help="frame to stop before")
     _add_run_options(demo)
 
     run = commands.add_parser("run", help="track in a video with a graph")
@@ -109,7 +110,7 @@ def make_parser() -> argparse.ArgumentParser:
     calibrate.add_argument("right", metavar="RIGHT", help="those of the right eye, in the same order")
     calibrate.add_argument("--board", required=True, metavar="CxR", help="inner corners across and down: 9x6")
     calibrate.add_argument(
-        "--square", dest="square_m", required=True, type=_metres, metavar="M", help="side of a square, m"
+        "--square", dest="square_m", required=True, type=metres, metavar="M", help="side of a square, m"
     )
     calibrate.add_argument("--out", required=True, metavar="FILE", help="calibration file to write")
     calibrate.add_argument("--overwrite", action="store_true", help="replace the file if it is there")
@@ -122,7 +123,7 @@ def make_parser() -> argparse.ArgumentParser:
     log.add_argument("--node", help="only this node")
     log.add_argument("--kind", help="only this kind of event: activated, deactivated, self_stopped, ...")
     log.add_argument("--frames", metavar="A:B", help="only frames A to B, B excluded")
-    log.add_argument("--why", type=_whole_number(0), metavar="N", help="what was active in frame N, and why")
+    log.add_argument("--why", type=whole_number(0), metavar="N", help="what was active in frame N, and why")
     log.add_argument("--json", action="store_true", help="print the events as they stand in the journal")
 
     score = commands.add_parser("score", help="score a run against ground truth")
@@ -143,29 +144,54 @@ def make_parser() -> argparse.ArgumentParser:
     examples.add_argument("--masks", metavar="DIR", help="folder of mask images: the target is not black")
     examples.add_argument("--source", help="video file, folder of images, or glob")
     shape.add_argument("--boxes", metavar="FILE", help="ground-truth file of the boxes in --source")
-    shape.add_argument("--every", type=_whole_number(1), default=1, metavar="N", help="every Nth frame only")
-    shape.add_argument("--grid", type=_cells, default=16, metavar="G", help="cells per side (default 16)")
+    shape.add_argument("--every", type=whole_number(1), default=1, metavar="N", help="every Nth frame only")
+    shape.add_argument("--grid", type=cells, default=16, metavar="G", help="cells per side (default 16)")
     shape.add_argument(
         "--keep",
-        type=_share,
+        type=share,
         default=0.95,
         metavar="SHARE",
         help="variance that the modes keep (default .95)",
     )
     shape.add_argument(
         "--min-support",
-        type=_share,
+        type=share,
         default=0.5,
         metavar="SHARE",
         help="leave out silhouettes with less of them on edges (default .5)",
     )
     shape.add_argument(
         "--edge-gray",
-        type=_gradient,
+        type=gradient,
         default=8.0,
         metavar="G",
         help="gradient where an edge starts, gray levels per pixel (default 8)",
     )
+
+    stereo = commands.add_parser("learn-stereo", help="learn how much a target's depth features vary")
+    stereo.add_argument("--source", required=True, help="video file, folder of images, or glob")
+    _add_depth_options(stereo)
+    stereo.add_argument(
+        "--truth", required=True, metavar="FILE", help="ground-truth file of the boxes in the left eye"
+    )
+    stereo.add_argument("--every", type=whole_number(1), default=1, metavar="N", help="every Nth frame only")
+    stereo.add_argument(
+        "--within",
+        type=whole_number(2),
+        metavar="N",
+        help="variation within N frames, as long as the reference takes to follow (default: the whole video)",
+    )
+    stereo.add_argument(
+        "--prior",
+        type=whole_number(0),
+        default=10,
+        metavar="N",
+        help="examples that the default counts for (default 10)",
+    )
+    stereo.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="a parameter of the cue, as YAML"
+    )
+    _add_window_options(stereo)
     return parser
 
 
@@ -183,9 +209,9 @@ def _add_depth_options(parser: argparse.ArgumentParser) -> None:
 
 def _add_window_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--start", type=_whole_number(0), default=0, metavar="N", help="first frame (default 0)"
+        "--start", type=whole_number(0), default=0, metavar="N", help="first frame (default 0)"
     )
-    parser.add_argument("--end", type=_whole_number(1), metavar="N", help="frame to stop before")
+    parser.add_argument("--end", type=whole_number(1), metavar="N", help="frame to stop before")
     parser.add_argument(
         "--on-resize", choices=["stop", "rescale"], default="stop", help="when pictures change size"
     )
@@ -194,7 +220,7 @@ def _add_window_options(parser: argparse.ArgumentParser) -> None:
 
 def _add_run_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--seed", type=_whole_number(0), default=0, metavar="N", help="seed of all randomness (default 0)"
+        "--seed", type=whole_number(0), default=0, metavar="N", help="seed of all randomness (default 0)"
     )
     parser.add_argument(
         "--overwrite", action="store_true", help="replace an earlier run in the same directory"
@@ -275,57 +301,6 @@ def _streams() -> Iterator[None]:
             out.reconfigure(errors="replace")
             stack.callback(out.reconfigure, errors="strict")
         yield
-
-
-def _whole_number(least: int) -> Callable[[str], int]:
-    """Parser of whole numbers from `least` on."""
-
-    def parse(text: str) -> int:
-        if not (text.isascii() and text.isdigit() and len(text) < 19 and int(text) >= least):
-            raise argparse.ArgumentTypeError(f"{text!r}: a whole number from {least} on is needed")
-        return int(text)
-
-    return parse
-
-
-def _metres(text: str) -> float:
-    """Parser of lengths."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r}: a length above 0 in metres is needed")
-    return value
-
-
-def _cells(text: str) -> int:
-    """Parser of the cells of a shape grid."""
-    if not (text.isascii() and text.isdigit() and 4 <= int(text[:4]) <= 64 and len(text) < 4):
-        raise argparse.ArgumentTypeError(f"{text!r}: a whole number from 4 to 64 is needed")
-    return int(text)
-
-
-def _gradient(text: str) -> float:
-    """Parser of a gradient in gray levels per pixel."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value <= 100.0:
-        raise argparse.ArgumentTypeError(f"{text!r}: a number above 0, at most 100 is needed")
-    return value
-
-
-def _share(text: str) -> float:
-    """Parser of a share above 0, at most 1."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value <= 1.0:
-        raise argparse.ArgumentTypeError(f"{text!r}: a number above 0, at most 1 is needed")
-    return value
 
 
 def _joined(arguments: Sequence[str]) -> list[str]:

@@ -18,6 +18,7 @@ from bayesnet_track.commands.calibrate import calibrate
 from bayesnet_track.commands.detect import detect
 from bayesnet_track.commands.graphs import graph, list_installed, schema, validate
 from bayesnet_track.commands.learn_shape import learn_shape
+from bayesnet_track.commands.learn_stereo import learn_stereo
 from bayesnet_track.commands.review import log, score
 from bayesnet_track.commands.tracking import demo, run
 from bayesnet_track.graph.messages import GraphError
@@ -34,6 +35,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "detect": detect,
     "score": score,
     "learn-shape": learn_shape,
+    "learn-stereo": learn_stereo,
 }
 
 

@@ -12,6 +12,7 @@ from bayesnet_track.commands.answer import INCOMPLETE, OK, UsageError, complain,
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from bayesnet_track.cue import CueDeclaration
     from bayesnet_track.detector import Detector, DetectorDeclaration, DetectorState
     from bayesnet_track.planes import Frame, FramePair
     from bayesnet_track.runtime.frames import Source
@@ -149,8 +150,8 @@ def _declaration(name: str) -> DetectorDeclaration:
     return known[name]
 
 
-def read_parameters(declaration: DetectorDeclaration, settings: Sequence[str]) -> Any:
-    """The detector's parameters from texts ``key=value``, the value as YAML has it; raises UsageError."""
+def read_parameters(declaration: DetectorDeclaration | CueDeclaration, settings: Sequence[str]) -> Any:
+    """A detector's or cue's parameters from texts ``key=value``, values as in YAML; raises UsageError."""
     import yaml
     from pydantic import ValidationError
 
@@ -173,7 +174,7 @@ def read_parameters(declaration: DetectorDeclaration, settings: Sequence[str]) -
         raise UsageError("\n".join(_mistakes(error, declaration, nearest))) from None
 
 
-def _mistakes(error: Any, declaration: DetectorDeclaration, nearest: Any) -> list[str]:
+def _mistakes(error: Any, declaration: DetectorDeclaration | CueDeclaration, nearest: Any) -> list[str]:
     fields, said = declaration.parameters.model_fields, []
     for one in error.errors(include_url=False):
         key = str(one["loc"][0]) if one["loc"] else ""
