@@ -31,6 +31,7 @@ SCENE_GRAPHS = {
     "glass_wall": "person_stereo",
     "person_color_stereo": "person_color_stereo",
     "person_same_clothes": "person_same_clothes",
+    "person_same_clothes_nearer": "person_same_clothes",
     "two_people_color_stereo_shape": "two_people_color_stereo_shape",
 }
 """Scenes that do not run with the graph `two_squares`."""

@@ -12,7 +12,11 @@ import numpy as np
 from bayesnet_track.scenes.ball import flying_ball
 from bayesnet_track.scenes.children import ball_between_children
 from bayesnet_track.scenes.occluder import occluder
-from bayesnet_track.scenes.passer import person_color_stereo, person_same_clothes
+from bayesnet_track.scenes.passer import (
+    person_color_stereo,
+    person_same_clothes,
+    person_same_clothes_nearer,
+)
 from bayesnet_track.scenes.scene import Scene
 from bayesnet_track.scenes.silhouettes import person_and_board
 from bayesnet_track.scenes.squares import gray_square, orange_and_gray, random_geometry, two_squares
@@ -39,6 +43,7 @@ _SCENES: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
         "glass_wall": glass_wall,
         "person_color_stereo": person_color_stereo,
         "person_same_clothes": person_same_clothes,
+        "person_same_clothes_nearer": person_same_clothes_nearer,
         "two_people_color_stereo_shape": two_people_color_stereo_shape,
     }
 )

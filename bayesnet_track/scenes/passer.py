@@ -10,7 +10,9 @@ from bayesnet_track.scenes.scene import Scene
 from bayesnet_track.scenes.stereo import (
     BROWN,
     CAMERA_HEIGHT_M,
+    GEOMETRY,
     GREEN,
+    WIDTH,
     Walker,
     clothes,
     room_scene,
@@ -51,6 +53,33 @@ def person_same_clothes(seed: int = 0, frames: int = 150) -> Scene:
         Walker(clothes(rng, GREEN), target, np.full(frames, 3.9)),
     )
     return room_scene("person_same_clothes", _room(rng), walkers, 1, seed)
+
+
+def person_same_clothes_nearer(seed: int = 0, frames: int = 150) -> Scene:
+    """Somebody in the target's clothes steps up beside it, nearer to the cameras, and leaves.
+
+    The target wears green in a brown room, 3.9 m away, and walks until frame 50 and from frame 100 on. The
+    other one, as tall, comes from the right by 0.1 m a frame, stands from one of frames 64 to 74 on for 8 to
+    12 frames, and goes back. Being nearer (2.9 to 3.3 m, so larger by a fifth to a third) he fills any box of
+    the target's size with the target's hue, and may hide a third of it. When, how long, how near and how far
+    aside depend on the seed.
+    """
+    rng = np.random.Generator(np.random.Philox(seed))
+    room = _room(rng)
+    aside, near, comes = rng.uniform(0.4, 0.6), rng.uniform(2.9, 3.3), rng.uniform(64.0, 74.0)
+    leaves = comes + rng.uniform(8.0, 12.0)
+    at = np.arange(frames, dtype=np.float64)
+    far = np.full(frames, 3.9)
+    target = np.interp(at, [0.0, 50.0, 100.0, 150.0], [-0.9, 0.1, 0.1, -0.9])
+    stands = (0.1 + aside) * near / far[0]  # `aside` as seen at the target's distance
+    outside = (WIDTH / 2 + 24.0) * near / GEOMETRY.focal_px
+    walk = (outside - stands) / 0.1
+    other = np.interp(at, [comes - walk, comes, leaves, leaves + walk], [outside, stands, stands, outside])
+    walkers = (
+        Walker(clothes(rng, GREEN), target, far),
+        Walker(clothes(rng, GREEN), other, np.full(frames, near)),
+    )
+    return room_scene("person_same_clothes_nearer", room, walkers, 0, seed)
 
 
 def _room(rng: np.random.Generator) -> Room:

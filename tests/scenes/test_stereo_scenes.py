@@ -84,3 +84,23 @@ def test_the_other_one_enters_late_and_passes_behind():
     apart = np.abs(other[:, 0] - scene.truth[:, 0])
     assert apart[seen].min() < 10
     assert (scene.visible > 0.99).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_one_dressed_alike_stands_nearer_and_comes_and_goes(seed):
+    """Depth alone tells them apart: any box of the target's size fits into him, and he has its hue."""
+    scene = make_scene("person_same_clothes_nearer", seed)
+    target, (other,) = scene.truth, scene.others
+    inside = np.flatnonzero(other[:, 0] < scene.width)
+    assert 45 <= inside[0] < inside[-1] <= 110
+    beside = other[:, 0] < target[:, 0] + 1.5 * target[:, 2]
+    assert 8 <= beside.sum() <= 20 and scene.visible[~beside].min() > 0.999
+    assert scene.visible.min() > 0.6
+    assert (other[:, 2:] > target[:, 2:] * 1.15).all()
+    him, it = (depths[75] for depths in reversed(scene.stereo.depths_m))
+    assert 2.9 <= him <= 3.3 and it == 3.9
+    x, y, w, h = (int(v) for v in target[30])
+    u, v, p, q = (int(v) for v in other[75])
+    mine = scene.frames[30][y : y + h, x : x + w].reshape(-1, 3).mean(axis=0)
+    his = scene.frames[75][v : v + q, u : u + p].reshape(-1, 3).mean(axis=0)
+    np.testing.assert_allclose(mine / mine.sum(), his / his.sum(), atol=0.01)
