@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bayesnet_track import Start, Tracker, track
-from bayesnet_track.graph.net import Activated, Deactivated, Decision, Quarantined, SelfStopped, StatusChanged
+from bayesnet_track.graph.net import Activated, Deactivated, Decision, Quarantined, StatusChanged
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.run import Result
 from bayesnet_track.runtime.scene_source import SceneSource
@@ -69,18 +69,6 @@ def test_every_switch_names_uncertainty_beyond_its_level(crossing: tuple[Scene, 
         assert decision.cause.value < decision.cause.level and decision.node == max(
             decision.index, key=lambda agent: decision.index[agent]
         )
-
-
-def test_colour_stops_itself_on_a_gray_target_which_is_held() -> None:
-    """Thesis Figure 2.19: the self-evaluation of the colour agent, not the inference node, stops it."""
-    scene = make_scene("gray_square", 1)
-    results = play("color_fusion", scene, 1)
-    stopped = decisions(results, SelfStopped, "histogram")
-    assert stopped and isinstance(stopped[0], SelfStopped)
-    assert stopped[0].cause.ud_px2 > stopped[0].cause.level
-    assert stopped[0].rests_until > stopped[0].frame + 1
-    assert not decisions(results, Deactivated, "histogram")
-    assert overlaps(results, scene).mean() > 0.8
 
 
 def test_colour_agents_are_out_on_a_gray_source() -> None:
