@@ -15,7 +15,7 @@ from bayesnet_track.belief.particles import ParticleFilter
 from bayesnet_track.cue import AnyCue, CueDeclaration, LocallyAdaptable, installed_cues
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
-from bayesnet_track.graph.spec import Learn
+from bayesnet_track.graph.spec import Guard, Learn
 from bayesnet_track.numerics.streams import Streams
 
 
@@ -32,6 +32,7 @@ class Machinery:
         rate_max: agent -> largest learning rate.
         adaptable: agents that can act locally.
         color_agents: agents that are blind on a gray source.
+        guard: what keeps references from drifting, or None.
     """
 
     plate: CheckedTarget
@@ -42,6 +43,7 @@ class Machinery:
     rate_max: Mapping[str, float]
     adaptable: frozenset[str]
     color_agents: frozenset[str] = frozenset()
+    guard: Guard | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +102,7 @@ def _make_machinery(
         rate_max={agent: _rate_max(plate, agent, of[agent], root.learn) for agent in plate.agents},
         adaptable=frozenset(agent for agent, cue in made.items() if isinstance(cue, LocallyAdaptable)),
         color_agents=frozenset(agent for agent in plate.agents if of[agent].needs_color),
+        guard=None if root.learn is None else root.learn.guard,
     )
 
 

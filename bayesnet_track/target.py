@@ -8,12 +8,13 @@ Both are functions of the target's state and the frame; time is read for the tim
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.adapt.guard import Judged, Watched, changes, guard, judge, watch
 from bayesnet_track.adapt.learn import adapt_reference, learn_first, learn_references, learning_rate
 from bayesnet_track.adapt.measure import measure
 from bayesnet_track.adapt.memory import Memory
@@ -21,7 +22,8 @@ from bayesnet_track.adapt.rules import Situation, decide, quiet_level
 from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.belief.estimate import estimate
-from bayesnet_track.cue import LocallyAdaptable, Reference
+from bayesnet_track.belief.states import hypotheses_of
+from bayesnet_track.cue import Hypotheses, LocallyAdaptable, Reference
 from bayesnet_track.frame_metrics import first_frame_metrics, frame_metrics
 from bayesnet_track.graph.net import Decision, LocallyAdapted, Net, Quarantined, TargetStarted, apply
 from bayesnet_track.inference.compile import Plan, compile_plan
@@ -43,6 +45,7 @@ class TargetState:
         memory: what the rules remember.
         plan: the compiled net.
         time: time of the last frame, frame intervals.
+        watched: the slow references that guard the others against drift.
     """
 
     belief: Posterior
@@ -50,6 +53,7 @@ class TargetState:
     memory: Memory
     plan: Plan
     time: float
+    watched: Watched = field(default_factory=Watched)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +127,7 @@ def start(
         memory=Memory(),
         plan=compile_plan(machine.plate, working, machine.cues),
         time=frame.time,
+        watched=watch(references, machine.cues, machine.guard),
     )
     metrics = first_frame_metrics(frame, target, len(born.belief), working, box)
     return Born(born, tuple(decisions), metrics)
@@ -164,7 +169,8 @@ def conclude(
     stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
 
     started = engine.clock()
-    box = _inside(estimate(root.estimate, stepped)[:4], frame)
+    state = estimate(root.estimate, stepped)
+    box = _inside(state[:4], frame)
     started = _charge(engine, seconds, "belief", started)
 
     working = applied(net, weighed.faults).targets[target]
@@ -182,13 +188,15 @@ def conclude(
     rates = {
         agent: rate * most for agent, most in machine.rate_max.items() if agent not in working.quarantined
     }
-    references, decisions = _learn(now, machine, before.references, rates, cache, box, chosen)
+    at = hypotheses_of(np.concatenate([box, state[4:]])[None], stepped.posterior.fields)
+    references, watched, judged, decisions = _learn(now, machine, before, rates, cache, at, chosen)
     _charge(engine, seconds, "learn", started)
 
-    after = TargetState(stepped.posterior, references, memory, before.plan, frame.time)
+    after = TargetState(stepped.posterior, references, memory, before.plan, frame.time, watched)
     told = [report(frame.index, target) for report in stepped.reports]
     if stepped.degenerate is not None:
         told.append(DegenerateBelief(frame.index, target, stepped.degenerate))
+    told += changes(frame.index, target, before.watched, watched, judged, machine.guard)
     spread = stepped.posterior.covariance
     metrics = frame_metrics(
         frame, target, machine.plate, live.status, stepped, measures, box, spread, quiet, rate, stream
@@ -215,19 +223,23 @@ def recompiled(engine: Engine, net: Net, target: str, state: TargetState) -> Tar
 def _learn(
     now: Situation,
     machine: Machinery,
-    references: Mapping[str, Reference],
+    before: TargetState,
     rates: Mapping[str, float],
     cache: PlaneCache,
-    box: Floats,
+    at: Hypotheses,
     chosen: tuple[Decision, ...],
-) -> tuple[dict[str, Reference], tuple[Decision, ...]]:
-    """Move all references, then carry out local actions.
+) -> tuple[dict[str, Reference], Watched, Judged, tuple[Decision, ...]]:
+    """Move all references that are guarded by none or agree with their guard, then carry out local actions.
 
     Returns:
-        The references, and the decisions that stand: those chosen, without actions that found nothing left to
-        try, and the quarantine of agents that failed here.
+        The references, their guard and what it said, and the decisions that stand: those chosen, without
+        actions that found nothing left to try, and the quarantine of agents that failed here.
     """
-    moved, faults = learn_references(references, machine.cues, rates, cache, box)
+    judged = judge(before.watched, before.references, machine.cues, rates, cache, at, machine.guard)
+    free = {agent: rate for agent, rate in rates.items() if agent not in judged.held}
+    moved, faults = learn_references(before.references, machine.cues, free, cache, at.boxes[0])
+    moved, watched = guard(before.watched, judged, moved, machine.cues, rates, machine.guard)
+    faults |= judged.faults
     kept: list[Decision] = []
     for decision in chosen:
         if isinstance(decision, LocallyAdapted):
@@ -242,7 +254,7 @@ def _learn(
                 continue
             moved[decision.node] = tuned
         kept.append(decision)
-    return moved, (*kept, *_quarantined(now.frame, now.target, faults))
+    return moved, watched, judged, (*kept, *_quarantined(now.frame, now.target, faults))
 
 
 def _quarantined(frame: int, target: str, faults: Mapping[str, str]) -> tuple[Quarantined, ...]:

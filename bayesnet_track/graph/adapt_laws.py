@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bayesnet_track.graph.adapt_settings import Concentrated
+from bayesnet_track.graph.adapt_settings import Concentrated, Information
 from bayesnet_track.graph.messages import GraphMessage
 from bayesnet_track.graph.plate import Law, Plate
 
@@ -45,7 +45,7 @@ def information_has_effect(plate: Plate) -> Iterator[GraphMessage]:
     """What is remembered of agents' information serves a rule, and so does the hope of the unknown."""
     for name, node in plate.inference.items():
         adapt = node.adapt
-        if adapt is None or "information" not in adapt.model_fields_set:
+        if adapt is None or adapt.information == Information():
             continue
         on = adapt.activate is not None and adapt.activate.which == "information_per_ms"
         off = adapt.deactivate is not None and adapt.deactivate.drop == "least_information_per_ms"
@@ -53,7 +53,7 @@ def information_has_effect(plate: Plate) -> Iterator[GraphMessage]:
             allowed = "which: information_per_ms, drop: least_information_per_ms, or no such key"
             found = "information has no effect: no rule here goes by it"
             yield plate.message(name, found, allowed, key=("adapt", "information"), on_key=True)
-        elif not on and "explore" in adapt.information.model_fields_set:
+        elif not on and adapt.information.explore != Information().explore:
             key = ("adapt", "information", "explore")
             found = "explore has no effect: only which: information_per_ms hopes for the unknown"
             yield plate.message(name, found, "which: information_per_ms, or no explore", key=key, on_key=True)

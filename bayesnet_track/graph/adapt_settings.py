@@ -112,6 +112,27 @@ class Adapt(Model):
     )
 
 
+class Guard(Model):
+    """A second, slow reference per agent keeps the first one from learning its own errors.
+
+    In each `every`-th frame that would be learnt from, both score the estimate. Where the slow one's likelihood is lower by
+    more than `apart_nats`, the agent does not learn, and its reference moves toward the slow one by `pull`.
+    Else the slow one moves toward the first by `rate`.
+    """
+
+    rate: Annotated[Number, Field(ge=0, le=1)] = Field(
+        default=0.002, description="rate of the slow reference per frame; 0 keeps the one of the first frame"
+    )
+    apart_nats: Positive = Field(
+        default=1.0, description="difference of log-likelihoods from which on the two have parted, nats"
+    )
+    every: FrameCount = Field(default=5, description="frames between comparisons")
+    pull: Annotated[Number, Field(ge=0, le=1)] = Field(
+        default=0.05,
+        description="share of the slow reference that is mixed in per frame while they are parted",
+    )
+
+
 class Learn(Model):
     """References move toward the estimate while UD is low (eqs. 2.15-2.16 times rate_max)."""
 
@@ -119,6 +140,7 @@ class Learn(Model):
     rate_max: Annotated[Number, Field(gt=0, le=1)] = Field(
         default=0.05, description="largest learning rate per frame"
     )
+    guard: Guard | None = Field(default=None, description="keeps references from drifting away")
 
 
 class Lost(Model):

@@ -230,6 +230,33 @@ class SecondPass:
 
 
 @dataclass(frozen=True)
+class ReferenceGuarded:
+    """An agent's reference and its slow one parted, or agree again: learning stopped, or goes on.
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        node: the agent.
+        parted: true when they parted in this frame, false when they agree again.
+        own: log-likelihood of the estimate by the agent's own reference, nats.
+        slow: the same by its slow reference.
+        apart_nats: difference from which on they have parted.
+        pull: share of the slow reference that is mixed into the agent's own per frame while they are parted.
+        frames: for how many learning frames they were parted; 0 when they part.
+    """
+
+    frame: int
+    target: str
+    node: str
+    parted: bool
+    own: float
+    slow: float
+    apart_nats: float
+    pull: float
+    frames: int
+
+
+@dataclass(frozen=True)
 class RunEnded:
     """Last line of a journal that was closed in order.
 
@@ -256,6 +283,7 @@ Event = (
     | BeliefReset
     | ParticlesResized
     | SecondPass
+    | ReferenceGuarded
     | RunEnded
     | Decision
 )

@@ -22,12 +22,13 @@ from bayesnet_track.journal.events import (
     FramesMissing,
     MeasurementGated,
     ParticlesResized,
+    ReferenceGuarded,
     RunEnded,
     RunStarted,
     SecondPass,
     SourceDamaged,
 )
-from bayesnet_track.journal.switch_sentences import activated, deactivated
+from bayesnet_track.journal.switch_sentences import activated, deactivated, guarded
 from bayesnet_track.journal.wording import decimals, held, plural, rounded, told_apart, turned_at
 
 
@@ -80,7 +81,13 @@ def _run_ended(event: RunEnded) -> str:
 
 
 def happened(
-    event: Decision | DegenerateBelief | MeasurementGated | BeliefReset | ParticlesResized | SecondPass,
+    event: Decision
+    | DegenerateBelief
+    | MeasurementGated
+    | BeliefReset
+    | ParticlesResized
+    | SecondPass
+    | ReferenceGuarded,
 ) -> str:
     """The sentence without the frame it happened in."""
     match event:
@@ -113,6 +120,8 @@ def happened(
             return _resized(event)
         case SecondPass():
             return _second_pass(event)
+        case ReferenceGuarded():
+            return guarded(event)
         case BeliefReset():
             return _reset(event)
         case _:

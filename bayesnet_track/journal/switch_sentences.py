@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 from bayesnet_track.graph.net import Activated, Cause, Concentration, Deactivated
-from bayesnet_track.journal.wording import held, plural, rounded, told_apart, turned_at
+from bayesnet_track.journal.events import ReferenceGuarded
+from bayesnet_track.journal.wording import decimals, held, plural, rounded, told_apart, turned_at
 
 
 def activated(event: Activated) -> str:
@@ -27,6 +28,21 @@ def deactivated(event: Deactivated) -> str:
     return (
         f"{_well(event.cause)} → {event.node} off{_chosen_among(event)}; "
         f"would have stayed on at {_not_well(event.cause)}"
+    )
+
+
+def guarded(event: ReferenceGuarded) -> str:
+    """Why an agent stopped learning, or goes on."""
+    gap, level = told_apart(event.own - event.slow, event.apart_nats)
+    own, slow = f"{event.own:.2f} nats by its reference", f"{event.slow:.2f} by its slow one"
+    scored = f"{event.node}: the estimate scores {own}, {slow}"
+    if not event.parted:
+        lasted = plural(event.frames, "frame")
+        return f"{scored}: {gap} ≤ {level} apart after {lasted} → learns again"
+    turning = rounded(event.own - event.slow, decimals(event.own - event.slow, event.apart_nats), up=True)
+    return (
+        f"{scored}: {gap} > {level} apart → stops learning, pulled back by {event.pull:g} a frame; "
+        f"would have learnt at apart_nats ≥ {turning}"
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 _TINY = 1e-300
 _TERMS = 10_000
@@ -24,6 +25,7 @@ def binomial_tail(successes: float, trials: float, share: float) -> float:
     return incomplete_beta(successes, trials - successes + 1.0, share)
 
 
+@lru_cache(maxsize=64)
 def vouched_share(inside: float, trials: float, confidence: float) -> float:
     """The largest share p0 that the test with `confidence` still grants: the lower Clopper-Pearson bound.
 

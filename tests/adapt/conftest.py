@@ -55,13 +55,18 @@ class Drive:
         return [d.frame for d in self.of(kind) if node is None or d.node == node]
 
 
+def _at(contribution, agent, k):
+    given = (contribution or {}).get(agent, 0.0)
+    return given(k) if callable(given) else given
+
+
 @pytest.fixture(scope="session")
 def drive(fakes):
     """Run the rules of a net over a sequence of UD; frames count from 1."""
 
     def run(
         nodes, uds, *, active=None, net=None, kl=None, contribution=None, agent_uds=None, fits=None,
-        areas=None, costs=None, adaptable=(), memory=None,
+        areas=None, costs=None, adaptable=(), memory=None, insides=None,
     ):  # fmt: skip
         plate, _ = fakes.plate(nodes)
         live = Net({"1": net or TargetNet("plate", frozenset(plate.agents if active is None else active))})
@@ -77,10 +82,11 @@ def drive(fakes):
                     agent: float((agent_uds or {}).get(agent, [0.0] * len(uds))[k]) for agent in on
                 },
                 kl={agent: (kl or {}).get(agent, 0.0) for agent in on},
-                contribution={agent: (contribution or {}).get(agent, 0.0) for agent in on},
+                contribution={agent: _at(contribution, agent, k) for agent in on},
                 strength={},
                 fit=1.0 if fits is None else fits[k],
                 area_px2=400.0 if areas is None else areas[k],
+                inside={} if insides is None else {("root", w): one for w, one in insides[k].items()},
             )
             situation = Situation(
                 k + 1,

@@ -1,0 +1,133 @@
+"""Drift guard: a second, slow reference per agent says when the first one has learnt something else.
+
+A reference that follows the estimate follows its errors too, and then likes what it has slid onto. The slow
+reference starts as the same and follows the first one at a much smaller rate. Where the estimate is explained
+by the first one and no longer by the slow one, the two have parted: the first one does not learn, and is
+pulled back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from bayesnet_track.cue import AnyCue, Cue, Hypotheses, Reference, context_of
+from bayesnet_track.graph.spec import Guard
+from bayesnet_track.journal.events import Event, ReferenceGuarded
+from bayesnet_track.planes import PlaneCache, region_of_boxes
+
+
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """What the guard of one target remembers.
+
+    Attributes:
+        slow: agent -> its slow reference.
+        parted: agent whose references have parted -> for how many learning frames.
+        frames: learning frames so far.
+    """
+
+    slow: Mapping[str, Reference] = field(default_factory=dict)
+    parted: Mapping[str, int] = field(default_factory=dict)
+    frames: int = 0
+
+
+def watch(references: Mapping[str, Reference], cues: Mapping[str, AnyCue], rule: Guard | None) -> Watched:
+    """The guard of a target that starts: slow references are the first ones, of agents that score."""
+    if rule is None:
+        return Watched()
+    return Watched({agent: one for agent, one in references.items() if isinstance(cues[agent], Cue)})
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What the guard says in one frame.
+
+    Attributes:
+        gaps: agent that was checked -> log-likelihoods of the estimate by its own and by its slow reference.
+        held: agents that must not learn in this frame.
+        faults: agent -> what was wrong with it.
+    """
+
+    gaps: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    held: frozenset[str] = frozenset()
+    faults: Mapping[str, str] = field(default_factory=dict)
+
+
+def judge(
+    watched: Watched,
+    references: Mapping[str, Reference],
+    cues: Mapping[str, AnyCue],
+    rates: Mapping[str, float],
+    cache: PlaneCache,
+    estimate: Hypotheses,
+    rule: Guard | None,
+) -> Judged:
+    """In every `rule.every`-th learning frame, compare what both references of an agent say of the estimate.
+
+    They have parted where the slow one gives it a likelihood lower by more than `rule.apart_nats`; that holds
+    until they are compared again.
+    """
+    learning = any(rate > 0.0 for rate in rates.values())
+    if rule is None or not learning or (watched.frames + 1) % rule.every:
+        return Judged(held=frozenset(watched.parted))
+    gaps: dict[str, tuple[float, float]] = {}
+    faults: dict[str, str] = {}
+    for agent, slow in watched.slow.items():
+        cue = cues[agent]
+        if rates.get(agent, 0.0) <= 0.0 or not isinstance(cue, Cue):
+            continue
+        try:
+            planes = cache.planes(cue.needs, region_of_boxes(estimate.boxes, grow=context_of(cue)))
+            both = (float(cue.log_likelihood(planes, estimate, one)[0]) for one in (references[agent], slow))
+            own, other = both
+            gaps[agent] = own, other
+        except Exception as error:  # as in evaluation: a cue's fault must not end the run
+            faults[agent] = f"raised {type(error).__name__} while guarded: {error}"
+    parted = {agent for agent, (own, slow) in gaps.items() if own - slow > rule.apart_nats}
+    unchecked = {agent for agent in watched.parted if agent not in gaps}
+    return Judged(gaps, frozenset(parted | unchecked), faults)
+
+
+def guard(
+    watched: Watched,
+    judged: Judged,
+    references: Mapping[str, Reference],
+    cues: Mapping[str, AnyCue],
+    rates: Mapping[str, float],
+    rule: Guard | None,
+) -> tuple[dict[str, Reference], Watched]:
+    """Pull back what has parted; let the slow references follow the others.
+
+    `references` are those after learning, in which agents that were held are as before. Rates per frame are
+    made up for the frames since the last comparison.
+    """
+    guarded, slow = dict(references), dict(watched.slow)
+    if rule is None or not any(rate > 0.0 for rate in rates.values()):
+        return guarded, watched
+    parted = {agent: frames + 1 for agent, frames in watched.parted.items()}
+    for agent in judged.gaps:
+        if agent in judged.held:
+            share = 1.0 - (1.0 - rule.pull) ** rule.every
+            guarded[agent] = cues[agent].blend(references[agent], slow[agent], share)
+            parted.setdefault(agent, 0)
+        else:
+            share = 1.0 - (1.0 - rule.rate) ** rule.every
+            slow[agent] = cues[agent].blend(slow[agent], references[agent], share)
+            parted.pop(agent, None)
+    return guarded, Watched(slow, parted, watched.frames + 1)
+
+
+def changes(
+    frame: int, target: str, before: Watched, after: Watched, judged: Judged, rule: Guard | None
+) -> list[Event]:
+    """The references that parted in this frame, and those that agree again."""
+    events: list[Event] = []
+    for agent, (own, slow) in judged.gaps.items():
+        now = agent in after.parted
+        if rule is not None and now != (agent in before.parted):
+            lasted = 0 if now else before.parted[agent] + 1
+            events.append(
+                ReferenceGuarded(frame, target, agent, now, own, slow, rule.apart_nats, rule.pull, lasted)
+            )
+    return events
