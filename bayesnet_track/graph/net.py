@@ -10,6 +10,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
+from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
+
 
 @dataclass(frozen=True)
 class Cause:
@@ -206,7 +208,17 @@ class StatusChanged:
 
 
 Decision = (
-    TargetStarted | Activated | Deactivated | LocallyAdapted | SelfStopped | Quarantined | StatusChanged
+    TargetStarted
+    | Activated
+    | Deactivated
+    | LocallyAdapted
+    | SelfStopped
+    | Quarantined
+    | StatusChanged
+    | Reacquired
+    | Returned
+    | DuplicateEnded
+    | TargetDied
 )
 
 
@@ -244,7 +256,12 @@ def apply(net: Net, decision: Decision) -> Net:
     Raises:
         KeyError: the decision names a target that is not alive.
     """
-    if isinstance(decision, TargetStarted):
+    if isinstance(decision, TargetDied | DuplicateEnded):
+        left = {target: one for target, one in net.targets.items() if target != decision.target}
+        if len(left) == len(net.targets):
+            raise KeyError(decision.target)
+        return Net(MappingProxyType(left))
+    if isinstance(decision, TargetStarted | Returned):
         changed = TargetNet(decision.template, frozenset(decision.active))
     else:
         changed = _change(net.targets[decision.target], decision)
@@ -262,7 +279,7 @@ def replay(decisions: Iterable[Decision], until_frame: int | None = None) -> Net
         if until_frame is not None:
             if decision.frame > until_frame:
                 break
-            if decision.frame == until_frame and not isinstance(decision, TargetStarted):
+            if decision.frame == until_frame and not isinstance(decision, TargetStarted | Returned):
                 continue
         net = apply(net, decision)
     return net
@@ -287,5 +304,7 @@ def _change(net: TargetNet, decision: Decision) -> TargetNet:
             )
         case StatusChanged():
             return replace(net, status=decision.status)
+        case Reacquired():
+            return replace(net, status="tracking")
         case _:
             return net

@@ -86,8 +86,18 @@ def type_hints(kind: Any) -> Mapping[str, Any]:
 
 
 def _encoded_fields(value: Any, kind: Any, where: str) -> dict[str, Any]:
-    hints = type_hints(kind)
-    return {name: _encode(getattr(value, name), hint, f"{where}.{name}") for name, hint in hints.items()}
+    given = {name: hint for name, hint in type_hints(kind).items() if not _left_out(kind, name, value)}
+    return {name: _encode(getattr(value, name), hint, f"{where}.{name}") for name, hint in given.items()}
+
+
+def _left_out(kind: Any, name: str, value: Any) -> bool:
+    """True for a field that is not written while it is empty."""
+    return name in _left_out_when_empty(kind) and not getattr(value, name)
+
+
+@cache
+def _left_out_when_empty(kind: Any) -> frozenset[str]:
+    return frozenset(item.name for item in fields(kind) if item.metadata.get("left_out_when_empty"))
 
 
 def _encode(value: Any, hint: Any, where: str) -> Any:

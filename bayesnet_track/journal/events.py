@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from bayesnet_track.graph.net import Decision
+from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
 
 JOURNAL_VERSION = 1
 
@@ -31,6 +32,8 @@ class RunStarted:
         frame_interval_s: nominal seconds between frames (1 time unit).
         costs_ms: declared cost of each cue, which rules weigh with.
         versions: of Python and of the libraries that touch numbers.
+        inputs: files from outside besides the source (of detections), each with its SHA-256; left out when
+            there are none.
     """
 
     journal: int
@@ -45,6 +48,7 @@ class RunStarted:
     frame_interval_s: float
     costs_ms: Mapping[str, float] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
+    inputs: Mapping[str, str] = field(default_factory=dict, metadata={"left_out_when_empty": True})
 
 
 @dataclass(frozen=True)
@@ -284,6 +288,9 @@ Event = (
     | ParticlesResized
     | SecondPass
     | ReferenceGuarded
+    | CandidateConfirmed
+    | BirthsRefused
+    | DetectorFailed
     | RunEnded
     | Decision
 )

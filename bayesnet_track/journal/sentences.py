@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
 from bayesnet_track.graph.net import (
     Activated,
     Deactivated,
@@ -27,6 +28,16 @@ from bayesnet_track.journal.events import (
     RunStarted,
     SecondPass,
     SourceDamaged,
+)
+from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
+from bayesnet_track.journal.life_sentences import (
+    births_refused,
+    confirmed,
+    detector_failed,
+    died,
+    duplicate_ended,
+    reacquired,
+    returned,
 )
 from bayesnet_track.journal.switch_sentences import activated, deactivated, guarded
 from bayesnet_track.journal.wording import decimals, held, plural, rounded, told_apart, turned_at
@@ -56,6 +67,10 @@ def explain(event: Event, name_target: bool = False) -> str:
             return f"frame {event.frame}: the pictures change to {event.width}x{event.height}; {then}"
         case SourceDamaged():
             return f"frame {event.frame}: the source is damaged: {event.reason}"
+        case BirthsRefused():
+            return f"frame {event.frame}: {births_refused(event)}"
+        case DetectorFailed():
+            return f"frame {event.frame}: {detector_failed(event)}"
         case _:
             sentence, target = happened(event), f"target {event.target}"
             whose = f", {target}" if name_target and target not in sentence else ""
@@ -82,6 +97,7 @@ def _run_ended(event: RunEnded) -> str:
 
 def happened(
     event: Decision
+    | CandidateConfirmed
     | DegenerateBelief
     | MeasurementGated
     | BeliefReset
@@ -120,6 +136,16 @@ def happened(
             return _resized(event)
         case SecondPass():
             return _second_pass(event)
+        case CandidateConfirmed():
+            return confirmed(event)
+        case Returned():
+            return returned(event)
+        case Reacquired():
+            return reacquired(event)
+        case TargetDied():
+            return died(event)
+        case DuplicateEnded():
+            return duplicate_ended(event)
         case ReferenceGuarded():
             return guarded(event)
         case BeliefReset():

@@ -7,6 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bayesnet_track.graph.life_decisions import (
+    DuplicateEnded,
+    Reacquired,
+    Recognition,
+    Returned,
+    TargetDied,
+)
 from bayesnet_track.graph.net import (
     Activated,
     Cause,
@@ -32,6 +39,7 @@ from bayesnet_track.journal.events import (
     SourceDamaged,
 )
 from bayesnet_track.journal.explain import Filter, explain, has_several_targets, why
+from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
 
 STARTED = RunStarted(1, "two_squares", "ab" * 32, 0, "scene:two_squares", 320, 240, True, 200, 0.04)
 BORN = TargetStarted(0, "1", "square", (270.0, 190.0, 40.0, 40.0), ("hue", "motion"))
@@ -46,6 +54,11 @@ OFF = Deactivated(
 )
 ON = Activated(29, "1", "motion", "square", Cause("ud_px2", 200, 212.4, 3, 212.3, 212.4, 1))
 STOPPED = SelfStopped(109, "1", "color", Cause("ud_px2", 2500, 3021.7, 10, 2600.5, 3021.7, 1), 160)
+
+LIKELY = Recognition("3", 0.9312, 0.5, 41.0, 35.2, -0.1367, 2.13, 7.4, ("color", "intensity"), "new", 0.0688)
+UNLIKELY = Recognition(
+    "1", 0.1234, 0.5, 41.0, 235.2, -0.1367, -1.2, -0.7, ("color", "intensity"), "new", 0.8766
+)
 
 GOLDEN = [
     (
@@ -210,6 +223,50 @@ GOLDEN = [
     (
         RunEnded(120, 200, False, "source_damaged"),
         "run ended early after 120 of 200 frames: source damaged",
+    ),
+    (
+        CandidateConfirmed(3, "2", "square", "gray_level", 0, 3, 4, 0.8214, None),
+        "frame 3: gray_level saw it in 3 of 4 looks since frame 0, mean score 0.82 → target 2 is new",
+    ),
+    (
+        CandidateConfirmed(3, "2", "square", "gray_level", 3, 1, 1, 0.8214, UNLIKELY),
+        "frame 3: gray_level saw it in 1 of 1 look, mean score 0.82 → target 2 is new: it is target 1 with "
+        "probability 0.123 < 0.5 (41 frames away -0.14, 235 px off -1.20, looks by color, intensity -0.70 "
+        "nats); would have been target 1 at least_probability ≤ 0.123",
+    ),
+    (
+        Returned(60, "3", "square", BORN.box, ("color",), LIKELY),
+        "frame 60: a detection is target 3 with probability 0.931 ≥ 0.5 (41 frames away -0.14, 35 px off "
+        "+2.13, looks by color, intensity +7.40 nats; next a new target, 0.069) → target 3 is back, centre "
+        "270, 190, 40 x 40 px; would have been a new target at least_probability ≥ 0.94",
+    ),
+    (
+        Reacquired(60, "3", BORN.box, replace(LIKELY, probability=1.0, rival="1", rival_probability=2e-12)),
+        "frame 60: a detection is target 3 with probability 1 ≥ 0.5 (41 frames away -0.14, 35 px off "
+        "+2.13, looks by color, intensity +7.40 nats; next target 1, 2e-12) → target 3 found again, centre "
+        "270, 190, 40 x 40 px",
+    ),
+    (
+        TargetDied(80, "3", "lost", 30, 30, True),
+        "frame 80: lost for 30 frames → target 3 ends, remembered; would have lived on at lost_frames ≥ 31",
+    ),
+    (
+        TargetDied(80, "3", "unseen", 9, 9, False),
+        "frame 80: not detected for 9 frames → target 3 ends; would have lived on at unseen_frames ≥ 10",
+    ),
+    (
+        DuplicateEnded(9, "3", "1", 0.8349, 0.7, 5),
+        "frame 9: its belief overlaps that of target 1 by 0.834 ≥ 0.7 for 5 frames → target 3, the younger, "
+        "ends; would have lived on at overlap > 0.835 or frames > 5",
+    ),
+    (
+        BirthsRefused(9, "square", "motion", 20, 20, 31, 12),
+        "frame 9: 20 targets of square live, the most there may be → 12 births refused, 31 so far; would "
+        "have been born at most ≥ 32",
+    ),
+    (
+        DetectorFailed(4, "motion", "raised ValueError: no"),
+        "frame 4: detector motion failed: raised ValueError: no → out for the rest of the run",
     ),
 ]
 
