@@ -31,8 +31,11 @@ Ints = NDArray[np.int64]
 LOOKS = (("grid", "known"), ("coarse", "coarse_known"))
 """The arrays of a reference: mean gray of cells, and how much of them was seen; the first look's last."""
 
-ATTEMPTS, SHARPEN = 3, 1.4
-"""How often the cue can be made sharper in all, and by which factor on the exponent."""
+ATTEMPTS, SHARPEN = 3, 1.2
+"""How often the cue can be made sharper in all, and by which factor on the exponent.
+
+Small steps: the peak is a few px wide as it is, and of a peak that is much narrower too few hypotheses know.
+"""
 
 
 class IntensityParameters(SizedCueParameters):

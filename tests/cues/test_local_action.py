@@ -32,10 +32,10 @@ def placed(target, double):
 
 
 def patterns():
-    """A patch of gray cells of 8 px, and one that is the same but for a quarter."""
+    """A patch of gray cells of 8 px, and the mean of it and another one."""
     rng = np.random.default_rng(3)
     own, foreign = (rng.integers(40, 216, (5, 5)) for _ in range(2))
-    mixed = np.rint(0.75 * own + 0.25 * foreign)
+    mixed = np.rint(0.5 * own + 0.5 * foreign)
     return [cv2.merge([np.kron(cells, np.ones((8, 8))).astype(np.uint8)] * 3) for cells in (own, mixed)]
 
 
