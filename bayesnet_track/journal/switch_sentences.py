@@ -65,7 +65,7 @@ def concentration(cause: Concentration, sure: bool) -> str:
     vouched, share = told_apart(cause.vouched, cause.share)
     found = f"{100 * cause.inside:.3g} % within {cause.radius_px:.3g} px of the mode, {of}"
     if exact:
-        return f"{found}: {'≥' if sure else '<'} {share} for {plural(cause.frames, 'frame')}"
+        return f"{found}: {vouched} {'≥' if sure else '<'} {share} for {plural(cause.frames, 'frame')}"
     says = f"at {100 * cause.confidence:.4g} % confidence at least {vouched} lies there"
     return f"{found}: {says}, {'≥' if sure else '<'} {share} for {plural(cause.frames, 'frame')}"
 

@@ -93,7 +93,7 @@ def test_what_a_particle_belief_holds_inside(weigh, fakes):
     nodes["b"] = {"parent": "root", "agent": "b"}
     boxes = np.array([[10.0, 10, 20, 20], [16, 10, 20, 20], [100, 10, 20, 20], [18, 10, 20, 20]])
     likelihood = np.log([0.5, 0.15, 0.25, 0.1])
-    step, measures = weigh(nodes, {"a": lambda *_: likelihood.copy(), "b": lambda *_: np.zeros(4)}, boxes)
+    _, measures = weigh(nodes, {"a": lambda *_: likelihood.copy(), "b": lambda *_: np.zeros(4)}, boxes)
     wide, narrow = measures.inside["root", 0.5], measures.inside["root", 0.3]
     assert wide.radius_px == 10.0 and wide.share == pytest.approx(0.75)
     assert narrow.radius_px == 6.0 and narrow.share == pytest.approx(0.65)

@@ -1,0 +1,91 @@
+"""Adaptation by evidence in graph files: what is accepted, and each message word for word."""
+
+from __future__ import annotations
+
+import pytest
+
+from bayesnet_track.graph.laws import check
+from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.graph.read import read_graph
+
+HEAD = """bayesnet: 1
+name: g
+targets: {t: {nodes: {a: {parent: s, agent: motion}, b: {parent: s, agent: intensity}, s: {fuse: product,
+  motion: {random_walk: {sd_px: {x: 9}}},
+"""
+
+CASES = [
+    (
+        "  adapt: {activate: {frames: 3}}",
+        '5:21: s: activate is {"frames": 3}; allowed: exactly one of above, unless',
+    ),
+    (
+        "  adapt: {deactivate: {below: {ud_px2: 9}, when: concentrated}}",
+        '5:23: s: deactivate is {"below": {"ud_px2": 9}, "when": "concentrated"}; '
+        "allowed: exactly one of below, when",
+    ),
+    (
+        "  adapt: {activate: {unless: concentratd}}",
+        "5:22: s: unknown unless 'concentratd'; allowed: concentrated; nearest: concentrated",
+    ),
+    (
+        "  adapt: {activate: {unless: {concentrated: {share: 1, confidence: 0.4}}}}",
+        "5:53: s: share is 1; allowed: a number above 0, below 1\n"
+        "5:68: s: confidence is 0.4; allowed: a number at least 0.5, below 1",
+    ),
+    (
+        "  adapt: {activate: {unless: {concentrated: {share: 0.9}}},\n"
+        "    deactivate: {when: {concentrated: {share: 0.8, within_box: 0.5}}}}",
+        "6:47: s: adapt.deactivate.when: share is 0.8, and 0.9 in adapt.activate.unless: both rules "
+        "could hold "
+        "at once; allowed: at least 0.9\n"
+        "6:64: s: adapt.deactivate.when: within_box is 0.5, and 0.25 in adapt.activate.unless: both "
+        "rules could "
+        "hold at once; allowed: at most 0.25",
+    ),
+    (
+        "  adapt: {activate: {unless: {concentrated: {confidence: 0.99}}}, deactivate: {when: concentrated}}",
+        "5:86: s: adapt.deactivate.when: confidence is 0.95 by default, and 0.99 in "
+        "adapt.activate.unless: both "
+        "rules could hold at once; allowed: at least 0.99",
+    ),
+    (
+        "  adapt: {deactivate: {when: concentrated}, information: {memory: 9}}",
+        "5:45: s: information has no effect: no rule here goes by it; "
+        "allowed: which: information_per_ms, drop: least_information_per_ms, or no such key",
+    ),
+    (
+        "  adapt: {deactivate: {when: concentrated, drop: least_information_per_ms}, information: "
+        "{explore: 9}}",
+        "5:91: s: explore has no effect: only which: information_per_ms hopes for the unknown; "
+        "allowed: which: information_per_ms, or no explore",
+    ),
+    (
+        "  learn: {below: {ud_px2: 9}, guard: {apart_nats: 0, pull: 2}}",
+        "5:51: s: apart_nats is 0; allowed: a number above 0\n"
+        "5:60: s: pull is 2; allowed: a number at least 0, at most 1",
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "said"), CASES)
+def test_each_message(text, said):
+    with pytest.raises(GraphError) as error:
+        check(*read_graph(f"{HEAD}{text}\n}}}}}}}}", "g.yaml"))
+    lines = [str(message).removeprefix("g.yaml:") for message in error.value.errors]
+    assert lines == said.splitlines()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "  adapt: {activate: {unless: concentrated}, deactivate: {when: concentrated}}",
+        "  adapt: {activate: {above: {ud_box: 1}}, deactivate: {when: {concentrated: {share: 0.5}}}}",
+        "  adapt: {activate: {unless: concentrated, which: information_per_ms},\n"
+        "    deactivate: {when: {concentrated: {share: 0.95, within_box: 0.2}}}, information: "
+        "{explore: 0.3}}",
+        "  learn: {below: {ud_px2: 9}, guard: {}}",
+    ],
+)
+def test_what_is_accepted(text):
+    check(*read_graph(f"{HEAD}{text}\n}}}}}}}}", "g.yaml"))
