@@ -33,6 +33,7 @@ class Machinery:
         adaptable: agents that can act locally.
         color_agents: agents that are blind on a gray source.
         guard: what keeps references from drifting, or None.
+        appearance: agents that know the target by its looks.
     """
 
     plate: CheckedTarget
@@ -44,6 +45,7 @@ class Machinery:
     adaptable: frozenset[str]
     color_agents: frozenset[str] = frozenset()
     guard: Guard | None = None
+    appearance: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +105,7 @@ def _make_machinery(
         adaptable=frozenset(agent for agent, cue in made.items() if isinstance(cue, LocallyAdaptable)),
         color_agents=frozenset(agent for agent in plate.agents if of[agent].needs_color),
         guard=None if root.learn is None else root.learn.guard,
+        appearance=frozenset(agent for agent in plate.agents if of[agent].is_appearance),
     )
 
 

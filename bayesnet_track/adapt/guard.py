@@ -8,7 +8,7 @@ pulled back.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 
 from bayesnet_track.cue import AnyCue, Cue, Hypotheses, Reference, context_of
@@ -32,11 +32,18 @@ class Watched:
     frames: int = 0
 
 
-def watch(references: Mapping[str, Reference], cues: Mapping[str, AnyCue], rule: Guard | None) -> Watched:
-    """The guard of a target that starts: slow references are the first ones, of agents that score."""
+def watch(
+    references: Mapping[str, Reference], appearance: Set[str], cues: Mapping[str, AnyCue], rule: Guard | None
+) -> Watched:
+    """The guard of a target that starts: its slow references are the first ones.
+
+    Only agents that score, and that know the target by its looks (`appearance`), are guarded: what another
+    remembers, such as a speed, has to change as quickly as it does.
+    """
     if rule is None:
         return Watched()
-    return Watched({agent: one for agent, one in references.items() if isinstance(cues[agent], Cue)})
+    guarded = {agent for agent in references if agent in appearance and isinstance(cues[agent], Cue)}
+    return Watched({agent: one for agent, one in references.items() if agent in guarded})
 
 
 @dataclass(frozen=True, eq=False)

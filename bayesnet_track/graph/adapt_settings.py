@@ -115,6 +115,7 @@ class Adapt(Model):
 class Guard(Model):
     """A second, slow reference per agent keeps the first one from learning its own errors.
 
+    Agents that know the target by its looks have one; what another remembers, such as a speed, has to change.
     In each `every`-th frame that would be learnt from, both score the estimate. Where the slow one's likelihood is lower by
     more than `apart_nats`, the agent does not learn, and its reference moves toward the slow one by `pull`.
     Else the slow one moves toward the first by `rate`.

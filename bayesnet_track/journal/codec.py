@@ -174,9 +174,10 @@ def _member_with(inner: tuple[Any, ...], value: Any) -> Any:
     """The member of a union that has the most keys of an object, in order; the first for other values."""
     if not isinstance(value, Mapping):
         return inner[0]
-    return max(
-        inner, key=lambda kind: len(type_hints(kind).keys() & value.keys()) if is_dataclass(kind) else 0
-    )
+    members: list[Any] = [kind for kind in inner if is_dataclass(kind)]
+    if not members:
+        return inner[0]
+    return max(members, key=lambda kind: len(type_hints(kind).keys() & value.keys()))
 
 
 def _per_item(inner: tuple[Any, ...], value: Any) -> tuple[Any, ...]:
