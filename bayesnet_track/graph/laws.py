@@ -14,6 +14,7 @@ from bayesnet_track.graph.cue_laws import CUE_LAWS, cue_parameters
 from bayesnet_track.graph.document import MAX_BYTES
 from bayesnet_track.graph.evidence_law import evidence_counts_once
 from bayesnet_track.graph.explain import explain
+from bayesnet_track.graph.join_laws import JOIN_LAWS
 from bayesnet_track.graph.life_laws import LIFE_LAWS
 from bayesnet_track.graph.messages import MAX_MESSAGES, GraphError, GraphMessage, Positions
 from bayesnet_track.graph.plate import Law, Plate

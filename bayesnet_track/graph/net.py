@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
+from bayesnet_track.graph.join_decisions import Joined, Parted
 from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
 
 
@@ -219,6 +220,8 @@ Decision = (
     | Returned
     | DuplicateEnded
     | TargetDied
+    | Joined
+    | Parted
 )
 
 
@@ -245,22 +248,31 @@ class TargetNet:
 
 @dataclass(frozen=True)
 class Net:
-    """The live nets of all targets, by target id."""
+    """The live nets of all targets, and which of them are joined.
+
+    Attributes:
+        targets: target id -> its net.
+        joins: pair of live target ids -> the decision that joined them.
+    """
 
     targets: Mapping[str, TargetNet] = field(default_factory=dict)
+    joins: Mapping[tuple[str, str], Joined] = field(default_factory=dict)
 
 
 def apply(net: Net, decision: Decision) -> Net:
     """The net after one decision.
 
     Raises:
-        KeyError: the decision names a target that is not alive.
+        KeyError: the decision names a target that is not alive, or parts two that are not joined.
     """
     if isinstance(decision, TargetDied | DuplicateEnded):
         left = {target: one for target, one in net.targets.items() if target != decision.target}
         if len(left) == len(net.targets):
             raise KeyError(decision.target)
-        return Net(MappingProxyType(left))
+        joins = {pair: join for pair, join in net.joins.items() if decision.target not in pair}
+        return Net(MappingProxyType(left), MappingProxyType(joins))
+    if isinstance(decision, Joined | Parted):
+        return replace(net, joins=MappingProxyType(_joins_after(net, decision)))
     if isinstance(decision, TargetStarted | Returned):
         changed = TargetNet(decision.template, frozenset(decision.active))
     else:
@@ -283,6 +295,19 @@ def replay(decisions: Iterable[Decision], until_frame: int | None = None) -> Net
                 continue
         net = apply(net, decision)
     return net
+
+
+def _joins_after(net: Net, decision: Joined | Parted) -> dict[tuple[str, str], Joined]:
+    pair = (decision.target, decision.other)
+    for target in pair:
+        if target not in net.targets:
+            raise KeyError(target)
+    joins = {known: join for known, join in net.joins.items() if known != pair}
+    if isinstance(decision, Joined):
+        joins[pair] = decision
+    elif len(joins) == len(net.joins):
+        raise KeyError(pair)
+    return joins
 
 
 def _change(net: TargetNet, decision: Decision) -> TargetNet:

@@ -16,6 +16,7 @@ from bayesnet_track.graph.cue_laws import CUE_LAWS
 from bayesnet_track.graph.document import MAX_BYTES, MAX_DEPTH, MAX_NODES, MAX_SCALAR
 from bayesnet_track.graph.evidence_law import evidence_counts_once
 from bayesnet_track.graph.explain import expects, shape_of
+from bayesnet_track.graph.join_laws import JOIN_LAWS
 from bayesnet_track.graph.life_laws import LIFE_LAWS
 from bayesnet_track.graph.model import Choice, Model, PluginChoice
 from bayesnet_track.graph.spec import LANGUAGE_VERSION, GraphSpec

@@ -26,6 +26,7 @@ from bayesnet_track.graph.adapt_settings import (
 )
 from bayesnet_track.graph.gaussian_settings import Gaussian, Unscented
 from bayesnet_track.graph.grid_settings import Grid, Reset
+from bayesnet_track.graph.join_settings import Attachment, Exclusion, Join, Occlusion, Together
 from bayesnet_track.graph.life_settings import Birth, Confirm, Death, DetectorChoice, Duplicates, Recall
 from bayesnet_track.graph.model import Choice, Empty, Model, Name, Number, PluginChoice, Truth
 from bayesnet_track.graph.particle_settings import (
@@ -64,6 +65,7 @@ __all__ = [
     "AdaptiveSize",
     "AgentChoice",
     "AgentNode",
+    "Attachment",
     "Belief",
     "BinnedSize",
     "Birth",
@@ -82,6 +84,7 @@ __all__ = [
     "Empty",
     "EssBelow",
     "Estimate",
+    "Exclusion",
     "Fuse",
     "Gaussian",
     "GraphSpec",
@@ -89,6 +92,7 @@ __all__ = [
     "Guard",
     "InferenceNode",
     "Information",
+    "Join",
     "Latent",
     "Learn",
     "Level",
@@ -102,6 +106,8 @@ __all__ = [
     "Node",
     "Noise",
     "NormalSize",
+    "Occlusion",
+    "OffsetBox",
     "Particles",
     "PixelSd",
     "RandomWalk",
@@ -109,6 +115,7 @@ __all__ = [
     "Reset",
     "SelfCheck",
     "Target",
+    "Together",
     "Unscented",
     "Wide",
     "Window",
@@ -215,3 +222,6 @@ class GraphSpec(Model):
     name: Name = Field(description="name of the graph")
     about: str = Field(default="", max_length=2000, description="what the graph is for")
     targets: dict[Name, Target] = Field(min_length=1, description="kinds of targets, by name")
+    joins: tuple[Join, ...] = Field(
+        default=(), max_length=64, description="how targets depend on each other; default not at all"
+    )

@@ -13,6 +13,9 @@ from bayesnet_track.graph.life_decisions import Recognition
 from bayesnet_track.graph.net import Cause, Concentration
 from bayesnet_track.journal.codec import FLOAT_DIGITS, event_classes, event_name, type_hints
 from bayesnet_track.journal.events import JOURNAL_VERSION, FrameMetrics
+from bayesnet_track.journal.join_events import JoinMetrics
+from bayesnet_track.journal.part_metrics import PartMetrics
+
 
 _FIELD = re.compile(r"^    (\w+): (.*)$")
 
@@ -49,6 +52,7 @@ def document_events() -> str:
         _section(Cause, "`cause`"),
         _section(Concentration, "`concentration`"),
         _section(Recognition, "`recognition`"),
+        _section(JoinMetrics, "`join_metrics`"),
     ]
     return "\n\n".join(sections) + "\n"
 
@@ -99,7 +103,7 @@ frame: one JSON object a line, ASCII, each line ended by a plain newline.
 - Boxes are centre boxes `x, y, w, h` in pixels; the centre of the pixel in row 0, column 0 is (0, 0).
 - Frames count from 0. A decision made in frame n takes effect in frame n + 1.
 - A killed run leaves a journal without `run_ended`, and perhaps a torn last line, which readers drop.
-- Folding the decisions (`target_started` to `target_died`) over the journal rebuilds the net
+- Folding the decisions (`target_started` to `parted`) over the journal rebuilds the net
   of any frame."""
 
 

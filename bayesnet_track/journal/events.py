@@ -10,6 +10,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from bayesnet_track.graph.net import Decision
+from bayesnet_track.journal.join_events import (
+    AttachmentChanged,
+    JoinMetrics,
+    OcclusionChanged,
+    RingChanged,
+)
 from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
 
 JOURNAL_VERSION = 1
@@ -291,6 +297,9 @@ Event = (
     | CandidateConfirmed
     | BirthsRefused
     | DetectorFailed
+    | OcclusionChanged
+    | AttachmentChanged
+    | RingChanged
     | RunEnded
     | Decision
 )
@@ -326,6 +335,8 @@ class FrameMetrics:
         region90: the same of the central 90 %.
         cloud: hypotheses drawn from the posterior, whole px, centre boxes.
         silent: those of the active agents that measure and did not see the target.
+        parts: node that is a part of the target -> its own estimate; not written where there are none.
+        join: what the joint belief says of it; not written for a target that is not joined.
     """
 
     frame: int
@@ -353,3 +364,5 @@ class FrameMetrics:
     region90: tuple[float, ...]
     cloud: tuple[tuple[int, ...], ...]
     silent: tuple[str, ...] = ()
+    parts: Mapping[str, PartMetrics] = field(default_factory=dict, metadata={"left_out_when_empty": True})
+    join: JoinMetrics | None = field(default=None, metadata={"left_out_when_empty": True})

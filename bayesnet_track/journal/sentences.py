@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from bayesnet_track.graph.join_decisions import Joined, Parted
 from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
 from bayesnet_track.graph.net import (
     Activated,
@@ -28,6 +29,14 @@ from bayesnet_track.journal.events import (
     RunStarted,
     SecondPass,
     SourceDamaged,
+)
+from bayesnet_track.journal.join_events import AttachmentChanged, OcclusionChanged, RingChanged
+from bayesnet_track.journal.join_sentences import (
+    attachment_changed,
+    joined,
+    occlusion_changed,
+    parted,
+    ring_changed,
 )
 from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
 from bayesnet_track.journal.life_sentences import (
@@ -103,7 +112,10 @@ def happened(
     | BeliefReset
     | ParticlesResized
     | SecondPass
-    | ReferenceGuarded,
+    | ReferenceGuarded
+    | OcclusionChanged
+    | AttachmentChanged
+    | RingChanged,
 ) -> str:
     """The sentence without the frame it happened in."""
     match event:
@@ -148,6 +160,16 @@ def happened(
             return duplicate_ended(event)
         case ReferenceGuarded():
             return guarded(event)
+        case Joined():
+            return joined(event)
+        case Parted():
+            return parted(event)
+        case OcclusionChanged():
+            return occlusion_changed(event)
+        case AttachmentChanged():
+            return attachment_changed(event)
+        case RingChanged():
+            return ring_changed(event)
         case BeliefReset():
             return _reset(event)
         case _:

@@ -232,7 +232,25 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
         max_size=2,
     )
     about = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
-    return _mapping({"name": names, "targets": targets}, {"bayesnet": st.just(1), "about": about})
+    optional = {
+        "bayesnet": st.just(1),
+        "about": about,
+        "joins": st.lists(_joins(names, share, frames), max_size=2),
+    }
+    return _mapping({"name": names, "targets": targets}, optional)
+
+
+def _joins(names: Any, share: Any, frames: Any) -> st.SearchStrategy[dict[str, Any]]:
+    """How targets depend on each other."""
+    stay = st.floats(min_value=0.5, max_value=1, exclude_max=True)
+    further = {
+        "between": st.lists(names, min_size=1, max_size=2),
+        "occlusion": _mapping({}, {"stay": stay}),
+        "attachment": _mapping({}, {"start": stay, "stay": stay, "sd_px": share}),
+        "when": _mapping({}, {"overlap": share, "apart_frames": frames}),
+        "pairings": st.integers(1, 64),
+    }
+    return _mapping({"exclusion": _mapping({}, {"nats": share})}, further)
 
 
 def _life(positive: Any, share: Any, frames: Any) -> dict[str, st.SearchStrategy[Any]]:
@@ -344,4 +362,13 @@ def everything() -> dict[str, Any]:
         "name": "everything",
         "about": "two\nlines: \u00e9 # \U0001f600",
         "targets": {"t": {"nodes": nodes, **life}},
+        "joins": [
+            {
+                "between": ["t", "u"],
+                "exclusion": {"nats": 2},
+                "occlusion": {"stay": 0.9},
+                "when": {"overlap": 0.2},
+            },
+            {"attachment": {"start": 0.1}},
+        ],
     }

@@ -58,7 +58,8 @@ def _models_in(value):
         yield type(value)
         for name in type(value).model_fields:
             yield from _models_in(getattr(value, name))
-    for inside in value.values() if isinstance(value, dict) else ():
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, tuple) else ()
+    for inside in inner:
         yield from _models_in(inside)
 
 

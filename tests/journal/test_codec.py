@@ -178,6 +178,13 @@ def test_frame_metrics_keep_their_cloud():
     hints = type_hints(FrameMetrics)
     values = {name: {} if get_origin(h) is Mapping else () for name, h in hints.items()}
     values |= {name: 1.5 for name, h in hints.items() if h is float}
-    values |= {"frame": 4, "particles": 2, "target": "t", "status": "tracking", "quiet_px2": None}
+    values |= {
+        "frame": 4,
+        "particles": 2,
+        "target": "t",
+        "status": "tracking",
+        "quiet_px2": None,
+        "join": None,
+    }
     metrics = FrameMetrics(**{**values, "cloud": ((1, 2, 3, 4), (5, 6, 7, 8))})
     assert from_json(to_json(metrics)) == metrics

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bayesnet_track.graph.join_decisions import Joined, Parted
 from bayesnet_track.graph.life_decisions import (
     DuplicateEnded,
     Reacquired,
@@ -39,6 +40,7 @@ from bayesnet_track.journal.events import (
     SourceDamaged,
 )
 from bayesnet_track.journal.explain import Filter, explain, has_several_targets, why
+from bayesnet_track.journal.join_events import AttachmentChanged, OcclusionChanged, RingChanged
 from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
 
 STARTED = RunStarted(1, "two_squares", "ab" * 32, 0, "scene:two_squares", 320, 240, True, 200, 0.04)
@@ -267,6 +269,48 @@ GOLDEN = [
     (
         DetectorFailed(4, "motion", "raised ValueError: no"),
         "frame 4: detector motion failed: raised ValueError: no → out for the rest of the run",
+    ),
+    (
+        Joined(20, "1", "2", ("person", "box"), 0, 0.1234, 0.05),
+        "frame 20: the beliefs of target 1 and target 2 (person and box) overlap by 0.1234 ≥ 0.05 → joined; "
+        "would have stayed on their own at overlap > 0.1234",
+    ),
+    (
+        Parted(90, "1", "2", 0.0, 0.05, 5, 0.0312, 70),
+        "frame 90: the beliefs of target 1 and target 2 overlap by 0 < 0.05 for 5 frames → parted, after 70 "
+        "frames together; would have stayed joined at overlap ≤ 0.0312 or apart_frames > 5",
+    ),
+    (
+        Parted(90, "1", "2", 0.0, 0.05, 5, 0.0, 1),
+        "frame 90: the beliefs of target 1 and target 2 overlap by 0 < 0.05 for 5 frames → parted, after 1 "
+        "frame together; would have stayed joined at apart_frames > 5",
+    ),
+    (
+        OcclusionChanged(40, "2", "1", True, 0.6234, 0.5, 0.971, 0),
+        "frame 40: target 1 is in front with probability 0.97 and hides 0.623 > 0.5 of target 2 → target 2 "
+        "hidden, does not learn",
+    ),
+    (
+        OcclusionChanged(52, "2", "1", False, 0.4, 0.5, 0.9, 12),
+        "frame 52: target 1 hides 0.4 ≤ 0.5 of target 2 → target 2 seen again after 12 frames",
+    ),
+    (
+        AttachmentChanged(31, "2", "1", True, 0.931, 0),
+        "frame 31: target 2 moves as target 1 does with probability 0.93 → carried by target 1",
+    ),
+    (
+        AttachmentChanged(71, "2", "1", False, 0.04, 40),
+        "frame 71: target 2 moves as target 1 does with probability 0.04 only → carried no longer, after 40 "
+        "frames",
+    ),
+    (
+        RingChanged(12, "1", "3", True, 0.0823, ("1", "2", "3")),
+        "frame 12: targets 1, 2, 3 are joined in a ring → target 1 and target 3, with an overlap of 0.082 the "
+        "least, are left out: a pixel of both may be evidence for both",
+    ),
+    (
+        RingChanged(15, "1", "3", False, 0.07, ("1", "2", "3")),
+        "frame 15: no ring is closed by target 1 and target 3 any more → their pixels are accounted for again",
     ),
 ]
 
