@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +11,7 @@ from bayesnet_track.adapt.measure import Measures
 from bayesnet_track.belief.contract import Posterior, Step, Stream
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.journal.events import FrameMetrics
+from bayesnet_track.journal.part_metrics import PartMetrics
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.planes import Frame
 
@@ -67,13 +70,22 @@ def frame_metrics(
         region90=_floats(posterior.region(0.9)),
         cloud=tuple(map(tuple, np.rint(cloud).astype(np.int64).tolist())),
         silent=measures.silent,
+        parts={
+            name: PartMetrics(_floats(part.box), _floats(part.sd), part.ud_px2, part.status)
+            for name, part in measures.parts.items()
+        },
     )
 
 
 def first_frame_metrics(
-    frame: Frame, target: str, size: int, active: tuple[str, ...], box: Floats
+    frame: Frame,
+    target: str,
+    size: int,
+    active: tuple[str, ...],
+    box: Floats,
+    parts: Mapping[str, Floats],
 ) -> FrameMetrics:
-    """The frame in which the target starts: its box is known."""
+    """The frame in which the target starts: its box is known, and by it those of its parts (4,)."""
     where = _floats(box)
     point = (where[0], where[0], where[1], where[1])
     return FrameMetrics(
@@ -101,6 +113,7 @@ def first_frame_metrics(
         region50=point,
         region90=point,
         cloud=(),
+        parts={name: PartMetrics(_floats(at), (0.0,) * 4, 0.0, "seen") for name, at in parts.items()},
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from bayesnet_track.belief.contract import Belief, Motion
@@ -16,6 +16,7 @@ from bayesnet_track.cue import AnyCue, CueDeclaration, LocallyAdaptable, install
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.spec import Guard, Learn
+from bayesnet_track.inference.parts import part_of_agents
 from bayesnet_track.numerics.streams import Streams
 
 
@@ -33,6 +34,7 @@ class Machinery:
         adaptable: agents that can act locally.
         color_agents: agents that are blind on a gray source.
         guard: what keeps references from drifting, or None.
+        part_of: agent that looks at a part of the target -> the part.
         appearance: agents that know the target by its looks.
     """
 
@@ -45,6 +47,7 @@ class Machinery:
     adaptable: frozenset[str]
     color_agents: frozenset[str] = frozenset()
     guard: Guard | None = None
+    part_of: Mapping[str, str] = field(default_factory=dict)
     appearance: frozenset[str] = frozenset()
 
 
@@ -105,6 +108,7 @@ def _make_machinery(
         adaptable=frozenset(agent for agent, cue in made.items() if isinstance(cue, LocallyAdaptable)),
         color_agents=frozenset(agent for agent in plate.agents if of[agent].needs_color),
         guard=None if root.learn is None else root.learn.guard,
+        part_of=part_of_agents(plate),
         appearance=frozenset(agent for agent in plate.agents if of[agent].is_appearance),
     )
 

@@ -18,6 +18,7 @@ from bayesnet_track.adapt.guard import Judged, Watched, changes, guard, judge, w
 from bayesnet_track.adapt.learn import adapt_reference, learn_first, learn_references, learning_rate
 from bayesnet_track.adapt.measure import measure
 from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.parts import part_rates
 from bayesnet_track.adapt.rules import Situation, decide, quiet_level
 from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Posterior, Step
@@ -28,6 +29,7 @@ from bayesnet_track.frame_metrics import first_frame_metrics, frame_metrics
 from bayesnet_track.graph.net import Decision, LocallyAdapted, Net, Quarantined, TargetStarted, apply
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
+from bayesnet_track.inference.parts import nominal_boxes
 from bayesnet_track.journal.events import DegenerateBelief, Event, FrameMetrics
 from bayesnet_track.machinery import Engine, Machinery
 from bayesnet_track.planes import Frame, FramePair, PlaneCache
@@ -112,7 +114,9 @@ def start(
     machine = engine.machinery[template]
     active = tuple(agent for agent in machine.plate.agents if machine.plate.agent(agent).active)
     stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
-    references, faults = learn_first(machine.cues, PlaneCache(FramePair(frame, previous)), box)
+    parts = {part: _inside(at, frame) for part, at in nominal_boxes(machine.plate, box).items()}
+    own = {agent: parts[part] for agent, part in machine.part_of.items()}
+    references, faults = learn_first(machine.cues, PlaneCache(FramePair(frame, previous)), box, own)
     if not frame.has_color:
         faults |= dict.fromkeys(sorted(machine.color_agents), "needs colour, and the source is gray")
     x, y, w, h = (float(v) for v in box)
@@ -129,7 +133,7 @@ def start(
         time=frame.time,
         watched=watch(references, machine.appearance, machine.cues, machine.guard),
     )
-    metrics = first_frame_metrics(frame, target, len(born.belief), working, box)
+    metrics = first_frame_metrics(frame, target, len(born.belief), working, box, parts)
     return Born(born, tuple(decisions), metrics)
 
 
@@ -183,13 +187,17 @@ def conclude(
 
     quiet = quiet_level(machine.plate, working, memory, machine.plate.root)
     rate = learning_rate(root.learn, measures.ud_px2[machine.plate.root], measures.area_px2, quiet)
+    at_parts = part_rates(root.learn, measures.parts, partial(quiet_level, machine.plate, working, memory))
     if working.status == "lost" or not working.active or stepped.degenerate is not None:
-        rate = 0.0
+        rate, at_parts = 0.0, {}
     rates = {
-        agent: rate * most for agent, most in machine.rate_max.items() if agent not in working.quarantined
+        agent: at_parts.get(machine.part_of.get(agent, ""), rate) * most
+        for agent, most in machine.rate_max.items()
+        if agent not in working.quarantined
     }
+    own = {agent: _inside(measures.parts[part].box, frame) for agent, part in machine.part_of.items()}
     at = hypotheses_of(np.concatenate([box, state[4:]])[None], stepped.posterior.fields)
-    references, watched, judged, decisions = _learn(now, machine, before, rates, cache, at, chosen)
+    references, watched, judged, decisions = _learn(now, machine, before, rates, cache, at, own, chosen)
     _charge(engine, seconds, "learn", started)
 
     after = TargetState(stepped.posterior, references, memory, before.plan, frame.time, watched)
@@ -227,17 +235,20 @@ def _learn(
     rates: Mapping[str, float],
     cache: PlaneCache,
     at: Hypotheses,
+    own: Mapping[str, Floats],
     chosen: tuple[Decision, ...],
 ) -> tuple[dict[str, Reference], Watched, Judged, tuple[Decision, ...]]:
     """Move all references that are guarded by none or agree with their guard, then carry out local actions.
+
+    Agents in `own` look at a part, whose box (4,) it holds, the others at the estimate `at`.
 
     Returns:
         The references, their guard and what it said, and the decisions that stand: those chosen, without
         actions that found nothing left to try, and the quarantine of agents that failed here.
     """
-    judged = judge(before.watched, before.references, machine.cues, rates, cache, at, machine.guard)
+    judged = judge(before.watched, before.references, machine.cues, rates, cache, at, machine.guard, own)
     free = {agent: rate for agent, rate in rates.items() if agent not in judged.held}
-    moved, faults = learn_references(before.references, machine.cues, free, cache, at.boxes[0])
+    moved, faults = learn_references(before.references, machine.cues, free, cache, at.boxes[0], own)
     moved, watched = guard(before.watched, judged, moved, machine.cues, rates, machine.guard)
     faults |= judged.faults
     kept: list[Decision] = []

@@ -11,7 +11,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 
-from bayesnet_track.cue import AnyCue, Cue, Hypotheses, Reference, context_of
+from bayesnet_track.adapt.learn import NO_PARTS
+from bayesnet_track.cue import AnyCue, Cue, Floats, Hypotheses, Reference, context_of
 from bayesnet_track.graph.spec import Guard
 from bayesnet_track.journal.events import Event, ReferenceGuarded
 from bayesnet_track.planes import PlaneCache, region_of_boxes
@@ -69,11 +70,12 @@ def judge(
     cache: PlaneCache,
     estimate: Hypotheses,
     rule: Guard | None,
+    own_boxes: Mapping[str, Floats] = NO_PARTS,
 ) -> Judged:
     """In every `rule.every`-th learning frame, compare what both references of an agent say of the estimate.
 
     They have parted where the slow one gives it a likelihood lower by more than `rule.apart_nats`; that holds
-    until they are compared again.
+    until they are compared again. An agent that looks at a part is asked about the box (4,) in `own_boxes`.
     """
     learning = any(rate > 0.0 for rate in rates.values())
     if rule is None or not learning or (watched.frames + 1) % rule.every:
@@ -84,9 +86,10 @@ def judge(
         cue = cues[agent]
         if rates.get(agent, 0.0) <= 0.0 or not isinstance(cue, Cue):
             continue
+        at = Hypotheses(own_boxes[agent][None], estimate.fields) if agent in own_boxes else estimate
         try:
-            planes = cache.planes(cue.needs, region_of_boxes(estimate.boxes, grow=context_of(cue)))
-            both = (float(cue.log_likelihood(planes, estimate, one)[0]) for one in (references[agent], slow))
+            planes = cache.planes(cue.needs, region_of_boxes(at.boxes, grow=context_of(cue)))
+            both = (float(cue.log_likelihood(planes, at, one)[0]) for one in (references[agent], slow))
             own, other = both
             gaps[agent] = own, other
         except Exception as error:  # as in evaluation: a cue's fault must not end the run

@@ -12,6 +12,8 @@ from bayesnet_track.cue import AnyCue, Floats, LocallyAdaptable, Reference, cont
 from bayesnet_track.graph.spec import Learn
 from bayesnet_track.planes import PlaneCache, region_of_boxes
 
+NO_PARTS: Mapping[str, Floats] = {}
+
 
 def learning_rate(rule: Learn | None, ud_px2: float, area_px2: float, quiet_px2: float | None) -> float:
     """Share of the largest rate at this UD: (1 - tanh(2 (UD - theta) / theta)) / 2, 0 from theta upward.
@@ -31,10 +33,13 @@ def learning_rate(rule: Learn | None, ud_px2: float, area_px2: float, quiet_px2:
 
 
 def learn_first(
-    cues: Mapping[str, AnyCue], cache: PlaneCache, box: Floats
+    cues: Mapping[str, AnyCue], cache: PlaneCache, box: Floats, own: Mapping[str, Floats] = NO_PARTS
 ) -> tuple[dict[str, Reference], dict[str, str]]:
-    """Every agent's first reference, from the centre box (4,), and what was wrong with those that failed."""
-    return _sorted_out({agent: _learnt(cue, cache, box) for agent, cue in cues.items()})
+    """Every agent's first reference, and what was wrong with those that failed.
+
+    It is learnt from the centre box (4,) in `own`, of the part that the agent looks at, else from `box`.
+    """
+    return _sorted_out({agent: _learnt(cue, cache, own.get(agent, box)) for agent, cue in cues.items()})
 
 
 def learn_references(
@@ -43,15 +48,18 @@ def learn_references(
     rates: Mapping[str, float],
     cache: PlaneCache,
     box: Floats,
+    own: Mapping[str, Floats] = NO_PARTS,
 ) -> tuple[dict[str, Reference], dict[str, str]]:
-    """The references of all agents, active or not, each moved by its rate toward what the box holds now.
+    """The references of all agents, active or not, each moved by its rate toward what its box holds now.
+
+    The box is that in `own`, of the part that the agent looks at, else `box`.
 
     Planes are computed on the estimate and as much around it as the agent asks for, unless the hypotheses'
     own region holds that. An agent that fails keeps its reference; the second mapping says what was wrong.
     """
     moved, faults = _sorted_out(
         {
-            agent: _learnt(cues[agent], cache, box, references[agent], rate)
+            agent: _learnt(cues[agent], cache, own.get(agent, box), references[agent], rate)
             for agent, rate in rates.items()
             if rate > 0.0
         }

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.conditions import Inside
+from bayesnet_track.adapt.parts import PartMeasure, measure_parts
 from bayesnet_track.belief.contract import BOX_FIELDS, Posterior, Step
 from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.messages import without
+from bayesnet_track.inference.parts import PartBelief, part_beliefs
 from bayesnet_track.numerics.disc import weighted_mass_in_disc
 from bayesnet_track.numerics.divergence import uncertainty_deviation
 from bayesnet_track.numerics.tilts import divergences, tilted
@@ -28,7 +30,7 @@ class Measures:
     Attributes:
         ud_px2: inference node -> UD of its belief; the root's about the MAP, another's about its most
             probable hypothesis (thesis eqs. 2.11-2.13, corrected). A node that hears of no agent believes
-            what the node above it does.
+            what the node above it does. A part's is of its belief given everything, about its estimate.
         agent_ud_px2: active agent -> UD of its normalised likelihood about its maximum-likelihood hypothesis.
         kl: active agent -> KL(belief || agent) at its governor (or the root), nats (eq. 2.14). Zero by
             construction when it is the only one.
@@ -40,6 +42,7 @@ class Measures:
         silent: active agents that measure and did not see the target.
         inside: (node, radius in sqrt(w h) of its most probable state) -> what of its belief lies within, for
             the windows that its rules ask about.
+        parts: part -> its measures, in nets with parts.
     """
 
     ud_px2: Mapping[str, float]
@@ -51,6 +54,11 @@ class Measures:
     area_px2: float
     silent: tuple[str, ...] = ()
     inside: Mapping[tuple[str, float], Inside] = field(default_factory=dict)
+    parts: Mapping[str, PartMeasure] = field(default_factory=dict)
+
+    def area_of(self, node: str) -> float:
+        """Area of the estimate that a node is about: of the part, or of the whole target."""
+        return self.parts[node].area_px2 if node in self.parts else self.area_px2
 
 
 def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: float) -> Measures:
@@ -80,8 +88,10 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
     silent = tuple(agent for agent, own in evidence.measured.items() if own is None)
     seeing = [agent for agent in agents if agent not in silent]
     mean = sum((evidence.messages[agent] / len(seeing) for agent in seeing), np.zeros(len(prior)))
+    parts = part_beliefs(plan, evidence, step.support.weights)
+    uds = _node_uds(target, step, beliefs, parts)
     return Measures(
-        ud_px2=_node_uds(target, step, beliefs),
+        ud_px2=uds,
         agent_ud_px2=agent_ud,
         kl=_named(agents, divergences(governing, alone)),
         contribution=_named(agents, divergences(governing, rest)),
@@ -89,7 +99,8 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
         fit=float(np.exp(min(np.max(mean), 0.0))) if seeing else 0.0,
         area_px2=area_px2,
         silent=silent,
-        inside=_insides(target, step, beliefs),
+        inside=_insides(target, step, beliefs, parts),
+        parts=measure_parts(target, evidence, parts, uds),
     )
 
 
@@ -112,7 +123,10 @@ def _ud(target: CheckedTarget, node: str, boxes: Floats, log: Floats, centre: Fl
 
 
 def _node_uds(
-    target: CheckedTarget, step: Step[Posterior], beliefs: Mapping[str, Floats]
+    target: CheckedTarget,
+    step: Step[Posterior],
+    beliefs: Mapping[str, Floats],
+    parts: Mapping[str, PartBelief],
 ) -> dict[str, float]:
     """UD of every inference node, the root's first."""
     uds = {target.root: step.posterior.uncertainty(step.map_state, _columns(target, target.root))}
@@ -120,23 +134,31 @@ def _node_uds(
         above = target.parent[node]
         if above is None or node not in target.children:
             continue
-        if node in beliefs:
+        if node in parts:
+            uds[node] = parts[node].uncertainty(_columns(target, node))
+        elif node in beliefs:
             latent = step.evidence.latent.get(node)
             boxes = step.support.boxes if latent is None else latent.boxes
             best = boxes[int(np.argmax(beliefs[node]))]
             uds[node] = _ud(target, node, boxes, beliefs[node], best)
         else:
-            uds[node] = _inherited(target, node, step, beliefs)
+            uds[node] = _inherited(target, node, step, beliefs, parts)
     return uds
 
 
 def _inherited(
-    target: CheckedTarget, node: str, step: Step[Posterior], beliefs: Mapping[str, Floats]
+    target: CheckedTarget,
+    node: str,
+    step: Step[Posterior],
+    beliefs: Mapping[str, Floats],
+    parts: Mapping[str, PartBelief],
 ) -> float:
     """UD, over the node's own fields, of the nearest belief above a node that hears of no agent."""
     above: str | None = target.parent[node]
-    while above is not None and above != target.root and above not in beliefs:
+    while above is not None and above != target.root and above not in beliefs and above not in parts:
         above = target.parent[above]
+    if above in parts:
+        return parts[above].uncertainty(_columns(target, node))
     if above is None or above == target.root:
         return step.posterior.uncertainty(step.map_state, _columns(target, node))
     latent = step.evidence.latent.get(above)
@@ -145,13 +167,16 @@ def _inherited(
 
 
 def _insides(
-    target: CheckedTarget, step: Step[Posterior], beliefs: Mapping[str, Floats]
+    target: CheckedTarget,
+    step: Step[Posterior],
+    beliefs: Mapping[str, Floats],
+    parts: Mapping[str, PartBelief],
 ) -> dict[tuple[str, float], Inside]:
-    """What lies around the mode of every node's belief, in the windows that its rules ask about."""
+    """What lies around every node's mode (a part's estimate), in the windows that its rules ask about."""
     found: dict[tuple[str, float], Inside] = {}
     for node in target.children:
         for within_box in _windows(target, node):
-            found[node, within_box] = _inside(target, node, step, beliefs, within_box)
+            found[node, within_box] = _inside(target, node, step, beliefs, parts, within_box)
     return found
 
 
@@ -164,12 +189,22 @@ def _windows(target: CheckedTarget, node: str) -> set[float]:
 
 
 def _inside(
-    target: CheckedTarget, node: str, step: Step[Posterior], beliefs: Mapping[str, Floats], within_box: float
+    target: CheckedTarget,
+    node: str,
+    step: Step[Posterior],
+    beliefs: Mapping[str, Floats],
+    parts: Mapping[str, PartBelief],
+    within_box: float,
 ) -> Inside:
     """Of the root's posterior about the MAP; of another node's belief about its most probable hypothesis."""
     above: str | None = node
-    while above is not None and above not in beliefs:
+    while above is not None and above not in beliefs and above not in parts:
         above = target.parent[above]
+    if above in parts:
+        boxes, own, mode = parts[above].boxes, parts[above].weights, parts[above].mean
+        radius = within_box * float(np.sqrt(mode[2] * mode[3]))
+        share = weighted_mass_in_disc(boxes[:, :2], own.weights, mode[:2], radius)
+        return Inside(share, own.ess, radius)
     if above is None or above == target.root:
         mode = step.map_state
         radius = within_box * float(np.sqrt(mode[2] * mode[3]))

@@ -110,7 +110,7 @@ def _note_quiet(now: Situation, memory: Memory) -> Memory:
 def _read(now: Situation, memory: Memory, node: str, level: Level) -> Reading | None:
     """The UD of an inference node in the level's unit."""
     quiet = quiet_level(now.plate, now.net, memory, node)
-    return read_level(level, now.measures.ud_px2[node], now.measures.area_px2, quiet)
+    return read_level(level, now.measures.ud_px2[node], now.measures.area_of(node), quiet)
 
 
 def _find(

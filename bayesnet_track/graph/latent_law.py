@@ -1,4 +1,4 @@
-"""The laws of beliefs below the root: at latent nodes only, without settings, where they can be held."""
+"""The laws of latent nodes: beliefs below the root, where they can be held, and parts of a target."""
 
 from __future__ import annotations
 
@@ -32,6 +32,17 @@ def _without_settings(plate: Plate, name: str, node: InferenceNode) -> Iterator[
         found = f"draw says how particles are joined, and the belief here is {kind}"
         key = ("fuse", "latent", "draw")
         yield plate.message(name, found, "belief: particles, or no draw", key=key, on_key=True)
+
+
+def parts_have_a_whole(plate: Plate) -> Iterator[GraphMessage]:
+    """A part lies in the box of a node above: the root is no part."""
+    for name, node in plate.inference.items():
+        if node.parent is not None or node.fuse is None or node.fuse.latent is None:
+            continue
+        for key in sorted({"offset_box", "size_box"} & node.fuse.latent.given.model_fields_set):
+            found = f"{key} at the root, which is no part of anything"
+            where = ("fuse", "latent", "given", key)
+            yield plate.message(name, found, "a node below the root", key=where, on_key=True)
 
 
 def latent_grids_hold_positions(plate: Plate) -> Iterator[GraphMessage]:

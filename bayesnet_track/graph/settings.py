@@ -162,6 +162,47 @@ class Estimate(Choice):
 # ---------------------------------------------------------------------------------- fusion
 
 
+class OffsetBox(Model):
+    """Where a part's centre lies in its parent's box, from the parent's centre."""
+
+    x: Number = Field(default=0.0, description="to the right, in widths of the parent's box")
+    y: Number = Field(default=0.0, description="downward, in heights of the parent's box")
+
+
+class SizeBox(Model):
+    """How large a part is, beside its parent's box."""
+
+    w: Positive = Field(default=1.0, description="its width, in widths of the parent's box")
+    h: Positive = Field(default=1.0, description="its height, in heights of the parent's box")
+
+
+class Given(Noise):
+    """A latent state: Gaussian noise around its parent's box, or around a part of that box.
+
+    With `offset_box` or `size_box` the node is a *part* of the target: its state is the part's own box,
+    `sd_box` is relative to the part's size, agents below learn what is inside the part, and the part's
+    estimate stands beside the target's in the results.
+
+    Example::
+
+        head: {parent: person, fuse: {latent: {given: {offset_box: {y: -0.39}, size_box: {w: 0.44, h: 0.22},
+          sd_box: {x: 0.1, y: 0.1}}}}}
+    """
+
+    offset_box: OffsetBox | None = Field(
+        default=None,
+        description="the part's centre in the parent's box; the parent's own with `size_box` alone",
+    )
+    size_box: SizeBox | None = Field(
+        default=None, description="the part's size in the parent's; as large with `offset_box` alone"
+    )
+
+    @property
+    def is_part(self) -> bool:
+        """Whether the state is the box of a part of the target."""
+        return self.offset_box is not None or self.size_box is not None
+
+
 class Latent(Model):
     """The node has a state of its own, drawn around its parent's hypothesis by `given`.
 
@@ -172,7 +213,7 @@ class Latent(Model):
     `gaussian` is as accurate where the likelihood has one mode, in O(N), and sends a Gaussian message.
     """
 
-    given: Noise = Field(description="p(own state | parent's state)")
+    given: Given = Field(description="p(own state | parent's state)")
     draw: Literal["one", "kernel"] = Field(
         default="one", description="one draw per hypothesis, O(N); or the row-normalised kernel, O(N^2)"
     )

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bayesnet_track.graph.latent_law import beliefs_have_a_state, latent_grids_hold_positions
+from bayesnet_track.graph.latent_law import (
+    beliefs_have_a_state,
+    latent_grids_hold_positions,
+    parts_have_a_whole,
+)
 from bayesnet_track.graph.messages import GraphMessage
 from bayesnet_track.graph.plate import Law, Plate
 
@@ -115,5 +119,6 @@ TREE_LAWS: tuple[Law, ...] = (
     root_keys_at_the_root,
     beliefs_have_a_state,
     latent_grids_hold_positions,
+    parts_have_a_whole,
     root_moves,
 )

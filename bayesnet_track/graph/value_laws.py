@@ -26,7 +26,13 @@ def noise_is_there(plate: Plate) -> Iterator[GraphMessage]:
             found = "random_walk without noise: no hypothesis would ever move"
             yield plate.message(name, found, allowed, key=("motion", "random_walk"))
         if node.fuse is not None and node.fuse.latent is not None and _is_still(node.fuse.latent.given):
-            found = "given without noise: the latent state would equal its parent's"
+            is_part = node.fuse.latent.given.is_part
+            own = (
+                "the part would have no state of its own"
+                if is_part
+                else "the latent state would equal its parent's"
+            )
+            found = f"given without noise: {own}"
             yield plate.message(name, found, allowed, key=("fuse", "latent", "given"))
 
 

@@ -11,7 +11,7 @@ from typing import Literal
 
 from bayesnet_track.cue import AnyCue, MeasuringCue
 from bayesnet_track.graph.checked import CheckedTarget
-from bayesnet_track.graph.spec import AgentNode, Fuse, Latent, Noise
+from bayesnet_track.graph.spec import AgentNode, Fuse, Given, Latent
 from bayesnet_track.planes import Plane
 
 Own = Literal["one", "kernel", "gaussian", "grid"]
@@ -25,11 +25,11 @@ HELD: Mapping[Own, str] = {
 
 @dataclass(frozen=True)
 class Draw:
-    """Prior down: a latent node draws its own hypotheses around those of `given_from`."""
+    """Prior down: a latent node draws its own hypotheses around those of `given_from`, or in them."""
 
     node: str
     given_from: str
-    given: Noise
+    given: Given
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Join:
     kind: str
     children: tuple[str, ...]
     shares: tuple[float, ...]
-    given: Noise | None = None
+    given: Given | None = None
     own: Own = "one"
 
     def weights(self, present: Container[str]) -> dict[str, float]:
@@ -80,7 +80,7 @@ class Plan:
         target: name of the plate.
         root: its root node.
         active: agents that observe.
-        draws: prior down, parents first.
+        draws: prior down, parents first; parts are drawn with no agent below them, too.
         observations: one per active agent, in file order.
         joins: likelihoods up, children first; the root's is last. Empty when no agent is active.
         planes: planes that the active agents read, inputs first.
@@ -107,7 +107,7 @@ def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str
         target=target.name,
         root=target.root,
         active=working,
-        draws=tuple(_draw(target, name) for name in inference if _is_latent(target, name)),
+        draws=tuple(_draw(target, name) for name in _drawn(target, messengers)),
         observations=tuple(
             Observe(name, _hypotheses_of(target, target.parent[name]), isinstance(cues[name], MeasuringCue))
             for name in watching
@@ -125,6 +125,17 @@ def _messengers(target: CheckedTarget, active: frozenset[str]) -> frozenset[str]
         if any(child in found for child in target.children.get(name, ())):
             found.add(name)
     return frozenset(found)
+
+
+def _drawn(target: CheckedTarget, messengers: frozenset[str]) -> list[str]:
+    """The latent nodes that send a message or are parts, and the latent ones above a part; parents first."""
+    drawn: set[str] = set()
+    for name in (name for name in reversed(target.order) if name in target.children):
+        fuse = target.inference(name).fuse
+        is_part = fuse is not None and fuse.latent is not None and fuse.latent.given.is_part
+        if name in messengers or is_part or any(child in drawn for child in target.children[name]):
+            drawn.add(name)
+    return [name for name in target.order if name in drawn and _is_latent(target, name)]
 
 
 def _is_latent(target: CheckedTarget, node: str) -> bool:
@@ -179,11 +190,15 @@ def _with_inputs(planes: Iterable[Plane]) -> tuple[Plane, ...]:
     return tuple(ordered)
 
 
+def _given(step: Draw) -> str:
+    return f"a part of {step.given_from}" if step.given.is_part else step.given_from
+
+
 def describe_plan(plan: Plan, agents: Mapping[str, AgentNode] | None = None) -> str:
     """The plan as text, one step a line."""
     lines = [f"target {plan.target}"]
     lines += [f"  plane    {plane}" for plane in plan.planes]
-    lines += [f"  draw     {step.node} given {step.given_from}" for step in plan.draws]
+    lines += [f"  draw     {step.node} given {_given(step)}" for step in plan.draws]
     for step in plan.observations:
         cue = "" if agents is None else f" ({agents[step.agent].agent.cue})"
         lines.append(f"  observe  {step.agent}{cue} at the hypotheses of {step.at}")

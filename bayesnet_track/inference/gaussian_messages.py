@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.motion import KinematicMotion
 from bayesnet_track.cue import Hypotheses, Measurement, floored
-from bayesnet_track.graph.spec import Noise
+from bayesnet_track.graph.spec import Given
+from bayesnet_track.inference.parts import part_matrix
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 
 Floats = NDArray[np.float64]
@@ -46,7 +47,7 @@ def to_power(measured: Measurement, power: float) -> Measurement:
 
 
 def latent_gaussian(
-    given: Noise,
+    given: Given,
     above: Hypotheses,
     own: Hypotheses,
     prior_log: Floats,
@@ -60,11 +61,16 @@ def latent_gaussian(
     P1^-1 - P0^-1, kept positive, and P1^-1 m1 - P0^-1 m0. Noise `given`, taken at the parent's mean box,
     widens it: integral of N(c; h, Q) N(c; m, R) dc = N(h; m, R + Q). O(N).
 
+    The state c of a part, drawn around A h, is taken as the parent's box that it implies, A^-1 c, with noise
+    A^-1 Q A^-T; an agent that measures fields of c measures rows of A times that box.
+
     Posterior moments are no finer than N draws lie, sd N^(-1/k) of the prior's in k directions.
     """
     beta = np.exp(prior_log)
-    centre = beta @ own.boxes
-    away = own.boxes - centre
+    matrix = part_matrix(given)
+    boxes = own.boxes if matrix is None else np.linalg.solve(matrix, own.boxes.T).T
+    centre = beta @ boxes
+    away = boxes - centre
     variance, axes = np.linalg.eigh((away * beta[:, None]).T @ away)
     kept = variance > 1e-12 * max(float(variance[-1]), 1e-12)
     if not kept.any():
@@ -78,9 +84,10 @@ def latent_gaussian(
         if not columns:
             continue
         covariance = message.covariance[np.ix_(places, places)] / power
-        seen = np.linalg.solve(covariance, shape[columns])
-        precision = precision + shape[columns].T @ seen
-        shift = shift + seen.T @ (message.mean[places] - centre[columns])
+        looks, at = (shape, centre) if matrix is None else (matrix @ shape, matrix @ centre)
+        seen = np.linalg.solve(covariance, looks[columns])
+        precision = precision + looks[columns].T @ seen
+        shift = shift + seen.T @ (message.mean[places] - at[columns])
     floor = 0.0
     if sampled is None:  # what remains far from all of them
         floor = float(np.prod([message.floor**power for message, power in gaussians.values()]))
@@ -108,7 +115,7 @@ def _matched(places: Floats, prior_log: Floats, sampled: Floats | None) -> tuple
 
 
 def _in_fields(
-    given: Noise,
+    given: Given,
     parent: Floats,
     centre: Floats,
     shape: Floats,
@@ -128,11 +135,21 @@ def _in_fields(
         return None
     own, turn = np.linalg.eigh(scaled[np.ix_(fields, fields)])
     covariance = (turn / np.maximum(own, KNOWN)) @ turn.T * np.outer(sd[fields], sd[fields])
-    noise = KinematicMotion(given, ((0.0,),)).linearise(parent, 1.0)[1][np.ix_(fields, fields)]
-    covariance = covariance + noise
+    covariance = covariance + _noise(given, parent)[np.ix_(fields, fields)]
     return Measurement(
         tuple(BOX_FIELDS[k] for k in fields), mean[fields], (covariance + covariance.T) / 2, floor
     )
+
+
+def _noise(given: Given, parent: Floats) -> Floats:
+    """(4, 4) covariance of `given` at the parent's box (4,), in the parent's coordinates."""
+    matrix = part_matrix(given)
+    around = parent if matrix is None else matrix @ parent
+    noise = KinematicMotion(given, ((0.0,),)).linearise(around, 1.0)[1]
+    if matrix is None:
+        return noise
+    back = np.linalg.inv(matrix)
+    return np.asarray(back @ noise @ back.T)
 
 
 def _field(hypotheses: Hypotheses, name: str) -> Floats:

@@ -16,6 +16,7 @@ from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.gaussian_messages import latent_gaussian, measurement_message, to_power
 from bayesnet_track.inference.latent_messages import grid_message, kernel_message
 from bayesnet_track.inference.observe import Observer, observe
+from bayesnet_track.inference.parts import part_boxes
 from bayesnet_track.planes import Region, region_of_boxes
 
 __all__ = ["Joined", "Observer", "evaluate", "join_messages", "without"]
@@ -111,6 +112,7 @@ def join_messages(
         if join.kind == "latent":
             assert join.given is not None
             above, own = _above(plan, join.node, latent, hypotheses), latent[join.node]
+            around = Hypotheses(part_boxes(join.given, above.boxes), above.fields)
             if join.own == "gaussian":
                 exact = {
                     source: (gaussians[source], terms[source]) for source in terms if source in gaussians
@@ -122,7 +124,7 @@ def join_messages(
                 if matched is not None:
                     gaussians[join.node] = matched
             else:
-                total = INTEGRALS[join.own](join.given, above, own, prior_log, total)
+                total = INTEGRALS[join.own](join.given, around, own, prior_log, total)
                 rests[join.node] = total
             terms = {join.node: 1.0}
         messages[join.node], powers[join.node] = total, terms
@@ -177,7 +179,8 @@ def _draw_latent(plan: Plan, observer: Observer, hypotheses: Hypotheses) -> dict
     again = "" if number == 0 else f" {number}"
     for step in plan.draws:
         above = at[step.given_from]
-        boxes = sample_noise(step.given, above.boxes, observer.stream(f"latent {step.node}{again}"))
+        around = part_boxes(step.given, above.boxes)
+        boxes = sample_noise(step.given, around, observer.stream(f"latent {step.node}{again}"))
         at[step.node] = Hypotheses(boxes, above.fields)
     return {step.node: at[step.node] for step in plan.draws}
 

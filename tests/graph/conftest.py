@@ -154,11 +154,16 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
         robust_mean=window,
         nearest=nearest,
     )
+    aside = st.floats(-1, 1)
+    part = {
+        "offset_box": _mapping({}, {"x": aside, "y": aside}),
+        "size_box": _mapping({}, {"w": positive, "h": positive}),
+    }
     fuse = _choice(
         ["product", "pool"],
         product=empty,
         pool=st.just("equal") | st.dictionaries(names, positive, min_size=1, max_size=3),
-        latent=_mapping({"given": _mapping({}, noise)}, {"draw": st.sampled_from(["one", "kernel"])}),
+        latent=_mapping({"given": _mapping({}, noise | part)}, {"draw": st.sampled_from(["one", "kernel"])}),
     )
     which = st.sampled_from(["all", "most_helpful", "information_per_ms"])
     drop = st.sampled_from(["largest_kl", "least_contribution_per_ms", "least_information_per_ms"])
@@ -308,6 +313,7 @@ def everything() -> dict[str, Any]:
     """One graph that uses every part of the language (and breaks laws)."""
     level = {"ud_px2": 200}
     noise = {"sd_px": {"x": 1.5}, "sd_box": {"y": 0.1}, "sd_log": {"scale": 0.02}}
+    part = {"offset_box": {"y": -0.4}, "size_box": {"w": 0.5}}
     nodes = {
         "a": {
             "belief": {
@@ -324,7 +330,11 @@ def everything() -> dict[str, Any]:
             "learn": {"below": {"ud_quiet": 2}, "guard": {}},
             "lost": {"frames": 9},
         },
-        "b": {"parent": "a", "fuse": {"latent": {"given": noise, "draw": "kernel"}}, "ud_fields": ["x"]},
+        "b": {
+            "parent": "a",
+            "fuse": {"latent": {"given": {**noise, **part}, "draw": "kernel"}},
+            "ud_fields": ["x"],
+        },
         "c": {
             "parent": "a",
             "fuse": {"pool": {"d": 1, "e": 0.1}},

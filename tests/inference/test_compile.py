@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesnet_track.graph.spec import Noise
+from bayesnet_track.graph.spec import Given
 from bayesnet_track.inference.compile import Draw, Join, Observe, compile_plan, describe_plan
 
 GIVEN = {"sd_px": {"x": 6.0, "y": 6.0}}
-NOISE = Noise.model_validate(GIVEN)
+NOISE = Given.model_validate(GIVEN)
 
 FLAT = {"root": {"fuse": "product"}, "a": "root", "b": "root"}
 POOLED = {"root": {"fuse": "product"}, "color": {"parent": "root", "fuse": {"pool": {"a": 3.0, "b": 1.0}}},

@@ -1,0 +1,83 @@
+"""Measure the parts of a target: estimates, whether they are seen, how fast their agents may learn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.learn import learning_rate
+from bayesnet_track.belief.contract import Evidence
+from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.spec import Learn, Lost
+from bayesnet_track.inference.parts import PartBelief, part_of_agents
+
+Floats = NDArray[np.float64]
+PartStatus = Literal["seen", "hidden", "unwatched"]
+
+
+@dataclass(frozen=True, eq=False)
+class PartMeasure:
+    """What one step says of a part.
+
+    Attributes:
+        box: (4,) its estimate, the mean of its belief, a centre box in px.
+        sd: (4,) sds of its belief, px.
+        ud_px2: its UD about the estimate.
+        status: seen, hidden (its agents look, and see nothing like it) or unwatched (none of them is active).
+    """
+
+    box: Floats
+    sd: Floats
+    ud_px2: float
+    status: PartStatus
+
+    @property
+    def area_px2(self) -> float:
+        """Area of the estimate."""
+        return float(self.box[2] * self.box[3])
+
+
+def measure_parts(
+    target: CheckedTarget,
+    evidence: Evidence,
+    beliefs: Mapping[str, PartBelief],
+    ud_px2: Mapping[str, float],
+) -> dict[str, PartMeasure]:
+    """Part -> its measures; `ud_px2` holds the UD of every inference node."""
+    part_of = part_of_agents(target) if beliefs else {}
+    found: dict[str, PartMeasure] = {}
+    for part, belief in beliefs.items():
+        own = [agent for agent in target.agents if part_of.get(agent) == part and agent in evidence.messages]
+        status = _status(target, evidence, own, belief.weights.weights)
+        found[part] = PartMeasure(belief.mean, belief.sd, ud_px2[part], status)
+    return found
+
+
+def _status(target: CheckedTarget, evidence: Evidence, agents: list[str], weights: Floats) -> PartStatus:
+    """Seen when the likelihood of the belief, its geometric mean over draws and agents, is high enough."""
+    seeing = [agent for agent in agents if evidence.measured.get(agent, evidence) is not None]
+    if not seeing:
+        return "hidden" if agents else "unwatched"
+    kept = weights > 0
+    fits = [float(weights[kept] @ evidence.messages[agent][kept]) for agent in seeing]
+    lost = target.inference(target.root).lost or Lost()
+    return "seen" if np.exp(np.mean(fits)) >= lost.fit_below else "hidden"
+
+
+def part_rates(
+    rule: Learn | None, parts: Mapping[str, PartMeasure], quiet_of: Callable[[str], float | None]
+) -> dict[str, float]:
+    """Part -> share of the largest learning rate: the root's rule at the part's own UD, 0 unless it is seen.
+
+    `quiet_of` gives the measured quiet level of a node's UD, px^2.
+    """
+    return {
+        name: learning_rate(rule, part.ud_px2, part.area_px2, quiet_of(name))
+        if part.status == "seen"
+        else 0.0
+        for name, part in parts.items()
+    }

@@ -1,0 +1,150 @@
+"""Parts of a target: where they lie in their parent's box, and what is believed of them after a step.
+
+A part's state c is a box of its own, drawn around the mean A h of its parent's box h (`part_matrix`). Its
+belief is the marginal of the net's joint posterior: with root h, the states c_1 .. c_k on the way down to the
+part, and agents e that are all independent given the states,
+
+    p(c_k | e) = integral of p(h | e) prod_j p(c_j | c_j-1) L_j(c_j) / m_j(c_j-1)  dh dc_1 .. dc_k-1,
+
+where c_0 = h, L_j is the product of the messages of node j's children, and m_j(c_j-1) the integral of
+p(c_j | c_j-1) L_j(c_j) over c_j, the message that j sends. Draws are index-aligned, c_j^i from
+p(c_j | c_j-1^i), so that hypothesis i has the weight w_i prod_j L_j(c_j^i) / m_j(c_j-1^i), where w_i is the
+root's posterior weight. A node held by one draw per hypothesis sends L_j(c_j^i) itself: every quotient is 1
+there, and a part's draws have the root's posterior weights as they are; its own evidence is in them already.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import Evidence
+from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.spec import Given
+from bayesnet_track.inference.compile import Join, Plan
+from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+
+Floats = NDArray[np.float64]
+
+
+def part_matrix(given: Given) -> Floats | None:
+    """(4, 4) A with A h the mean of a part's centre box given its parent's h; None when it is no part.
+
+    >>> part_matrix(Given(offset_box={"y": -0.5}, size_box={"w": 0.5})) @ [10.0, 20.0, 4.0, 8.0]
+    array([10., 16.,  2.,  8.])
+    """
+    if not given.is_part:
+        return None
+    at, size = given.offset_box, given.size_box
+    matrix = np.eye(4)
+    if at is not None:
+        matrix[0, 2], matrix[1, 3] = at.x, at.y
+    if size is not None:
+        matrix[2, 2], matrix[3, 3] = size.w, size.h
+    return matrix
+
+
+def part_boxes(given: Given, above: Floats) -> Floats:
+    """(N, 4) mean boxes of a part in its parent's boxes (N, 4), sizes at least 1 px.
+
+    What is no part has the parent's boxes themselves.
+    """
+    matrix = part_matrix(given)
+    if matrix is None:
+        return above
+    boxes = above @ matrix.T
+    np.maximum(boxes[:, 2:], 1.0, out=boxes[:, 2:])
+    return boxes
+
+
+def nominal_boxes(target: CheckedTarget, box: Floats) -> dict[str, Floats]:
+    """Part -> its mean box (4,) for a target in the centre box (4,)."""
+    at: dict[str | None, Floats] = {None: box}
+    found: dict[str, Floats] = {}
+    for name in target.order:
+        if name not in target.children:
+            continue
+        at[name] = at[target.parent[name]]
+        fuse = target.inference(name).fuse
+        if fuse is not None and fuse.latent is not None and fuse.latent.given.is_part:
+            found[name] = at[name] = part_boxes(fuse.latent.given, at[name][None])[0]
+    return found
+
+
+def part_of_agents(target: CheckedTarget) -> dict[str, str]:
+    """Agent -> the nearest part above it; agents that look at the whole target are left out."""
+    parts = nominal_boxes(target, np.ones(4))
+    nearest: dict[str | None, str | None] = {None: None}
+    for name in target.order:
+        nearest[name] = name if name in parts else nearest[target.parent[name]]
+    return {agent: part for agent in target.agents if (part := nearest[agent]) is not None}
+
+
+@dataclass(frozen=True, eq=False)
+class PartBelief:
+    """What is believed of a part.
+
+    Attributes:
+        boxes: (N, 4) its draws, centre boxes, index-aligned with the root's hypotheses.
+        weights: their posterior weights, given everything that the net saw.
+    """
+
+    boxes: Floats
+    weights: LogWeights
+
+    @property
+    def mean(self) -> Floats:
+        """(4,) the part's estimate: the mean of its belief."""
+        return np.asarray(self.weights.weights @ self.boxes)
+
+    @property
+    def sd(self) -> Floats:
+        """(4,) sds of its belief, px."""
+        return np.sqrt(self.weights.weights @ (self.boxes - self.mean) ** 2)
+
+    def uncertainty(self, columns: Sequence[int]) -> float:
+        """UD over columns of the box, about the estimate."""
+        return float(np.sum(self.sd[list(columns)] ** 2))
+
+
+def part_beliefs(plan: Plan, evidence: Evidence, posterior: LogWeights) -> dict[str, PartBelief]:
+    """Part -> its belief, for the root's `posterior` weights (N,) of the hypotheses that `evidence` is about.
+
+    Where no draw of a part is left a weight, its draws have the root's.
+    """
+    joins = {join.node: join for join in plan.joins}
+    further: dict[str, Floats | float] = {}
+    found: dict[str, PartBelief] = {}
+    for step in plan.draws:
+        above = 0.0 if step.node == plan.root else further.get(step.given_from, 0.0)
+        further[step.node] = above + _quotient(plan, joins.get(step.node), evidence)
+        if step.given.is_part:
+            found[step.node] = PartBelief(
+                evidence.latent[step.node].boxes, _weighted(posterior, further[step.node])
+            )
+    return found
+
+
+def _quotient(plan: Plan, join: Join | None, evidence: Evidence) -> Floats | float:
+    """(N,) log L(c_i) / m(h_i) of a latent node; 0 where they are the same, or it has heard nothing."""
+    if join is None or join.own == "one":
+        return 0.0
+    said: Mapping[str, Floats] = evidence.messages
+    sent = evidence.log_likelihood if join.node == plan.root else said.get(join.node)
+    if sent is None:
+        return 0.0
+    heard = sum((said[child] for child in join.children if child in said), np.zeros(len(sent)))
+    # A hypothesis whose message is nothing has no weight, whatever its draw.
+    return np.where(sent > -np.inf, heard - np.where(sent > -np.inf, sent, 0.0), -np.inf)
+
+
+def _weighted(posterior: LogWeights, further: Floats | float) -> LogWeights:
+    if isinstance(further, float):
+        return posterior
+    try:
+        return posterior.times(further)[0]
+    except DegenerateWeights:
+        return posterior
