@@ -40,6 +40,7 @@ def check(spec: GraphSpec, at: Positions | None = None, cues: Cues | None = None
     cues = installed_cues() if cues is None else cues
     plates = [Plate(name, target, at, cues) for name, target in spec.targets.items()]
     errors = [message for plate in plates for message in _violations(plate)]
+    errors += [message for law in JOIN_LAWS for message in islice(law(spec, at), MAX_MESSAGES + 1)]
     text = write_graph(spec)
     if len(text.encode()) > MAX_BYTES:
         errors.append(at.message((), f"more than {MAX_BYTES} bytes when written as YAML", "smaller graphs"))

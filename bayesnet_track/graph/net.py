@@ -277,7 +277,7 @@ def apply(net: Net, decision: Decision) -> Net:
         changed = TargetNet(decision.template, frozenset(decision.active))
     else:
         changed = _change(net.targets[decision.target], decision)
-    return Net(MappingProxyType({**net.targets, decision.target: changed}))
+    return replace(net, targets=MappingProxyType({**net.targets, decision.target: changed}))
 
 
 def replay(decisions: Iterable[Decision], until_frame: int | None = None) -> Net:

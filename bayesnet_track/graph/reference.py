@@ -148,7 +148,7 @@ def _cues(cues: Mapping[str, CueDeclaration]) -> Iterator[str]:
 
 
 def _laws() -> str:
-    laws = (*TREE_LAWS, *CUE_LAWS, *LIFE_LAWS, *VALUE_LAWS, *RULE_LAWS, evidence_counts_once)
+    laws = (*TREE_LAWS, *CUE_LAWS, *LIFE_LAWS, *VALUE_LAWS, *RULE_LAWS, evidence_counts_once, *JOIN_LAWS)
     lines = ["## Laws\n", "A graph is accepted when all of these hold:\n"]
     for law in laws:
         first = cleandoc(law.__doc__ or "").split("\n\n")[0].replace("\n", " ")
