@@ -12,13 +12,25 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.adapt.lifecycle import Life
 from bayesnet_track.graph.net import Net
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.machinery import Engine, Machinery, make_engine
 from bayesnet_track.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.population import Population, live
 from bayesnet_track.target import TargetState, applied, conclude, recompiled, start, weigh
 
-__all__ = ["Engine", "Machinery", "Outcome", "State", "TargetState", "make_engine", "start_target", "step"]
+__all__ = [
+    "Engine",
+    "Machinery",
+    "Outcome",
+    "State",
+    "TargetState",
+    "first_look",
+    "make_engine",
+    "start_target",
+    "step",
+]
 
 Floats = NDArray[np.float64]
 
@@ -31,11 +43,13 @@ class State:
         net: the live nets.
         targets: target id -> its state.
         previous: the last frame.
+        life: what is remembered of births and deaths.
     """
 
     net: Net = field(default_factory=Net)
     targets: Mapping[str, TargetState] = field(default_factory=dict)
     previous: Frame | None = None
+    life: Life = field(default_factory=Life)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +78,15 @@ def start_target(
     # Another target that started in this frame has made it the state's last one.
     previous = state.previous if state.previous is None or state.previous.index < frame.index else None
     born = start(engine, frame, previous, target, template, box)
-    after = State(applied(state.net, born.decisions), {**state.targets, target: born.state}, frame)
+    after = State(
+        applied(state.net, born.decisions), {**state.targets, target: born.state}, frame, state.life
+    )
     return Outcome(after, (born.metrics,), born.decisions)
+
+
+def first_look(engine: Engine, started: Outcome, frame: Frame) -> Outcome:
+    """The first frame's outcome: what the detectors find in it besides the targets that started there."""
+    return _lived(engine, started, frame, None, PlaneCache(FramePair(frame, None)))
 
 
 def step(engine: Engine, state: State, frame: Frame) -> Outcome:
@@ -93,4 +114,25 @@ def step(engine: Engine, state: State, frame: Frame) -> Outcome:
         metrics.append(done.metrics)
         covariances[one.target] = done.covariance
         events += [*done.told, *done.decisions]
-    return Outcome(State(net, targets, frame), tuple(metrics), tuple(events), covariances, seconds)
+    after = State(net, targets, frame, state.life)
+    outcome = Outcome(after, tuple(metrics), tuple(events), covariances, seconds)
+    return _lived(engine, outcome, frame, state.previous, cache)
+
+
+def _lived(
+    engine: Engine, outcome: Outcome, frame: Frame, previous: Frame | None, cache: PlaneCache
+) -> Outcome:
+    """The outcome after the frame's births, returns and deaths; as it is where no plate has any."""
+    if all(machine.life is None for machine in engine.machinery.values()):
+        return outcome
+    state, seconds, started = outcome.state, dict(outcome.seconds), engine.clock()
+    people = Population(state.net, dict(state.targets), list(outcome.metrics), state.life)
+    live(engine, people, frame, previous, cache)
+    seconds["life"] = engine.clock() - started
+    return Outcome(
+        State(people.net, people.targets, frame, people.life),
+        tuple(people.metrics),
+        (*outcome.events, *people.events),
+        outcome.covariances,
+        seconds,
+    )

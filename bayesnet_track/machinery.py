@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,10 +12,15 @@ from bayesnet_track.belief.gaussian import GaussianFilter
 from bayesnet_track.belief.grid import GridFilter
 from bayesnet_track.belief.motion import make_motion
 from bayesnet_track.belief.particles import ParticleFilter
-from bayesnet_track.cue import AnyCue, CueDeclaration, LocallyAdaptable, installed_cues
+from bayesnet_track.cue import AnyCue, Cue, CueDeclaration, LocallyAdaptable, installed_cues
+from bayesnet_track.detect.selection import Selected
+from bayesnet_track.detector import Detector, detectors_of_graphs
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
+from bayesnet_track.graph.cue_laws import plugin_parameters
+from bayesnet_track.graph.life_settings import LifeRules, life_rules
 from bayesnet_track.graph.spec import Guard, Learn
+from bayesnet_track.graph.write import as_plain, flow_text
 from bayesnet_track.inference.parts import part_of_agents
 from bayesnet_track.numerics.streams import Streams
 
@@ -34,8 +39,11 @@ class Machinery:
         adaptable: agents that can act locally.
         color_agents: agents that are blind on a gray source.
         guard: what keeps references from drifting, or None.
-        part_of: agent that looks at a part of the target -> the part.
         appearance: agents that know the target by its looks.
+        life: how its targets are born, recognised and end; None when they live as long as the run.
+        detector: the detector of its births in `Engine.detectors`; empty without births.
+        looks: agents that tell one target from another by its looks.
+        part_of: agent that looks at a part of the target -> the part.
     """
 
     plate: CheckedTarget
@@ -46,9 +54,12 @@ class Machinery:
     rate_max: Mapping[str, float]
     adaptable: frozenset[str]
     color_agents: frozenset[str] = frozenset()
+    life: LifeRules | None = None
+    detector: str = ""
+    looks: frozenset[str] = frozenset()
     guard: Guard | None = None
-    part_of: Mapping[str, str] = field(default_factory=dict)
     appearance: frozenset[str] = frozenset()
+    part_of: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +69,14 @@ class Engine:
     Attributes:
         machinery: plate name -> what it needs.
         streams: all randomness.
+        detectors: what finds targets, by name and parameters; plates that want the same share it.
         clock: seconds, for timings only.
     """
 
     machinery: Mapping[str, Machinery]
     streams: Streams
     clock: Callable[[], float] = time.perf_counter
+    detectors: Mapping[str, Detector] = field(default_factory=dict)
 
 
 def make_engine(
@@ -71,14 +84,18 @@ def make_engine(
     seed: int = 0,
     cues: Mapping[str, CueDeclaration] | None = None,
     motion: Mapping[str, Motion] | None = None,
+    detectors: Mapping[str, Detector] | None = None,
 ) -> Engine:
-    """Load the cues of `graph` and make it ready to run.
+    """Load the cues and detectors of `graph` and make it ready to run.
 
     `motion` maps plates to motion models of one's own, such as `belief.functions.FunctionMotion`, in place of
-    the graph's: what the language cannot say. The log does not hold them.
+    the graph's: what the language cannot say. The log does not hold them. `detectors` are those that are
+    given from outside, by the names that the graph has for them: `detections`.
 
     Raises:
-        ValueError: `motion` names a plate that the graph does not have.
+        ValueError: `motion` names a plate that the graph does not have, or `detectors` one that no plate asks
+            for.
+        DetectorError: a detector cannot be made, or the graph asks for `detections` and none are given.
     """
     declarations = installed_cues() if cues is None else cues
     own = {} if motion is None else motion
@@ -88,7 +105,29 @@ def make_engine(
     machinery = {
         name: _make_machinery(plate, declarations, own.get(name)) for name, plate in graph.targets.items()
     }
-    return Engine(machinery, Streams(seed))
+    made = _make_detectors([one for one in machinery.values() if one.detector], detectors or {})
+    return Engine(machinery, Streams(seed), detectors=made)
+
+
+def _make_detectors(machinery: Sequence[Machinery], given: Mapping[str, Detector]) -> dict[str, Detector]:
+    made: dict[str, Detector] = {}
+    asked = set()
+    for machine in machinery:
+        assert machine.life is not None and machine.life.birth is not None
+        chosen = machine.life.birth.detector
+        asked.add(chosen.detector)
+        if machine.detector in made:
+            continue
+        declaration = detectors_of_graphs()[chosen.detector]
+        parameters = plugin_parameters(chosen, declaration.parameters)
+        if chosen.detector in given:
+            made[machine.detector] = Selected(given[chosen.detector], parameters)
+        else:
+            made[machine.detector] = declaration.make(parameters)
+    idle = [name for name in given if name not in asked]
+    if idle:
+        raise ValueError(f"no plate of the graph has births by {idle[0]!r}")
+    return made
 
 
 def _make_machinery(
@@ -98,6 +137,8 @@ def _make_machinery(
     of = {agent: declarations[plate.agent(agent).agent.cue] for agent in plate.agents}
     made = {agent: of[agent].make(plate.parameters[agent]) for agent in plate.agents}
     assert root.motion is not None
+    kind = plate.spec
+    life = life_rules(kind.birth, kind.duplicates, kind.death, kind.recall)
     return Machinery(
         plate=plate,
         cues=made,
@@ -108,8 +149,13 @@ def _make_machinery(
         adaptable=frozenset(agent for agent, cue in made.items() if isinstance(cue, LocallyAdaptable)),
         color_agents=frozenset(agent for agent in plate.agents if of[agent].needs_color),
         guard=None if root.learn is None else root.learn.guard,
-        part_of=part_of_agents(plate),
+        life=life,
+        detector="" if life is None or life.birth is None else flow_text(as_plain(life.birth.detector)),
+        looks=frozenset(
+            agent for agent in plate.agents if of[agent].is_appearance and isinstance(made[agent], Cue)
+        ),
         appearance=frozenset(agent for agent in plate.agents if of[agent].is_appearance),
+        part_of=part_of_agents(plate),
     )
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.guard import Judged, Watched, changes, guard, judge, watch
 from bayesnet_track.adapt.learn import adapt_reference, learn_first, learn_references, learning_rate
 from bayesnet_track.adapt.measure import measure
-from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.memory import Memory, Streak
 from bayesnet_track.adapt.parts import part_rates
 from bayesnet_track.adapt.rules import Situation, decide, quiet_level
 from bayesnet_track.belief.bounds import Confined
@@ -104,19 +105,28 @@ class Concluded:
 
 
 def start(
-    engine: Engine, frame: Frame, previous: Frame | None, target: str, template: str, box: Floats
+    engine: Engine,
+    frame: Frame,
+    previous: Frame | None,
+    target: str,
+    template: str,
+    box: Floats,
+    known: Mapping[str, Reference] = MappingProxyType({}),
 ) -> Born:
     """A net for the target inside the centre box (4,) of `frame`: references learnt, belief placed.
 
     The belief of the first frame is the box itself; hypotheses spread with the first prediction. An agent
     that cannot learn its reference, or that needs colour where the frame has none, is out from the start.
+    `known` are references that agents have already and need not learn.
     """
     machine = engine.machinery[template]
     active = tuple(agent for agent in machine.plate.agents if machine.plate.agent(agent).active)
     stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
     parts = {part: _inside(at, frame) for part, at in nominal_boxes(machine.plate, box).items()}
     own = {agent: parts[part] for agent, part in machine.part_of.items()}
-    references, faults = learn_first(machine.cues, PlaneCache(FramePair(frame, previous)), box, own)
+    unknown = {agent: cue for agent, cue in machine.cues.items() if agent not in known}
+    learnt, faults = learn_first(unknown, PlaneCache(FramePair(frame, previous)), box, own)
+    references = {**learnt, **known}
     if not frame.has_color:
         faults |= dict.fromkeys(sorted(machine.color_agents), "needs colour, and the source is gray")
     x, y, w, h = (float(v) for v in box)
@@ -135,6 +145,31 @@ def start(
     )
     metrics = first_frame_metrics(frame, target, len(born.belief), working, box, parts)
     return Born(born, tuple(decisions), metrics)
+
+
+def restart(
+    engine: Engine,
+    frame: Frame,
+    previous: Frame | None,
+    target: str,
+    template: str,
+    box: Floats,
+    before: TargetState,
+) -> TargetState:
+    """The target as it was, its belief in the centre box (4,): agents that know its looks remember them."""
+    machine = engine.machinery[template]
+    stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
+    placed = {agent: cue for agent, cue in machine.cues.items() if agent not in machine.looks}
+    parts = {part: _inside(at, frame) for part, at in nominal_boxes(machine.plate, box).items()}
+    own = {agent: parts[part] for agent, part in machine.part_of.items()}
+    learnt, _ = learn_first(placed, PlaneCache(FramePair(frame, previous)), box, own)
+    return replace(
+        before,
+        belief=machine.belief.start(box, Confined(machine.motion, frame.width, frame.height), stream),
+        references={**before.references, **learnt},
+        memory=replace(before.memory, activate={}, deactivate={}, lost=Streak(), found=Streak()),
+        time=frame.time,
+    )
 
 
 def weigh(

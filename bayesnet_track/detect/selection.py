@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bayesnet_track.detector import NOTHING, Detections, DetectorParameters
+from bayesnet_track.detector import NOTHING, Detections, Detector, DetectorParameters, DetectorState
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bayesnet_track.planes import Frame
+    from bayesnet_track.planes import Frame, FramePair
 
 Floats = NDArray[np.float64]
 Evidence = NDArray[np.uint8]
@@ -96,6 +96,28 @@ def blobs(evidence: Evidence, above: int, parameters: BlobParameters) -> tuple[F
     total = np.bincount(found.numbers.ravel(), weights=seen.ravel())  # whole numbers: exact in any order
     area = np.prod(found.corners[:, 2:], axis=1)
     return centre_from_corner(found.corners), np.asarray(total[found.kept] / (SURE * area))
+
+
+@dataclass(frozen=True, eq=False)
+class Selected:
+    """A detector of somebody else's, its finds chosen from as those of all detectors are.
+
+    Attributes:
+        detector: the detector.
+        parameters: what is kept.
+    """
+
+    detector: Detector
+    parameters: DetectorParameters
+
+    def start(self) -> DetectorState:
+        """Its state."""
+        return self.detector.start()
+
+    def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
+        """The best of its finds."""
+        found, after = self.detector.detect(frames, state)
+        return select(found.boxes, found.scores, frames.current, self.parameters, found.labels), after
 
 
 def select(

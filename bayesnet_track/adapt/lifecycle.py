@@ -1,0 +1,244 @@
+"""What is remembered of targets that come and go, and the rules of it: pure functions.
+
+Candidates gather looks until they are confirmed; live targets are watched for loss, for detections of their
+own, and for beliefs that hold the same object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.claims import NOBODY, distances, pair_up
+from bayesnet_track.cue import Reference
+from bayesnet_track.detector import DetectorState
+from bayesnet_track.graph.life_settings import Birth, Confirm, Death, Duplicates
+
+Floats = NDArray[np.float64]
+
+FOLLOW_BOX = 1.0
+"""How far from where it is expected a candidate is looked for, in box sides."""
+
+SAME_PLACE = 0.1
+"""Places this share of a box apart are one object: beliefs are widened by so much to be compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Something detected that is no target yet.
+
+    Attributes:
+        box: (4,) centre box where it was last detected, or is expected since.
+        step: (2,) its centre's last displacement per look, px.
+        scores: sum of the scores of its detections in `looks`.
+        looks: for each of the last looks, its score there, or None when it was not seen.
+        first_frame: frame in which it was first detected.
+    """
+
+    box: Floats
+    step: Floats
+    looks: tuple[float | None, ...]
+    first_frame: int
+
+    @property
+    def seen(self) -> int:
+        """In how many of its looks it was seen."""
+        return sum(score is not None for score in self.looks)
+
+    @property
+    def score(self) -> float:
+        """Mean score of the looks in which it was seen."""
+        scores = [score for score in self.looks if score is not None]
+        return sum(scores) / len(scores)
+
+
+@dataclass(frozen=True, eq=False)
+class Identity:
+    """A target as it is remembered, lost or dead.
+
+    Attributes:
+        target: target id.
+        template: name of its plate.
+        mean: (D,) mean state when it was last well seen.
+        covariance: (D, D) of its belief then.
+        time: that time, frame intervals.
+        references: agent -> what it remembers.
+    """
+
+    target: str
+    template: str
+    mean: Floats
+    covariance: Floats
+    time: float
+    references: Mapping[str, Reference]
+
+
+@dataclass(frozen=True, eq=False)
+class Lifeline:
+    """What is counted of a live target.
+
+    Attributes:
+        since: frame in which its net was born.
+        mean: (D,) mean state when it was last well seen.
+        covariance: (D, D) of its belief then.
+        time: that time, frame intervals.
+        lost_frames: consecutive frames in which it is lost.
+        unseen_frames: consecutive frames without a detection of its own.
+    """
+
+    since: int
+    mean: Floats
+    covariance: Floats
+    time: float
+    lost_frames: int = 0
+    unseen_frames: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Life:
+    """What the engine remembers of births and deaths between frames.
+
+    Attributes:
+        detectors: detector -> its state.
+        failed: detectors that are out for the rest of the run.
+        candidates: plate -> what was detected and is no target yet.
+        lifelines: live target -> what is counted of it.
+        dead: targets whose nets ended and that can return, in the order of their deaths.
+        overlaps: (younger, older) target -> overlaps of their beliefs in the last consecutive frames.
+        refused: plate -> births refused so far.
+        last_id: largest number that was given to a target.
+    """
+
+    detectors: Mapping[str, DetectorState] = field(default_factory=dict)
+    failed: frozenset[str] = frozenset()
+    candidates: Mapping[str, tuple[Candidate, ...]] = field(default_factory=dict)
+    lifelines: Mapping[str, Lifeline] = field(default_factory=dict)
+    dead: tuple[Identity, ...] = ()
+    overlaps: Mapping[tuple[str, str], tuple[float, ...]] = field(default_factory=dict)
+    refused: Mapping[str, int] = field(default_factory=dict)
+    last_id: int = 0
+
+
+# ------------------------------------------------------------------------------------ candidates
+
+
+def feed(
+    candidates: Sequence[Candidate], boxes: Floats, scores: Floats, frame: int, rule: Birth
+) -> tuple[Candidate, ...]:
+    """The candidates after a look that found the boxes (N, 4), the best first, which no live target claims.
+
+    A candidate goes on with the nearest box within `FOLLOW_BOX` of where it is expected. One that was missed
+    too often to be confirmed by the looks it has left is dropped. No more than twice `rule.most` (and 8) are
+    kept: those seen most often, then those with the best scores.
+    """
+    confirm = rule.confirm
+    expected = np.array([_moved(one).box for one in candidates]).reshape(-1, 4)
+    owner = pair_up(distances(boxes, expected), np.full((len(boxes), len(expected)), FOLLOW_BOX))
+    found = {int(k): row for row, k in enumerate(owner) if k != NOBODY}
+    kept = []
+    for number, one in enumerate(candidates):
+        row = found.get(number)
+        if row is None:
+            after = _looked(_moved(one), None, confirm)
+        else:
+            after = _looked(one, float(scores[row]), confirm)
+            after = replace(after, box=boxes[row].copy(), step=boxes[row, :2] - one.box[:2])
+        if not _is_hopeless(after, confirm):
+            kept.append(after)
+    for row in np.flatnonzero(owner == NOBODY):
+        kept.append(Candidate(boxes[row].copy(), np.zeros(2), (float(scores[row]),), frame))
+    best = sorted(range(len(kept)), key=lambda k: (-kept[k].seen, -kept[k].score, k))
+    chosen = sorted(best[: max(2 * rule.most, 8)])
+    return tuple(kept[k] for k in chosen)
+
+
+def is_confirmed(candidate: Candidate, confirm: Confirm) -> bool:
+    """True when it is seen now and was often enough."""
+    return candidate.looks[-1] is not None and candidate.seen >= confirm.looks
+
+
+def _looked(candidate: Candidate, score: float | None, confirm: Confirm) -> Candidate:
+    return replace(candidate, looks=(*candidate.looks, score)[-confirm.of :])
+
+
+def _moved(candidate: Candidate) -> Candidate:
+    box = candidate.box.copy()
+    box[:2] += candidate.step
+    return replace(candidate, box=box)
+
+
+def _is_hopeless(candidate: Candidate, confirm: Confirm) -> bool:
+    """True after so many misses on end that no look it has had can count toward a confirmation."""
+    misses = 0
+    for score in reversed(candidate.looks):
+        if score is not None:
+            break
+        misses += 1
+    return misses > confirm.of - confirm.looks
+
+
+def refusals_to_tell(before: int, after: int) -> bool:
+    """True when the number of refused births has reached 1, 10, 100, ... since it was `before`."""
+    level = 1
+    while level <= before:
+        level *= 10
+    return after >= level
+
+
+# ------------------------------------------------------------------------------------ ends
+
+
+def time_to_die(line: Lifeline, rule: Death) -> tuple[str, int, int] | None:
+    """Why a net ends: (lost or unseen, for how many frames, the rule's number); None when it lives on."""
+    if line.lost_frames >= rule.lost_frames:
+        return "lost", line.lost_frames, rule.lost_frames
+    if rule.unseen_frames is not None and line.unseen_frames >= rule.unseen_frames:
+        return "unseen", line.unseen_frames, rule.unseen_frames
+    return None
+
+
+def belief_overlap(mean_a: Floats, cov_a: Floats, mean_b: Floats, cov_b: Floats) -> float:
+    """Bhattacharyya coefficient, 0..1, of two Gaussians of x, y, w, h, both widened by `SAME_PLACE` of a box.
+
+    exp(-D), D = d' S^-1 d / 8 + ln(det S / sqrt(det S_a det S_b)) / 2, S = (S_a + S_b) / 2.
+
+    >>> box, sure = np.array([50.0, 40, 20, 20]), np.zeros((4, 4))
+    >>> round(belief_overlap(box, sure, box + [4, 0, 0, 0], sure), 6) == round(np.exp(-(4 / 2)**2 / 8), 6)
+    True
+    """
+    box = (mean_a[:4] + mean_b[:4]) / 2
+    widening = np.diag((SAME_PLACE * np.array([box[2], box[3], box[2], box[3]])) ** 2)
+    first, second = cov_a[:4, :4] + widening, cov_b[:4, :4] + widening
+    both = (first + second) / 2
+    d = mean_a[:4] - mean_b[:4]
+    shape = np.linalg.slogdet(both)[1] - (np.linalg.slogdet(first)[1] + np.linalg.slogdet(second)[1]) / 2
+    return float(np.exp(-d @ np.linalg.solve(both, d) / 8 - max(shape, 0.0) / 2))
+
+
+def overlapping(
+    beliefs: Mapping[str, tuple[Floats, Floats]],
+    since: Mapping[str, int],
+    before: Mapping[tuple[str, str], tuple[float, ...]],
+    rule: Duplicates,
+) -> dict[tuple[str, str], tuple[float, ...]]:
+    """(younger, older) -> overlaps of their beliefs (mean, covariance) in the last frames.
+
+    No more than `rule.frames` of them; only pairs that overlap by `rule.overlap` in this frame. Of those born
+    in one frame the later named is the younger. Targets whose centres lie a box apart are not compared.
+    """
+    names = list(beliefs)
+    if len(names) < 2:
+        return {}
+    boxes = np.array([beliefs[name][0][:4] for name in names])
+    away = distances(boxes, boxes)
+    streaks = {}
+    for i, j in zip(*np.nonzero(np.triu(away < 1.0, k=1)), strict=True):
+        value = belief_overlap(*beliefs[names[i]], *beliefs[names[j]])
+        if value >= rule.overlap:
+            older, younger = (names[k] for k in sorted((int(i), int(j)), key=lambda k: (since[names[k]], k)))
+            streak = (*before.get((younger, older), ()), value)
+            streaks[younger, older] = streak[-rule.frames :]
+    return streaks

@@ -1,0 +1,181 @@
+"""Is a detection a target that is remembered, or a new one? A Bayes factor of place and appearance.
+
+For a detection z and a remembered target k that was last well seen t frames ago,
+
+    o_k = g(t) . A p_k(z) . r_k(z),  g = exp(-t / tau),  p_k = g N(z; F m_k, F P_k F' + Q + R) + (1 - g) / A,
+
+are its odds against a new target, which may be anywhere in the frame of area A: g that it is still about, N
+where its motion model leads it from the belief it had, with R = (side / 4)^2 for the detector's error, and
+
+    r_k = L_k(z) / L_k(elsewhere),
+
+L_k the likelihood of a box by all agents of the plate that know looks, with the references of k; elsewhere
+is, half and half, boxes at random places and the boxes of other objects (at random places only, when there
+are none). P(k | z) = o_k / (1 + sum_j o_j).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.lifecycle import Identity
+from bayesnet_track.belief.contract import Motion
+from bayesnet_track.graph.life_decisions import Recognition
+from bayesnet_track.graph.life_settings import Recall
+from bayesnet_track.numerics.boxes import overlap
+
+Floats = NDArray[np.float64]
+
+ELSEWHERE = 64
+"""Random boxes with which a detection's likelihood is compared."""
+
+TOUCHES = 0.1
+"""Boxes with a larger intersection over union are not elsewhere."""
+
+DETECTOR_SD = 0.25
+"""Sd of a detection's centre, in sqrt(w h)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """One remembered target against M detections: the summands of its log-odds.
+
+    Attributes:
+        identity: the target.
+        away: frame intervals since it was last well seen.
+        distance_px: (M,) distances from where its motion leads it.
+        fading: log g.
+        place: (M,) log(A p_k).
+        appearance: (M,) log r_k.
+        agents: those that were asked.
+    """
+
+    identity: Identity
+    away: float
+    distance_px: Floats
+    fading: float
+    place: Floats
+    appearance: Floats
+    agents: tuple[str, ...]
+
+    @property
+    def log_odds(self) -> Floats:
+        """(M,) log o_k."""
+        return np.asarray(self.fading + self.place + self.appearance)
+
+
+@dataclass(frozen=True)
+class Match:
+    """A detection and the remembered target that it most probably is."""
+
+    detection: int
+    recognition: Recognition
+
+    @property
+    def is_sure(self) -> bool:
+        """True when it is probable enough."""
+        return self.recognition.probability >= self.recognition.least_probability
+
+
+def placed(
+    identity: Identity, motion: Motion, boxes: Floats, time: float, area_px2: float, rule: Recall
+) -> tuple[float, Floats, Floats]:
+    """log g, (M,) log(A p_k) and (M,) distances in px of centre boxes (M, 4) for a target at `time`."""
+    dt = max(time - identity.time, 1e-9)
+    transition, noise = motion.linearise(identity.mean, dt)
+    mean = motion.drift(identity.mean[None], dt)[0, :2]
+    spread = (transition @ identity.covariance @ transition.T + noise)[:2, :2]
+    d = boxes[:, :2] - mean
+    variances = DETECTOR_SD**2 * boxes[:, 2] * boxes[:, 3]
+    covariance = spread[None] + variances[:, None, None] * np.eye(2)
+    d2 = np.einsum("ni,ni->n", d, np.linalg.solve(covariance, d[:, :, None])[:, :, 0])
+    log_normal = -0.5 * d2 - 0.5 * np.linalg.slogdet(covariance)[1] - math.log(2.0 * math.pi)
+    fading = -dt / rule.frames
+    anywhere = math.log(max(-math.expm1(fading), 1e-300))
+    place = np.logaddexp(fading + math.log(area_px2) + log_normal, anywhere)
+    return fading, np.asarray(place), np.hypot(d[:, 0], d[:, 1])
+
+
+def elsewhere(boxes: Floats, width: int, height: int, rng: np.random.Generator) -> Floats:
+    """(ELSEWHERE, 4) centre boxes at random places of the frame, with the sizes of `boxes` (M, 4) in turn."""
+    centres = rng.uniform([0.0, 0.0], [width - 1.0, height - 1.0], (ELSEWHERE, 2))
+    return np.concatenate([centres, boxes[np.arange(ELSEWHERE) % len(boxes), 2:]], axis=1)
+
+
+def looks(boxes: Floats, log_l: Floats, groups: Sequence[tuple[Floats, Floats]]) -> Floats:
+    """(M,) log r_k of boxes (M, 4) with log-likelihoods (M,), against groups of boxes with theirs.
+
+    What touches a box is not elsewhere. Nothing elsewhere: 0, for there is nothing to compare with.
+    """
+    result = np.zeros(len(boxes))
+    for k, box in enumerate(boxes):
+        means = []
+        for places, values in groups:
+            apart = overlap(box, places) <= TOUCHES
+            if apart.any():
+                means.append(_log_mean(values[apart]))
+        if means:
+            result[k] = log_l[k] - _log_mean(np.array(means))
+    return result
+
+
+def match(compared: Sequence[Compared], detections: int, rule: Recall) -> tuple[Match, ...]:
+    """Each detection's most probable target, one to one: the best odds of all first, then of what is left.
+
+    A pair that is not sure takes nothing away from others. Detections for which no target is left, or all of
+    odds 0, are left out.
+    """
+    if not compared or not detections:
+        return ()
+    odds = np.array([one.log_odds for one in compared])
+    matches: list[Match] = []
+    rows, columns = list(range(len(compared))), list(range(detections))
+    while rows and columns:
+        left = odds[np.ix_(rows, columns)]
+        probability = np.exp(left - np.logaddexp(0.0, _log_sums(left)))
+        if not np.isfinite(left).any():
+            break
+        i, j = np.unravel_index(int(np.argmax(np.where(np.isfinite(left), left, -np.inf))), left.shape)
+        k, m = rows[int(i)], columns[int(j)]
+        matches.append(Match(m, _recognition(compared, rows, probability[:, int(j)], int(i), m, rule)))
+        columns.remove(m)
+        if matches[-1].is_sure:
+            rows.remove(k)
+    return tuple(matches)
+
+
+def _recognition(
+    compared: Sequence[Compared], rows: Sequence[int], shares: Floats, best: int, m: int, rule: Recall
+) -> Recognition:
+    one = compared[rows[best]]
+    rivals = {compared[row].identity.target: float(shares[i]) for i, row in enumerate(rows) if i != best}
+    rivals["new"] = max(0.0, 1.0 - float(shares.sum()))
+    rival = max(rivals, key=lambda name: rivals[name])
+    return Recognition(
+        target=one.identity.target,
+        probability=float(shares[best]),
+        least_probability=rule.least_probability,
+        away=one.away,
+        distance_px=float(one.distance_px[m]),
+        fading=one.fading,
+        place=float(one.place[m]),
+        appearance=float(one.appearance[m]),
+        agents=one.agents,
+        rival=rival,
+        rival_probability=rivals[rival],
+    )
+
+
+def _log_mean(values: Floats) -> float:
+    top = float(values.max())
+    return top if not math.isfinite(top) else top + math.log(float(np.mean(np.exp(values - top))))
+
+
+def _log_sums(values: Floats) -> Floats:
+    """(M,) log of the sums of exp over the rows."""
+    return np.asarray(np.logaddexp.reduce(values, axis=0))

@@ -1,0 +1,104 @@
+"""Let the detectors of a graph look at a frame: each once, however many plates ask, its faults contained."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.lifecycle import Life
+from bayesnet_track.detector import Detections, Detector, DetectorState, LearningDetector
+from bayesnet_track.journal.life_events import DetectorFailed
+from bayesnet_track.machinery import Engine
+from bayesnet_track.planes import Frame, FramePair
+
+Floats = NDArray[np.float64]
+
+MOST_DETECTIONS = 1000
+"""Detections of a frame that are looked at, the best: as many as a detector may be asked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What one plate is given of a look, the best first.
+
+    Attributes:
+        boxes: (N, 4) centre boxes.
+        scores: (N,) 0..1.
+    """
+
+    boxes: Floats
+    scores: Floats
+
+    def only(self, which: NDArray[np.bool_]) -> Found:
+        """Those that are True in (N,)."""
+        return Found(self.boxes[which], self.scores[which])
+
+
+def look(
+    engine: Engine,
+    life: Life,
+    boxes: Callable[[Sequence[str]], Floats],
+    held: Callable[[str], Sequence[str]],
+    frame: Frame,
+    previous: Frame | None,
+) -> tuple[dict[str, Found], Life, tuple[DetectorFailed, ...]]:
+    """What each plate that looks in this frame is given, the detectors' states, and those that failed.
+
+    A detector that has to be shown its target learns the first one of the plate that is held. One that
+    raises, or returns anything but boxes of finite numbers with as many scores and labels, is out for the
+    rest of the run.
+    """
+    due: dict[str, str] = {}
+    for plate, machine in engine.machinery.items():
+        birth = None if machine.life is None else machine.life.birth
+        if birth is not None and frame.index % birth.every == 0 and machine.detector not in life.failed:
+            due[plate] = machine.detector
+    pair, found, failed = FramePair(frame, previous), {}, []
+    states = dict(life.detectors)
+    for name in dict.fromkeys(due.values()):
+        plates = [plate for plate in due if due[plate] == name]
+        shown = next((targets[0] for plate in plates if (targets := held(plate))), None)
+        at = None if shown is None else boxes([shown])[0]
+        try:
+            found[name], states[name] = _asked(engine.detectors[name], states.get(name), pair, at)
+        except Exception as error:  # a detector is a guest's code: whatever it raises must not end the run
+            failed.append(DetectorFailed(frame.index, _word(engine, plates[0]), _reason(error)))
+            life = replace(life, failed=life.failed | {name})
+    given = {plate: _of_plate(engine, plate, found[name]) for plate, name in due.items() if name in found}
+    return given, replace(life, detectors=states), tuple(failed)
+
+
+def _asked(
+    detector: Detector, state: DetectorState | None, pair: FramePair, shown: Floats | None
+) -> tuple[Detections, DetectorState]:
+    now = detector.start() if state is None else state
+    if isinstance(detector, LearningDetector) and shown is not None and not detector.knows_target(now):
+        now = detector.learn(pair, shown, now)
+    found, after = detector.detect(pair, now)
+    boxes, scores = np.asarray(found.boxes, dtype=np.float64), np.asarray(found.scores, dtype=np.float64)
+    if boxes.ndim != 2 or boxes.shape[1] != 4 or not len(boxes) == len(scores) == len(found.labels):
+        raise ValueError(f"boxes of shape {boxes.shape}, {len(scores)} scores, {len(found.labels)} labels")
+    if not (np.isfinite(boxes).all() and np.isfinite(scores).all() and (boxes[:, 2:] > 0).all()):
+        raise ValueError("boxes or scores that are not finite, or boxes without area")
+    best = np.argsort(-scores, kind="stable")[:MOST_DETECTIONS]
+    return Detections(boxes[best], scores[best], tuple(found.labels[k] for k in best)), after
+
+
+def _of_plate(engine: Engine, plate: str, found: Detections) -> Found:
+    life = engine.machinery[plate].life
+    labels = () if life is None or life.birth is None else life.birth.labels
+    keep = np.array([not labels or label in labels for label in found.labels], dtype=bool)
+    return Found(found.boxes[keep], found.scores[keep])
+
+
+def _word(engine: Engine, plate: str) -> str:
+    life = engine.machinery[plate].life
+    assert life is not None and life.birth is not None
+    return life.birth.detector.detector
+
+
+def _reason(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"

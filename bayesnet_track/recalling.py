@@ -1,0 +1,59 @@
+"""Compare detections with a target that is remembered, by its motion and all agents that know looks."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.lifecycle import Identity
+from bayesnet_track.adapt.recognise import Compared, elsewhere, looks, placed
+from bayesnet_track.belief.bounds import Confined
+from bayesnet_track.cue import Hypotheses
+from bayesnet_track.graph.life_settings import Recall
+from bayesnet_track.inference.compile import compile_plan
+from bayesnet_track.inference.messages import Observer, evaluate
+from bayesnet_track.machinery import Engine
+from bayesnet_track.planes import Frame, PlaneCache
+
+Floats = NDArray[np.float64]
+
+LEAST_LOG = -700.0
+"""Log-likelihoods are cut here, so that the ratio of two of them is a number."""
+
+
+def compare(
+    engine: Engine,
+    plate: str,
+    rule: Recall,
+    frame: Frame,
+    cache: PlaneCache,
+    boxes: Floats,
+    others: Floats,
+    known: Identity,
+) -> Compared:
+    """One remembered target against detections (M, 4); `others` (K, 4) are boxes of objects in this frame."""
+    machine = engine.machinery[plate]
+    motion = Confined(machine.motion, frame.width, frame.height)
+    area = float(frame.width * frame.height)
+    fading, place, distance = placed(known, motion, boxes, frame.time, area, rule)
+    agents = tuple(agent for agent in machine.plate.agents if agent in machine.looks & set(known.references))
+    if not frame.has_color:
+        agents = tuple(agent for agent in agents if agent not in machine.color_agents)
+    stream = partial(engine.streams.of, known.target, machine.plate.root, frame.index)
+    random = elsewhere(boxes, frame.width, frame.height, stream("elsewhere"))
+    if agents:
+        observer = Observer(cache, machine.cues, known.references, lambda what: stream(f"recall {what}"))
+        states = np.concatenate([boxes, random, others])
+        prior = np.full(len(states), -np.log(len(states)))
+        evidence = evaluate(
+            compile_plan(machine.plate, agents, machine.cues), observer, Hypotheses(states), prior
+        )
+        values = np.clip(evidence.log_likelihood, LEAST_LOG, None)
+        agents = tuple(agent for agent in agents if agent not in evidence.faults)
+    else:
+        values = np.zeros(len(boxes) + len(random) + len(others))
+    own, there, theirs = np.split(values, [len(boxes), len(boxes) + len(random)])
+    appearance = looks(boxes, own, [(random, there), (others, theirs)])
+    return Compared(known, frame.time - known.time, distance, fading, place, appearance, agents)
