@@ -97,6 +97,7 @@ def correlate(
     left_sums, right_sums = np.empty(width), np.empty(width)
     left_inverse, right_inverse = np.empty(width), np.empty(width)
     best, place = np.empty(wide, np.float32), np.empty(wide, np.int32)
+    limit, rivals = np.empty(wide, np.float32), np.empty(wide, np.int32)
     shift = x_first - half
     for y in range(y_first, y_last):
         _window_sums(left, y - half, half, left_sums, left_inverse)
@@ -130,11 +131,13 @@ def correlate(
                 row[first - x_first : last - x_first],
             )
         _best(scores, best, place)
+        _limits(best, min_difference, limit)
+        _count_rivals(scores, place, limit, separation, rivals)
         for i in range(wide):
             inverse = left_inverse[x_first + i]
             if not inverse * n * min_spread <= 1.0 or place[i] <= 0 or place[i] >= count - 1:
                 continue
-            if best[i] < min_correlation or _is_ambiguous(scores, i, place[i], min_difference, separation):
+            if best[i] < min_correlation or rivals[i] > 0:
                 continue
             found = low - 1 + place[i] + _fraction(scores, i, place[i])
             disparity[y - rows[0], x_first + i - columns[0]] = found
@@ -195,16 +198,31 @@ def _best(scores: Floats32, best: Floats32, place: Ints32) -> None:
 
 
 @compiled
-def _is_ambiguous(scores: Floats32, i: int, best: int, min_difference: float, separation: int) -> bool:
-    """Whether another peak of the column is nearly as high as the best, and further off than `separation`."""
-    top = float(scores[best, i])
-    limit = top - min_difference * top
+def _limits(best: Floats32, min_difference: float, limit: Floats32) -> None:
+    """Fill `limit` with what a rival's score exceeds: (1 - min_difference) best, rounded down."""
+    for i in range(best.shape[0]):
+        top = float(best[i])
+        exact = top - min_difference * top
+        limit[i] = np.float32(exact)
+        if float(limit[i]) > exact:
+            limit[i] = np.nextafter(limit[i], np.float32(-np.inf))
+
+
+@compiled
+def _count_rivals(scores: Floats32, place: Ints32, limit: Floats32, separation: int, rivals: Ints32) -> None:
+    """Fill `rivals` with the number of peaks above `limit` that are further than `separation` from `place`.
+
+    Row by row, since only loops along rows become vector instructions.
+    """
+    rivals[:] = 0
     for k in range(1, scores.shape[0] - 1):
-        score = scores[k, i]
-        is_rival = score > limit and abs(k - best) > separation
-        if is_rival and not (scores[k - 1, i] > score or scores[k + 1, i] > score):
-            return True
-    return False
+        before, row, after = scores[k - 1], scores[k], scores[k + 1]
+        near, far = np.int32(k - separation), np.int32(k + separation)
+        for i in range(row.shape[0]):
+            score = row[i]
+            is_rival = (score > limit[i]) & ((place[i] < near) | (place[i] > far))
+            is_below = (before[i] > score) | (after[i] > score)
+            rivals[i] += np.int32(is_rival & (not is_below))
 
 
 @compiled

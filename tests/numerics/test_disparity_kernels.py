@@ -97,6 +97,27 @@ def test_each_filter_takes_out_what_it_is_for():
     assert np.isfinite(matched(stripes, stripes, 0, 15, filters=(0.0, -1.0, 0.1, 20)))[3:-3, 25:-4].all()
 
 
+def test_a_rival_is_another_peak_that_is_nearly_as_high_and_far_off():
+    """Against the definition, where the picture matches at two shifts; ties within rounding are left out."""
+    least, apart, low, high = 0.4, 2, 1, 12
+    left = noise((12, 44))
+    right = (0.55 * shifted(left, 3, 4) + 0.45 * shifted(left, 9, 5)).astype(np.int16)
+    found = matched(left, right, low, high, filters=(0.0, -1.0, least, apart))
+    whole = matched(left, right, low, high)
+    seen = []
+    for y, x in np.argwhere(np.isfinite(whole)):
+        scores = {d: by_formula(left, right, y, x, d) for d in range(low - 1, high + 2)}
+        scores = {d: np.nan if score is None else score for d, score in scores.items()}
+        best = max(scores, key=lambda d: np.nan_to_num(scores[d], nan=-2.0))
+        limit = (1 - least) * scores[best]
+        far = [d for d in range(low, high + 1) if abs(d - best) > apart]
+        peaks = [d for d in far if not (scores[d - 1] > scores[d] or scores[d + 1] > scores[d])]
+        if all(abs(scores[d] - limit) > 1e-5 for d in peaks if scores[d] == scores[d]):
+            seen.append(any(scores[d] > limit for d in peaks))
+            assert np.isnan(found[y, x]) == seen[-1], (y, x)
+    assert 20 < sum(seen) < len(seen) - 20
+
+
 def test_a_match_beyond_the_range_is_none():
     left = noise((20, 60))
     right = shifted(left, 12)
