@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import figures_occlusion
+import figures_self_stop
 import figures_two_squares
 from figure_style import save
 from matplotlib.figure import Figure
@@ -25,9 +26,12 @@ FIGURES: dict[str, tuple[str, Callable[[], Figure]]] = {
     "2.9": ("uncertainty.svg", figures_two_squares.uncertainty),
     "2.10": ("surfaces.png", figures_two_squares.surfaces),
     "2.11": ("mean_shift.png", figures_two_squares.mean_shift_beside),
+    "2.12": ("detections.png", figures_self_stop.detections),
     "2.13": ("occlusion_tracks.png", figures_occlusion.occlusion_tracks),
     "2.13-ud": ("occlusion_uncertainty.svg", figures_occlusion.occlusion_uncertainty),
     "2.14": ("occlusion_beliefs.png", figures_occlusion.occlusion_beliefs),
+    "2.17": ("broad_likelihood.png", figures_self_stop.broad_likelihood),
+    "2.18": ("self_stop_strip.png", figures_self_stop.self_stop_strip),
     "2.19": ("gray_square.svg", figures_occlusion.gray_square),
 }
 
