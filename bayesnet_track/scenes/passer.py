@@ -72,7 +72,7 @@ def person_same_clothes_nearer(seed: int = 0, frames: int = 150) -> Scene:
     far = np.full(frames, 3.9)
     target = np.interp(at, [0.0, 50.0, 100.0, 150.0], [-0.9, 0.1, 0.1, -0.9])
     stands = (0.1 + aside) * near / far[0]  # `aside` as seen at the target's distance
-    outside = (WIDTH / 2 + 24.0) * near / GEOMETRY.focal_px
+    outside = (WIDTH / 2 + 30.0) * near / GEOMETRY.focal_px
     walk = (outside - stands) / 0.1
     other = np.interp(at, [comes - walk, comes, leaves, leaves + walk], [outside, stands, stands, outside])
     walkers = (
