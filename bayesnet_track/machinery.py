@@ -39,7 +39,6 @@ class Machinery:
         adaptable: agents that can act locally.
         color_agents: agents that are blind on a gray source.
         guard: what keeps references from drifting, or None.
-        appearance: agents that know the target by its looks.
         life: how its targets are born, recognised and end; None when they live as long as the run.
         detector: the detector of its births in `Engine.detectors`; empty without births.
         looks: agents that tell one target from another by its looks.
@@ -58,7 +57,6 @@ class Machinery:
     detector: str = ""
     looks: frozenset[str] = frozenset()
     guard: Guard | None = None
-    appearance: frozenset[str] = frozenset()
     part_of: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -154,7 +152,6 @@ def _make_machinery(
         looks=frozenset(
             agent for agent in plate.agents if of[agent].is_appearance and isinstance(made[agent], Cue)
         ),
-        appearance=frozenset(agent for agent in plate.agents if of[agent].is_appearance),
         part_of=part_of_agents(plate),
     )
 

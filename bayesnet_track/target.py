@@ -141,7 +141,7 @@ def start(
         memory=Memory(),
         plan=compile_plan(machine.plate, working, machine.cues),
         time=frame.time,
-        watched=watch(references, machine.appearance, machine.cues, machine.guard),
+        watched=watch(references, machine.looks, machine.guard),
     )
     metrics = first_frame_metrics(frame, target, len(born.belief), working, box, parts)
     return Born(born, tuple(decisions), metrics)

@@ -33,18 +33,15 @@ class Watched:
     frames: int = 0
 
 
-def watch(
-    references: Mapping[str, Reference], appearance: Set[str], cues: Mapping[str, AnyCue], rule: Guard | None
-) -> Watched:
+def watch(references: Mapping[str, Reference], looks: Set[str], rule: Guard | None) -> Watched:
     """The guard of a target that starts: its slow references are the first ones.
 
-    Only agents that score, and that know the target by its looks (`appearance`), are guarded: what another
-    remembers, such as a speed, has to change as quickly as it does.
+    Only agents that score, and that know the target by its `looks`, are guarded: what another remembers, such
+    as a speed, has to change as quickly as it does.
     """
     if rule is None:
         return Watched()
-    guarded = {agent for agent in references if agent in appearance and isinstance(cues[agent], Cue)}
-    return Watched({agent: one for agent, one in references.items() if agent in guarded})
+    return Watched({agent: one for agent, one in references.items() if agent in looks})
 
 
 @dataclass(frozen=True, eq=False)

@@ -63,7 +63,7 @@ def follower(**settings):
         cue=cue,
         rule=rule,
         level=np.zeros(1),
-        watched=watch(first, {"a"}, {"a": cue}, rule),
+        watched=watch(first, {"a"}, rule),
         frame=1,
         events=[],
     )
@@ -117,17 +117,14 @@ def test_between_comparisons_a_parted_reference_stays_held():
 
 def test_without_a_guard_nothing_is_watched():
     references = {"a": {"level": np.zeros(1)}}
-    assert watch(references, {"a"}, {"a": Level()}, None).slow == {}
+    assert watch(references, {"a"}, None).slow == {}
     judged = judge(Watched(), references, {"a": Level()}, {"a": 0.1}, None, AT, None)
     assert judged.gaps == {} and judged.held == frozenset()
 
 
 def test_only_looks_are_guarded():
-    references, cues = (
-        {"a": {"level": np.zeros(1)}, "speed": {"level": np.ones(1)}},
-        {"a": Level(), "speed": Level()},
-    )
-    assert set(watch(references, {"a"}, cues, Guard()).slow) == {"a"}
+    references = {"a": {"level": np.zeros(1)}, "speed": {"level": np.ones(1)}}
+    assert set(watch(references, {"a"}, Guard()).slow) == {"a"}
 
 
 def test_a_cue_that_raises_is_named():
@@ -137,6 +134,6 @@ def test_a_cue_that_raises_is_named():
 
     cache = PlaneCache(FramePair(Frame(1, 1.0, np.zeros((80, 100, 3), np.uint8)), None))
     references, rule = {"a": {"level": np.zeros(1)}}, Guard(every=1)
-    watched = watch(references, {"a"}, {"a": Broken()}, rule)
+    watched = watch(references, {"a"}, rule)
     judged = judge(watched, references, {"a": Broken()}, {"a": 0.1}, cache, AT, rule)
     assert judged.faults == {"a": "raised ArithmeticError while guarded: no"}
