@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 
-from bayesnet_track.adapt.learn import NO_PARTS
+from bayesnet_track.adapt.learn import NO_PARTS, blended
 from bayesnet_track.cue import AnyCue, Cue, Floats, Hypotheses, Reference, context_of
 from bayesnet_track.graph.spec import Guard
 from bayesnet_track.journal.events import Event, ReferenceGuarded
@@ -86,8 +86,7 @@ def judge(
         at = Hypotheses(own_boxes[agent][None], estimate.fields) if agent in own_boxes else estimate
         try:
             planes = cache.planes(cue.needs, region_of_boxes(at.boxes, grow=context_of(cue)))
-            both = (float(cue.log_likelihood(planes, at, one)[0]) for one in (references[agent], slow))
-            own, other = both
+            own, other = (float(cue.log_likelihood(planes, at, one)[0]) for one in (references[agent], slow))
             gaps[agent] = own, other
         except Exception as error:  # as in evaluation: a cue's fault must not end the run
             faults[agent] = f"raised {type(error).__name__} while guarded: {error}"
@@ -103,26 +102,31 @@ def guard(
     cues: Mapping[str, AnyCue],
     rates: Mapping[str, float],
     rule: Guard | None,
-) -> tuple[dict[str, Reference], Watched]:
+) -> tuple[dict[str, Reference], Watched, dict[str, str]]:
     """Pull back what has parted; let the slow references follow the others.
 
     `references` are those after learning, in which agents that were held are as before. Rates per frame are
-    made up for the frames since the last comparison.
+    made up for the frames since the last comparison. The last mapping says what was wrong with agents that
+    failed.
     """
-    guarded, slow = dict(references), dict(watched.slow)
+    guarded, slow, faults = dict(references), dict(watched.slow), dict(judged.faults)
     if rule is None or not any(rate > 0.0 for rate in rates.values()):
-        return guarded, watched
+        return guarded, watched, faults
     parted = {agent: frames + 1 for agent, frames in watched.parted.items()}
     for agent in judged.gaps:
         if agent in judged.held:
             share = 1.0 - (1.0 - rule.pull) ** rule.every
-            guarded[agent] = cues[agent].blend(references[agent], slow[agent], share)
+            mixed = blended(cues[agent], references[agent], slow[agent], share)
             parted.setdefault(agent, 0)
         else:
             share = 1.0 - (1.0 - rule.rate) ** rule.every
-            slow[agent] = cues[agent].blend(slow[agent], references[agent], share)
+            mixed = blended(cues[agent], slow[agent], references[agent], share)
             parted.pop(agent, None)
-    return guarded, Watched(slow, parted, watched.frames + 1)
+        if isinstance(mixed, str):
+            faults[agent] = mixed
+        else:
+            (guarded if agent in judged.held else slow)[agent] = mixed
+    return guarded, Watched(slow, parted, watched.frames + 1), faults
 
 
 def changes(

@@ -67,6 +67,14 @@ def learn_references(
     return {**references, **moved}, faults
 
 
+def blended(cue: AnyCue, old: Reference, new: Reference, rate: float) -> Reference | str:
+    """A reference between `old` (rate 0) and `new` (rate 1), or what went wrong."""
+    try:
+        return _checked(cue.blend(old, new, rate))
+    except Exception as error:  # as in evaluation: a cue's fault must not end the run
+        return f"raised {type(error).__name__} while blending: {error}"
+
+
 def adapt_reference(cue: LocallyAdaptable, reference: Reference, attempt: int) -> Reference | str | None:
     """The reference as an agent tunes it itself, None when nothing is left to try, or what went wrong."""
     try:

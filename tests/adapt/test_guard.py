@@ -45,7 +45,8 @@ class Follower(SimpleNamespace):
         assert not judged.faults
         if "a" not in judged.held and rate > 0:
             references = {"a": self.cue.blend(references["a"], self.cue.learn(None, None), rate)}
-        moved, after = guard(self.watched, judged, references, cues, rates, self.rule)
+        moved, after, faults = guard(self.watched, judged, references, cues, rates, self.rule)
+        assert not faults
         self.events += changes(self.frame, "1", self.watched, after, judged, self.rule)
         self.level, self.watched, self.frame = moved["a"]["level"], after, self.frame + 1
         return float(self.level[0])
@@ -137,3 +138,17 @@ def test_a_cue_that_raises_is_named():
     watched = watch(references, {"a"}, rule)
     judged = judge(watched, references, {"a": Broken()}, {"a": 0.1}, cache, AT, rule)
     assert judged.faults == {"a": "raised ArithmeticError while guarded: no"}
+
+
+def test_a_blend_that_is_not_finite_is_named_and_not_taken():
+    class Broken(Level):
+        def blend(self, old, new, rate):
+            return {"level": np.full(1, np.nan)}
+
+    cues, references, rule = {"a": Broken(2.0)}, {"a": {"level": np.full(1, 2.0)}}, Guard(every=1)
+    cache = PlaneCache(FramePair(Frame(1, 1.0, np.zeros((80, 100, 3), np.uint8)), None))
+    watched = watch({"a": {"level": np.zeros(1)}}, {"a"}, rule)
+    judged = judge(watched, references, cues, {"a": 0.1}, cache, AT, rule)
+    moved, after, faults = guard(watched, judged, references, cues, {"a": 0.1}, rule)
+    assert judged.held == {"a"} and moved == references and after.slow == watched.slow
+    assert faults == {"a": "made a reference whose 'level' is not finite"}
