@@ -15,7 +15,7 @@ from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.messages import without
-from bayesnet_track.inference.parts import PartBelief, part_beliefs
+from bayesnet_track.inference.parts import PartBelief, part_beliefs, part_of_agents
 from bayesnet_track.numerics.disc import weighted_mass_in_disc
 from bayesnet_track.numerics.divergence import uncertainty_deviation
 from bayesnet_track.numerics.tilts import divergences, tilted
@@ -37,7 +37,8 @@ class Measures:
         contribution: active agent -> KL(belief || belief without it), nats.
         strength: node -> KL(prior times its message || prior), nats.
         fit: largest geometric mean of a hypothesis' likelihood over the agents that saw something; 1 is a
-            perfect match, 0 says that none saw anything.
+            perfect match, 0 says that none saw anything. Agents of a hidden part count only where all parts
+            are hidden and no other agent sees anything.
         area_px2: area of the estimate.
         silent: active agents that measure and did not see the target.
         inside: (node, radius in sqrt(w h) of its most probable state) -> what of its belief lies within, for
@@ -85,11 +86,12 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
     rest = tilted(prior, _rows(left, len(prior)))
     alone = _rows((beliefs[agent] for agent in agents), len(prior))
 
-    silent = tuple(agent for agent, own in evidence.measured.items() if own is None)
-    seeing = [agent for agent in agents if agent not in silent]
-    mean = sum((evidence.messages[agent] / len(seeing) for agent in seeing), np.zeros(len(prior)))
     parts = part_beliefs(plan, evidence, step.support.weights)
     uds = _node_uds(target, step, beliefs, parts)
+    silent = tuple(agent for agent, own in evidence.measured.items() if own is None)
+    at_parts = measure_parts(target, evidence, parts, uds)
+    seeing = _that_see(target, agents, silent, at_parts)
+    mean = sum((evidence.messages[agent] / len(seeing) for agent in seeing), np.zeros(len(prior)))
     return Measures(
         ud_px2=uds,
         agent_ud_px2=agent_ud,
@@ -100,8 +102,18 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
         area_px2=area_px2,
         silent=silent,
         inside=_insides(target, step, beliefs, parts),
-        parts=measure_parts(target, evidence, parts, uds),
+        parts=at_parts,
     )
+
+
+def _that_see(
+    target: CheckedTarget, agents: list[str], silent: tuple[str, ...], parts: Mapping[str, PartMeasure]
+) -> list[str]:
+    """The agents that saw something, without those of hidden parts where others are left."""
+    seeing = [agent for agent in agents if agent not in silent]
+    part_of = part_of_agents(target) if parts else {}
+    hidden = {part for part, found in parts.items() if found.status == "hidden"}
+    return [agent for agent in seeing if part_of.get(agent) not in hidden] or seeing
 
 
 def _rows(arrays: Iterable[Floats], size: int) -> Floats:

@@ -27,6 +27,7 @@ SCENE_GRAPHS = {
     "gray_square": "color_fusion",
     "flying_ball": "kalman_ball",
     "person_and_board": "person_shape",
+    "person_parts": "person_parts",
     "person_stereo": "person_stereo",
     "glass_wall": "person_stereo",
     "person_color_stereo": "person_color_stereo",

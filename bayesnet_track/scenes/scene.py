@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,19 @@ from bayesnet_track.scenes.stereo_view import StereoView
 
 Floats = NDArray[np.float64]
 CornerBox = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class ScenePart:
+    """Where a part of the target is.
+
+    Attributes:
+        truth: (n, 4) top-left corner boxes in px; a hidden part keeps its box.
+        visible: (n,) share of its area that lies inside the picture and is not hidden.
+    """
+
+    truth: Floats
+    visible: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +44,8 @@ class Scene:
         visible: (n,) share of the target's area that lies inside the picture and is not hidden.
         stereo: the second eye and the true depth, in scenes that have them.
         plates: what the target and the first of the others are called, where a graph may have a plate for
-            each; empty where only the target is meant to be tracked.
+            each, or one for several; empty where only the target is meant to be tracked.
+        parts: parts of the target by name, in scenes that have them.
     """
 
     name: str
@@ -43,6 +57,7 @@ class Scene:
     visible: Floats
     stereo: StereoView | None = None
     plates: tuple[str, ...] = ()
+    parts: Mapping[str, ScenePart] = field(default_factory=dict)
 
     @property
     def start_box(self) -> CornerBox:
@@ -52,8 +67,13 @@ class Scene:
     @property
     def start_boxes(self) -> Mapping[str, CornerBox]:
         """Plate -> the corner box in frame 0 of what is called so, the target's first."""
+        return {plate: box for plate, box in self.starts}
+
+    @property
+    def starts(self) -> tuple[tuple[str, CornerBox], ...]:
+        """Plate and corner box in frame 0 of each that is called something, the target first."""
         paths = (self.truth, *self.others)[: len(self.plates)]
-        return {plate: _corner_box(path) for plate, path in zip(self.plates, paths, strict=True)}
+        return tuple((plate, _corner_box(path)) for plate, path in zip(self.plates, paths, strict=True))
 
 
 def _corner_box(path: Floats) -> CornerBox:
