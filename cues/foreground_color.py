@@ -1,0 +1,193 @@
+"""Cue: colours of the target against colours of what is around it.
+
+Each colour has a probability of being the target's, from histograms of the box and of a ring around it. A
+hypothesis is scored by how much more of it there is inside than in a narrow ring: too small a box has the
+target in its ring, too large a one has background inside (Possegger et al. 2015; Bertinetto et al. 2016).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from bayesnet_track.cue import (
+    Cue,
+    CueDeclaration,
+    Floats,
+    Hypotheses,
+    Reference,
+    SizedCueParameters,
+    floored,
+    log_size_penalty,
+)
+from bayesnet_track.planes import Frame, Plane, Planes
+from bayesnet_track.vision.whole_frame import WholeFrame
+
+if TYPE_CHECKING:
+    from bayesnet_track.vision.foreground import Cells
+
+Bytes = NDArray[np.uint8]
+
+ATTEMPTS, SHARPEN = 3, 1.4
+"""How often the cue can be made sharper in all, and by which factor on the gain."""
+
+
+class ForegroundColorParameters(SizedCueParameters):
+    """Parameters of foreground and background colours."""
+
+    floor: float = Field(
+        default=0.005,
+        gt=0,
+        lt=1,
+        description="Likelihood of an outlier as a share of the best possible likelihood.",
+    )
+    gain: float = Field(
+        default=20.0, gt=0, description="Log-likelihood per unit of contrast, which is -1 .. 1 (no unit)."
+    )
+    levels: int = Field(default=16, ge=2, le=32, description="Levels of each channel (count).")
+    gray_levels: int = Field(
+        default=32, ge=2, le=256, description="Levels of brightness on a gray source (count)."
+    )
+    inner: float = Field(
+        default=0.8,
+        gt=0,
+        le=1,
+        description="Part of the box's sides in which the target's colours are learnt.",
+    )
+    surround: float = Field(
+        default=0.5,
+        gt=0,
+        le=4,
+        description="Ring in which the surroundings' colours are learnt (mean sides of the box).",
+    )
+    ring: float = Field(
+        default=0.25, gt=0, le=2, description="Ring that a box is compared with (mean sides of the box)."
+    )
+    wide: float = Field(
+        default=1.5,
+        gt=0,
+        le=8,
+        description="Ring in which colours that could distract are learnt (mean sides of the box).",
+    )
+    memory: float = Field(
+        default=0.5, ge=0, le=1, description="Share of the wide ring in the surroundings' colours."
+    )
+    memory_rate: float = Field(
+        default=0.25,
+        gt=0,
+        le=1,
+        description="How fast the wide ring is forgotten, as a share of the learning rate.",
+    )
+    prior: float = Field(
+        default=0.5, ge=0, le=1, description="Probability that a colour seen in neither is the target's."
+    )
+
+
+@dataclass(frozen=True)
+class ForegroundColor:
+    """Foreground and background colours at work.
+
+    A reference holds ``foreground``, ``background`` and ``memory`` (cells,), the share of the box's, the
+    ring's and the wide ring's visible pixels in each cell of colour; ``posterior`` (cells,) uint8, the
+    probability of the target by colour, of 255; ``contrast`` (), that of the target's own box; ``size`` (2,),
+    w and h in px; ``sharper`` (), a factor on the gain, from 1 to `SHARPEN ** ATTEMPTS`.
+    """
+
+    parameters: ForegroundColorParameters
+    context: ClassVar[float] = 0.0  # it reads the whole picture
+
+    @property
+    def needs(self) -> tuple[Plane, ...]:
+        """The whole picture: rings lie beyond the boxes."""
+        return (WholeFrame(),)
+
+    def learn(self, planes: Planes, box: Floats) -> Reference:
+        """The colours of the inner box, of the ring, and of the wide ring; the contrast that they give."""
+        from bayesnet_track.vision import foreground as f
+
+        p, frame = self.parameters, planes.frame
+        cells, box = self._cells(frame), np.asarray(box, dtype=np.float64)
+        whole = f.counted(frame, cells, box)
+        learnt = {
+            "foreground": f.shares(f.counted(frame, cells, box * [1, 1, p.inner, p.inner])),
+            "background": f.shares(f.counted(frame, cells, f.grown(box, p.surround)) - whole),
+            "memory": f.shares(f.counted(frame, cells, f.grown(box, p.wide)) - whole),
+            "size": np.array(box[2:]),
+            "sharper": np.array(1.0),
+        }
+        learnt["posterior"] = self._posterior(learnt)
+        contrast = self._contrasts(frame, box[None], learnt["posterior"])[0]
+        return {**learnt, "contrast": np.array(contrast)}
+
+    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+        """Linear (eq. 2.15), for the wide ring at a slower rate, for the size in its logarithm."""
+        slow = {"memory": 1.0 - (1.0 - rate) ** self.parameters.memory_rate}
+        blended = {
+            name: np.asarray((1.0 - slow.get(name, rate)) * old[name] + slow.get(name, rate) * new[name])
+            for name in ("foreground", "background", "memory", "contrast", "sharper")
+        }
+        size = old["size"] * (new["size"] / old["size"]) ** rate
+        return {**blended, "size": size, "posterior": self._posterior(blended)}
+
+    def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
+        """gain * min(contrast - the target's own contrast, 0), plus the size penalty, over the floor.
+
+        A contrast is the mean posterior inside the box less that in the ring. A box counts with all of its
+        area: what lies outside the frame is not the target's. All 0 when the target has no contrast of its
+        own: then its colours say nothing.
+        """
+        p = self.parameters
+        own = float(reference["contrast"])
+        if own <= 0.0:
+            return np.zeros(len(hypotheses))
+        contrast = self._contrasts(planes.frame, hypotheses.boxes, reference["posterior"])
+        log = p.gain * float(reference["sharper"]) * np.minimum(contrast - own, 0.0)
+        size = log_size_penalty(hypotheses.boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
+        return floored(log + size, p.floor)
+
+    def adapt(self, reference: Reference, attempt: int) -> Reference | None:
+        """A larger gain, `ATTEMPTS` times; None at once when the target has no contrast."""
+        sharper, most = float(reference["sharper"]), SHARPEN**ATTEMPTS
+        if attempt > ATTEMPTS or np.isclose(sharper, most) or float(reference["contrast"]) <= 0.0:
+            return None
+        return {**reference, "sharper": np.array(min(sharper * SHARPEN, most))}
+
+    def _cells(self, frame: Frame) -> Cells:
+        from bayesnet_track.vision.foreground import Cells
+
+        p = self.parameters
+        return Cells(p.levels, False) if frame.has_color else Cells(p.gray_levels, True)
+
+    def _posterior(self, shares: Reference) -> Bytes:
+        from bayesnet_track.vision.foreground import posterior
+
+        p = self.parameters
+        around = (1.0 - p.memory) * shares["background"] + p.memory * shares["memory"]
+        return posterior(shares["foreground"], around, p.prior)
+
+    def _contrasts(self, frame: Frame, boxes: Floats, levels: Bytes) -> Floats:
+        """(N,) mean posterior inside the box less that in the ring."""
+        from bayesnet_track.vision.foreground import means
+
+        inside, around = means(frame, self._cells(frame), levels, boxes, self.parameters.ring).T
+        return np.asarray(inside - around)
+
+
+def _make(parameters: ForegroundColorParameters) -> Cue:
+    from bayesnet_track.vision import foreground  # noqa: F401  load before the first frame
+
+    return ForegroundColor(parameters)
+
+
+CUE = CueDeclaration(
+    name="foreground_color",
+    summary="Colours of the target against those around it, inside a box and in a ring.",
+    parameters=ForegroundColorParameters,
+    make=_make,
+    cost_ms=0.4,
+    rate_max=0.04,
+)
