@@ -169,7 +169,7 @@ def _inherited(
     above: str | None = target.parent[node]
     while above is not None and above != target.root and above not in beliefs and above not in parts:
         above = target.parent[above]
-    if above in parts:
+    if above is not None and above in parts:
         return parts[above].uncertainty(_columns(target, node))
     if above is None or above == target.root:
         return step.posterior.uncertainty(step.map_state, _columns(target, node))
@@ -212,7 +212,7 @@ def _inside(
     above: str | None = node
     while above is not None and above not in beliefs and above not in parts:
         above = target.parent[above]
-    if above in parts:
+    if above is not None and above in parts:
         boxes, own, mode = parts[above].boxes, parts[above].weights, parts[above].mean
         radius = within_box * float(np.sqrt(mode[2] * mode[3]))
         share = weighted_mass_in_disc(boxes[:, :2], own.weights, mode[:2], radius)
