@@ -1,0 +1,120 @@
+"""Compiled kernels of texture: a code per pixel, and histograms of codes in the cells of boxes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.numerics.compiled import compiled
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Bytes = NDArray[np.uint8]
+
+PATTERNS = 10
+"""Codes of binary patterns: 0 .. 8 brighter neighbours in one arc, 9 for more than one arc."""
+FLAT = 8
+"""Code of a pixel without a gradient, after those of 8 directions."""
+_TANGENT = float(np.tan(np.pi / 8))
+
+
+@compiled
+def binary_patterns(gray: Bytes, noise: int, codes: Bytes) -> None:
+    """Uniform local binary patterns of 8 neighbours, whichever way they are turned (Ojala et al. 2002).
+
+    Args:
+        gray: (H + 2, W + 2), one pixel more on each side than the codes.
+        noise: a neighbour is brighter when it exceeds the pixel by more than this, gray levels.
+        codes: (H, W) filled with 0 .. PATTERNS - 1.
+    """
+    for y in range(codes.shape[0]):
+        for x in range(codes.shape[1]):
+            level = np.int64(gray[y + 1, x + 1]) + noise
+            a, b, c = gray[y, x] > level, gray[y, x + 1] > level, gray[y, x + 2] > level
+            d, e, f = gray[y + 1, x + 2] > level, gray[y + 2, x + 2] > level, gray[y + 2, x + 1] > level
+            g, h = gray[y + 2, x] > level, gray[y + 1, x] > level
+            changes = (a != b) + (b != c) + (c != d) + (d != e) + (e != f) + (f != g) + (g != h) + (h != a)
+            codes[y, x] = a + b + c + d + e + f + g + h if changes <= 2 else 9
+
+
+@compiled
+def gradient_directions(gray: Bytes, noise: int, codes: Bytes) -> None:
+    """Direction of the gradient, FLAT where it is weak; 0 to the right, 2 down, sectors of 45 degrees.
+
+    Args:
+        gray: (H + 2, W + 2), one pixel more on each side than the codes.
+        noise: sum of absolute central differences up to which a pixel is flat, gray levels.
+        codes: (H, W) filled with 0 .. FLAT.
+    """
+    for y in range(codes.shape[0]):
+        for x in range(codes.shape[1]):
+            dx = np.int64(gray[y + 1, x + 2]) - np.int64(gray[y + 1, x])
+            dy = np.int64(gray[y + 2, x + 1]) - np.int64(gray[y, x + 1])
+            across, down = abs(dx), abs(dy)
+            if across + down <= noise:
+                code = 8
+            elif down < _TANGENT * across:
+                code = 0 if dx > 0 else 4
+            elif across < _TANGENT * down:
+                code = 2 if dy > 0 else 6
+            elif dy > 0:
+                code = 1 if dx > 0 else 3
+            else:
+                code = 7 if dx > 0 else 5
+            codes[y, x] = code
+
+
+@compiled
+def integral_histogram(codes: Bytes, integral: Ints) -> None:
+    """How often each code occurs above and left: `integral` (H + 1, W + 1, B), first row and column 0."""
+    bins = integral.shape[2]
+    row = np.zeros(bins, np.int32)
+    integral[0] = 0
+    for y in range(codes.shape[0]):
+        row[:] = 0
+        integral[y + 1, 0] = 0
+        for x in range(codes.shape[1]):
+            row[codes[y, x]] += 1
+            for b in range(bins):
+                integral[y + 1, x + 1, b] = integral[y, x + 1, b] + row[b]
+
+
+@compiled
+def cell_shares(integral: Ints, boxes: Floats, x0: int, y0: int, cells: int, shares: Floats) -> None:
+    """Share of each code in the cells of boxes, of the whole cell: what lies outside the crop has none.
+
+    Args:
+        integral: of the crop whose first pixel is (x0, y0).
+        boxes: (N, 4) centre boxes, px; edges of cells are rounded to pixels, and a cell has one at least.
+        x0: first column of the crop; likewise `y0`.
+        cells: per side.
+        shares: (N, cells, cells, B) filled.
+    """
+    rows, columns = integral.shape[0] - 1, integral.shape[1] - 1
+    for k in range(boxes.shape[0]):
+        left, top = boxes[k, 0] - 0.5 * boxes[k, 2] + 0.5, boxes[k, 1] - 0.5 * boxes[k, 3] + 0.5
+        for i in range(cells):
+            upper = int(np.floor(top + boxes[k, 3] * i / cells + 0.5))
+            lower = max(int(np.floor(top + boxes[k, 3] * (i + 1) / cells + 0.5)), upper + 1)
+            t, b = min(max(upper - y0, 0), rows), min(max(lower - y0, 0), rows)
+            for j in range(cells):
+                near = int(np.floor(left + boxes[k, 2] * j / cells + 0.5))
+                far = max(int(np.floor(left + boxes[k, 2] * (j + 1) / cells + 0.5)), near + 1)
+                l, r = min(max(near - x0, 0), columns), min(max(far - x0, 0), columns)  # noqa: E741
+                area = float(far - near) * float(lower - upper)
+                for c in range(integral.shape[2]):
+                    count = integral[b, r, c] - integral[t, r, c] - integral[b, l, c] + integral[t, l, c]
+                    shares[k, i, j, c] = count / area
+
+
+@compiled
+def bhattacharyya(shares: Floats, reference: Floats, coefficients: Floats) -> None:
+    """Mean over the cells of the sum of sqrt(share * reference): (N, C, C, B), (C, C, B) to (N,)."""
+    cells = reference.shape[0]
+    for k in range(shares.shape[0]):
+        total = 0.0
+        for i in range(cells):
+            for j in range(cells):
+                for b in range(reference.shape[2]):
+                    total += np.sqrt(shares[k, i, j, b] * reference[i, j, b])
+        coefficients[k] = min(total / (cells * cells), 1.0)

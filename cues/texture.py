@@ -1,0 +1,165 @@
+"""Cue: histograms of texture in the cells of a box.
+
+Each pixel has a code, the direction of its gradient or its local binary pattern. What is compared is how
+often each occurs in each cell, so that small shifts and turns inside a cell do not matter, nor does light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from bayesnet_track.cue import (
+    Cue,
+    CueDeclaration,
+    Floats,
+    Hypotheses,
+    Reference,
+    SizedCueParameters,
+    blend_arrays,
+    floored,
+    log_size_penalty,
+)
+from bayesnet_track.planes import Plane, Planes
+from bayesnet_track.vision.texture import TextureCodes
+
+HALF_OVERLAP = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
+ATTEMPTS, SHARPEN = 3, 0.7
+"""How often the cue can be made sharper in all, and by which factor on alpha."""
+
+
+class TextureParameters(SizedCueParameters):
+    """Parameters of the histograms of texture."""
+
+    floor: float = Field(
+        default=0.005,
+        gt=0,
+        lt=1,
+        description="Likelihood of an outlier as a share of the best possible likelihood.",
+    )
+    form: Literal["gradients", "patterns"] = Field(
+        default="gradients",
+        description="Code of a pixel: direction of its `gradients`, or its local binary `patterns`, which do "
+        "not change when the target turns in the picture.",
+    )
+    cells: int = Field(default=3, ge=1, le=8, description="Cells of the box per side (count).")
+    noise_gray: int = Field(
+        default=8, ge=0, le=255, description="Differences of neighbours up to this are none (gray levels)."
+    )
+    alpha_share: float = Field(
+        default=0.5,
+        gt=0,
+        le=2,
+        description="Distance at which the likelihood halves, as a share of that of boxes half a box away.",
+    )
+    alpha_min: float = Field(
+        default=0.05, gt=0, le=1, description="Least distance at which the likelihood halves (0..1)."
+    )
+
+
+@dataclass(frozen=True)
+class Texture:
+    """Histograms of texture at work.
+
+    A reference holds ``shares`` (cells, cells, codes), how often each code occurs in each cell, of all of its
+    pixels; ``alpha`` (), the distance at which the likelihood halves; ``size`` (2,), w and h in px;
+    ``sharper`` (), a factor on alpha, from 1 to `SHARPEN ** ATTEMPTS`.
+    """
+
+    parameters: TextureParameters
+    context: ClassVar[float] = 0.5  # boxes half a box away
+
+    @property
+    def _plane(self) -> TextureCodes:
+        return TextureCodes(self.parameters.form, self.parameters.noise_gray)
+
+    @property
+    def needs(self) -> tuple[Plane, ...]:
+        """A code per pixel."""
+        return (self._plane,)
+
+    def learn(self, planes: Planes, box: Floats) -> Reference:
+        """The shares of the box, each cell's summing to 1 if it was seen, and alpha from its surroundings.
+
+        Alpha is `alpha_share` times the mean distance of the four boxes that overlap it by 50 %, as for
+        the colour histogram (thesis figure 3.2).
+        """
+        p = self.parameters
+        shares = self._shares(planes, box[None])[0]
+        seen = shares.sum(axis=-1, keepdims=True)
+        shares = np.divide(shares, seen, out=np.zeros_like(shares), where=seen > 0)
+        shifted = np.concatenate([box[:2] + HALF_OVERLAP * box[2:], np.tile(box[2:], (4, 1))], axis=1)
+        alpha = p.alpha_share * float(self._distances(planes, shifted, shares).mean())
+        return {
+            "shares": shares,
+            "alpha": np.array(max(alpha, p.alpha_min)),
+            "size": np.array(box[2:], dtype=np.float64),
+            "sharper": np.array(1.0),
+        }
+
+    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+        """Linear (eq. 2.15), the size in its logarithm."""
+        size = old["size"] * (new["size"] / old["size"]) ** rate
+        return {**blend_arrays(old, new, rate), "size": size}
+
+    def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
+        """-log(1 + exp(4 (d - alpha) / alpha)), 0 at d = 0, plus the size penalty, over the floor.
+
+        d is the Bhattacharyya distance, sqrt(1 - rho), rho the mean over cells; thesis eq. 3.3, corrected.
+        All 0 when the reference has seen nothing.
+        """
+        p, alpha = self.parameters, float(reference["alpha"] * reference["sharper"])
+        if not reference["shares"].any():
+            return np.zeros(len(hypotheses))
+        distances = self._distances(planes, hypotheses.boxes, reference["shares"])
+        similarity = np.logaddexp(0.0, -4.0) - np.logaddexp(0.0, 4.0 * (distances - alpha) / alpha)
+        size = log_size_penalty(hypotheses.boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
+        return floored(similarity + size, p.floor)
+
+    def adapt(self, reference: Reference, attempt: int) -> Reference | None:
+        """A sharper likelihood, `ATTEMPTS` times; None at once when the reference has seen nothing."""
+        sharper, most = float(reference["sharper"]), SHARPEN**ATTEMPTS
+        if attempt > ATTEMPTS or np.isclose(sharper, most) or not reference["shares"].any():
+            return None
+        return {**reference, "sharper": np.array(max(sharper * SHARPEN, most))}
+
+    def _distances(self, planes: Planes, boxes: Floats, shares: Floats) -> Floats:
+        """(N,) Bhattacharyya distances to the reference's shares, 0..1."""
+        from bayesnet_track.numerics.texture_kernels import bhattacharyya
+
+        found = self._shares(planes, boxes)
+        coefficients = np.empty(len(found))
+        bhattacharyya(found, np.ascontiguousarray(shares), coefficients)
+        return np.asarray(np.sqrt(1.0 - coefficients))
+
+    def _shares(self, planes: Planes, boxes: Floats) -> Floats:
+        """(N, cells, cells, codes) share of each code."""
+        from bayesnet_track.numerics.texture_kernels import cell_shares, integral_histogram
+        from bayesnet_track.vision.color_cells import seen_cells
+
+        plane, cells = self._plane, self.parameters.cells
+        boxes = np.ascontiguousarray(boxes, dtype=np.float64)
+        codes, first = seen_cells(planes, plane, boxes)
+        integral = np.empty((codes.shape[0] + 1, codes.shape[1] + 1, plane.bins), np.int32)
+        integral_histogram(codes, integral)
+        shares = np.empty((len(boxes), cells, cells, plane.bins))
+        cell_shares(integral, boxes, int(first[0]), int(first[1]), cells, shares)
+        return shares
+
+
+def _make(parameters: TextureParameters) -> Cue:
+    from bayesnet_track.numerics import texture_kernels  # noqa: F401  load before the first frame
+
+    return Texture(parameters)
+
+
+CUE = CueDeclaration(
+    name="texture",
+    summary="Histograms of gradients or binary patterns in the cells of the box.",
+    parameters=TextureParameters,
+    make=_make,
+    cost_ms=1.1,
+)
