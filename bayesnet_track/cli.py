@@ -54,16 +54,19 @@ def make_parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--out", metavar="RUN", required=True, help="run directory to write")
     _add_depth_options(run)
-    start = run.add_mutually_exclusive_group(required=True)
+    start = run.add_mutually_exclusive_group()
     start.add_argument(
         "--init",
         action="append",
         metavar="X,Y,W,H",
         help="start box in the first frame, top-left corner, px; PLATE:X,Y,W,H names the plate; "
-        "give it again for a further target",
+        "give it again for a further target; needed unless the graph has `birth`",
     )
     start.add_argument(
         "--init-from", metavar="FILE", help="ground-truth file; its box of the first frame is the start box"
+    )
+    run.add_argument(
+        "--detections", metavar="FILE", help="detections (MOT, JSON Lines) for a graph with births by them"
     )
     run.add_argument("--video", action="store_true", help="write the annotated video too (video.mkv)")
     _add_window_options(run)
@@ -120,6 +123,7 @@ def make_parser() -> argparse.ArgumentParser:
 
     log = commands.add_parser("log", help="tell a run's reconfigurations as sentences")
     log.add_argument("run", metavar="RUN", help="run directory")
+    log.add_argument("--target", metavar="ID", help="tell the life of one target")
     log.add_argument("--node", help="only this node")
     log.add_argument("--kind", help="only this kind of event: activated, deactivated, self_stopped, ...")
     log.add_argument("--frames", metavar="A:B", help="only frames A to B, B excluded")

@@ -164,4 +164,4 @@ def detectors_of_graphs() -> Mapping[str, DetectorDeclaration]:
 
 
 def _not_given(parameters: DetectorParameters) -> Detector:
-    raise DetectorError(f"no file of {GIVEN} is given")
+    raise DetectorError(f"the graph has births by {GIVEN}, and no file of them is given (--detections FILE)")

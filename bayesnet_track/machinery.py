@@ -14,7 +14,7 @@ from bayesnet_track.belief.motion import make_motion
 from bayesnet_track.belief.particles import ParticleFilter
 from bayesnet_track.cue import AnyCue, Cue, CueDeclaration, LocallyAdaptable, installed_cues
 from bayesnet_track.detect.selection import Selected
-from bayesnet_track.detector import Detector, detectors_of_graphs
+from bayesnet_track.detector import Detector, DetectorError, detectors_of_graphs
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.cue_laws import plugin_parameters
@@ -91,9 +91,9 @@ def make_engine(
     given from outside, by the names that the graph has for them: `detections`.
 
     Raises:
-        ValueError: `motion` names a plate that the graph does not have, or `detectors` one that no plate asks
-            for.
-        DetectorError: a detector cannot be made, or the graph asks for `detections` and none are given.
+        ValueError: `motion` names a plate that the graph does not have.
+        DetectorError: a detector cannot be made, the graph asks for `detections` and none are given, or no
+            plate asks for one that is given.
     """
     declarations = installed_cues() if cues is None else cues
     own = {} if motion is None else motion
@@ -124,7 +124,7 @@ def _make_detectors(machinery: Sequence[Machinery], given: Mapping[str, Detector
             made[machine.detector] = declaration.make(parameters)
     idle = [name for name in given if name not in asked]
     if idle:
-        raise ValueError(f"no plate of the graph has births by {idle[0]!r}")
+        raise DetectorError(f"{idle[0]} are given, and no plate of the graph has births by them")
     return made
 
 

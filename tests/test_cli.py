@@ -420,7 +420,7 @@ MISTAKES = {
     "demo --graph {wrong}/bad.yaml": (
         3,
         "{wrong}/bad.yaml:1:1: graph: key 'targets' is missing; allowed: a mapping, each a mapping with "
-        "state, nodes\n"
+        "state, birth, duplicates, death, recall, nodes\n"
         "{wrong}/bad.yaml:3:1: graph: unknown key 'targts'; allowed: bayesnet, name, about, targets; "
         "nearest: targets",
     ),
@@ -484,7 +484,6 @@ def test_a_mistake_has_its_exit_code_and_one_clear_message(cli, places, tmp_path
     ("line", "message"),
     [
         ("frobnicate", "argument COMMAND: invalid choice: 'frobnicate'"),
-        ("run general --source x --out y", "one of the arguments --init --init-from is required"),
         ("run general --init 1,2,3,4 --out y", "the following arguments are required: --source"),
         (
             "run general --init 1,2,3,4 --init-from z --source x --out y",

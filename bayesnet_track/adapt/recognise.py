@@ -7,11 +7,14 @@ For a detection z and a remembered target k that was last well seen t frames ago
 are its odds against a new target, which may be anywhere in the frame of area A: g that it is still about, N
 where its motion model leads it from the belief it had, with R = (side / 4)^2 for the detector's error, and
 
-    r_k = L_k(z) / L_k(elsewhere),
+    r_k = L_k(z) / ((1 - alpha) L_k(elsewhere) + alpha),
 
-L_k the likelihood of a box by all agents of the plate that know looks, with the references of k; elsewhere
-is, half and half, boxes at random places and the boxes of other objects (at random places only, when there
-are none). P(k | z) = o_k / (1 + sum_j o_j).
+L_k the likelihood of a box by all agents of the plate that know looks, with the references of k, 1 for a
+perfect match. A new target looks, with alpha = 1 / 20, just like k; else like something elsewhere: half and
+half boxes at random places and the boxes of other objects (at random places only, when there are none). So
+looks can speak for k by 20 to 1 at most, and against k as far as the agents' floors let them.
+
+P(k | z) = o_k / (1 + sum_j o_j).
 """
 
 from __future__ import annotations
@@ -33,6 +36,9 @@ Floats = NDArray[np.float64]
 
 ELSEWHERE = 64
 """Random boxes with which a detection's likelihood is compared."""
+
+LOOKALIKE = 0.05
+"""Share of new targets that look like one that is remembered."""
 
 TOUCHES = 0.1
 """Boxes with a larger intersection over union are not elsewhere."""
@@ -110,7 +116,7 @@ def elsewhere(boxes: Floats, width: int, height: int, rng: np.random.Generator) 
 def looks(boxes: Floats, log_l: Floats, groups: Sequence[tuple[Floats, Floats]]) -> Floats:
     """(M,) log r_k of boxes (M, 4) with log-likelihoods (M,), against groups of boxes with theirs.
 
-    What touches a box is not elsewhere. Nothing elsewhere: 0, for there is nothing to compare with.
+    What touches a box is not elsewhere. With nothing elsewhere every new target is a lookalike.
     """
     result = np.zeros(len(boxes))
     for k, box in enumerate(boxes):
@@ -119,8 +125,9 @@ def looks(boxes: Floats, log_l: Floats, groups: Sequence[tuple[Floats, Floats]])
             apart = overlap(box, places) <= TOUCHES
             if apart.any():
                 means.append(_log_mean(values[apart]))
-        if means:
-            result[k] = log_l[k] - _log_mean(np.array(means))
+        alike = [math.log(LOOKALIKE)] if means else [0.0]
+        rest = [math.log1p(-LOOKALIKE) + _log_mean(np.array(means))] if means else []
+        result[k] = log_l[k] - np.logaddexp.reduce([*alike, *rest])
     return result
 
 

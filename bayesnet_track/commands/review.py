@@ -19,6 +19,7 @@ def log(options: argparse.Namespace) -> int:
     from bayesnet_track.journal.codec import to_json
     from bayesnet_track.journal.explain import explain, has_several_targets, why
     from bayesnet_track.journal.reader import read_events, read_metrics
+    from bayesnet_track.journal.story import tell_life
     from bayesnet_track.runtime.rundir import RunDirectory
 
     directory = RunDirectory.open(options.run)
@@ -27,6 +28,11 @@ def log(options: argparse.Namespace) -> int:
         metrics = list(read_metrics(directory.frames, complain))
         with users_mistake():
             say(why(events, metrics, options.why))
+        return OK
+    if options.target is not None:
+        metrics = list(read_metrics(directory.frames, complain))
+        with users_mistake():
+            say(tell_life(events, metrics, options.target))
         return OK
     chosen = chosen_events(events, options)
     if not chosen:

@@ -57,6 +57,7 @@ def demo(options: argparse.Namespace) -> int:
     from bayesnet_track.runtime.run import Start
     from bayesnet_track.runtime.rundir import RunDirectory
     from bayesnet_track.runtime.scene_source import SceneSource
+    from bayesnet_track.runtime.starts import has_births
     from bayesnet_track.scenes import make_scene
 
     with users_mistake():
@@ -67,7 +68,8 @@ def demo(options: argparse.Namespace) -> int:
     options.overwrite = options.overwrite or options.out is None
     source = SceneSource(scene, f"scene:{options.scene}", options.end)
     known = {plate: box for plate, box in scene.start_boxes.items() if plate in graph.targets}
-    starts = [Start(box, plate) for plate, box in known.items()] or [Start(scene.start_box)]
+    starts = [Start(box, plate) for plate, box in known.items()]
+    starts = [] if has_births(graph) else starts or [Start(scene.start_box)]
     code = _track(options, graph, source, starts, out, video=True)
     directory = RunDirectory.open(out)
     directory.write_text(directory.truth, format_truth(scene.truth[: source.expected_frames]))
@@ -78,8 +80,9 @@ def demo(options: argparse.Namespace) -> int:
     name_target = has_several_targets(events)
     for event in events:
         say(explain(event, name_target))
-    say(f"\nagainst the true boxes{' of target 1' if name_target else ''}:")
-    say(score_run(out, directory.truth, target="1").text(explained=True))
+    if starts:
+        say(f"\nagainst the true boxes{' of target 1' if name_target else ''}:")
+        say(score_run(out, directory.truth, target="1").text(explained=True))
     told = min(29, source.expected_frames - 1)
     say(f"\nopen {directory.video} to watch it; `bayesnet-track log {out} --why {told}` explains a frame")
     return code
@@ -88,6 +91,7 @@ def demo(options: argparse.Namespace) -> int:
 def run(options: argparse.Namespace) -> int:
     """Track in a video."""
     from bayesnet_track.graph.load import load_graph
+    from bayesnet_track.runtime.starts import has_births
 
     if options.end is not None and options.end <= options.start:
         raise UsageError(f"--end {options.end} must be greater than --start {options.start}")
@@ -95,7 +99,12 @@ def run(options: argparse.Namespace) -> int:
     if options.init_from is not None:
         starts = [read_start(Path(options.init_from), options.start)]
     else:
-        starts = [parse_start(text) for text in options.init]
+        starts = [parse_start(text) for text in options.init or ()]
+    if not starts and not has_births(graph):
+        raise UsageError(
+            "no start box: give --init X,Y,W,H or --init-from FILE, or a graph with `birth`, whose detectors "
+            "find the targets"
+        )
     with _opened(options) as source:
         return _track(options, graph, source, starts, Path(options.out), video=options.video)
 
@@ -163,11 +172,17 @@ def _track(
     out: Path,
     video: bool,
 ) -> int:
+    from bayesnet_track.detector import DetectorError
+    from bayesnet_track.runtime.detection_files import file_detector
     from bayesnet_track.runtime.progress import Progress
     from bayesnet_track.runtime.run import Summary
     from bayesnet_track.runtime.session import track
     from bayesnet_track.runtime.starts import StartError
 
+    detections = getattr(options, "detections", None)
+    if detections is not None:
+        with users_mistake():
+            file_detector(detections)
     progress = Progress(sys.stderr, source.expected_frames, sys.stderr.isatty(), options.log_json)
     summary = Summary()
     stop: StopRequest = options.stop
@@ -177,12 +192,13 @@ def _track(
         results = track(
             graph,
             source,
-            starts,
+            starts or None,
             out=out,
             seed=options.seed,
             overwrite=options.overwrite,
             video=video,
             summary=summary,
+            detections=detections,
         )
         stack.callback(results.close)
         try:
@@ -192,7 +208,7 @@ def _track(
                 # Before the first frame is done there is nothing to finish: until then, signals act at once.
                 if stop.between_frames():
                     break
-        except StartError as error:
+        except (StartError, DetectorError) as error:
             raise UsageError(str(error)) from error
     _say_end(out, summary)
     if stop.signal is not None:
@@ -204,10 +220,10 @@ def _track(
 def _show(progress: Progress, summary: Summary, result: Result) -> None:
     active = dict.fromkeys(agent for metrics in result.targets for agent in metrics.active)
     lost = [metrics.target for metrics in result.targets if metrics.status == "lost"]
-    status = "tracking" if not lost else "lost"
+    status = ("tracking" if result.targets else "no target") if not lost else "lost"
     if lost and len(result.targets) > 1:
         status = f"lost: {', '.join(lost)} of {len(result.targets)}"
-    ud_px2 = max(metrics.ud_px2 for metrics in result.targets)
+    ud_px2 = max((metrics.ud_px2 for metrics in result.targets), default=0.0)
     unheard(partial(progress.update, time.monotonic(), summary.frames, tuple(active), ud_px2, status))
 
 

@@ -20,8 +20,8 @@ class Recognition:
         distance_px: distance of the detection from where its motion leads it.
         fading: log of g = exp(-away / recall.frames), nats.
         place: log of the frame's area times the density of its place there, nats.
-        appearance: log of the likelihood that its remembered appearance gives the box, over that of boxes
-            elsewhere, nats.
+        appearance: log of the likelihood that its remembered looks give the box, over that of boxes elsewhere
+            (one in twenty is taken to look like it), nats.
         agents: those that were asked about its appearance.
         rival: what else it most probably is: another target's id, or new.
         rival_probability: the probability of that.

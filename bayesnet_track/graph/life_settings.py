@@ -85,8 +85,8 @@ class Recall(Model):
 
     P(it is k) = o_k / (1 + sum o), the 1 standing for a new target, o_k = g p_k(x, y) A r_k: g = exp(-t /
     frames) for t frames since k was last well seen, A the frame's area, p_k = g N(where its motion leads it)
-    + (1 - g) / A, and r_k the likelihood that its remembered appearance gives the box against what it gives
-    boxes elsewhere.
+    + (1 - g) / A, and r_k the likelihood that its remembered looks give the box against what they give boxes
+    elsewhere, of which one in twenty is taken to look like it.
     """
 
     frames: FrameCount = Field(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from platform import python_version
@@ -135,17 +135,20 @@ def run(
     sinks: Sequence[Sink] = (),
     summary: Summary | None = None,
     engine: Engine | None = None,
+    inputs: Mapping[str, str] = MappingProxyType({}),
 ) -> Generator[Result, None, None]:
     """Track through `source`, yielding a result per frame.
 
     Args:
         graph: a checked graph.
         source: where frames come from.
-        starts: boxes in the first frame, one per target; ids are "1", "2", ... in this order.
+        starts: boxes in the first frame, one per target; ids are "1", "2", ... in this order. None are needed
+            where the graph has `birth`.
         seed: seed of all random streams: the same graph, source, starts and seed give the same results.
         sinks: told of every event and result.
         summary: filled in as the run goes on.
         engine: an engine made from `graph`, to share between runs; made here when None.
+        inputs: files from outside that the engine reads, besides the source -> their SHA-256, to be told.
 
     The journal is closed in order also when the caller stops iterating or an error passes through.
 
@@ -174,7 +177,7 @@ def run(
             if state is None:
                 has_started = True
                 # What was found wrong before the first frame comes after the journal's first line.
-                for event in (_run_started(graph, engine, source, item, seed), *told.notices):
+                for event in (_run_started(graph, engine, source, item, seed, inputs), *told.notices):
                     tell(event)
                 outcome = start_targets(graph, engine, item, starts)
             else:
@@ -207,7 +210,12 @@ def _result(frame: Frame, outcome: Outcome, spent: float) -> Result:
 
 
 def _run_started(
-    graph: CheckedGraph, engine: Engine, source: FrameSource, frame: Frame, seed: int
+    graph: CheckedGraph,
+    engine: Engine,
+    source: FrameSource,
+    frame: Frame,
+    seed: int,
+    inputs: Mapping[str, str],
 ) -> RunStarted:
     from bayesnet_track.graph.write import graph_sha256
 
@@ -229,6 +237,7 @@ def _run_started(
         frame_interval_s=source.frame_interval_s,
         costs_ms=MappingProxyType(costs),
         versions=_versions(),
+        inputs=inputs,
     )
 
 

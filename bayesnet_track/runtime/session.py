@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack
 from os import PathLike
+from pathlib import Path
 from typing import cast
 
 from bayesnet_track.belief.contract import Motion
+from bayesnet_track.detector import GIVEN
 from bayesnet_track.engine import make_engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.runtime.detection_files import file_detector
 from bayesnet_track.runtime.record import Recorder
 from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
 from bayesnet_track.runtime.rundir import RunDirectory
@@ -25,11 +29,12 @@ CornerBox = tuple[float, float, float, float]
 def track(
     graph: str | PathLike[str] | GraphSpec | CheckedGraph,
     source: str | PathLike[str] | FrameSource,
-    box: CornerBox | Sequence[Start],
+    box: CornerBox | Sequence[Start] | None = None,
     *,
     out: str | PathLike[str] | None = None,
     seed: int = 0,
     motion: Motion | None = None,
+    detections: str | PathLike[str] | None = None,
     overwrite: bool = False,
     video: bool = False,
     sinks: Sequence[Sink] = (),
@@ -40,10 +45,12 @@ def track(
     Args:
         graph: an installed graph's name, a YAML path, or a graph in Python.
         source: a video file, a folder of images, a glob, or an opened source.
-        box: start box x, y, w, h in the first frame, top-left corner, px; or one `Start` per target.
+        box: start box x, y, w, h in the first frame, top-left corner, px; or one `Start` per target; none
+            are needed where the graph has `birth`.
         out: run directory to write; nothing is written when None.
         seed: seed of all randomness.
         motion: a motion model of one's own in place of every plate's, such as `FunctionMotion`.
+        detections: a file of detections, MOT or JSON Lines, for births by `detections`.
         overwrite: replace an earlier run in `out`.
         video: write the annotated video into `out` too.
         sinks: further observers.
@@ -53,6 +60,9 @@ def track(
         GraphError: every error of the graph.
         SourceError: nothing can be read from the source, or it has no depth where the graph needs it.
         StartError: no target can start from the box.
+        DetectorError: a detector cannot be made, or the graph and the file of detections do not go together.
+        OSError: the file of detections cannot be read.
+        ValueError: it is malformed; says file and line.
         RunDirectoryError: `out` holds something else.
         OutputError: an output cannot be written (later, too).
 
@@ -64,6 +74,7 @@ def track(
     """
     checked = load_graph(graph)
     starts = _starts(box)
+    inputs = {} if detections is None else {str(detections): file_sha256(detections)}
     with ExitStack() as stack:
         if isinstance(source, str | PathLike):
             opened: FrameSource = stack.enter_context(open_source(str(source)))
@@ -71,16 +82,30 @@ def track(
             opened = source
         check_starts(checked, starts, opened.width, opened.height)
         own = None if motion is None else dict.fromkeys(checked.targets, motion)
-        engine = make_engine(checked, seed, motion=own)
+        given = {} if detections is None else {GIVEN: file_detector(detections)}
+        engine = make_engine(checked, seed, motion=own, detectors=given)
         check_depth(engine, opened)
         told: list[Sink] = list(sinks)
         if out is not None:
             directory = RunDirectory.create(str(out), overwrite)
             told.append(stack.enter_context(Recorder(directory, checked, opened.frame_interval_s, video)))
-        yield from run(checked, opened, starts, seed=seed, sinks=told, summary=summary, engine=engine)
+        yield from run(
+            checked, opened, starts, seed=seed, sinks=told, summary=summary, engine=engine, inputs=inputs
+        )
 
 
-def _starts(box: CornerBox | Sequence[Start]) -> list[Start]:
+def file_sha256(path: str | PathLike[str]) -> str:
+    """The SHA-256 of a file's bytes, in hexadecimal.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def _starts(box: CornerBox | Sequence[Start] | None) -> list[Start]:
+    if box is None:
+        return []
     starts = [part for part in box if isinstance(part, Start)]
     if not starts:
         return [Start(cast(CornerBox, box))]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.engine import Engine, Outcome, State, start_target
+from bayesnet_track.engine import Engine, Outcome, State, first_look, start_target
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.messages import nearest
 from bayesnet_track.numerics.boxes import centre_from_corner
@@ -38,10 +38,11 @@ def check_starts(graph: CheckedGraph, starts: Sequence[Start], width: int, heigh
     """Refuse starts from which no target could be tracked in a frame of this size.
 
     Raises:
-        StartError: there is none, a plate that the graph does not have, or a box as in `check_box`.
+        StartError: there is none and nothing is born either, a plate that the graph does not have, or
+            a box as in `check_box`.
     """
-    if not starts:
-        raise StartError("no start box is given; at least one is needed")
+    if not starts and not has_births(graph):
+        raise StartError("no start box is given; at least one is needed, or `birth` in the graph")
     for start in starts:
         if start.plate is not None and start.plate not in graph.targets:
             close = nearest(start.plate, graph.targets)
@@ -76,11 +77,16 @@ def check_box(box: object, width: int, height: int) -> Floats:
 
 
 def start_targets(graph: CheckedGraph, engine: Engine, frame: Frame, starts: Sequence[Start]) -> Outcome:
-    """The first frame: one net per start, ids "1", "2", ... in their order."""
+    """The first frame: one net per start, ids "1", "2", ... in their order; then what detectors find."""
     outcome = Outcome(State(), (), ())
     for number, start in enumerate(starts, 1):
         plate = start.plate or next(iter(graph.targets))
         box = centre_from_corner(start.box)
         born = start_target(engine, outcome.state, frame, str(number), plate, box)
         outcome = Outcome(born.state, outcome.metrics + born.metrics, outcome.events + born.events)
-    return outcome
+    return first_look(engine, outcome, frame)
+
+
+def has_births(graph: CheckedGraph) -> bool:
+    """True when detectors give the graph its targets, so that no start box is needed."""
+    return any(plate.spec.birth is not None for plate in graph.targets.values())

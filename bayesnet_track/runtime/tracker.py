@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Motion
 from bayesnet_track.depth import Depth, RightEye
-from bayesnet_track.engine import Engine, Outcome, State, make_engine, start_target, step
+from bayesnet_track.engine import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.events import Event, FrameMetrics
-from bayesnet_track.numerics.boxes import centre_from_corner, corner_from_centre
+from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.planes import Frame
 from bayesnet_track.runtime.images import to_bgr
-from bayesnet_track.runtime.starts import check_box
+from bayesnet_track.runtime.starts import Start, check_starts, start_targets
 
 CornerBox = tuple[float, float, float, float]
 
 
 class Tracker:
-    """Track one target by a graph, frame by frame.
+    """Track by a graph, frame by frame: one target from a box, and those that detectors find.
 
     Args:
         graph: name of a graph that is installed ("general"), path of a YAML file, or a graph in Python.
@@ -52,25 +52,31 @@ class Tracker:
         self._next_index = 0
         self._last: Outcome | None = None
 
-    def init(self, frame: NDArray[np.uint8], box: CornerBox, *, depth: Depth | None = None) -> None:
+    def init(
+        self, frame: NDArray[np.uint8], box: CornerBox | None = None, *, depth: Depth | None = None
+    ) -> None:
         """Start on the target inside `box` = (x, y, w, h), top-left corner, of the BGR or gray `frame`.
+
+        Without a box, on what the detectors of the graph's births find.
 
         May be called again, to start anew on another target or in another video. `depth` is the rectified
         right picture or the points that belong to `frame`, for graphs with a stereo agent; here and in
         `update`.
 
         Raises:
-            ValueError: the box is not four finite numbers, has no area or does not touch the frame, or the
-                frame is no picture.
+            ValueError: the box is not four finite numbers, has no area or does not touch the frame, there is
+                none and nothing is born, or the frame is no picture.
         """
         first = _frame(frame, 0, depth)
-        corner = check_box(box, first.width, first.height)
-        plate = next(iter(self._graph.targets))
-        self._last = start_target(self._engine, State(), first, "1", plate, centre_from_corner(corner))
+        starts = [] if box is None else [Start(box)]
+        check_starts(self._graph, starts, first.width, first.height)
+        self._last = start_targets(self._graph, self._engine, first, starts)
         self._state, self._next_index = self._last.state, 1
 
     def update(self, frame: NDArray[np.uint8], *, depth: Depth | None = None) -> tuple[bool, CornerBox]:
         """Process the next frame: (False while lost else True, the estimate as a top-left corner box).
+
+        Of several targets it tells of the first, and `targets` of all; without any it is (False, zeros).
 
         Raises:
             RuntimeError: `init` was not called.
@@ -83,20 +89,34 @@ class Tracker:
         _check_alike(now, self._state.previous)
         self._last = step(self._engine, self._state, now)
         self._state, self._next_index = self._last.state, self._next_index + 1
-        x, y, w, h = (float(v) for v in corner_from_centre(self.metrics.box))
-        return self._state.net.targets["1"].status != "lost", (x, y, w, h)
+        live = [line for line in self.targets if line.target in self._state.net.targets]
+        if not live:
+            return False, (0.0, 0.0, 0.0, 0.0)
+        x, y, w, h = (float(v) for v in corner_from_centre(live[0].box))
+        return self._state.net.targets[live[0].target].status != "lost", (x, y, w, h)
+
+    @property
+    def targets(self) -> tuple[FrameMetrics, ...]:
+        """Everything measured in the last frame, for every target that was live in it."""
+        if self._last is None:
+            raise RuntimeError("call init(frame, box) first")
+        return self._last.metrics
 
     @property
     def metrics(self) -> FrameMetrics:
-        """Everything measured in the last frame: UD, active agents, KL, sd, ..."""
-        if self._last is None:
-            raise RuntimeError("call init(frame, box) first")
-        return self._last.metrics[0]
+        """Everything measured of the first target in the last frame: UD, active agents, KL, sd, ...
+
+        Raises:
+            RuntimeError: `init` was not called, or no target was live.
+        """
+        if not self.targets:
+            raise RuntimeError("no target was live in the last frame")
+        return self.targets[0]
 
     @property
     def score(self) -> float:
-        """Index in 0..1 from UD and evidence; high is sure. Uncalibrated: not a probability."""
-        return self.metrics.score
+        """Index in 0..1 from UD and evidence; high is sure, 0 without a target. Not a probability."""
+        return self.metrics.score if self.targets else 0.0
 
     @property
     def events(self) -> tuple[Event, ...]:

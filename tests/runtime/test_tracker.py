@@ -168,7 +168,7 @@ def test_init_again_starts_anew():
         ((1, 2, 3, float("nan")), "start box (1, 2, 3, nan): four finite numbers x,y,w,h are needed"),
         ((1, 2, 3, 1e400), "start box (1, 2, 3, inf): four finite numbers x,y,w,h are needed"),
         ("1,2,3,4", "start box '1,2,3,4': four finite numbers x,y,w,h are needed"),
-        (None, "start box None: four finite numbers x,y,w,h are needed"),
+        (None, "no start box is given; at least one is needed, or `birth` in the graph"),
         ([[1, 2, 3, 4]], "start box [[1, 2, 3, 4]]: four finite numbers x,y,w,h are needed"),
     ],
 )

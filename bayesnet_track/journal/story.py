@@ -1,0 +1,103 @@
+"""One target's life as a short story: where it came from, what its net did, when it was lost, its end."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
+from bayesnet_track.graph.net import (
+    Activated,
+    Deactivated,
+    LocallyAdapted,
+    Quarantined,
+    SelfStopped,
+    StatusChanged,
+    TargetStarted,
+)
+from bayesnet_track.journal.events import Event, FrameMetrics
+from bayesnet_track.journal.life_events import CandidateConfirmed
+from bayesnet_track.journal.sentences import explain
+from bayesnet_track.journal.wording import plural
+
+CHAPTERS = (
+    CandidateConfirmed,
+    TargetStarted,
+    Returned,
+    StatusChanged,
+    Reacquired,
+    TargetDied,
+    DuplicateEnded,
+)
+"""What is told in full; everything between two of them is condensed."""
+
+SWITCHES = (Activated, Deactivated, SelfStopped, Quarantined)
+
+
+def tell_life(events: Sequence[Event], metrics: Iterable[FrameMetrics], target: str) -> str:
+    """The story of one target, a line per chapter; `metrics` are the run's.
+
+    Raises:
+        ValueError: no target of this id lives in the run.
+    """
+    started = TargetStarted | Returned
+    ids = dict.fromkeys(event.target for event in events if isinstance(event, started))
+    if target not in ids:
+        raise ValueError(f"no target {target!r} in this run; there are {', '.join(ids) or 'none'}")
+    mine = [event for event in events if getattr(event, "target", None) == target]
+    lines: list[str] = []
+    between: list[Event] = []
+    for event in mine:
+        if isinstance(event, CHAPTERS):
+            lines += _condensed(between)
+            between = []
+            lines.append(explain(event))
+        else:
+            between.append(event)
+    lines += _condensed(between)
+    own = [line for line in metrics if line.target == target]
+    return "\n".join([*lines, _ending(mine, own)])
+
+
+def _condensed(events: Iterable[Event]) -> list[str]:
+    """What the net did between two chapters, in one line."""
+    switches = [event for event in events if isinstance(event, SWITCHES)]
+    tuned = Counter(event.node for event in events if isinstance(event, LocallyAdapted))
+    frames = [event.frame for event in [*switches, *(e for e in events if isinstance(e, LocallyAdapted))]]
+    if not frames:
+        return []
+    parts = []
+    for node in dict.fromkeys(event.node for event in switches):
+        done = [event for event in switches if event.node == node]
+        told = ", ".join(f"{_what(event)} at {event.frame}" for event in done[:3])
+        parts.append(f"{node} {told}{_more(done)}")
+    parts += [f"{node} tuned itself {plural(count, 'time')}" for node, count in tuned.items()]
+    first, last = min(frames), max(frames)
+    span = f"frame {first}" if first == last else f"frames {first} to {last}"
+    return [f"{span}: {'; '.join(parts)}"]
+
+
+def _what(event: Event) -> str:
+    match event:
+        case Activated():
+            return "on"
+        case Deactivated():
+            return "off"
+        case SelfStopped():
+            return "stopped itself"
+        case _:
+            return "failed"
+
+
+def _more(done: Sequence[Event]) -> str:
+    return f" and {len(done) - 3} more" if len(done) > 3 else ""
+
+
+def _ending(mine: Sequence[Event], lines: Sequence[FrameMetrics]) -> str:
+    """The last line: how long it lived, how long it was lost, and how it is left."""
+    lost = sum(line.status == "lost" for line in lines)
+    chapters = [event for event in mine if isinstance(event, CHAPTERS)]
+    left = "ended" if isinstance(chapters[-1], TargetDied | DuplicateEnded) else "alive at the end of the run"
+    if left != "ended" and lines and lines[-1].status == "lost":
+        left = "lost at the end of the run"
+    return f"in all: {plural(len(lines), 'frame')}, lost in {lost}; {left}"
