@@ -24,8 +24,8 @@ SHARED = 0.5
 def evidence_counts_once(plate: Plate) -> Iterator[GraphMessage]:
     """Two agents that compute the same do not meet in a product; in a pool their weights share it.
 
-    For a sound tree. Thesis 2.6: colour is counted once by a node of its own. Agents that look at parts of the
-    target compute the same where half of one part lies in the other.
+    For a sound tree. Thesis 2.6: colour is counted once by a node of its own. Agents that look at parts of
+    the target compute the same where half of one part lies in the other.
     """
     boxes = _boxes(plate)
     reached: dict[str, dict[Evidence, list[str]]] = {name: {} for name in plate.order}

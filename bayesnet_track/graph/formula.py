@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from bayesnet_track.graph.checked import CheckedTarget
-from bayesnet_track.graph.spec import Noise
+from bayesnet_track.graph.spec import Given, Noise, OffsetBox, SizeBox
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,9 @@ def formula_text(target: CheckedTarget, active: Iterable[str] | None = None) -> 
     ]
     for name, given, noise in _latent_nodes(target):
         held = _held(target, name)
-        lines.append(f"p({_text_state(name)} | {_text_state(given)}): Gaussian, {_noise(noise)}{held}")
+        lines.append(
+            f"p({_text_state(name)} | {_text_state(given)}): Gaussian{_place(noise)}, {_noise(noise)}{held}"
+        )
     left_out = _left_out(target, active)
     return "\n".join([*lines, f"left out (switched off): {', '.join(left_out)}"] if left_out else lines)
 
@@ -166,10 +168,10 @@ def _escaped(name: str) -> str:
     return name.replace("_", r"\_")
 
 
-def _latent_nodes(target: CheckedTarget) -> list[tuple[str, str, Noise]]:
+def _latent_nodes(target: CheckedTarget) -> list[tuple[str, str, Given]]:
     """Each latent state, the state that it is drawn around, and its noise."""
     states: dict[str, str] = {}
-    found: list[tuple[str, str, Noise]] = []
+    found: list[tuple[str, str, Given]] = []
     for name in target.order:
         if name not in target.children:
             continue
@@ -206,6 +208,18 @@ def _motion(target: CheckedTarget) -> str:
         if (sd := getattr(settings, f"sd_{field}_px", 0.0)) > 0
     ]
     return ", ".join(filter(None, (motion.kind.replace("_", " "), _noise(settings), *further)))
+
+
+def _place(given: Given) -> str:
+    """Where in its parent's box a part lies."""
+    if not given.is_part:
+        return ""
+    at, size = given.offset_box or OffsetBox(), given.size_box or SizeBox()
+    x, y = (
+        name if share == 0 else f"{name} {'-' if share < 0 else '+'} {abs(share):g} {side}"
+        for name, share, side in (("x", at.x, "w"), ("y", at.y, "h"))
+    )
+    return f" around ({x}, {y}), {size.w:g} w by {size.h:g} h"
 
 
 def _noise(noise: Noise) -> str:

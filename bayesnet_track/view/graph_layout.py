@@ -168,7 +168,8 @@ def _note(target: CheckedTarget, name: str) -> str:
         return "" if node.agent.cue == name else node.agent.cue
     if name != target.root:
         held = "" if node.belief is None else f", {node.belief.kind}"
-        return f"own state{held}" if node.fuse is not None and node.fuse.latent is not None else ""
+        latent = None if node.fuse is None else node.fuse.latent
+        return "" if latent is None else f"{'part' if latent.given.is_part else 'own state'}{held}"
     belief = "particles" if node.belief is None else node.belief.kind
     return belief if node.motion is None else f"{belief}, {node.motion.kind.replace('_', ' ')}"
 

@@ -16,6 +16,7 @@ Colour = tuple[int, int, int]
 STATUS_COLOUR: dict[str, Colour] = {"tracking": (110, 230, 90), "lost": (70, 70, 245)}
 CLOUD_COLOUR: Colour = (255, 215, 120)
 TRUTH_COLOUR: Colour = (255, 255, 255)
+PART_COLOUR: Colour = (250, 170, 240)
 DARK: Colour = (24, 20, 18)
 REACH = 8192
 
@@ -24,7 +25,8 @@ def draw_overlay(image: Image, metrics: FrameMetrics, truth: ArrayLike | None = 
     """A copy of the frame with the estimate, the cloud of hypotheses and a label.
 
     The estimate's colour says the status; the label says target, status, UD and active agents, and stays
-    inside the picture. Line widths and letters grow with the picture.
+    inside the picture. Line widths and letters grow with the picture. Parts have thin boxes of their own,
+    dashed where they are not seen, which the label says, too.
 
     Args:
         image: (H, W, 3) uint8 BGR.
@@ -45,6 +47,11 @@ def draw_overlay(image: Image, metrics: FrameMetrics, truth: ArrayLike | None = 
     if truth is not None and np.isfinite(np.asarray(truth, dtype=np.float64)).all():
         x, y, w, h = np.asarray(truth, dtype=np.float64)
         _dashed(drawn, *_span((x, y), (x + w - 1, y + h - 1)), max(1, line - 1))
+    for part in metrics.parts.values():
+        if part.status == "seen":
+            cv2.rectangle(drawn, *_corners(part.box), PART_COLOUR, max(1, line - 1))
+        else:
+            _dashed(drawn, *_corners(part.box), max(1, line - 1), PART_COLOUR)
     low, high = _corners(metrics.box)
     for step in range(-1, line):  # a dark rim outside, the colour on the box's own pixels
         if 2 * step <= min(high[0] - low[0], high[1] - low[1]):
@@ -69,7 +76,7 @@ def _span(low: tuple[float, float], high: tuple[float, float]) -> tuple[Point, P
     return (a, b), (c, d)
 
 
-def _dashed(image: Image, low: Point, high: Point, thickness: int) -> None:
+def _dashed(image: Image, low: Point, high: Point, thickness: int, colour: Colour = TRUTH_COLOUR) -> None:
     import cv2
 
     dash = 4 * thickness
@@ -77,16 +84,16 @@ def _dashed(image: Image, low: Point, high: Point, thickness: int) -> None:
     height, width = image.shape[:2]
     for x in range(max(x0, -dash), min(x1, width), 2 * dash):
         for y in (y0, y1):
-            cv2.line(image, (x, y), (min(x + dash, x1), y), TRUTH_COLOUR, thickness)
+            cv2.line(image, (x, y), (min(x + dash, x1), y), colour, thickness)
     for y in range(max(y0, -dash), min(y1, height), 2 * dash):
         for x in (x0, x1):
-            cv2.line(image, (x, y), (x, min(y + dash, y1)), TRUTH_COLOUR, thickness)
+            cv2.line(image, (x, y), (x, min(y + dash, y1)), colour, thickness)
 
 
 def _label(
     image: Image, metrics: FrameMetrics, low: Point, high: Point, colour: Colour, scale: float
 ) -> None:
-    """Two lines on a dark plate: above the box where there is room, else below it, else over it."""
+    """Two or three lines on a dark plate: above the box where there is room, else below it, else over it."""
     import cv2
 
     height, width = image.shape[:2]
@@ -99,6 +106,8 @@ def _label(
 
     head = f"{metrics.target} {metrics.status}  UD {_short(metrics.ud_px2)} px2"
     lines = [_fitted([head], room, extent), _fitted(list(metrics.active) or ["no agent"], room, extent)]
+    unseen = [f"{name} {part.status}" for name, part in metrics.parts.items() if part.status != "seen"]
+    lines += [_fitted(unseen, room, extent)] if unseen else []
     step = round(cv2.getTextSize("Ag", font, size, weight)[0][1] * 1.6)
     plate_w, plate_h = max(map(extent, lines)) + 2 * pad, step * len(lines) + pad
     x = min(max(low[0], 0), max(width - plate_w, 0))

@@ -127,3 +127,9 @@ def test_latex_of_a_latent_node(target):
     text = formula_latex(target(_fusion({"latent": {"given": {"sd_px": {"x": 6}}}})))
     inner = r"p(\mathit{color}_{t} \mid \mathit{s}_{t}) \, p(e_{\mathrm{hist}} \mid \mathit{color}_{t})"
     assert rf"\left[\int {inner}" in text
+
+
+def test_a_part_says_where_it_lies_in_its_parents_box(target):
+    given = {"offset_box": {"y": -0.4}, "size_box": {"h": 0.25}, "sd_px": {"x": 2, "y": 2}}
+    text = formula_text(target(_fusion({"latent": {"given": given}})))
+    assert "p(color_t | s_t): Gaussian around (x, y - 0.4 h), 1 w by 0.25 h, sd x 2 px, y 2 px" in text

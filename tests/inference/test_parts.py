@@ -1,4 +1,4 @@
-"""Parts: their beliefs against enumeration and against the exact joint posterior of a linear Gaussian model."""
+"""Parts: beliefs against enumeration, and against the exact joint posterior of a linear Gaussian model."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from bayesnet_track.graph.spec import Given
-from bayesnet_track.inference.compile import compile_plan, describe_plan
+from bayesnet_track.inference.compile import describe_plan
 from bayesnet_track.inference.parts import nominal_boxes, part_beliefs, part_boxes, part_of_agents
 from bayesnet_track.numerics.log_weights import LogWeights
 
@@ -117,8 +117,8 @@ def linear_gaussian(seen):
 def test_whole_and_parts_have_the_exact_joint_posterior(asked, fakes, own, size, hidden):
     """A part of the whole, and a part of a part; an agent that sees nothing says the same of every place.
 
-    The tolerance is `Z` standard errors of the weighted draws, and 6 % of the sd for what the kernel, the grid
-    and the match to a Gaussian add by the finite number of draws that all hypotheses share.
+    The tolerance is `Z` standard errors of the weighted draws, and 6 % of the sd for what the kernel, the
+    grid and the match to a Gaussian add by the finite number of draws that all hypotheses share.
     """
     nodes = {
         "root": {"fuse": "product"},
@@ -218,7 +218,7 @@ def test_a_latent_node_that_is_no_part_keeps_its_parents_boxes():
 
 
 def test_parts_of_no_weight_fall_back_to_the_whole(asked, fakes):
-    """The kernel may leave a hypothesis weight whose own draw has none: with no draw left, the root's count."""
+    """The kernel may weigh a hypothesis whose own draw has no weight: with no draw left, the root's count."""
     nodes = {"root": {}, "p": part("root", "kernel", x=0.5), "a": "p"}
     boxes = np.tile([50.0, 60.0, 40.0, 100.0], (30, 1))
     plan, evidence = asked(nodes, {"a": fakes.flat()}, boxes)

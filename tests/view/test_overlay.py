@@ -7,7 +7,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bayesnet_track.view.overlay import STATUS_COLOUR, TRUTH_COLOUR, draw_overlay
+from bayesnet_track.journal.part_metrics import PartMetrics
+from bayesnet_track.view.overlay import PART_COLOUR, STATUS_COLOUR, TRUTH_COLOUR, draw_overlay
 
 GRAY = np.full((240, 320, 3), 100, dtype=np.uint8)
 
@@ -74,3 +75,15 @@ far = st.one_of(st.floats(-1e9, 1e9), st.floats(-50, 400))
 def test_no_box_is_too_strange(metrics, x, y, w, h, ud):
     drawn = draw_overlay(GRAY, replace(metrics, box=(x, y, w, h), ud_px2=ud), (x, y, w, h))
     assert drawn.shape == GRAY.shape
+
+
+def test_parts_have_boxes_of_their_own_dashed_where_hidden(metrics):
+    """The hidden part lies away from the estimate; its sides are drawn in dashes, the seen one's in full."""
+    seen = PartMetrics((40.5, 200.5, 20.0, 20.0), (1.0,) * 4, 2.0, "seen")
+    hidden = replace(seen, box=(240.5, 200.5, 20.0, 20.0), status="hidden")
+    whole = replace(metrics, cloud=(), parts={"head": seen, "torso": hidden})
+    drawn = draw_overlay(GRAY, whole)
+    assert (drawn[191, 31:51] == PART_COLOUR).all()
+    assert 0.3 < (drawn[191, 231:251] == PART_COLOUR).all(axis=1).mean() < 0.9
+    without = draw_overlay(GRAY, replace(whole, parts={"head": seen}))
+    assert (drawn != without)[:92, 134:].any()  # the label says what is hidden

@@ -1,0 +1,152 @@
+"""What do parts buy while one of them is hidden? A person of head and torso behind a counter and an awning.
+
+    python benchmarks/parts.py [--seeds 20]
+
+Three nets with the same motion and the same two cues, colour and pattern, in the scene `person_parts`: the
+library graph with parts; one net that sees the person's whole box, by both cues or by colour with a floor of
+0.02, its best form, so that a part is where it belongs in the estimate; two nets that know nothing of each
+other, one for the head and one for the torso. Prints the error of the hidden part's centre and of the part
+that is seen meanwhile, and in how many seeds both parts are within half of their own size of the truth in the
+last ten frames. The last two rows are parts with a `given` half and twice as wide.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from measuring import environment, on_one_thread, table
+from numpy.typing import NDArray
+
+from bayesnet_track import Start, track
+from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.numerics.boxes import centre_from_corner
+from bayesnet_track.runtime.run import Result
+from bayesnet_track.runtime.scene_source import SceneSource
+from bayesnet_track.scenes import Scene, make_scene
+
+Floats = NDArray[np.float64]
+
+HIDDEN_BELOW = 0.05
+LAST = 10
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Distances of a part's centre from the truth, px, over the frames in which one part is hidden."""
+
+    hidden: Floats
+    seen: Floats
+    held: bool
+
+
+def with_parts(noise: float = 1.0) -> GraphSpec:
+    """The library graph, the sds of `given` times `noise`."""
+    written = load_graph("person_parts").spec.model_dump(exclude_none=True)
+    for name in ("head", "torso"):
+        given = written["targets"]["person"]["nodes"][name]["fuse"]["latent"]["given"]
+        given["sd_px"] = {axis: noise * sd for axis, sd in given["sd_px"].items()}
+    return GraphSpec.model_validate(written)
+
+
+def alone(*plates: str, pattern: bool = True, floor: float = 0.001) -> GraphSpec:
+    """A net for each plate: the same belief, motion and cues (or colour alone), and no parts."""
+    written = load_graph("person_parts").spec.model_dump(exclude_none=True)
+    nodes = written["targets"]["person"]["nodes"]
+    root = {**nodes["person"], "fuse": "product"}
+    agents = {"color": {"parent": "root", "agent": {"color_histogram": {"floor": floor}}}}
+    if pattern:
+        agents["pattern"] = {"parent": "root", "agent": {"intensity": {"floor": floor}}}
+    written["targets"] = {plate: {"nodes": {"root": root, **agents}} for plate in plates}
+    return GraphSpec.model_validate(written)
+
+
+def places(scene: Scene, results: list[Result]) -> Mapping[str, Floats]:
+    """Part -> (n, 2) where its centre is believed: its own estimate, or its place in the person's box."""
+    found: dict[str, list[Floats]] = {name: [] for name in scene.parts}
+    body = centre_from_corner(scene.truth[0])
+    for result in results:
+        told = {metrics.target: metrics for metrics in result.targets}
+        for number, (name, part) in enumerate(scene.parts.items(), start=1):
+            first = centre_from_corner(part.truth[0])
+            whole = told["1"]
+            if whole.parts:
+                box = np.array(whole.parts[name].box)
+            elif len(told) > 1:
+                box = np.array(told[str(number)].box)
+            else:
+                box = np.array(whole.box) + (first - body) * [1.0, 1.0, 0.0, 0.0]
+            found[name].append(box[:2])
+    return {name: np.array(rows) for name, rows in found.items()}
+
+
+def run(graph: GraphSpec, seed: int) -> dict[str, Errors]:
+    """Part -> errors over the frames in which it is the one that is hidden."""
+    scene = make_scene("person_parts", seed)
+    if len(graph.targets) == 1:
+        starts = [Start(scene.start_box)]
+    else:
+        starts = [Start(tuple(float(v) for v in part.truth[0]), name) for name, part in scene.parts.items()]
+    source = SceneSource(scene, "scene:person_parts")
+    at = places(scene, list(track(graph, source, starts, seed=seed)))
+    away = {
+        name: np.hypot(*(at[name] - centre_from_corner(part.truth)[:, :2]).T)
+        for name, part in scene.parts.items()
+    }
+    near = {name: np.sqrt(np.prod(part.truth[0, 2:])) / 2 for name, part in scene.parts.items()}
+    held = all(bool((away[name][-LAST:] < near[name]).all()) for name in away)
+    errors = {}
+    for name, part in scene.parts.items():
+        (other,) = set(scene.parts) - {name}
+        frames = part.visible < HIDDEN_BELOW
+        errors[name] = Errors(away[name][frames], away[other][frames], held)
+    return errors
+
+
+def row(text: str, graph: GraphSpec, seeds: int) -> list[str]:
+    """One line of the table."""
+    runs = [run(graph, seed) for seed in range(seeds)]
+    cells = [text]
+    for name in ("torso", "head"):
+        hidden, seen = (
+            np.concatenate([getattr(one[name], kind) for one in runs]) for kind in ("hidden", "seen")
+        )
+        cells += [f"{hidden.mean():.1f} ({np.quantile(hidden, 0.9):.1f})", f"{seen.mean():.1f}"]
+    cells.append(f"{sum(one['head'].held for one in runs)} of {seeds}")
+    print(" | ".join(cells), flush=True)
+    return cells
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seeds", type=int, default=20)
+    options = parser.parse_args()
+    on_one_thread()
+    print(environment() + "\n")
+    rows = [
+        row("with parts", with_parts(), options.seeds),
+        row("one net, the whole box", alone("person"), options.seeds),
+        row("one net, colour of the whole box", alone("person", pattern=False, floor=0.02), options.seeds),
+        row("two independent nets", alone("head", "torso"), options.seeds),
+        row("parts, `given` half as wide", with_parts(0.5), options.seeds),
+        row("parts, `given` twice as wide", with_parts(2.0), options.seeds),
+    ]
+    head = [
+        "",
+        "hidden torso, px (90 %)",
+        "head meanwhile",
+        "hidden head, px (90 %)",
+        "torso meanwhile",
+        "held",
+    ]
+    print("\n" + table(head, rows))
+
+
+if __name__ == "__main__":
+    main()
