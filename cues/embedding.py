@@ -1,0 +1,176 @@
+"""Cue: a network's description of what is inside a box, compared with that of the target.
+
+Any network in an ONNX file will do that gives a vector for a crop: one for re-identification, or the trunk
+of a classifier. It is too dear for each hypothesis: they share crops on a lattice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from bayesnet_track.cue import (
+    Cue,
+    CueDeclaration,
+    Floats,
+    Hypotheses,
+    Reference,
+    SizedCueParameters,
+    blend_arrays,
+    floored,
+    log_size_penalty,
+)
+from bayesnet_track.planes import Plane, Planes
+from bayesnet_track.vision.whole_frame import WholeFrame
+
+if TYPE_CHECKING:
+    from bayesnet_track.vision.embedding import Embed
+
+HALF_OVERLAP = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
+ATTEMPTS, SHARPEN = 3, 0.7
+"""How often the cue can be made sharper in all, and by which factor on alpha."""
+
+
+class EmbeddingParameters(SizedCueParameters):
+    """Parameters of the embedding."""
+
+    model: str = Field(
+        default="",
+        description="ONNX file (path) of a network that gives a vector for a crop; empty: the crop's pixels.",
+    )
+    input_width: int = Field(default=16, ge=2, le=1024, description="Width of the network's input (px).")
+    input_height: int = Field(default=16, ge=2, le=1024, description="Height of the network's input (px).")
+    scale: float = Field(
+        default=1 / 255, gt=0, description="Gray levels are multiplied by this, after the mean is taken off."
+    )
+    mean: tuple[float, float, float] = Field(
+        default=(0.0, 0.0, 0.0), description="Taken off the channels in the network's order (gray levels)."
+    )
+    channels: Literal["rgb", "bgr"] = Field(default="rgb", description="Order of the network's channels.")
+    max_crops: int = Field(
+        default=400, ge=1, le=10000, description="Most crops per frame; hypotheses share them (count)."
+    )
+    step: float = Field(
+        default=0.1,
+        gt=0,
+        le=1,
+        description="Distance of crops where that needs no more than `max_crops` (sides of the box).",
+    )
+    alpha_min: float = Field(
+        default=0.02, gt=0, le=1, description="Least distance at which the likelihood halves (0..1)."
+    )
+
+
+@dataclass(frozen=True)
+class Embedding:
+    """An embedding at work.
+
+    A reference holds ``vector`` (D,), the target's; ``alpha`` (), the distance at which the likelihood
+    halves; ``size`` (2,), w and h in px; ``sharper`` (), a factor on alpha, from 1 to `SHARPEN ** ATTEMPTS`.
+    """
+
+    parameters: EmbeddingParameters
+    embed: Embed
+    context: ClassVar[float] = 0.0  # it reads the whole picture
+
+    @property
+    def needs(self) -> tuple[Plane, ...]:
+        """The picture itself."""
+        return (WholeFrame(),)
+
+    def learn(self, planes: Planes, box: Floats) -> Reference:
+        """The vector of the box, and alpha: half the mean distance of the four boxes half a box away."""
+        box = np.asarray(box, dtype=np.float64)
+        vector = self._vectors(planes, box[None])[0]
+        shifted = np.concatenate([box[:2] + HALF_OVERLAP * box[2:], np.tile(box[2:], (4, 1))], axis=1)
+        alpha = 0.5 * float(self._distances(planes, shifted, vector).mean())
+        return {
+            "vector": vector,
+            "alpha": np.array(max(alpha, self.parameters.alpha_min)),
+            "size": np.array(box[2:]),
+            "sharper": np.array(1.0),
+        }
+
+    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+        """Linear (eq. 2.15), the size in its logarithm."""
+        size = old["size"] * (new["size"] / old["size"]) ** rate
+        return {**blend_arrays(old, new, rate), "size": size}
+
+    def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
+        """-log(1 + exp(4 (d - alpha) / alpha)), 0 at d = 0, plus the size penalty, over the floor.
+
+        d is the cosine distance of the hypothesis' representative. All 0 when the reference is a vector
+        without length, and when there are no hypotheses.
+        """
+        from bayesnet_track.vision.embedding import representatives
+
+        p, boxes, size = self.parameters, hypotheses.boxes, reference["size"]
+        if not len(boxes) or not reference["vector"].any():
+            return np.zeros(len(boxes))
+        alpha = float(reference["alpha"] * reference["sharper"])
+        asked, which = representatives(boxes, size, p.step, p.max_crops)
+        distances = self._distances(planes, asked, reference["vector"])[which]
+        similarity = np.logaddexp(0.0, -4.0) - np.logaddexp(0.0, 4.0 * (distances - alpha) / alpha)
+        penalty = log_size_penalty(boxes, size, p.sd_log_area, p.sd_log_aspect)
+        return floored(similarity + penalty, p.floor)
+
+    def adapt(self, reference: Reference, attempt: int) -> Reference | None:
+        """A sharper likelihood, `ATTEMPTS` times; None at once when the vector has no length."""
+        sharper, most = float(reference["sharper"]), SHARPEN**ATTEMPTS
+        if attempt > ATTEMPTS or np.isclose(sharper, most) or not reference["vector"].any():
+            return None
+        return {**reference, "sharper": np.array(max(sharper * SHARPEN, most))}
+
+    def _vectors(self, planes: Planes, boxes: Floats) -> Floats:
+        from bayesnet_track.vision.embedding import crops_at
+
+        p = self.parameters
+        return self.embed(crops_at(planes[WholeFrame()], boxes, p.input_width, p.input_height))
+
+    def _distances(self, planes: Planes, boxes: Floats, vector: Floats) -> Floats:
+        """(N,) 1 - s cos, 0..1, s the share of the box inside the frame; 1 outside it."""
+        from bayesnet_track.vision.embedding import share_inside
+
+        share = share_inside(boxes, planes.frame.width, planes.frame.height)
+        seen = share > 0.0
+        distances = np.ones(len(boxes))
+        if seen.any():
+            found = self._vectors(planes, boxes[seen])
+            lengths = np.sqrt((found**2).sum(axis=1) * float(vector @ vector))
+            dots = (found * vector).sum(
+                axis=1
+            )  # not `@`, which adds up differently for other numbers of rows
+            cosine = np.divide(dots, lengths, out=np.zeros_like(dots), where=lengths > 0)
+            distances[seen] = np.clip(1.0 - share[seen] * cosine, 0.0, 1.0)
+        return distances
+
+
+def _make(parameters: EmbeddingParameters) -> Cue:
+    import cv2  # noqa: F401  load before the first frame
+
+    from bayesnet_track.vision.embedding import Input, network, plain
+
+    p = parameters
+    if not p.model:
+        return Embedding(p, plain)
+    wanted = Input(p.input_width, p.input_height, p.scale, p.mean, p.channels == "rgb")
+    return Embedding(p, network(p.model, wanted))
+
+
+def _missing(parameters: EmbeddingParameters) -> str | None:
+    from bayesnet_track.vision.embedding import missing_model
+
+    return missing_model(parameters.model)
+
+
+CUE = CueDeclaration(
+    name="embedding",
+    summary="Vector of a network (ONNX) for what is inside the box.",
+    parameters=EmbeddingParameters,
+    make=_make,
+    cost_ms=8.0,
+    missing=_missing,
+)
