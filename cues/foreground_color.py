@@ -120,7 +120,7 @@ class ForegroundColor:
             "sharper": np.array(1.0),
         }
         learnt["posterior"] = self._posterior(learnt)
-        contrast = self._contrasts(frame, box[None], learnt["posterior"])[0]
+        contrast = self.contrasts(frame, box[None], learnt["posterior"])[0]
         return {**learnt, "contrast": np.array(contrast)}
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
@@ -144,7 +144,7 @@ class ForegroundColor:
         own = float(reference["contrast"])
         if own <= 0.0:
             return np.zeros(len(hypotheses))
-        contrast = self._contrasts(planes.frame, hypotheses.boxes, reference["posterior"])
+        contrast = self.contrasts(planes.frame, hypotheses.boxes, reference["posterior"])
         log = p.gain * float(reference["sharper"]) * np.minimum(contrast - own, 0.0)
         size = log_size_penalty(hypotheses.boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
         return floored(log + size, p.floor)
@@ -169,7 +169,7 @@ class ForegroundColor:
         around = (1.0 - p.memory) * shares["background"] + p.memory * shares["memory"]
         return posterior(shares["foreground"], around, p.prior)
 
-    def _contrasts(self, frame: Frame, boxes: Floats, levels: Bytes) -> Floats:
+    def contrasts(self, frame: Frame, boxes: Floats, levels: Bytes) -> Floats:
         """(N,) mean posterior inside the box less that in the ring."""
         from bayesnet_track.vision.foreground import means
 

@@ -82,7 +82,8 @@ def network(model: str, wanted: Input) -> Embed:
             raise EmbeddingError(
                 f"{model}: does not run on a 3-channel input of {size} px: {_reason(error)}"
             ) from error
-        if not vector.size or not np.isfinite(vector).all():
+        # OpenCV cuts what is infinite, or no number, to the largest float.
+        if not vector.size or not (np.abs(vector) < np.finfo(np.float32).max).all():
             raise EmbeddingError(
                 f"{model}: no finite vector comes from an input of {wanted.width}x{wanted.height} px"
             )
