@@ -111,6 +111,7 @@ __all__ = [
     "Noise",
     "NormalSize",
     "Occlusion",
+    "OffsetBox",
     "Particles",
     "PixelSd",
     "RandomWalk",

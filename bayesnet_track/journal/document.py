@@ -14,6 +14,7 @@ from bayesnet_track.graph.net import Cause, Concentration
 from bayesnet_track.journal.codec import FLOAT_DIGITS, event_classes, event_name, type_hints
 from bayesnet_track.journal.events import JOURNAL_VERSION, FrameMetrics
 from bayesnet_track.journal.join_events import JoinMetrics
+from bayesnet_track.journal.part_metrics import PartMetrics
 
 
 _FIELD = re.compile(r"^    (\w+): (.*)$")
@@ -48,6 +49,7 @@ def document_events() -> str:
         "## Lines of `frames.jsonl`",
         _section(FrameMetrics, f"`{event_name(FrameMetrics)}`"),
         "## Objects inside lines",
+        _section(PartMetrics, "`part_metrics`"),
         _section(Cause, "`cause`"),
         _section(Concentration, "`concentration`"),
         _section(Recognition, "`recognition`"),

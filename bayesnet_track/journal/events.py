@@ -17,6 +17,8 @@ from bayesnet_track.journal.join_events import (
     RingChanged,
 )
 from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
+from bayesnet_track.journal.part_metrics import PartMetrics
+
 
 JOURNAL_VERSION = 1
 
@@ -335,6 +337,7 @@ class FrameMetrics:
         region90: the same of the central 90 %.
         cloud: hypotheses drawn from the posterior, whole px, centre boxes.
         silent: those of the active agents that measure and did not see the target.
+        parts: node that is a part of the target -> its own estimate; not written where there are none.
         join: what the joint belief says of it; not written for a target that is not joined.
     """
 
@@ -363,4 +366,5 @@ class FrameMetrics:
     region90: tuple[float, ...]
     cloud: tuple[tuple[int, ...], ...]
     silent: tuple[str, ...] = ()
+    parts: Mapping[str, PartMetrics] = field(default_factory=dict, metadata={"left_out_when_empty": True})
     join: JoinMetrics | None = field(default=None, metadata={"left_out_when_empty": True})
