@@ -1,24 +1,27 @@
 """The engine: one step of every live net for one frame.
 
-`step` reads as: weigh every target's belief by its own agents, then measure, decide and learn for each. It is
-a function of the engine (graph and seed), the state and the frame; time is read for the timings only.
+`step` reads as: weigh every target's belief by its own agents, weigh those of joined targets together, then
+measure, decide and learn for each. It is a function of the engine (graph and seed), the state and the frame;
+time is read for the timings only.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.adapt.joins import JoinMemory, decide_joins
 from bayesnet_track.adapt.lifecycle import Life
 from bayesnet_track.graph.net import Net
+from bayesnet_track.joining import Together, join_all, reach_of, weigh_all
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.machinery import Engine, Machinery, make_engine
 from bayesnet_track.planes import Frame, FramePair, PlaneCache
 from bayesnet_track.population import Population, live
-from bayesnet_track.target import TargetState, applied, conclude, recompiled, start, weigh
+from bayesnet_track.target import TargetState, Weighed, applied, conclude, recompiled, start
 
 __all__ = [
     "Engine",
@@ -44,12 +47,14 @@ class State:
         targets: target id -> its state.
         previous: the last frame.
         life: what is remembered of births and deaths.
+        joins: what is remembered of targets that depend on each other.
     """
 
     net: Net = field(default_factory=Net)
     targets: Mapping[str, TargetState] = field(default_factory=dict)
     previous: Frame | None = None
     life: Life = field(default_factory=Life)
+    joins: JoinMemory = field(default_factory=JoinMemory)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,14 +84,18 @@ def start_target(
     previous = state.previous if state.previous is None or state.previous.index < frame.index else None
     born = start(engine, frame, previous, target, template, box)
     after = State(
-        applied(state.net, born.decisions), {**state.targets, target: born.state}, frame, state.life
+        applied(state.net, born.decisions),
+        {**state.targets, target: born.state},
+        frame,
+        state.life,
+        state.joins,
     )
     return Outcome(after, (born.metrics,), born.decisions)
 
 
 def first_look(engine: Engine, started: Outcome, frame: Frame) -> Outcome:
     """The first frame's outcome: what the detectors find in it besides the targets that started there."""
-    return _lived(engine, started, frame, None, PlaneCache(FramePair(frame, None)))
+    return _joined(engine, _lived(engine, started, frame, None, PlaneCache(FramePair(frame, None))), frame)
 
 
 def step(engine: Engine, state: State, frame: Frame) -> Outcome:
@@ -99,24 +108,23 @@ def step(engine: Engine, state: State, frame: Frame) -> Outcome:
         raise ValueError(f"frame {frame.index} at time {frame.time} is not later than {state.previous.time}")
     cache = PlaneCache(FramePair(frame, state.previous))
     seconds: dict[str, float] = {}
-    weighed = [
-        weigh(engine, state.net, before, target, frame, cache, seconds)
-        for target, before in state.targets.items()
-    ]
+    weighed = weigh_all(engine, state.net, state.targets, state.joins, frame, cache, seconds)
+    together = _together(engine, state, weighed, frame, cache, seconds)
     net, targets = state.net, {}
     metrics: list[FrameMetrics] = []
-    events: list[Event] = []
+    events: list[Event] = [*together.told]
     covariances: dict[str, Floats] = {}
-    for one in weighed:
-        done = conclude(engine, state.net, one, frame, cache, seconds)
+    for one in together.weighed:
+        join = together.metrics.get(one.target)
+        done = conclude(engine, state.net, one, frame, cache, seconds, join)
         net = applied(net, done.decisions)
         targets[one.target] = recompiled(engine, net, one.target, done.state)
         metrics.append(done.metrics)
         covariances[one.target] = done.covariance
         events += [*done.told, *done.decisions]
-    after = State(net, targets, frame, state.life)
+    after = State(net, targets, frame, state.life, together.memory)
     outcome = Outcome(after, tuple(metrics), tuple(events), covariances, seconds)
-    return _lived(engine, outcome, frame, state.previous, cache)
+    return _joined(engine, _lived(engine, outcome, frame, state.previous, cache), frame)
 
 
 def _lived(
@@ -130,9 +138,44 @@ def _lived(
     live(engine, people, frame, previous, cache)
     seconds["life"] = engine.clock() - started
     return Outcome(
-        State(people.net, people.targets, frame, people.life),
+        State(people.net, people.targets, frame, people.life, state.joins),
         tuple(people.metrics),
         (*outcome.events, *people.events),
         outcome.covariances,
         seconds,
+    )
+
+
+def _together(
+    engine: Engine,
+    state: State,
+    weighed: tuple[Weighed, ...],
+    frame: Frame,
+    cache: PlaneCache,
+    seconds: dict[str, float],
+) -> Together:
+    """The joint beliefs of the frame; every target as it was weighed where the graph has no joins."""
+    if not engine.joins:
+        return Together(weighed, {}, (), state.joins)
+    started = engine.clock()
+    together = join_all(engine, state.net, state.joins, weighed, frame, cache)
+    seconds["joins"] = engine.clock() - started
+    return together
+
+
+def _joined(engine: Engine, outcome: Outcome, frame: Frame) -> Outcome:
+    """The outcome after the frame's joins and partings; as it is where the graph has no joins."""
+    if not engine.joins:
+        return outcome
+    state, seconds, started = outcome.state, dict(outcome.seconds), engine.clock()
+    reaches = {
+        target: reach_of(one.belief, outcome.covariances.get(target)) for target, one in state.targets.items()
+    }
+    decisions, memory = decide_joins(frame.index, engine.joins, state.net, reaches, state.joins)
+    seconds["joins"] = seconds.get("joins", 0.0) + engine.clock() - started
+    return replace(
+        outcome,
+        state=replace(state, net=applied(state.net, decisions), joins=memory),
+        events=(*outcome.events, *decisions),
+        seconds=seconds,
     )

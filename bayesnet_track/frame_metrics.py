@@ -11,6 +11,7 @@ from bayesnet_track.adapt.measure import Measures
 from bayesnet_track.belief.contract import Posterior, Step, Stream
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.journal.events import FrameMetrics
+from bayesnet_track.journal.join_events import JoinMetrics
 from bayesnet_track.journal.part_metrics import PartMetrics
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.planes import Frame
@@ -38,6 +39,7 @@ def frame_metrics(
     quiet_px2: float | None,
     rate: float,
     stream: Stream,
+    join: JoinMetrics | None = None,
 ) -> FrameMetrics:
     """The measurements of a step: `box` and `covariance` of its belief, `status` the one it ran with."""
     posterior, weights = stepped.posterior, stepped.support.weights
@@ -70,6 +72,7 @@ def frame_metrics(
         region90=_floats(posterior.region(0.9)),
         cloud=tuple(map(tuple, np.rint(cloud).astype(np.int64).tolist())),
         silent=measures.silent,
+        join=join,
         parts={
             name: PartMetrics(_floats(part.box), _floats(part.sd), part.ud_px2, part.status)
             for name, part in measures.parts.items()

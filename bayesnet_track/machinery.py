@@ -19,7 +19,7 @@ from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.cue_laws import plugin_parameters
 from bayesnet_track.graph.life_settings import LifeRules, life_rules
-from bayesnet_track.graph.spec import Guard, Learn
+from bayesnet_track.graph.spec import Guard, Join, Learn
 from bayesnet_track.graph.write import as_plain, flow_text
 from bayesnet_track.inference.parts import part_of_agents
 from bayesnet_track.numerics.streams import Streams
@@ -69,12 +69,14 @@ class Engine:
         streams: all randomness.
         detectors: what finds targets, by name and parameters; plates that want the same share it.
         clock: seconds, for timings only.
+        joins: how targets depend on each other.
     """
 
     machinery: Mapping[str, Machinery]
     streams: Streams
     clock: Callable[[], float] = time.perf_counter
     detectors: Mapping[str, Detector] = field(default_factory=dict)
+    joins: tuple[Join, ...] = ()
 
 
 def make_engine(
@@ -104,7 +106,7 @@ def make_engine(
         name: _make_machinery(plate, declarations, own.get(name)) for name, plate in graph.targets.items()
     }
     made = _make_detectors([one for one in machinery.values() if one.detector], detectors or {})
-    return Engine(machinery, Streams(seed), detectors=made)
+    return Engine(machinery, Streams(seed), detectors=made, joins=graph.spec.joins)
 
 
 def _make_detectors(machinery: Sequence[Machinery], given: Mapping[str, Detector]) -> dict[str, Detector]:

@@ -22,7 +22,7 @@ from bayesnet_track.adapt.memory import Memory, Streak
 from bayesnet_track.adapt.parts import part_rates
 from bayesnet_track.adapt.rules import Situation, decide, quiet_level
 from bayesnet_track.belief.bounds import Confined
-from bayesnet_track.belief.contract import Posterior, Step
+from bayesnet_track.belief.contract import Motion, Posterior, Step
 from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.cue import Hypotheses, LocallyAdaptable, Reference
@@ -32,6 +32,7 @@ from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.inference.parts import nominal_boxes
 from bayesnet_track.journal.events import DegenerateBelief, Event, FrameMetrics
+from bayesnet_track.journal.join_events import JoinMetrics
 from bayesnet_track.machinery import Engine, Machinery
 from bayesnet_track.planes import Frame, FramePair, PlaneCache
 
@@ -180,15 +181,19 @@ def weigh(
     frame: Frame,
     cache: PlaneCache,
     seconds: dict[str, float],
+    motion: Motion | None = None,
 ) -> Weighed:
-    """Predict the target's belief and weigh it by what its active agents see; `seconds` is added to."""
+    """Predict the target's belief and weigh it by what its active agents see; `seconds` is added to.
+
+    `motion` stands in for the plate's.
+    """
     machine = engine.machinery[net.targets[target].template]
     stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
     started = engine.clock()
     observer = Observer(cache, machine.cues, before.references, stream, engine.clock, seconds)
     stepped = machine.belief.step(
         before.belief,
-        Confined(machine.motion, frame.width, frame.height),
+        Confined(machine.motion if motion is None else motion, frame.width, frame.height),
         frame.time - before.time,
         partial(evaluate, before.plan, observer),
         stream,
@@ -198,9 +203,20 @@ def weigh(
 
 
 def conclude(
-    engine: Engine, net: Net, weighed: Weighed, frame: Frame, cache: PlaneCache, seconds: dict[str, float]
+    engine: Engine,
+    net: Net,
+    weighed: Weighed,
+    frame: Frame,
+    cache: PlaneCache,
+    seconds: dict[str, float],
+    join: JoinMetrics | None = None,
 ) -> Concluded:
-    """Measure the belief, decide what changes, learn the references; `seconds` is added to."""
+    """Measure the belief, decide what changes, learn the references; `seconds` is added to.
+
+    `join` is what a joint belief says of it: the less of it is visible the less is learnt, and nothing when
+    half of it is hidden, since the box shows what hides it.
+    """
+    hidden = 0.0 if join is None else join.hidden
     target, before, stepped = weighed.target, weighed.before, weighed.step
     live = net.targets[target]
     machine = engine.machinery[live.template]
@@ -215,7 +231,7 @@ def conclude(
     working = applied(net, weighed.faults).targets[target]
     measures = measure(machine.plate, before.plan, stepped, float(box[2] * box[3]))
     now = Situation(
-        frame.index, target, machine.plate, working, measures, machine.costs_ms, machine.adaptable
+        frame.index, target, machine.plate, working, measures, machine.costs_ms, machine.adaptable, hidden
     )
     chosen, memory = decide(now, before.memory)
     started = _charge(engine, seconds, "measure", started)
@@ -223,6 +239,8 @@ def conclude(
     quiet = quiet_level(machine.plate, working, memory, machine.plate.root)
     rate = learning_rate(root.learn, measures.ud_px2[machine.plate.root], measures.area_px2, quiet)
     at_parts = part_rates(root.learn, measures.parts, partial(quiet_level, machine.plate, working, memory))
+    seen = max(1.0 - 2.0 * hidden, 0.0)
+    rate, at_parts = rate * seen, {part: own * seen for part, own in at_parts.items()}
     if working.status == "lost" or not working.active or stepped.degenerate is not None:
         rate, at_parts = 0.0, {}
     rates = {
@@ -242,7 +260,7 @@ def conclude(
     told += changes(frame.index, target, before.watched, watched, judged, machine.guard)
     spread = stepped.posterior.covariance
     metrics = frame_metrics(
-        frame, target, machine.plate, live.status, stepped, measures, box, spread, quiet, rate, stream
+        frame, target, machine.plate, live.status, stepped, measures, box, spread, quiet, rate, stream, join
     )
     return Concluded(after, metrics, (*weighed.faults, *decisions), tuple(told), spread)
 

@@ -39,6 +39,7 @@ class Situation:
         measures: what was measured.
         costs_ms: agent -> declared cost.
         adaptable: agents that can act locally before they stop.
+        hidden: expected share of it that a target it is joined with hides.
     """
 
     frame: int
@@ -48,6 +49,7 @@ class Situation:
     measures: Measures
     costs_ms: Mapping[str, float]
     adaptable: frozenset[str]
+    hidden: float = 0.0
 
 
 def decide(now: Situation, memory: Memory) -> tuple[tuple[Decision, ...], Memory]:
@@ -284,11 +286,14 @@ def _wake(now: Situation, decisions: list[Decision]) -> None:
 
 
 def _judge_status(now: Situation, memory: Memory, decisions: list[Decision]) -> Memory:
-    """tracking <-> lost, after as many frames as the rule says."""
+    """tracking <-> lost, after as many frames as the rule says.
+
+    That nothing fits is no reason while half of the target is known to be hidden; that UD is high is one.
+    """
     rule = now.plate.inference(now.plate.root).lost or Lost()
     reading = _read(now, memory, now.plate.root, rule.above)
     too_wide = reading is not None and reading.value > reading.level
-    fits = now.measures.fit >= rule.fit_below
+    fits = now.measures.fit >= rule.fit_below or now.hidden >= 0.5
     value = 0.0 if reading is None else reading.value
     # On a frame on which nothing fits, no level of UD would have kept the target from looking lost.
     lost = memory.lost.then(too_wide or not fits, value if fits else math.inf, rule.frames)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,14 +68,48 @@ def concluded(
         support=posterior,
         prior=beta,
         evidence=whole.evidence,
-        find_map=partial(map_state, log_likelihood, whole.states, inputs),
+        find_map=FindMap(log_likelihood, whole.states, inputs),
         degenerate=degenerate,
         reports=reports,
     )
 
 
-def map_state(log_likelihood: Floats, states: Floats, inputs: Inputs) -> Floats:
-    """(D,) the one of `states` (N, D) with the largest posterior density, prior density included."""
-    before = inputs.prior
-    best = map_index(log_likelihood, states, before.states, before.weights, inputs.motion, inputs.dt)
-    return np.asarray(states[best])
+@dataclass(frozen=True, eq=False)
+class FindMap:
+    """() -> (D,) the one of `states` (N, D) with the largest posterior density, prior density included."""
+
+    log_likelihood: Floats
+    states: Floats
+    inputs: Inputs
+
+    def __call__(self) -> Floats:
+        """The state."""
+        before = self.inputs.prior
+        best = map_index(
+            self.log_likelihood,
+            self.states,
+            before.states,
+            before.weights,
+            self.inputs.motion,
+            self.inputs.dt,
+        )
+        return np.asarray(self.states[best])
+
+
+def reweighted(step: Step[ParticleSet], log_likelihood: Floats) -> Step[ParticleSet]:
+    """The step, had `log_likelihood` (N,) been the evidence of its hypotheses; its messages stay.
+
+    Raises:
+        DegenerateWeights: no hypothesis is left with a positive, finite weight.
+    """
+    weights, total = step.prior.times(log_likelihood)
+    _, own = step.prior.times(step.evidence.log_likelihood)
+    posterior = replace(step.posterior, weights=weights)
+    find = step.find_map
+    return replace(
+        step,
+        posterior=posterior,
+        support=posterior,
+        log_evidence=step.log_evidence + total - own,
+        find_map=replace(find, log_likelihood=log_likelihood) if isinstance(find, FindMap) else find,
+    )

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 SCENE_GRAPHS = {
     "ball_between_children": "ball_between_children",
+    "carried_box": "carried_box",
+    "crowd": "crowd",
+    "crowd_of_fifty": "crowd",
     "orange_and_gray": "orange_and_gray",
     "gray_square": "color_fusion",
     "flying_ball": "kalman_ball",
@@ -67,8 +70,7 @@ def demo(options: argparse.Namespace) -> int:
     out = Path(options.out or f"runs/{options.scene}")
     options.overwrite = options.overwrite or options.out is None
     source = SceneSource(scene, f"scene:{options.scene}", options.end)
-    known = {plate: box for plate, box in scene.start_boxes.items() if plate in graph.targets}
-    starts = [Start(box, plate) for plate, box in known.items()]
+    starts = [Start(box, plate) for plate, box in scene.starts if plate in graph.targets]
     starts = [] if has_births(graph) else starts or [Start(scene.start_box)]
     code = _track(options, graph, source, starts, out, video=True)
     directory = RunDirectory.open(out)

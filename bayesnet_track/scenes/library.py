@@ -10,7 +10,9 @@ from types import MappingProxyType
 import numpy as np
 
 from bayesnet_track.scenes.ball import flying_ball
+from bayesnet_track.scenes.carried import carried_box
 from bayesnet_track.scenes.children import ball_between_children
+from bayesnet_track.scenes.crowd import crowd
 from bayesnet_track.scenes.occluder import occluder
 from bayesnet_track.scenes.parts import person_parts
 from bayesnet_track.scenes.passer import (
@@ -36,6 +38,9 @@ _SCENES: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
         "orange_and_gray": orange_and_gray,
         "gray_square": gray_square,
         "ball_between_children": ball_between_children,
+        "carried_box": carried_box,
+        "crowd": crowd,
+        "crowd_of_fifty": lambda seed: crowd(seed, count=50),
         "flying_ball": flying_ball,
         "person_and_board": person_and_board,
         "person_parts": person_parts,

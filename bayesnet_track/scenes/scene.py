@@ -44,7 +44,7 @@ class Scene:
         visible: (n,) share of the target's area that lies inside the picture and is not hidden.
         stereo: the second eye and the true depth, in scenes that have them.
         plates: what the target and the first of the others are called, where a graph may have a plate for
-            each; empty where only the target is meant to be tracked.
+            each, or one for several; empty where only the target is meant to be tracked.
         parts: parts of the target by name, in scenes that have them.
     """
 
@@ -67,8 +67,13 @@ class Scene:
     @property
     def start_boxes(self) -> Mapping[str, CornerBox]:
         """Plate -> the corner box in frame 0 of what is called so, the target's first."""
+        return dict(self.starts)
+
+    @property
+    def starts(self) -> tuple[tuple[str, CornerBox], ...]:
+        """Plate and corner box in frame 0 of each that is called something, the target first."""
         paths = (self.truth, *self.others)[: len(self.plates)]
-        return {plate: _corner_box(path) for plate, path in zip(self.plates, paths, strict=True)}
+        return tuple((plate, _corner_box(path)) for plate, path in zip(self.plates, paths, strict=True))
 
 
 def _corner_box(path: Floats) -> CornerBox:

@@ -1,0 +1,219 @@
+"""When targets are joined and parted, along which tree their beliefs are, and what is remembered of joins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.graph.join_decisions import Joined, Parted
+from bayesnet_track.graph.join_settings import Join, join_of
+from bayesnet_track.graph.net import Net
+
+Floats = NDArray[np.float64]
+Pair = tuple[str, str]
+T = TypeVar("T")
+
+LEVEL_FRAMES = 20
+"""Frames over which a target's level of evidence is averaged."""
+
+LEVEL_HIDDEN = 0.1
+"""Largest hidden share of a target from which its level is measured."""
+
+
+@dataclass(frozen=True)
+class PairMemory:
+    """What is remembered of two joined targets.
+
+    Attributes:
+        first_in_front: probability that the first is in front.
+        overlap: overlap of the reaches in the last frame.
+        apart: overlaps of the last consecutive frames in which it was below the level.
+        left_out: whether the pair is left out of a ring.
+    """
+
+    first_in_front: float = 0.5
+    overlap: float = 0.0
+    apart: tuple[float, ...] = ()
+    left_out: bool = False
+
+
+@dataclass(frozen=True)
+class Level:
+    """Log of the evidence of a target whose agents are `active`, while it is seen: a mean over `frames`."""
+
+    active: frozenset[str]
+    log: float
+    frames: int = 1
+
+    def then(self, active: frozenset[str], log: float) -> Level:
+        """With one more frame; from the start again when other agents are active."""
+        if active != self.active:
+            return Level(active, log)
+        frames = min(self.frames + 1, LEVEL_FRAMES)
+        return Level(active, self.log + (log - self.log) / frames, frames)
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """Which hypotheses of a target are carried.
+
+    Attributes:
+        belief: the belief after the last frame, whose hypotheses they are.
+        hypotheses: (N,) 1 where it is carried, else 0.
+    """
+
+    belief: object
+    hypotheses: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class JoinMemory:
+    """What is remembered between frames.
+
+    Attributes:
+        pairs: joined pair -> what is remembered of it.
+        levels: target -> its level of evidence.
+        carried: target that may be carried -> which of its hypotheses are.
+        centres: carrier -> (2,) mean centre by its own evidence.
+        hidden: hidden target -> who hides it, and since which frame.
+        carriers: carried target -> who carries it, and since which frame.
+    """
+
+    pairs: Mapping[Pair, PairMemory] = field(default_factory=dict)
+    levels: Mapping[str, Level] = field(default_factory=dict)
+    carried: Mapping[str, Carried] = field(default_factory=dict)
+    centres: Mapping[str, Floats] = field(default_factory=dict)
+    hidden: Mapping[str, tuple[str, int]] = field(default_factory=dict)
+    carriers: Mapping[str, tuple[str, int]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """Where a target's belief says that it is: mean box (4,) and sds of its centre (2,)."""
+
+    box: Floats
+    sd: Floats
+
+
+def reach_overlaps(reaches: Sequence[Reach]) -> Floats:
+    """(T, T) overlap of the reaches, as a share of the smaller one's area.
+
+    A reach is the mean box, widened by one sd of the centre on each side.
+    """
+    if not reaches:
+        return np.zeros((0, 0))
+    boxes, sds = np.array([one.box for one in reaches]), np.array([one.sd for one in reaches])
+    half = boxes[:, 2:] / 2 + sds
+    low, high = boxes[:, :2] - half, boxes[:, :2] + half
+    sides = np.minimum(high[:, None], high[None]) - np.maximum(low[:, None], low[None])
+    areas = np.prod(high - low, axis=1)
+    return np.asarray(np.prod(np.clip(sides, 0.0, None), axis=2) / np.minimum(areas[:, None], areas[None]))
+
+
+def decide_joins(
+    frame: int, rules: tuple[Join, ...], net: Net, reaches: Mapping[str, Reach], memory: JoinMemory
+) -> tuple[tuple[Joined | Parted, ...], JoinMemory]:
+    """Join every pair that overlaps and has a rule, part every joined pair that has been apart for long.
+
+    Two levels keep it from going back and forth: joining takes one frame with the overlap, parting takes
+    `apart_frames` without it. What is remembered of targets that are gone is dropped.
+    """
+    names = [name for name in reaches if name in net.targets]
+    kinds = {name: net.targets[name].template for name in names}
+    overlaps = reach_overlaps([reaches[name] for name in names])
+    decisions: list[Joined | Parted] = []
+    pairs: dict[Pair, PairMemory] = {}
+    known = {frozenset(pair): pair for pair in net.joins}
+    for i, k in zip(*np.nonzero(np.triu(overlaps, 1)), strict=True):
+        first, second = names[i], names[k]
+        rule = join_of(rules, kinds[first], kinds[second])
+        if frozenset((first, second)) in known or rule is None or overlaps[i, k] < rules[rule].when.overlap:
+            continue
+        pair = _ordered(rules[rule], kinds, first, second)
+        overlap = float(overlaps[i, k])
+        decisions.append(
+            Joined(frame, *pair, (kinds[pair[0]], kinds[pair[1]]), rule, overlap, rules[rule].when.overlap)
+        )
+        pairs[pair] = PairMemory(overlap=overlap)
+    at = {name: number for number, name in enumerate(names)}
+    for pair, join in net.joins.items():
+        if pair[0] not in at or pair[1] not in at:
+            continue
+        before = memory.pairs.get(pair, PairMemory())
+        overlap = float(overlaps[at[pair[0]], at[pair[1]]])
+        when = rules[join.rule].when
+        apart = (*before.apart, overlap) if overlap < when.overlap else ()
+        if len(apart) >= when.apart_frames:
+            together = frame - join.frame
+            decisions.append(Parted(frame, *pair, overlap, when.overlap, len(apart), max(apart), together))
+        else:
+            pairs[pair] = replace(before, overlap=overlap, apart=apart)
+    return tuple(decisions), _kept(replace(memory, pairs=pairs), frozenset(names))
+
+
+def uncounted(
+    rules: tuple[Join, ...], net: Net, reaches: Mapping[str, Reach], left_out: Iterable[Pair] = ()
+) -> tuple[Pair, ...]:
+    """Pairs of live targets whose beliefs overlap although no join accounts for the pixels of both.
+
+    The law of two-level evidence: after every change there is none, but for those `left_out` of a ring.
+    """
+    names = [name for name in reaches if name in net.targets]
+    overlaps = reach_overlaps([reaches[name] for name in names])
+    known = {frozenset(pair) for pair in (*net.joins, *left_out)}
+    found = []
+    for i, k in zip(*np.nonzero(np.triu(overlaps, 1)), strict=True):
+        pair = (names[i], names[k])
+        rule = join_of(rules, *(net.targets[name].template for name in pair))
+        needs = rule is not None and overlaps[i, k] >= rules[rule].when.overlap
+        if needs and frozenset(pair) not in known:
+            found.append(pair)
+    return tuple(found)
+
+
+def spanning_tree(overlaps: Mapping[Pair, float]) -> tuple[tuple[Pair, ...], dict[Pair, tuple[str, ...]]]:
+    """The pairs of largest overlap that close no ring, and each pair left out with the group it is in.
+
+    Kruskal's algorithm; of equal overlaps the earlier pair is taken.
+    """
+    group: dict[str, list[str]] = {}
+    taken: list[Pair] = []
+    rest: list[Pair] = []
+    for pair in sorted(overlaps, key=lambda one: -overlaps[one]):
+        first, second = (group.setdefault(name, [name]) for name in pair)
+        if first is second:
+            rest.append(pair)
+            continue
+        taken.append(pair)
+        first += second
+        for name in second:
+            group[name] = first
+    return tuple(taken), {pair: tuple(group[pair[0]]) for pair in rest}
+
+
+def _ordered(rule: Join, kinds: Mapping[str, str], first: str, second: str) -> Pair:
+    """The pair, a carrier first."""
+    carrier = rule.between[0] if rule.attachment is not None and rule.between is not None else None
+    return (second, first) if carrier is not None and kinds[second] == carrier else (first, second)
+
+
+def _kept(memory: JoinMemory, live: frozenset[str]) -> JoinMemory:
+    """The memory of live targets; what only joined ones have goes with their last join."""
+    joined = {name for pair in memory.pairs for name in pair}
+    return JoinMemory(
+        pairs=memory.pairs,
+        levels=dict(_of(memory.levels, live)),
+        carried=dict(_of(memory.carried, joined)),
+        centres=dict(_of(memory.centres, joined)),
+        hidden=dict(_of(memory.hidden, joined)),
+        carriers=dict(_of(memory.carriers, joined)),
+    )
+
+
+def _of(known: Mapping[str, T], names: Iterable[str]) -> Iterator[tuple[str, T]]:
+    kept = set(names)
+    return ((name, one) for name, one in known.items() if name in kept)

@@ -1,0 +1,84 @@
+"""The compiled kernel of joint beliefs: what pairs of hypotheses of two targets say of each one's own."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.numerics.compiled import compiled
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+@compiled
+def behind(log: float, share: float, level: float, occluder: float, worst: float, best: float) -> float:
+    """Log-likelihood of a box of which `share` is hidden; see `inference.joint`."""
+    rest = 1.0 - share
+    return min(max(log - share * occluder, rest * worst), rest * best) + share * level
+
+
+@compiled
+def pair_sums(
+    boxes: Floats,
+    log_likelihood: Floats,
+    hidden: tuple[float, float, float, float],
+    others: Floats,
+    other_log_likelihood: Floats,
+    other_hidden: tuple[float, float, float, float],
+    partners: Indices,
+    log_importance: Floats,
+    free: Floats,
+    taken: Floats,
+    in_front: float,
+    nats: float,
+) -> Floats:
+    """What the partners of each hypothesis say of it, by order; see `inference.joint`.
+
+    Args:
+        boxes: (N, 4) hypotheses that hear.
+        log_likelihood: (N,) their log L.
+        hidden: what `behind` needs of them: level, occluder, worst, best.
+        others: (M, 4) hypotheses that speak.
+        other_log_likelihood: (M,) their log L.
+        other_hidden: the same of those who speak.
+        partners: (R, N) indices into `others`.
+        log_importance: (M,) log beta / q, for partners drawn by q.
+        free: (M,) what further targets say of them, none of which hides them.
+        taken: (M,) the same where one of these does.
+        in_front: prior probability that those who hear are in front.
+        nats: log-odds against one box wholly on the other.
+
+    Returns:
+        (4, N) means over the partners: in front; behind but not touched; behind and partly hidden; and the
+        last times the hidden share.
+    """
+    rounds, size = partners.shape
+    sums = np.zeros((4, size))
+    for r in range(rounds):
+        for i in range(size):
+            j = partners[r, i]
+            weight = np.exp(log_importance[j])
+            across = min(boxes[i, 0] + boxes[i, 2] / 2, others[j, 0] + others[j, 2] / 2) - max(
+                boxes[i, 0] - boxes[i, 2] / 2, others[j, 0] - others[j, 2] / 2
+            )
+            down = min(boxes[i, 1] + boxes[i, 3] / 2, others[j, 1] + others[j, 3] / 2) - max(
+                boxes[i, 1] - boxes[i, 3] / 2, others[j, 1] - others[j, 3] / 2
+            )
+            seen = weight * (free[j] + taken[j]) * np.exp(other_log_likelihood[j])
+            if across <= 0 or down <= 0:
+                sums[0, i] += in_front * seen
+                sums[1, i] += (1.0 - in_front) * seen
+                continue
+            own = min(across * down / (boxes[i, 2] * boxes[i, 3]), 1.0)
+            share = min(across * down / (others[j, 2] * others[j, 3]), 1.0)
+            penalty = np.exp(-nats * max(own, share))
+            if in_front > 0:
+                log = behind(other_log_likelihood[j], share, *other_hidden)
+                sums[0, i] += in_front * penalty * weight * free[j] * np.exp(log)
+            if in_front < 1:
+                gain = behind(log_likelihood[i], own, *hidden) - log_likelihood[i]
+                value = (1.0 - in_front) * penalty * seen * np.exp(gain)
+                sums[2, i] += value
+                sums[3, i] += own * value
+    return sums / rounds
