@@ -59,7 +59,8 @@ def _corner(integral: Ints, x: int, y: int) -> int:
     after, below = min(column + 1, integral.shape[1] - 1), min(row + 1, integral.shape[0] - 1)
     top = integral[row, column] * (STEPS - right) + integral[row, after] * right
     bottom = integral[below, column] * (STEPS - right) + integral[below, after] * right
-    return top * (STEPS - down) + bottom * down
+    found: int = top * (STEPS - down) + bottom * down
+    return found
 
 
 @compiled
