@@ -8,6 +8,7 @@ function of the engine, what is remembered and the frame.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -149,7 +150,7 @@ def _give_birth(now: _Nursery, found: Found) -> None:
     )
     found = found.only(free)
     at = _find_lost(now, found)
-    found = found.only(~alike(found.boxes, at, apart).any(axis=1))
+    found = found.only(np.logical_not(np.any(alike(found.boxes, at, apart), axis=1)))
     waiting = feed(
         people.life.candidates.get(now.plate, ()), found.boxes, found.scores, now.frame.index, now.birth
     )
@@ -277,7 +278,7 @@ def _matches(
 
 
 def _end_duplicates(people: Population, plate: str, rule: LifeRules, frame: Frame) -> None:
-    """The younger of two nets whose beliefs hold one object ends."""
+    """The younger of two nets whose beliefs hold one object ends; joined ones are known to be two."""
     if rule.duplicates is None:
         return
     held = people.held(plate)
@@ -287,6 +288,8 @@ def _end_duplicates(people: Population, plate: str, rule: LifeRules, frame: Fram
         pair: s for pair, s in people.life.overlaps.items() if not set(pair) & set(people.of_plate(plate))
     }
     streaks = overlapping(beliefs, since, people.life.overlaps, rule.duplicates)
+    joined = {frozenset(pair) for pair in people.net.joins}
+    streaks = {pair: streak for pair, streak in streaks.items() if frozenset(pair) not in joined}
     for (younger, older), streak in list(streaks.items()):
         both = younger in people.targets and older in people.targets
         if both and len(streak) >= rule.duplicates.frames:
@@ -342,7 +345,7 @@ def _seen(lines: Mapping[str, Lifeline], targets: Sequence[str]) -> dict[str, Li
 
 
 def _sd_px(state: TargetState) -> float:
-    return float(np.sqrt(max(np.mean(np.diag(state.belief.covariance)[:2]), 0.0)))
+    return math.sqrt(max(float(np.mean(np.diag(state.belief.covariance)[:2])), 0.0))
 
 
 def _box(box: Floats) -> tuple[float, float, float, float]:

@@ -33,7 +33,6 @@ class Candidate:
     Attributes:
         box: (4,) centre box where it was last detected, or is expected since.
         step: (2,) its centre's last displacement per look, px.
-        scores: sum of the scores of its detections in `looks`.
         looks: for each of the last looks, its score there, or None when it was not seen.
         first_frame: frame in which it was first detected.
     """
@@ -148,8 +147,8 @@ def feed(
             after = replace(after, box=boxes[row].copy(), step=boxes[row, :2] - one.box[:2])
         if not _is_hopeless(after, confirm):
             kept.append(after)
-    for row in np.flatnonzero(owner == NOBODY):
-        kept.append(Candidate(boxes[row].copy(), np.zeros(2), (float(scores[row]),), frame))
+    for new in np.flatnonzero(owner == NOBODY):
+        kept.append(Candidate(boxes[new].copy(), np.zeros(2), (float(scores[new]),), frame))
     best = sorted(range(len(kept)), key=lambda k: (-kept[k].seen, -kept[k].score, k))
     chosen = sorted(best[: max(2 * rule.most, 8)])
     return tuple(kept[k] for k in chosen)

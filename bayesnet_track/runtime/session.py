@@ -82,7 +82,7 @@ def track(
             opened = source
         check_starts(checked, starts, opened.width, opened.height)
         own = None if motion is None else dict.fromkeys(checked.targets, motion)
-        given = {} if detections is None else {GIVEN: file_detector(detections)}
+        given = {} if detections is None else {GIVEN: file_detector(Path(detections))}
         engine = make_engine(checked, seed, motion=own, detectors=given)
         check_depth(engine, opened)
         told: list[Sink] = list(sinks)
