@@ -75,6 +75,8 @@ def why(events: Iterable[Event], metrics: Iterable[FrameMetrics], frame: int) ->
     chosen = [line for line in lines if line.frame == frame]
     if not chosen:
         known = sorted({line.frame for line in lines})
+        if known and known[0] <= frame <= known[-1]:
+            raise ValueError(f"no target is live in frame {frame}")
         range_ = f"it has frames {known[0]} to {known[-1]}" if known else "it has none"
         raise ValueError(f"frame {frame} is not in this run; {range_}")
     return "\n\n".join(_account(told, line) for line in chosen)

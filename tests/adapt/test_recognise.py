@@ -1,0 +1,97 @@
+"""The arithmetic of births: claims, overlap of beliefs, and the odds of an identity, against exact values."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bayesnet_track.adapt.claims import NOBODY, claim, pair_up
+from bayesnet_track.adapt.lifecycle import Identity, belief_overlap, refusals_to_tell
+from bayesnet_track.adapt.recognise import LOOKALIKE, Compared, looks, match, placed
+from bayesnet_track.belief.motion import make_motion
+from bayesnet_track.graph.life_settings import Recall
+from bayesnet_track.graph.spec import Motion
+
+NOWHERE = Identity("1", "t", np.zeros(4), np.zeros((4, 4)), 0.0, {})
+
+
+def test_the_cheapest_pairs_come_first_one_to_one():
+    cost = np.array([[1.0, 0.5], [0.4, 0.6], [0.3, 9.0]])
+    np.testing.assert_array_equal(pair_up(cost, np.full((3, 2), 5.0)), [1, NOBODY, 0])
+    np.testing.assert_array_equal(pair_up(cost, np.full((3, 2), 0.4)), [NOBODY, NOBODY, 0])
+
+
+def test_one_detection_is_claimed_and_near_ones_are_nobodys():
+    live = np.array([[50.0, 50, 20, 20]])
+    boxes = np.array(
+        [[70.0, 50, 20, 20], [58, 50, 20, 20], [54, 57, 8, 8], [90, 50, 20, 20], [52, 50, 20, 20]]
+    )
+    owner, free = claim(boxes, live, np.array([0.0]), 0.5)
+    assert owner.tolist() == [-1, -1, -1, -1, 0] and free.tolist() == [True, False, False, True, False]
+    # An unsure target reaches farther for its one detection: 20 px are a side, 2 sd of 5 px half of one.
+    owner, free = claim(boxes[:1], live, np.array([5.0]), 0.5)
+    assert owner.tolist() == [0] and free.tolist() == [False]
+
+
+def test_overlap_of_beliefs_is_the_integral_of_the_root_of_their_product():
+    """Axes are independent here: the product of four integrals over a fine grid."""
+    rng = np.random.default_rng(1)
+    means = np.array([[50.0, 40, 30, 20], [53.0, 39, 31, 22]])
+    variances = rng.uniform(1.0, 9.0, (2, 4))
+    box = means.mean(axis=0)
+    wide = variances + (0.1 * box[[2, 3, 2, 3]]) ** 2
+    exact = 1.0
+    for k in range(4):
+        x = np.linspace(means[0, k] - 60, means[0, k] + 60, 24001)
+        p, q = (
+            np.exp(-((x - m[k]) ** 2) / (2 * v[k])) / np.sqrt(2 * np.pi * v[k])
+            for m, v in zip(means, wide, strict=True)
+        )
+        exact *= np.sum(np.sqrt(p * q)) * (x[1] - x[0])
+    found = belief_overlap(means[0], np.diag(variances[0]), means[1], np.diag(variances[1]))
+    assert found == pytest.approx(exact, rel=1e-9)
+
+
+def test_place_is_a_density_over_the_frame():
+    """g N + (1 - g) / A sums to 1 over a frame that holds all of N: the mean of A times it is 1."""
+    motion = make_motion(Motion(random_walk={"sd_px": {"x": 2, "y": 3}}))
+    x, y = (g.ravel() for g in np.meshgrid(np.arange(0.5, 200), np.arange(0.5, 160)))
+    boxes = np.column_stack([x, y, np.full_like(x, 8.0), np.full_like(x, 8.0)])
+    known = Identity("1", "t", np.array([100.0, 80, 8, 8]), np.diag([4.0, 1, 0, 0]), 10.0, {})
+    fading, place, distance = placed(known, motion, boxes, 20.0, 200.0 * 160, Recall(frames=50))
+    assert fading == pytest.approx(-0.2)
+    assert np.mean(np.exp(place)) == pytest.approx(1.0, abs=1e-6)
+    # var 4 + 10 steps of 2^2 + (8 / 4)^2, and 1 + 10 of 3^2 + 4; at the mean itself
+    peak = np.exp(-0.2) * 200 * 160 / (2 * np.pi * np.sqrt(48.0 * 95.0)) - np.expm1(-0.2)
+    assert np.exp(place.max()) == pytest.approx(peak, rel=0.01)
+    assert distance.min() == pytest.approx(np.sqrt(0.5))
+
+
+def test_looks_are_compared_with_what_is_elsewhere():
+    boxes = np.array([[10.0, 10, 4, 4]])
+    log_l, random = np.log([0.8]), np.array([[50.0, 50, 4, 4], [60, 60, 4, 4], [10, 10, 4, 4]])
+    groups = [(random, np.log([0.1, 0.3, 0.9])), (np.array([[30.0, 30, 4, 4]]), np.log([0.6]))]
+    expected = 0.8 / ((1 - LOOKALIKE) * (0.2 + 0.6) / 2 + LOOKALIKE)
+    assert looks(boxes, log_l, groups)[0] == pytest.approx(np.log(expected))
+    assert looks(boxes, log_l, [])[0] == pytest.approx(np.log(0.8))
+
+
+def compared(name, odds):
+    log = np.log(odds)
+    one = Identity(name, "t", NOWHERE.mean, NOWHERE.covariance, 0.0, {})
+    return Compared(one, 1.0, np.zeros(len(log)), 0.0, log, np.zeros(len(log)), ())
+
+
+def test_a_target_is_taken_once_and_what_is_left_is_new():
+    found = match([compared("1", [9.0, 6.0]), compared("2", [3.0, 0.5])], 2, Recall(least_probability=0.5))
+    first, second = found
+    assert (first.detection, first.recognition.target, first.is_sure) == (0, "1", True)
+    assert first.recognition.probability == pytest.approx(9 / 13) and first.recognition.rival == "2"
+    # Target 1 is taken: the other detection is 2 with odds of 1 to 2, and so more probably new.
+    assert (second.detection, second.recognition.target, second.is_sure) == (1, "2", False)
+    assert second.recognition.probability == pytest.approx(1 / 3) and second.recognition.rival == "new"
+
+
+def test_refusals_are_told_at_powers_of_ten():
+    told = [n for n in range(1, 2000) if refusals_to_tell(n - 1, n)]
+    assert told == [1, 10, 100, 1000] and refusals_to_tell(7, 400) and not refusals_to_tell(100, 999)
