@@ -1,0 +1,114 @@
+"""Compiled kernels for histograms of oriented gradients over square cells.
+
+After Dalal and Triggs (2005) and Felzenszwalb et al. (2010), without an arctangent: a gradient votes for each
+orientation by the fourth power of its cosine, which needs scalar products only. The powers sum to the same
+for every direction. Votes are shared between the nearest cells.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.numerics.compiled import compiled
+
+Bytes = NDArray[np.uint8]
+Singles = NDArray[np.float32]
+
+CELL = 4
+"""Side of a cell, px."""
+TRUNCATED = np.float32(0.2)
+"""Largest value of a cell: one strong edge must not decide alone."""
+
+
+@compiled
+def oriented_gradients(gray: Bytes, signed: int, histograms: Singles) -> None:
+    """Add up magnitudes of gradients by cell and orientation.
+
+    Args:
+        gray: (4 R, 4 K) uint8, C order.
+        signed: orientations of the full circle, even and at least 6; k + signed / 2 points away from k.
+        histograms: (R, K, signed) float32, filled. The first and last column are 0, the first and last row
+            hold their own votes only: take them as a rim.
+    """
+    height, width = gray.shape
+    rows, columns, half = height // 4, width // 4, signed // 2
+    share = np.array([0.625, 0.875, 0.875, 0.625], np.float32)  # of the own cell; the rest is the neighbour's
+    pooled = np.zeros((rows, signed, width), np.float32)
+    gx, gy, per = np.zeros(width, np.float32), np.zeros(width, np.float32), np.zeros(width, np.float32)
+    for y in range(1, height - 1):
+        above, here, below = gray[y - 1], gray[y], gray[y + 1]
+        for x in range(1, width - 1):
+            a = np.float32(here[x + 1]) - np.float32(here[x - 1])
+            b = np.float32(below[x]) - np.float32(above[x])
+            energy = a * a + b * b + np.float32(1e-6)
+            gx[x] = a
+            gy[x] = b
+            per[x] = np.float32(1.0) / (energy * np.sqrt(energy))
+        own = y // 4
+        other = own - 1 if y % 4 < 2 else own + 1
+        mine, theirs = share[y % 4], np.float32(1.0) - share[y % 4]
+        if other < 0 or other >= rows:
+            other, theirs = own, np.float32(0.0)
+        for k in range(half):
+            across, down = np.float32(np.cos(np.pi * k / half)), np.float32(np.sin(np.pi * k / half))
+            plus, minus = pooled[own, k], pooled[own, k + half]
+            plus_beside, minus_beside = pooled[other, k], pooled[other, k + half]
+            for x in range(width):  # without branches, so that it becomes vector instructions
+                dot = across * gx[x] + down * gy[x]
+                square = dot * dot
+                vote = square * square * per[x]
+                with_it = vote if dot > 0 else np.float32(0.0)
+                against = vote - with_it
+                plus[x] += mine * with_it
+                minus[x] += mine * against
+                plus_beside[x] += theirs * with_it
+                minus_beside[x] += theirs * against
+    for j in range(rows):
+        for k in range(signed):
+            line = pooled[j, k]
+            for i in range(1, columns - 1):
+                x = 4 * i
+                histograms[j, i, k] = (
+                    np.float32(0.125) * (line[x - 2] + line[x + 5])
+                    + np.float32(0.375) * (line[x - 1] + line[x + 4])
+                    + np.float32(0.625) * (line[x] + line[x + 3])
+                    + np.float32(0.875) * (line[x + 1] + line[x + 2])
+                )
+            histograms[j, 0, k] = histograms[j, columns - 1, k] = np.float32(0.0)
+
+
+@compiled
+def normalised_cells(histograms: Singles, noise: float, features: Singles) -> None:
+    """Fill the first channels of `features` with cells relative to the root of the energy around them.
+
+    Args:
+        histograms: (R + 2, K + 2, signed) float32 of `oriented_gradients`.
+        noise: energy that is added, so that the grain of flat places does not become a pattern.
+        features: (C, R, K) float32, C >= 1.5 signed: first `signed` channels in which light to dark differs
+            from dark to light, then signed / 2 in which it does not.
+    """
+    rows, columns, signed = features.shape[1], features.shape[2], histograms.shape[2]
+    half = signed // 2
+    energy = np.empty((rows + 2, columns + 2), np.float32)
+    for j in range(rows + 2):
+        for i in range(columns + 2):
+            total = np.float32(0.0)
+            for k in range(half):
+                both = histograms[j, i, k] + histograms[j, i, k + half]
+                total += both * both
+            energy[j, i] = total
+    for j in range(rows):
+        for i in range(columns):
+            around = np.float32(noise)
+            for dj in range(3):
+                for di in range(3):
+                    weight = np.float32((2 - abs(dj - 1)) * (2 - abs(di - 1)) * 0.25)
+                    around += weight * energy[j + dj, i + di]
+            scale = np.float32(1.0) / np.sqrt(around)
+            for k in range(half):
+                one = histograms[j + 1, i + 1, k] * scale
+                other = histograms[j + 1, i + 1, k + half] * scale
+                features[k, j, i] = min(one, TRUNCATED)
+                features[k + half, j, i] = min(other, TRUNCATED)
+                features[k + signed, j, i] = min(one + other, TRUNCATED)

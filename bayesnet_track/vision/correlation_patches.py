@@ -1,0 +1,85 @@
+"""Square patches of a frame as cells of oriented gradients, brightness and colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Bytes = NDArray[np.uint8]
+Singles = NDArray[np.float32]
+
+ORIENTATIONS = 8
+"""Orientations of the full circle."""
+CHANNELS = ORIENTATIONS + ORIENTATIONS // 2 + 3
+"""Gradients with and without their sign, brightness, two differences of colours."""
+NOISE = 400.0
+"""Energy of gradients, gray levels^2, below which a place counts as flat."""
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """A square crop of a frame in cells.
+
+    Attributes:
+        x: column of its centre, frame px; likewise `y`.
+        cell: side of a cell, frame px.
+        features: (CHANNELS, cells, cells) float32.
+    """
+
+    x: float
+    y: float
+    cell: float
+    features: Singles
+
+
+def patch_at(image: Bytes, x: float, y: float, cell: float, cells: int) -> Patch:
+    """The patch of `cells` x `cells` cells of about `cell` px around (x, y) of an (H, W, 3) BGR image.
+
+    Whole pixels are cut out: centre and cell are the nearest to what is asked for that this allows. Beyond
+    the image its border is repeated.
+    """
+    import cv2
+
+    from bayesnet_track.numerics.gradient_kernels import CELL, normalised_cells, oriented_gradients
+
+    around = cells + 2  # a rim for the energy around a cell
+    size = CELL * around
+    side = max(round(cell * around), 2)
+    times = max(side // size, 1)
+    side -= side % times
+    left, top = round(x - (side - 1) / 2), round(y - (side - 1) / 2)
+    crop = _cut(image, left, top, side)
+    if times > 1:  # first by whole pixels, so that nothing aliases
+        crop = cv2.resize(crop, (side // times, side // times), interpolation=cv2.INTER_AREA)
+    resized = cv2.resize(crop, (size, size), interpolation=cv2.INTER_LINEAR)
+
+    histograms = np.empty((around, around, ORIENTATIONS), np.float32)
+    oriented_gradients(cv2.cvtColor(resized, cv2.COLOR_BGR2GRAY), ORIENTATIONS, histograms)
+    features = np.empty((CHANNELS, cells, cells), np.float32)
+    normalised_cells(histograms, NOISE, features)
+    means = cv2.resize(resized, (around, around), interpolation=cv2.INTER_AREA)[1:-1, 1:-1]
+    blue, green, red = np.moveaxis(means.astype(np.float32) / np.float32(255.0), 2, 0)
+    features[-3] = np.float32(0.114) * blue + np.float32(0.587) * green + np.float32(0.299) * red - 0.5
+    features[-2] = np.float32(1.5) * (blue - green)
+    features[-1] = np.float32(1.5) * (red - green)
+    return Patch(left + (side - 1) / 2, top + (side - 1) / 2, side / around, features)
+
+
+def _cut(image: Bytes, left: int, top: int, side: int) -> Bytes:
+    """(side, side, 3) of the image from column `left` and row `top`."""
+    import cv2
+
+    height, width = image.shape[:2]
+    # a crop beside the frame holds one line of its border
+    x0, x1 = min(max(left, 0), width - 1), max(min(left + side, width), 1)
+    y0, y1 = min(max(top, 0), height - 1), max(min(top + side, height), 1)
+    part = image[y0:y1, x0:x1]
+    rows, columns = part.shape[:2]
+    if (rows, columns) == (side, side):
+        return part
+    before = min(max(-top, 0), side - rows), min(max(-left, 0), side - columns)
+    after = side - rows - before[0], side - columns - before[1]
+    kind = cv2.BORDER_REPLICATE
+    return np.asarray(cv2.copyMakeBorder(part, before[0], after[0], before[1], after[1], kind), np.uint8)

@@ -1,0 +1,229 @@
+"""Cue: the answer of a correlation filter on oriented gradients and colour, learnt online.
+
+The filter is learnt to answer to the target and not to its surroundings. It is asked what it answers to a
+patch centred on each hypothesis. A few Fourier transforms give the answers for a whole tile of the frame and
+several scales, and the hypotheses read theirs. The tiles lie where the target was last learnt, not where the
+hypotheses are: what a hypothesis is worth does not depend on the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from bayesnet_track.cue import (
+    Cue,
+    CueDeclaration,
+    Floats,
+    Hypotheses,
+    Reference,
+    SizedCueParameters,
+    blend_arrays,
+    floored,
+    log_size_penalty,
+)
+from bayesnet_track.planes import Plane, Planes
+from bayesnet_track.vision.whole_frame import WholeFrame
+
+REACH = 40
+"""Cells by which a tile is wider than the filter; hypotheses are read in the inner `REACH` - 4."""
+SCALE_STEP = 0.08
+"""Between levels of scale, in the logarithm."""
+LEVELS = 4
+"""Levels of scale on either side of the last learnt one."""
+USUAL = 0.55
+"""First guess of the usual answer, as a share of that to the very picture the filter comes from."""
+FOLLOW = 20.0
+"""The usual answer falls toward the last one at so many times the learning rate; it rises at once."""
+LEAST_ANSWER = 0.1
+"""The usual answer is at least this, of a wanted 1: nothing less is a target."""
+LEAST_CELL = 0.5
+"""Side of a cell, px, at least: a smaller target is seen with more of its surroundings."""
+
+
+class CorrelationFilterParameters(SizedCueParameters):
+    """Parameters of the correlation filter."""
+
+    floor: float = Field(
+        default=1e-5,
+        gt=0,
+        lt=1,
+        description="Likelihood of an outlier as a share of the best possible likelihood.",
+    )
+    sharpness: float = Field(
+        default=12.0,
+        gt=0,
+        description="Log-likelihood between the filter's usual answer to the target and no answer (no unit).",
+    )
+    context: float = Field(
+        default=1.5,
+        ge=0,
+        le=6,
+        description="Surroundings that the filter sees in all, across and down (roots of the box's area).",
+    )
+    cells: int = Field(
+        default=24, ge=8, le=64, multiple_of=2, description="Side of the filter, cells (count, even)."
+    )
+    sd_answer: float = Field(
+        default=0.07, gt=0, description="Width of the peak that is learnt (roots of the box's area)."
+    )
+    ridge: float = Field(
+        default=0.01, gt=0, description="Ridge of the regression as a share of the mean power of the patch."
+    )
+
+
+@dataclass(frozen=True)
+class CorrelationFilter:
+    """The correlation filter at work.
+
+    Reference: `numerator` (C, S, S / 2 + 1) and `denominator` (S, S / 2 + 1) of the regression; `kernel`
+    (C, S, S) the filter that they give, under its window; `patch` (C, S, S) the features that were last
+    learnt; `usual` () the answer that the target usually gets; `place` (2,) and `size` (2,), px, where it
+    was last learnt.
+    """
+
+    parameters: CorrelationFilterParameters
+    context: ClassVar[float] = 0.0
+
+    @property
+    def needs(self) -> tuple[Plane, ...]:
+        """The whole picture: the filter looks beyond the boxes."""
+        return (WholeFrame(),)
+
+    def learn(self, planes: Planes, box: Floats) -> Reference:
+        """The filter that answers to this patch with a narrow peak in its middle."""
+        from bayesnet_track.vision.correlation import equations, gaussian_label
+        from bayesnet_track.vision.correlation_patches import patch_at
+
+        p = self.parameters
+        size = np.array(box[2:], dtype=np.float64)
+        cell, mean = self._cell(size), np.sqrt(size[0] * size[1])
+        patch = patch_at(planes[WholeFrame()], float(box[0]), float(box[1]), cell, p.cells)
+        off = (box[0] - patch.x) / patch.cell, (box[1] - patch.y) / patch.cell
+        label = gaussian_label(p.cells, max(p.sd_answer * mean / cell, 0.3), *off)
+        numerator, denominator = equations(patch.features * self._window(size), label)
+        kernel = self._kernel(numerator, denominator, size)
+        return {
+            "numerator": numerator,
+            "denominator": denominator,
+            "kernel": kernel,
+            "patch": patch.features,
+            "usual": np.array(max(USUAL * _answer(kernel, patch.features), LEAST_ANSWER)),
+            "place": np.array(box[:2], dtype=np.float64),
+            "size": size,
+        }
+
+    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+        """Numerator and denominator linearly (thesis eq. 2.15); the usual answer follows faster."""
+        if rate <= 0.0:
+            return old
+        if rate >= 1.0:
+            return new
+        names = ("numerator", "denominator")
+        mixed = blend_arrays({name: old[name] for name in names}, new, rate)
+        numerator = mixed["numerator"].astype(np.complex64)
+        seen, usual = _answer(old["kernel"], new["patch"]), float(old["usual"])
+        share = 1.0 if seen > usual else min(1.0, FOLLOW * rate)
+        return {
+            **new,
+            "numerator": numerator,
+            "denominator": mixed["denominator"],
+            "kernel": self._kernel(numerator, mixed["denominator"], new["size"]),
+            "usual": np.array(max(usual + share * (seen - usual), LEAST_ANSWER)),
+        }
+
+    def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
+        """-sharpness (1 - s q) with the size penalty, over the floor.
+
+        q is the answer over the usual one, at most 1, and s the share of the box inside the frame.
+        """
+        p, boxes = self.parameters, hypotheses.boxes
+        share = _share_inside(boxes, planes.frame.width, planes.frame.height)
+        q = self.answers(planes, boxes, reference, share > 0.0) / float(reference["usual"])
+        size = log_size_penalty(boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
+        return floored(p.sharpness * (share * np.clip(q, 0.0, 1.0) - 1.0) + size, p.floor)
+
+    def answers(
+        self, planes: Planes, boxes: Floats, reference: Reference, asked: NDArray[np.bool_]
+    ) -> Floats:
+        """(N,) answers of the filter to the centre boxes (N, 4); 0 for those that are not `asked`."""
+        from bayesnet_track.numerics.correlation_kernels import read_answers
+        from bayesnet_track.vision.correlation import answers, scaled_spectra, spectra
+        from bayesnet_track.vision.correlation_patches import patch_at
+
+        cells, image, values = self.parameters.cells, planes[WholeFrame()], np.zeros(len(boxes))
+        around, size, kernel = cells + REACH, reference["size"], reference["kernel"]
+        cell = self._cell(size)
+        tiles = np.floor((boxes[:, :2] - reference["place"]) / ((REACH - 4) * cell) + 0.5).astype(np.int64)
+        log_scale = 0.5 * np.log(boxes[:, 2] * boxes[:, 3] / (size[0] * size[1]))
+        filters: dict[int, list[NDArray[np.float32]]] = {}
+        for tile in np.unique(tiles[asked], axis=0):
+            which = np.flatnonzero(asked & (tiles == tile).all(axis=1))
+            x, y = reference["place"] + tile * (REACH - 4) * cell
+            patch = patch_at(image, float(x), float(y), cell, around)
+            seen = spectra(patch.features)
+            levels = np.clip((log_scale + np.log(cell / patch.cell)) / SCALE_STEP, -LEVELS, LEVELS)
+            lowest = int(np.floor(levels[which].min()))
+            maps = []
+            for level in range(lowest, int(np.ceil(levels[which].max())) + 1):
+                if level not in filters:
+                    filters[level] = scaled_spectra(kernel, float(np.exp(SCALE_STEP * level)), around)
+                maps.append(answers(seen, filters[level], cells))
+            columns = (boxes[:, 0] - patch.x) / patch.cell + 0.5 * REACH
+            rows = (boxes[:, 1] - patch.y) / patch.cell + 0.5 * REACH
+            read_answers(np.array(maps), lowest, columns, rows, levels, which, values)
+        return values
+
+    def _cell(self, size: Floats) -> float:
+        """Side of a cell, px, for a target of this size."""
+        span = float(size.max() + self.parameters.context * np.sqrt(size[0] * size[1]))
+        return max(span / self.parameters.cells, LEAST_CELL)
+
+    def _window(self, size: Floats) -> NDArray[np.float32]:
+        from bayesnet_track.vision.correlation import hann
+
+        width, height = (size + self.parameters.context * np.sqrt(size[0] * size[1])) / self._cell(size)
+        return hann(self.parameters.cells, max(float(width), 4.0), max(float(height), 4.0))
+
+    def _kernel(
+        self, numerator: NDArray[np.complex64], denominator: Floats, size: Floats
+    ) -> NDArray[np.float32]:
+        """The filter under its window, so that it can be laid on any place of a frame."""
+        from bayesnet_track.vision.correlation import solved
+
+        return np.asarray(solved(numerator, denominator, self.parameters.ridge) * self._window(size))
+
+
+def _answer(kernel: NDArray[np.float32], patch: NDArray[np.float32]) -> float:
+    """The answer to a patch in whose middle the target is."""
+    return float(np.sum(kernel * patch, dtype=np.float64))
+
+
+def _share_inside(boxes: Floats, width: int, height: int) -> Floats:
+    """(N,) share of each centre box that lies inside the frame."""
+    x, y, w, h = boxes.T
+    across = np.minimum(x + w / 2, width - 0.5) - np.maximum(x - w / 2, -0.5)
+    down = np.minimum(y + h / 2, height - 0.5) - np.maximum(y - h / 2, -0.5)
+    return np.asarray(np.clip(across / w, 0.0, 1.0) * np.clip(down / h, 0.0, 1.0))
+
+
+def _make(parameters: CorrelationFilterParameters) -> Cue:
+    import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
+
+    from bayesnet_track.numerics import correlation_kernels, gradient_kernels  # noqa: F401
+
+    return CorrelationFilter(parameters)
+
+
+CUE = CueDeclaration(
+    name="correlation_filter",
+    summary="Answer of a correlation filter on oriented gradients and colour, learnt online.",
+    parameters=CorrelationFilterParameters,
+    make=_make,
+    cost_ms=3.0,
+    rate_max=0.015,
+)

@@ -1,0 +1,167 @@
+"""The correlation filter: its regression, answers against plain sums, scale, tiles, learning."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bayesnet_track.cue import Hypotheses
+from bayesnet_track.cues.correlation_filter import CUE, LEAST_ANSWER, REACH, CorrelationFilter
+from bayesnet_track.planes import Frame, FramePair, PlaneCache, Planes, Region
+from bayesnet_track.vision.correlation import (
+    answers,
+    equations,
+    gaussian_label,
+    hann,
+    scaled_spectra,
+    solved,
+    spectra,
+)
+from bayesnet_track.vision.correlation_patches import CHANNELS, patch_at
+
+SIZE = (40.0, 52.0)
+
+
+def texture(seed: int, rows: int, columns: int, cell: int = 5) -> np.ndarray:
+    coarse = np.random.default_rng(seed).integers(0, 256, (rows // cell + 2, columns // cell + 2, 3))
+    return cv2.resize(coarse.astype(np.uint8), (columns, rows), interpolation=cv2.INTER_LINEAR)
+
+
+def scene(x: float, y: float, scale: float = 1.0, seed: int = 2) -> np.ndarray:
+    """A textured target with its middle at (x, y) on another texture, 400 x 300."""
+    image, target = texture(1, 300, 400, 9), texture(seed, 52, 40)
+    matrix = np.array([[scale, 0, x - 19.5 * scale], [0, scale, y - 25.5 * scale]])
+    over = cv2.warpAffine(target, matrix, (400, 300), flags=cv2.INTER_LINEAR)
+    mask = cv2.warpAffine(np.ones((52, 40), np.uint8), matrix, (400, 300), flags=cv2.INTER_NEAREST)
+    return np.where(mask[..., None] > 0, over, image)
+
+
+def planes_of(image: np.ndarray) -> Planes:
+    whole = Region(0, 0, image.shape[1], image.shape[0])
+    return PlaneCache(FramePair(Frame(0, 0.0, image), None)).planes(made().needs, whole)
+
+
+def made(**parameters: object) -> CorrelationFilter:
+    return CUE.make(CUE.parameters(**parameters))
+
+
+def box(x: float, y: float, scale: float = 1.0) -> np.ndarray:
+    return np.array([x, y, SIZE[0] * scale, SIZE[1] * scale])
+
+
+def score(
+    cue: CorrelationFilter, image: np.ndarray, boxes: list[np.ndarray], reference: object
+) -> np.ndarray:
+    return cue.log_likelihood(planes_of(image), Hypotheses(np.array(boxes)), reference)
+
+
+def answered(cue: CorrelationFilter, image: np.ndarray, boxes: list[np.ndarray], of: object) -> np.ndarray:
+    return cue.answers(planes_of(image), np.array(boxes), of, np.ones(len(boxes), bool))
+
+
+@given(st.floats(-2, 2), st.floats(-2, 2), st.integers(0, 1000))
+@settings(max_examples=20, deadline=None)
+def test_the_filter_gives_the_wanted_answer_to_its_own_sample(x: float, y: float, seed: int) -> None:
+    """Without a ridge the regression is exact: cyclic answers are the label, also between cells."""
+    sample = np.random.default_rng(seed).normal(size=(3, 16, 16)).astype(np.float32)
+    label = gaussian_label(16, 1.3, x, y)
+    kernel = solved(*equations(sample, label), 1e-9)
+    cyclic = np.fft.ifft2(np.sum(np.conj(np.fft.fft2(kernel)) * np.fft.fft2(sample), axis=0)).real
+    np.testing.assert_allclose(cyclic, label, atol=1e-4)  # complex64 and a power of 16^2 * 3 per frequency
+
+
+def test_answers_are_sums_of_products() -> None:
+    rng = np.random.default_rng(3)
+    patch = rng.normal(size=(4, 30, 30)).astype(np.float32)
+    kernel = rng.normal(size=(4, 10, 10)).astype(np.float32)
+    found = answers(spectra(patch), scaled_spectra(kernel, 1.0, 30), 10)
+    plain = [[np.sum(kernel * patch[:, j : j + 10, i : i + 10]) for i in range(21)] for j in range(21)]
+    np.testing.assert_allclose(found, plain, atol=1e-3)  # 400 products of order 1 in float32
+
+
+def test_the_window_is_as_wide_as_asked() -> None:
+    window = hann(20, 10.0, 16.0)
+    assert np.flatnonzero(window.sum(axis=0)).tolist() == list(range(5, 15))
+    assert np.flatnonzero(window.sum(axis=1)).tolist() == list(range(2, 18))
+    np.testing.assert_array_equal(window, window[::-1, ::-1])
+
+
+@pytest.mark.parametrize(("x", "cell"), [(120.3, 0.7), (20.0, 3.2), (-90.0, 4.0), (700.0, 9.1)])
+def test_a_patch_says_where_its_cells_lie(x: float, cell: float) -> None:
+    """Brightness rises with the column, so that a cell's brightness tells the column of its middle."""
+    image = np.repeat(np.tile(np.arange(256.0) / 2, (80, 1))[..., None], 3, axis=2).astype(np.uint8)
+    patch = patch_at(image, x, 40.0, cell, 12)
+    assert patch.features.shape == (CHANNELS, 12, 12)
+    assert abs(patch.x - x) <= 1.0 and abs(patch.cell - cell) <= 0.06 * cell
+    columns = np.clip(patch.x + (np.arange(12) - 5.5) * patch.cell, 0, 255)
+    read = (patch.features[-3, 5] + 0.5) * 255 * 2
+    # gray levels are cut to whole ones, half a px each; a cell over the border is partly repeated border
+    inside = (columns > patch.cell) & (columns < 255 - patch.cell) | (columns <= 0) | (columns >= 255)
+    np.testing.assert_allclose(read[inside], columns[inside], atol=2.0)
+
+
+@pytest.mark.parametrize("scale", [0.9, 1.0, 1.12])
+def test_place_and_scale_are_found(scale: float) -> None:
+    cue = made()
+    reference = cue.learn(planes_of(scene(150, 120)), box(150, 120))
+    image = scene(163.5, 108, scale)
+    scales = np.exp(np.arange(-0.24, 0.241, 0.02))
+    values = answered(cue, image, [box(163.5, 108, one) for one in scales], reference)
+    assert abs(np.log(scales[values.argmax()] / scale)) <= 0.05  # half a level and the steps asked
+    offsets = [(dx, dy) for dx in range(-6, 7) for dy in range(-6, 7)]
+    values = answered(cue, image, [box(163.5 + dx, 108 + dy, scale) for dx, dy in offsets], reference)
+    assert max(map(abs, offsets[values.argmax()])) <= 1
+
+
+def test_a_target_several_tiles_away_is_found_and_tiles_join() -> None:
+    cue = made()
+    reference = cue.learn(planes_of(scene(60, 60)), box(60, 60))
+    image = scene(330, 220)
+    far, beside, where_it_was = score(cue, image, [box(330, 220), box(310, 220), box(60, 60)], reference)
+    assert far > max(beside, where_it_was) + 1.5  # what was around it is still there
+    cell = (52 + 1.5 * np.sqrt(40 * 52)) / 24
+    seam = 60 + 0.5 * (REACH - 4) * cell
+    before, after = (answered(cue, scene(seam, 60), [box(seam + d, 60)], reference)[0] for d in (-1e-6, 1e-6))
+    assert before == pytest.approx(after, abs=0.15)  # the lattices of cells are off by a part of a cell
+    assert min(before, after) > 0.5 * float(reference["usual"])
+
+
+def test_the_usual_answer_follows_what_the_target_looks_like() -> None:
+    cue = made()
+    old = cue.learn(planes_of(scene(150, 120)), box(150, 120))
+    changed = cv2.addWeighted(scene(150, 120), 0.3, scene(150, 120, seed=9), 0.7, 0)
+    new = cue.learn(planes_of(changed), box(150, 120))
+    reference = {**old, "usual": old["usual"] * 10}
+    at_first = score(cue, changed, [box(150, 120)], reference)[0]
+    for _ in range(10):
+        reference = cue.blend(reference, new, 0.01)
+    assert score(cue, changed, [box(150, 120)], reference)[0] > at_first + 3.0
+    foreign = cue.learn(planes_of(scene(150, 120, seed=9)), box(150, 120))
+    for _ in range(3):
+        reference = cue.blend(reference, {**foreign, "patch": -foreign["patch"]}, 0.5)
+    assert float(reference["usual"]) >= LEAST_ANSWER
+
+
+def test_learning_in_small_steps_ends_at_the_new_look() -> None:
+    """Numerator and denominator blended: n equal steps of rate r leave (1 - r)^n of the old ones."""
+    cue = made()
+    old, new = (cue.learn(planes_of(scene(150, 120, seed=s)), box(150, 120)) for s in (2, 9))
+    reference = old
+    for _ in range(5):
+        reference = cue.blend(reference, new, 0.2)
+    left = 0.8**5
+    for name in ("numerator", "denominator"):
+        expected = left * old[name] + (1 - left) * new[name]
+        np.testing.assert_allclose(reference[name], expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_sharpness_is_the_log_likelihood_of_no_answer() -> None:
+    """A box half outside of the frame keeps half of its answer; one outside is at the floor."""
+    cue = made(sharpness=5.0, floor=1e-9, sd_log_area=100, sd_log_aspect=100)
+    reference = {**cue.learn(planes_of(scene(0, 120)), box(0, 120)), "usual": np.array(0.2)}
+    half, outside = score(cue, scene(0, 120), [box(-0.5, 120), box(-60, 120)], reference)
+    assert half == pytest.approx(-2.5, abs=0.01)
+    assert outside == pytest.approx(-5.0, abs=0.01)
