@@ -68,7 +68,7 @@ def latent_gaussian(
     """
     beta = np.exp(prior_log)
     matrix = part_matrix(given)
-    boxes = own.boxes if matrix is None else np.linalg.solve(matrix, own.boxes.T).T
+    boxes: Floats = own.boxes if matrix is None else np.asarray(np.linalg.solve(matrix, own.boxes.T).T)
     centre = beta @ boxes
     away = boxes - centre
     variance, axes = np.linalg.eigh((away * beta[:, None]).T @ away)

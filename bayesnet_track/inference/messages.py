@@ -112,7 +112,6 @@ def join_messages(
         if join.kind == "latent":
             assert join.given is not None
             above, own = _above(plan, join.node, latent, hypotheses), latent[join.node]
-            around = Hypotheses(part_boxes(join.given, above.boxes), above.fields)
             if join.own == "gaussian":
                 exact = {
                     source: (gaussians[source], terms[source]) for source in terms if source in gaussians
@@ -124,6 +123,7 @@ def join_messages(
                 if matched is not None:
                     gaussians[join.node] = matched
             else:
+                around = Hypotheses(part_boxes(join.given, above.boxes), above.fields)
                 total = INTEGRALS[join.own](join.given, around, own, prior_log, total)
                 rests[join.node] = total
             terms = {join.node: 1.0}

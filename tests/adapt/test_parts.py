@@ -7,7 +7,10 @@ import json
 import numpy as np
 import pytest
 
+from bayesnet_track.adapt.guard import Watched, judge
+from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph.net import Activated, StatusChanged
+from bayesnet_track.graph.spec import Guard
 from bayesnet_track.journal.codec import from_json, to_json
 
 WHOLE = (60.0, 50.0, 20.0, 40.0)
@@ -158,3 +161,22 @@ def test_parts_are_written_where_there_are_some(hiding, fakes):
     assert set(json.loads(line)["parts"]["head"]) == {"box", "sd", "ud_px2", "status"}
     plain, _ = run(fakes, {"a": fakes.flat()}, {"root": {}, "a": "root"}, 1)
     assert all("parts" not in json.loads(to_json(outcome.metrics[0])) for outcome in plain)
+
+
+def test_the_drift_guard_asks_about_the_part(fakes):
+    """Both references are compared at the box of the part that the agent looks at."""
+    asked = {}
+
+    def see(agent):
+        def log_likelihood(planes, hypotheses, reference):
+            asked.setdefault(agent, []).append(hypotheses.boxes[0].tolist())
+            return np.zeros(len(hypotheses))
+
+        return log_likelihood
+
+    cues = {agent: fakes.Oracle(see(agent)) for agent in "ab"}
+    slow, rule = Watched({agent: {} for agent in cues}), Guard(every=1)
+    cache, whole = fakes.observer(cues).cache, Hypotheses(np.array([WHOLE]))
+    rates = dict.fromkeys(cues, 0.1)
+    judge(slow, slow.slow, cues, rates, cache, whole, rule, {"b": np.array(TORSO)})
+    assert asked == {"a": [list(WHOLE)] * 2, "b": [list(TORSO)] * 2}
