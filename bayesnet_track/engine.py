@@ -19,8 +19,9 @@ from bayesnet_track.graph.net import Net
 from bayesnet_track.joining import Together, join_all, reach_of, weigh_all
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.machinery import Engine, Machinery, make_engine
+from bayesnet_track.people import Population
 from bayesnet_track.planes import Frame, FramePair, PlaneCache
-from bayesnet_track.population import Population, live
+from bayesnet_track.population import live
 from bayesnet_track.target import TargetState, Weighed, applied, conclude, recompiled, start
 
 __all__ = [

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -20,7 +20,6 @@ from bayesnet_track.adapt.claims import NOBODY, alike, claim
 from bayesnet_track.adapt.lifecycle import (
     Candidate,
     Identity,
-    Life,
     Lifeline,
     feed,
     is_confirmed,
@@ -32,13 +31,12 @@ from bayesnet_track.adapt.recognise import Match, match
 from bayesnet_track.detecting import Found, look
 from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
 from bayesnet_track.graph.life_settings import Birth, LifeRules
-from bayesnet_track.graph.net import Decision, Net
-from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed
 from bayesnet_track.machinery import Engine
+from bayesnet_track.people import Population
 from bayesnet_track.planes import Frame, PlaneCache
 from bayesnet_track.recalling import compare
-from bayesnet_track.target import TargetState, applied, restart, start
+from bayesnet_track.target import TargetState, restart, start
 
 Floats = NDArray[np.float64]
 
@@ -47,43 +45,6 @@ TESTED = 32
 
 REMEMBERED = 4
 """Dead targets that are remembered, in multiples of `birth.most`."""
-
-
-@dataclass(eq=False)
-class Population:
-    """The targets while one frame changes them.
-
-    Attributes:
-        net: the live nets.
-        targets: live target -> its state.
-        metrics: one entry per target that was live in this frame, the new ones included.
-        life: what is remembered.
-        events: decisions and what is told besides, in order.
-    """
-
-    net: Net
-    targets: dict[str, TargetState]
-    metrics: list[FrameMetrics]
-    life: Life
-    events: list[Event] = field(default_factory=list)
-
-    def decide(self, *decisions: Decision) -> None:
-        """Write decisions down and carry them out."""
-        self.net = applied(self.net, decisions)
-        self.events += decisions
-
-    def of_plate(self, plate: str) -> list[str]:
-        """Its live targets, in the order of their births."""
-        return [target for target in self.targets if self.net.targets[target].template == plate]
-
-    def held(self, plate: str) -> list[str]:
-        """Its live targets that are not lost."""
-        return [target for target in self.of_plate(plate) if self.net.targets[target].status != "lost"]
-
-    def boxes(self, targets: Sequence[str]) -> Floats:
-        """(K, 4) estimates of this frame."""
-        at = {line.target: line.box for line in self.metrics}
-        return np.array([at[target] for target in targets], dtype=np.float64).reshape(-1, 4)
 
 
 def live(engine: Engine, people: Population, frame: Frame, previous: Frame | None, cache: PlaneCache) -> None:
