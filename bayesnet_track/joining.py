@@ -41,6 +41,7 @@ from bayesnet_track.journal.join_events import (
 )
 from bayesnet_track.machinery import Engine
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+from bayesnet_track.numerics.resampling import resample
 from bayesnet_track.planes import Frame, PlaneCache
 from bayesnet_track.target import TargetState, Weighed, weigh
 
@@ -142,7 +143,7 @@ def join_all(
             one.step.prior,
             one.step.evidence.log_likelihood,
             levels[name].log,
-            {other: _log_on(engine, net, one, of[other], frame, cache) for other in others},
+            _logs_on(engine, net, one, [of[other] for other in others], frame, cache),
         )
         for name, others in _neighbours(edges).items()
         for one in (of[name],)
@@ -240,23 +241,31 @@ def _neighbours(edges: Sequence[Edge]) -> dict[str, list[str]]:
     return found
 
 
-def _log_on(engine: Engine, net: Net, one: Weighed, other: Weighed, frame: Frame, cache: PlaneCache) -> float:
-    """Mean log-likelihood, by a target's own agents, of boxes of it that lie wholly on the other's.
+def _logs_on(
+    engine: Engine, net: Net, one: Weighed, others: Sequence[Weighed], frame: Frame, cache: PlaneCache
+) -> dict[str, float]:
+    """Other -> mean log-likelihood, by a target's own agents, of boxes of it that lie wholly on the other's.
 
     Where its box is the larger one, in the middle of the other's.
     """
     machine = engine.machinery[net.targets[one.target].template]
-    stream = partial(engine.streams.of, one.target, other.target, frame.index)
-    rng = stream("on")
-    own, behind = one.step.support, other.step.support
-    states = own.states[rng.choice(len(own.weights), ON_SIZE, p=own.weights.weights)].copy()
-    boxes = behind.boxes[rng.choice(len(behind.weights), ON_SIZE, p=behind.weights.weights)]
+    stream = partial(engine.streams.of, one.target, "on", frame.index)
+    rng = stream("places")
+    size = ON_SIZE * len(others)
+    own = one.step.support
+    states = own.states[resample("systematic", own.weights.weights, size, rng)].copy()
+    drawn = [
+        other.step.support.boxes[resample("systematic", other.step.support.weights.weights, ON_SIZE, rng)]
+        for other in others
+    ]
+    boxes = np.concatenate(drawn)
     room = np.clip(boxes[:, 2:] - states[:, 2:4], 0.0, None)
-    states[:, :2] = boxes[:, :2] + room * (rng.random((ON_SIZE, 2)) - 0.5)
+    states[:, :2] = boxes[:, :2] + room * (rng.random((size, 2)) - 0.5)
     observer = Observer(cache, machine.cues, one.before.references, stream, engine.clock, {})
     seen = hypotheses_of(states, _particles(one.step.posterior).fields)
-    log = evaluate(one.before.plan, observer, seen, LogWeights.uniform(ON_SIZE).log).log_likelihood
-    return float(np.mean(np.maximum(log, -1e3)))
+    log = evaluate(one.before.plan, observer, seen, LogWeights.uniform(size).log).log_likelihood
+    means = np.maximum(log, -1e3).reshape(len(others), ON_SIZE).mean(axis=1)
+    return {other.target: float(mean) for other, mean in zip(others, means, strict=True)}
 
 
 def _carried_on(one: PairMemory, rule: Join) -> float:

@@ -11,9 +11,9 @@ both. L(0) is the likelihood L of the whole box. Of a box behind, the pixels of 
     log L(h) = log L - h log W + h l,    without h l within (1 - h) log L_worst .. (1 - h) log L_best
 
 W is the target's likelihood of a box wholly on the one in front, and l the level that stands for what cannot
-be seen: half way between its best and worst hypotheses, so that to be hidden is better than to match badly and
-worse than to match well. Of several targets each is hidden by one other at most, so that no share of a box is
-taken out twice.
+be seen: half way between its best and worst hypotheses, so that to be hidden is better than to match badly
+and worse than to match well. Of several targets each is hidden by one other at most, so that no share of a
+box is taken out twice.
 
 The sum over j is an average over a few partners of each i, drawn by a mixture of j's own posterior and prior,
 one from every stratum of it: no table of all pairs is made. Targets that hang together form a tree; messages

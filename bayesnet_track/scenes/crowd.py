@@ -11,7 +11,7 @@ from bayesnet_track.scenes.texture import ORANGE, flat, smooth_background
 
 Floats = NDArray[np.float64]
 
-WIDTH, HEIGHT, SIDE, NOISE_SD = 640, 480, 36.0, 4.0
+WIDTH, HEIGHT, SIDE, NOISE_SD = 640, 480, 28.0, 4.0
 TURN_SD = 0.06
 """Change of heading per frame, radians."""
 
@@ -19,7 +19,7 @@ TURN_SD = 0.06
 def crowd(seed: int = 0, count: int = 10, frames: int = 200) -> Scene:
     """`count` orange discs, all alike, on winding ways from border to border; the first is the target.
 
-    640x480 px, discs of 36 px, speeds uniform in 1.5 .. 4 px per frame, headings a random walk. None touches
+    640x480 px, discs of 28 px, speeds uniform in 1.5 .. 4 px per frame, headings a random walk. None touches
     another in the first 5 frames; a later one hides an earlier one.
 
     Raises:

@@ -1,0 +1,124 @@
+"""When targets are joined and parted, the law of evidence, spanning trees, and replay from decisions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bayesnet_track.adapt.joins import (
+    JoinMemory,
+    Level,
+    Reach,
+    decide_joins,
+    reach_overlaps,
+    spanning_tree,
+    uncounted,
+)
+from bayesnet_track.graph.join_decisions import Joined, Parted
+from bayesnet_track.graph.life_decisions import TargetDied
+from bayesnet_track.graph.net import Net, TargetStarted, apply, replay
+from bayesnet_track.graph.spec import Join
+
+NEAR = Join.model_validate({"exclusion": {}, "when": {"overlap": 0.1, "apart_frames": 3}})
+CARRY = Join.model_validate({"between": ["person", "box"], "attachment": {}})
+
+
+def reach(x, y=50.0, sd=0.0):
+    return Reach(np.array([x, y, 20.0, 20.0]), np.array([sd, sd]))
+
+
+def born(**kinds):
+    return [TargetStarted(0, name, kind, (0, 0, 9, 9), ()) for name, kind in kinds.items()]
+
+
+def net_of(**kinds):
+    net = Net()
+    for decision in born(**kinds):
+        net = apply(net, decision)
+    return net
+
+
+def test_overlap_is_of_the_smaller_reach():
+    overlaps = reach_overlaps([reach(50), reach(60), reach(90), reach(50, sd=5.0)])
+    assert overlaps[0, 1] == pytest.approx(0.5)
+    assert overlaps[0, 2] == 0
+    assert overlaps[0, 3] == pytest.approx(1.0), "the smaller one lies wholly inside"
+    assert np.array_equal(overlaps, overlaps.T)
+    assert reach_overlaps([]).shape == (0, 0)
+
+
+def test_they_are_joined_at_once_and_parted_after_a_while():
+    net, memory, told = net_of(a="t", b="t"), JoinMemory(), []
+    for frame, x in enumerate([200.0, 68.5, 68.0, 69.9, 80.0, 68.0, 80.0, 81.0, 90.0, 90.0], 1):
+        decisions, memory = decide_joins(frame, (NEAR,), net, {"a": reach(50), "b": reach(x)}, memory)
+        told += decisions
+        for decision in decisions:
+            net = apply(net, decision)
+    assert told == [
+        Joined(3, "a", "b", ("t", "t"), 0, pytest.approx(0.1), 0.1),
+        Parted(9, "a", "b", 0.0, 0.1, 3, 0.0, 6),
+    ]
+    assert not net.joins and not memory.pairs
+
+
+def test_kinds_without_a_join_stay_alone_and_the_carrier_comes_first():
+    net = net_of(b="box", p="person", q="person")
+    reaches = {name: reach(50) for name in net.targets}
+    decisions, memory = decide_joins(1, (CARRY,), net, reaches, JoinMemory())
+    assert [(one.target, one.other) for one in decisions] == [("p", "b"), ("q", "b")]
+    assert memory.pairs["p", "b"].overlap == 1.0
+
+
+def test_joins_replay_and_end_with_their_targets():
+    join = Joined(3, "a", "b", ("t", "t"), 0, 0.2, 0.1)
+    decisions = [*born(a="t", b="t"), join, TargetDied(7, "b", "lost", 30, 30, False)]
+    assert replay(decisions, until_frame=3).joins == {}
+    assert replay(decisions, until_frame=4).joins == {("a", "b"): join}
+    assert replay(decisions).joins == {}
+    with pytest.raises(KeyError):
+        apply(net_of(a="t"), join)
+    with pytest.raises(KeyError):
+        apply(net_of(a="t", b="t"), Parted(9, "a", "b", 0.0, 0.1, 3, 0.0, 6))
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    st.lists(
+        st.lists(st.tuples(st.integers(0, 120), st.integers(0, 60)), min_size=4, max_size=4),
+        min_size=1,
+        max_size=8,
+    )
+)
+def test_after_every_change_overlapping_targets_are_accounted_for(frames):
+    """The law of two-level evidence; and the tree and what is left out of it are all joined pairs."""
+    net, memory = net_of(a="t", b="t", c="t", d="t"), JoinMemory()
+    for frame, places in enumerate(frames, 1):
+        reaches = {name: reach(float(x), float(y)) for name, (x, y) in zip("abcd", places, strict=True)}
+        decisions, memory = decide_joins(frame, (NEAR,), net, reaches, memory)
+        before = uncounted((NEAR,), net, reaches)
+        for decision in decisions:
+            net = apply(net, decision)
+        assert uncounted((NEAR,), net, reaches) == ()
+        assert {frozenset(pair) for pair in before} == {
+            frozenset((one.target, one.other)) for one in decisions if isinstance(one, Joined)
+        }
+        assert memory.pairs.keys() == net.joins.keys()
+        tree, rest = spanning_tree({pair: one.overlap for pair, one in memory.pairs.items()})
+        assert {*tree, *rest} == set(net.joins)
+        groups = {frozenset(group) for group in rest.values()}
+        assert all(set(pair) <= set(group) for pair, group in rest.items())
+        assert all(sum(set(pair) <= group for pair in tree) == len(group) - 1 for group in groups)
+
+
+def test_a_ring_opens_where_the_overlap_is_least():
+    tree, rest = spanning_tree({("a", "b"): 0.5, ("b", "c"): 0.1, ("c", "a"): 0.4})
+    assert set(tree) == {("a", "b"), ("c", "a")}
+    assert rest == {("b", "c"): rest["b", "c"]} and sorted(rest["b", "c"]) == ["a", "b", "c"]
+
+
+def test_a_level_belongs_to_the_agents_that_were_active():
+    level = Level(frozenset("a"), -2.0).then(frozenset("a"), -4.0)
+    assert level == Level(frozenset("a"), -3.0, 2)
+    assert level.then(frozenset("ab"), -9.0) == Level(frozenset("ab"), -9.0)

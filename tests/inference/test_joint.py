@@ -1,0 +1,249 @@
+"""Joint beliefs against enumeration of all pairs, triples and orders; no pixel counts for two."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bayesnet_track.inference.joint import Edge, Marginal, Member, draw_partners, joint_marginals
+from bayesnet_track.numerics.joint_kernels import behind
+from bayesnet_track.numerics.log_weights import LogWeights
+
+
+def member(rng, centre, cells=9, copies=1, on=None):
+    """A target on `cells` places of a line, each `copies` times: more draws of the same discrete belief."""
+    x = np.repeat(centre + np.arange(cells) * 4.0 - 2.0 * (cells - 1), copies)
+    boxes = np.column_stack([x, np.full((len(x), 1), 50.0), np.full((len(x), 2), 20.0)])
+    prior = np.repeat(rng.uniform(0.2, 1.0, cells), copies)
+    likelihood = np.repeat(rng.uniform(-5.0, -0.1, cells), copies)
+    level = float(likelihood.min() + likelihood.max()) / 2
+    return Member(boxes, LogWeights.normalise(np.log(prior))[0], likelihood, level, on or {})
+
+
+def share(a, b):
+    """Share of the box `a` that lies under the box `b`."""
+    sides = [
+        min(a[k] + a[k + 2] / 2, b[k] + b[k + 2] / 2) - max(a[k] - a[k + 2] / 2, b[k] - b[k + 2] / 2)
+        for k in (0, 1)
+    ]
+    return max(sides[0], 0.0) * max(sides[1], 0.0) / (a[2] * a[3])
+
+
+def enumerated(members, edges):
+    """Marginals and orders by the sum over every combination of hypotheses and orders."""
+    names = list(members)
+    weights = {name: np.zeros(len(members[name].boxes)) for name in names}
+    fronts = np.zeros(len(edges))
+    for places in product(*(range(len(members[name].boxes)) for name in names)):
+        at = dict(zip(names, places, strict=True))
+        for orders in product((True, False), repeat=len(edges)):
+            log, hidden_by = 0.0, {}
+            allowed = True
+            for edge, first_front in zip(edges, orders, strict=True):
+                a, b = edge.pair
+                front, back = (a, b) if first_front else (b, a)
+                box, over = members[back].boxes[at[back]], members[front].boxes[at[front]]
+                hidden = share(box, over)
+                log += np.log(edge.first_in_front if first_front else 1 - edge.first_in_front)
+                log -= edge.nats * max(hidden, share(over, box))
+                if hidden > 0:
+                    allowed &= back not in hidden_by
+                    hidden_by[back] = (front, hidden)
+            if not allowed:
+                continue
+            for name in names:
+                one = members[name]
+                own = one.log_likelihood[at[name]]
+                if name in hidden_by:
+                    front, hidden = hidden_by[name]
+                    worst, best = one.log_likelihood.min(), one.log_likelihood.max()
+                    on = min(max(one.on.get(front, best), worst), best)
+                    rest = 1 - hidden
+                    own = np.clip(own - hidden * on, rest * worst, rest * best) + hidden * one.level
+                log += one.prior.log[at[name]] + own
+            weight = np.exp(log)
+            for name in names:
+                weights[name][at[name]] += weight
+            fronts += weight * np.array(orders)
+    total = weights[names[0]].sum()
+    return {name: one / total for name, one in weights.items()}, fronts / total
+
+
+def sampled(members, edges, seed):
+    """The same by pairs of draws."""
+    streams = lambda speaker, hearer: np.random.default_rng([seed, ord(speaker), ord(hearer)])  # noqa: E731
+    marginals, orders = joint_marginals(members, edges, streams)
+    found = {
+        name: LogWeights.normalise(members[name].prior.log + one.log_likelihood)[0].weights
+        for name, one in marginals.items()
+    }
+    return found, np.array([orders[edge.pair] for edge in edges]), marginals
+
+
+@pytest.mark.parametrize("nats", [0.0, 1.5])
+def test_a_pair_agrees_with_enumeration(nats):
+    """Each hypothesis averages R partners: of 300 runs the mean is off by at most 5 standard errors."""
+    rng = np.random.default_rng(1)
+    members = {"a": member(rng, 50.0, on={"b": -2.0}), "b": member(rng, 58.0)}
+    edges = [Edge(("a", "b"), 0.7, nats, pairings=8)]
+    truth, fronts = enumerated(members, edges)
+    runs = [sampled(members, edges, seed) for seed in range(300)]
+    for name in members:
+        found = np.array([run[0][name] for run in runs])
+        bound = (
+            5 * found.std(axis=0) / np.sqrt(len(runs)) + 2e-3
+        )  # normalising a few draws biases by O(1 / RN)
+        assert np.all(np.abs(found.mean(axis=0) - truth[name]) < bound)
+    order = np.array([run[1] for run in runs])
+    assert abs(order.mean() - fronts[0]) < 5 * order.std() / np.sqrt(len(runs)) + 2e-3
+
+
+def test_pairs_are_unbiased_before_they_are_normalised():
+    rng = np.random.default_rng(2)
+    members = {"a": member(rng, 50.0), "b": member(rng, 55.0)}
+    edges = [Edge(("a", "b"), 0.4, pairings=2)]
+    runs = [sampled(members, edges, seed)[2]["a"] for seed in range(600)]
+    found = np.array([np.exp(one.log_likelihood) for one in runs])
+    truth, _ = enumerated(members, edges)
+    b, a = members["b"], members["a"]
+    exact = joint_marginals(  # as many partners as make each hypothesis of b certain to be met
+        members, [Edge(("a", "b"), 0.4, pairings=64)], lambda s, h: np.random.default_rng([9, ord(s), ord(h)])
+    )[0]["a"]
+    scale = np.exp(exact.log_likelihood) @ a.prior.weights
+    expected = truth["a"] / a.prior.weights * scale
+    error = found.std(axis=0) / np.sqrt(len(runs))
+    assert len(b.boxes) == len(expected)
+    assert np.all(np.abs(found.mean(axis=0) - expected) < 5 * error + 0.02 * expected)
+
+
+def test_more_partners_and_more_hypotheses_come_nearer():
+    """The error of a marginal falls as 1 / sqrt(R N): a hundred times as many draws, a fifth of it at most."""
+    truth, _ = enumerated(*small(1))
+    errors = []
+    for copies, pairings in ((1, 1), (10, 10)):
+        members, edges = small(copies, pairings)
+        deviations = []
+        for seed in range(20):
+            found = sampled(members, edges, seed)[0]
+            deviations += [found["a"].reshape(9, copies).sum(axis=1) - truth["a"]]
+        errors.append(np.sqrt(np.mean(np.square(deviations))))
+    assert errors[1] < errors[0] / 5
+
+
+def small(copies, pairings=8):
+    rng = np.random.default_rng(3)
+    members = {name: member(rng, x, copies=copies) for name, x in (("a", 50.0), ("b", 57.0))}
+    return members, [Edge(("a", "b"), 0.5, 0.5, pairings)]
+
+
+def test_a_chain_and_a_star_agree_with_enumeration():
+    """Messages are exact on a tree up to sampling: with 400 hypotheses and 16 partners within 0.02."""
+    for edges in (
+        [Edge(("a", "b"), 0.6, 0.0, 16), Edge(("b", "c"), 0.3, 0.5, 16)],
+        [Edge(("b", "a"), 0.5, 0.0, 16), Edge(("b", "c"), 0.5, 0.0, 16), Edge(("b", "d"), 0.8, 0.0, 16)],
+    ):
+        names = sorted({name for edge in edges for name in edge.pair})
+        few, many = ({}, {})
+        for copies, made in ((1, few), (80, many)):
+            rng = np.random.default_rng(4)
+            for number, name in enumerate(names):
+                made[name] = member(rng, 50.0 + 6 * number, cells=5, copies=copies)
+        truth, fronts = enumerated(few, edges)
+        found, orders, _ = sampled(many, edges, 5)
+        for name in names:
+            assert np.abs(found[name].reshape(5, 80).sum(axis=1) - truth[name]).max() < 0.02
+        assert np.abs(orders - fronts).max() < 0.02
+
+
+def test_without_an_edge_and_far_apart_marginals_are_independent():
+    rng = np.random.default_rng(6)
+    members = {"a": member(rng, 50.0), "b": member(rng, 500.0)}
+    alone, _ = joint_marginals(members, [], np.random.default_rng)
+    for name, one in members.items():
+        assert alone[name].log_likelihood == pytest.approx(one.log_likelihood)
+        assert alone[name].hidden == {}
+    found, orders, marginals = sampled(members, [Edge(("a", "b"), 0.7, 3.0, 8)], 0)
+    for name, one in members.items():
+        own = one.prior.times(one.log_likelihood)[0].weights
+        # What b says of a is one number for all of a's hypotheses but for its own sampling: 8 partners.
+        assert np.abs(found[name] - own).max() < 0.05
+        assert sum(marginals[name].hidden.values()) == 0
+    assert orders[0] == pytest.approx(0.7)
+
+
+def test_swapping_the_two_targets_swaps_the_answers():
+    rng = np.random.default_rng(7)
+    a, b = member(rng, 50.0, copies=40), member(rng, 56.0, copies=40)
+    one, front, _ = sampled({"a": a, "b": b}, [Edge(("a", "b"), 0.8, 0.0, 16)], 1)
+    two, behind_, _ = sampled({"b": b, "a": a}, [Edge(("b", "a"), 0.2, 0.0, 16)], 2)
+    for name in "ab":
+        assert np.abs((one[name] - two[name]).reshape(9, 40).sum(axis=1)).max() < 0.02
+    assert front[0] == pytest.approx(1 - behind_[0], abs=0.02)
+
+
+@pytest.mark.parametrize("occluder", [-0.1, -3.0, -5.0])
+def test_to_be_hidden_is_better_than_a_bad_match_and_worse_than_a_good_one(occluder):
+    worst, best = -5.0, -0.1
+    level = (worst + best) / 2
+    for hidden in (0.25, 0.5, 1.0):
+        found = behind(best, hidden, level, occluder, worst, best)
+        assert worst < found < best
+    assert behind(worst, 1.0, level, occluder, worst, best) == pytest.approx(level)
+    assert behind(-2.0, 0.0, level, occluder, worst, best) == -2.0
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    places=st.lists(st.tuples(st.floats(30, 70), st.floats(30, 70)), min_size=2, max_size=4),
+    sides=st.tuples(st.floats(5, 40), st.floats(5, 40)),
+    fronts=st.lists(st.booleans(), min_size=3, max_size=3),
+)
+def test_no_pixel_counts_for_two_joined_targets(places, sides, fronts):
+    """Certain boxes and orders: along the chain, what stays visible of a joined pair never overlaps."""
+    names = "abcd"[: len(places)]
+    boxes = {name: np.array([[*place, *sides]]) for name, place in zip(names, places, strict=True)}
+    members = {
+        name: Member(box, LogWeights.uniform(1), np.array([-1.0]), -3.0) for name, box in boxes.items()
+    }
+    edges = [
+        Edge((first, second), 1.0 - 1e-9 if front else 1e-9)
+        for first, second, front in zip(names, names[1:], fronts, strict=False)
+    ]
+    marginals, _ = joint_marginals(members, edges, lambda s, h: np.random.default_rng(0))
+    for name in names:
+        assert 0 <= sum(marginals[name].hidden.values()) <= 1 + 1e-9
+    if len(names) > 2:
+        return
+    (first, second), (front,) = names, fronts[:1]
+    back, over = (second, first) if front else (first, second)
+    shared = share(boxes[back][0], boxes[over][0])
+    # The one behind counts 1 - shared of its box: the pixels of the overlap count once, for the one in front.
+    assert marginals[back].hidden[over] == pytest.approx(shared, abs=1e-6)
+    assert marginals[over].hidden[back] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_partners_are_drawn_in_proportion_and_one_from_each_stratum():
+    rng = np.random.default_rng(8)
+    boxes = member(rng, 50.0).boxes
+    shares = rng.dirichlet(np.ones(len(boxes)))
+    drawn = draw_partners(boxes, shares, 500, 4, rng)
+    counts = np.bincount(drawn.ravel(), minlength=len(boxes))
+    assert np.abs(counts - 2000 * shares).max() < 2  # systematic: within one draw at either end of a share
+    assert np.all(np.diff(np.sort(boxes[drawn, 0].mean(axis=1))) >= 0)
+    assert boxes[drawn[0], 0].max() <= boxes[drawn[1], 0].min()
+
+
+def test_likelihoods_of_zero_and_rings():
+    rng = np.random.default_rng(9)
+    a, b = member(rng, 50.0), member(rng, 52.0)
+    a.log_likelihood[2:] = -np.inf
+    found, _, _ = sampled({"a": a, "b": b}, [Edge(("a", "b"), 0.5)], 0)
+    assert np.isfinite(found["a"]).all() and found["a"].sum() == pytest.approx(1)
+    ring = [Edge(pair, 0.5) for pair in (("a", "b"), ("b", "c"), ("c", "a"))]
+    with pytest.raises(ValueError, match="close a ring"):
+        sampled({"a": b, "b": b, "c": b}, ring, 0)
+    assert Marginal(np.zeros(1), {}).hidden == {}
