@@ -158,12 +158,13 @@ class CorrelationFilter:
         cells, image, values = self.parameters.cells, planes[WholeFrame()], np.zeros(len(boxes))
         around, size, kernel = cells + REACH, reference["size"], reference["kernel"]
         cell = self._cell(size)
-        tiles = np.floor((boxes[:, :2] - reference["place"]) / ((REACH - 4) * cell) + 0.5).astype(np.int64)
+        tiles = np.floor((boxes[:, :2] - reference["place"]) / ((REACH - 4) * cell) + 0.5)
+        tile_of = tiles @ [1.0, 2.0**20]  # one number is sorted faster than two
         log_scale = 0.5 * np.log(boxes[:, 2] * boxes[:, 3] / (size[0] * size[1]))
         filters: dict[int, list[NDArray[np.float32]]] = {}
-        for tile in np.unique(tiles[asked], axis=0):
-            which = np.flatnonzero(asked & (tiles == tile).all(axis=1))
-            x, y = reference["place"] + tile * (REACH - 4) * cell
+        for tile in np.unique(tile_of[asked]):
+            which = np.flatnonzero(asked & (tile_of == tile))
+            x, y = reference["place"] + tiles[which[0]] * (REACH - 4) * cell
             patch = patch_at(image, float(x), float(y), cell, around)
             seen = spectra(patch.features)
             levels = np.clip((log_scale + np.log(cell / patch.cell)) / SCALE_STEP, -LEVELS, LEVELS)

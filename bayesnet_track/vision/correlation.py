@@ -42,14 +42,15 @@ def equations(sample: Singles, label: Floats) -> tuple[Spectra, Floats]:
     """Numerator (C, S, S / 2 + 1) and denominator (S, S / 2 + 1) of windowed features (C, S, S)."""
     x = np.fft.rfft2(sample).astype(np.complex64)
     numerator = (x * np.conj(np.fft.rfft2(label))).astype(np.complex64)
-    return numerator, np.sum(np.abs(x).astype(np.float64) ** 2, axis=0)
+    return numerator, np.sum(x.real**2 + x.imag**2, axis=0, dtype=np.float64)
 
 
 def solved(numerator: Spectra, denominator: Floats, ridge: float) -> Singles:
     """(C, S, S) the filter; `ridge` is relative to the mean of the denominator."""
     side = numerator.shape[1]
     whole = denominator + max(ridge * float(denominator.mean()), 1e-9)
-    return np.fft.irfft2(numerator / whole, s=(side, side)).astype(np.float32)
+    quotient = numerator / whole.astype(np.float32)
+    return np.fft.irfft2(quotient, s=(side, side)).astype(np.float32)
 
 
 def spectra(patch: Singles) -> list[Singles]:
