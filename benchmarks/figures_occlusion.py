@@ -23,37 +23,14 @@ from figures_two_squares import levels, ud_and_activity
 from matplotlib.figure import Figure
 from traces import Trace, mean_shift, trace
 
+from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.net import LocallyAdapted, SelfStopped
-from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.spec import AgentNode
 from bayesnet_track.runtime.run import Start
 from bayesnet_track.scenes import Scene, make_scene
 
 GRAY, COLOR_UD = "#15803d", "#b26a10"
 FRAMES = (4, 20, 23, 30)
-
-GRAY_PLATE = {
-    "nodes": {
-        "square": {
-            "belief": {"particles": {"size": 1000}},
-            "motion": {"random_walk": {"sd_px": {"x": 12, "y": 12}}},
-            "fuse": "product",
-            "ud_fields": ["x", "y"],
-            "adapt": {
-                "activate": {"above": {"ud_px2": 400}, "frames": 3},
-                "deactivate": {"below": {"ud_px2": 30}, "frames": 5},
-            },
-            "learn": {"below": {"ud_px2": 100}, "rate_max": 0.02},
-        },
-        "color": {
-            "parent": "square",
-            "agent": {"color_histogram": {"floor": 0.001}},
-            "self_check": {"above": {"ud_px2": 250}, "frames": 4},
-        },
-        "intensity": {"parent": "square", "agent": {"intensity": {"floor": 0.001, "sd_pattern": 0.3}}},
-    }
-}
-"""A target of which colour knows nothing: intensity is made sharp, and colour watches itself."""
-
 
 @cache
 def hidden() -> tuple[Scene, Trace]:
@@ -123,13 +100,15 @@ def occlusion_uncertainty() -> Figure:
 
 def gray_square() -> Figure:
     """Thesis Figure 2.19: UD of the gray square, and the colour agent's self-stop."""
-    graph = GraphSpec.model_validate({"name": "gray_square", "targets": {"square": GRAY_PLATE}})
+    graph = load_graph("gray_square").spec
     run = trace(graph, make_scene("gray_square", 0), 0, frames=60)
     figure, upper = ud_and_activity(run, levels(graph), ("color", "intensity"))
     own = [moment.metrics.agent_ud_px2.get("color", np.nan) for moment in run.first]
     upper.plot(own, "o-", color=COLOR_UD, markersize=4, label="color's own UD")
-    check = GRAY_PLATE["nodes"]["color"]["self_check"]["above"]["ud_px2"]  # type: ignore[index]
-    level(upper, float(check), f"self-check {check}", COLOR_UD, ":")
+    color = graph.targets["square"].nodes["color"]
+    assert isinstance(color, AgentNode) and color.self_check is not None
+    check = color.self_check.above.settings
+    level(upper, check, f"self-check {check:g}", COLOR_UD, ":")
     stop = next(d for d in run.decisions if isinstance(d, SelfStopped))
     tries = sum(isinstance(d, LocallyAdapted) for d in run.decisions)
     upper.annotate(

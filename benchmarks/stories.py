@@ -139,13 +139,13 @@ def every_agent_is_called_while_it_is_hidden(run: Run) -> bool:
 
 
 def colour_stops_itself(run: Run) -> bool:
-    """The self-check of the histogram, not the inference node, stops it; the gray square is held."""
-    stopped = run.decisions(SelfStopped, "histogram")
+    """Its own self-check, not the inference node, stops it; the gray square is held."""
+    stopped = run.decisions(SelfStopped, "color")
     return bool(
         stopped
         and stopped[0].cause.ud_px2 > stopped[0].cause.level
         and stopped[0].rests_until > stopped[0].frame + 1
-        and not run.decisions(Deactivated, "histogram")
+        and not run.decisions(Deactivated, "color")
         and run.overlaps().mean() > 0.8
     )
 
@@ -263,7 +263,7 @@ def _found(run: Run) -> bool:
 STORIES = {
     "orange_and_gray": Story("orange_and_gray", "orange_and_gray", the_hidden_square_calls_for_help),
     "color_fusion": Story("color_fusion", "orange_and_gray", every_agent_is_called_while_it_is_hidden, True),
-    "gray_square": Story("color_fusion", "gray_square", colour_stops_itself),
+    "gray_square": Story("gray_square", "gray_square", colour_stops_itself),
     "person_and_board": Story("person_shape", "person_and_board", shape_stops_itself_before_the_glare),
     "person_color_stereo": Story(
         "person_color_stereo", "person_color_stereo", colour_is_called_when_somebody_comes

@@ -27,7 +27,7 @@ SCENE_GRAPHS = {
     "crowd": "crowd",
     "crowd_of_fifty": "crowd",
     "orange_and_gray": "orange_and_gray",
-    "gray_square": "color_fusion",
+    "gray_square": "gray_square",
     "flying_ball": "kalman_ball",
     "person_and_board": "person_shape",
     "person_parts": "person_parts",
