@@ -160,6 +160,48 @@ class MeasuringCue(Protocol):
         ...
 
 
+CLAIM = "claim"
+"""Name, in a reference, of the detection that the target was given for this frame; see `ClaimingCue`."""
+
+
+@dataclass(frozen=True)
+class ClaimRule:
+    """Which detection a target is given as its own, and how far off detections are.
+
+    Attributes:
+        sd_place: sd of a detection's centre, as a share of its sides.
+        sd_size: sd of its sides, as a share of them.
+        gate: a detection farther from the prediction than this share of right ones is not the target's.
+        least_overlap: nor is one whose intersection over union with the predicted box is smaller.
+        looks: exponent of the likelihood that agents which know looks give the detection's box.
+    """
+
+    sd_place: float
+    sd_size: float
+    gate: float
+    least_overlap: float
+    looks: float
+
+    def variances(self, boxes: Floats) -> Floats:
+        """(..., 4) variances in px^2 of x, y, w, h of detections (..., 4)."""
+        shares = np.array([self.sd_place, self.sd_place, self.sd_size, self.sd_size])
+        return np.asarray((shares * boxes[..., [2, 3, 2, 3]]) ** 2)
+
+
+@runtime_checkable
+class ClaimingCue(MeasuringCue, Protocol):
+    """A cue that measures by a detection: one that no other target of its plate is given in this frame.
+
+    When it is asked its reference holds a further array, `CLAIM`: (1, 5) the detection's centre box and score,
+    or (0, 5) when the target is given none. What it learns holds no such array.
+    """
+
+    @property
+    def rule(self) -> ClaimRule:
+        """Which detection is the target's."""
+        ...
+
+
 AnyCue = Cue | MeasuringCue
 
 
@@ -198,6 +240,7 @@ class CueDeclaration:
         is_appearance: False when it does not tell one target from another by its looks: motion, place.
         missing: parameters -> what they need and this computer has not (a library's part, a file), in words,
             or None; `validate` asks it. Without it nothing is needed.
+        reads_claim: True for a `ClaimingCue`.
     """
 
     name: str
@@ -210,6 +253,7 @@ class CueDeclaration:
     opaque: bool = False
     is_appearance: bool = True
     missing: Callable[[Any], str | None] | None = None
+    reads_claim: bool = False
 
 
 def floored(log_likelihood: Floats, floor: float) -> Floats:

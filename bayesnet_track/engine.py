@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.joins import JoinMemory, decide_joins
 from bayesnet_track.adapt.lifecycle import Life
+from bayesnet_track.claiming import Looked, look_first
 from bayesnet_track.graph.net import Net
 from bayesnet_track.joining import Together, join_all, reach_of, weigh_all
 from bayesnet_track.journal.events import Event, FrameMetrics
@@ -109,7 +110,12 @@ def step(engine: Engine, state: State, frame: Frame) -> Outcome:
         raise ValueError(f"frame {frame.index} at time {frame.time} is not later than {state.previous.time}")
     cache = PlaneCache(FramePair(frame, state.previous))
     seconds: dict[str, float] = {}
-    weighed = weigh_all(engine, state.net, state.targets, state.joins, frame, cache, seconds)
+    started = engine.clock()
+    looked = look_first(engine, state.net, state.targets, state.life, frame, state.previous, cache)
+    known, life = (state.targets, state.life) if looked is None else (looked.targets, looked.life)
+    if looked is not None:
+        seconds["life"] = engine.clock() - started
+    weighed = weigh_all(engine, state.net, known, state.joins, frame, cache, seconds)
     together = _together(engine, state, weighed, frame, cache, seconds)
     net, targets = state.net, {}
     metrics: list[FrameMetrics] = []
@@ -123,21 +129,26 @@ def step(engine: Engine, state: State, frame: Frame) -> Outcome:
         metrics.append(done.metrics)
         covariances[one.target] = done.covariance
         events += [*done.told, *done.decisions]
-    after = State(net, targets, frame, state.life, together.memory)
+    after = State(net, targets, frame, life, together.memory)
     outcome = Outcome(after, tuple(metrics), tuple(events), covariances, seconds)
-    return _joined(engine, _lived(engine, outcome, frame, state.previous, cache), frame)
+    return _joined(engine, _lived(engine, outcome, frame, state.previous, cache, looked), frame)
 
 
 def _lived(
-    engine: Engine, outcome: Outcome, frame: Frame, previous: Frame | None, cache: PlaneCache
+    engine: Engine,
+    outcome: Outcome,
+    frame: Frame,
+    previous: Frame | None,
+    cache: PlaneCache,
+    looked: Looked | None = None,
 ) -> Outcome:
     """The outcome after the frame's births, returns and deaths; as it is where no plate has any."""
     if all(machine.life is None for machine in engine.machinery.values()):
         return outcome
     state, seconds, started = outcome.state, dict(outcome.seconds), engine.clock()
     people = Population(state.net, dict(state.targets), list(outcome.metrics), state.life)
-    live(engine, people, frame, previous, cache)
-    seconds["life"] = engine.clock() - started
+    live(engine, people, frame, previous, cache, looked)
+    seconds["life"] = seconds.get("life", 0.0) + engine.clock() - started
     return Outcome(
         State(people.net, people.targets, frame, people.life, state.joins),
         tuple(people.metrics),

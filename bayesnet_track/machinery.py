@@ -12,7 +12,15 @@ from bayesnet_track.belief.gaussian import GaussianFilter
 from bayesnet_track.belief.grid import GridFilter
 from bayesnet_track.belief.motion import make_motion
 from bayesnet_track.belief.particles import ParticleFilter
-from bayesnet_track.cue import AnyCue, Cue, CueDeclaration, LocallyAdaptable, installed_cues
+from bayesnet_track.cue import (
+    AnyCue,
+    ClaimingCue,
+    ClaimRule,
+    Cue,
+    CueDeclaration,
+    LocallyAdaptable,
+    installed_cues,
+)
 from bayesnet_track.detect.selection import Selected
 from bayesnet_track.detector import Detector, DetectorError, detectors_of_graphs
 from bayesnet_track.graph import spec
@@ -43,6 +51,7 @@ class Machinery:
         detector: the detector of its births in `Engine.detectors`; empty without births.
         looks: agents that tell one target from another by its looks.
         part_of: agent that looks at a part of the target -> the part.
+        claimers: agent that measures by the detection that the target is given -> which one that is.
     """
 
     plate: CheckedTarget
@@ -58,6 +67,7 @@ class Machinery:
     looks: frozenset[str] = frozenset()
     guard: Guard | None = None
     part_of: Mapping[str, str] = field(default_factory=dict)
+    claimers: Mapping[str, ClaimRule] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +165,7 @@ def _make_machinery(
             agent for agent in plate.agents if of[agent].is_appearance and isinstance(made[agent], Cue)
         ),
         part_of=part_of_agents(plate),
+        claimers={agent: cue.rule for agent, cue in made.items() if isinstance(cue, ClaimingCue)},
     )
 
 

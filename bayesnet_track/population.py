@@ -28,6 +28,7 @@ from bayesnet_track.adapt.lifecycle import (
     time_to_die,
 )
 from bayesnet_track.adapt.recognise import Match, match
+from bayesnet_track.claiming import Looked
 from bayesnet_track.detecting import Found, look
 from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
 from bayesnet_track.graph.life_settings import Birth, LifeRules
@@ -47,19 +48,31 @@ REMEMBERED = 4
 """Dead targets that are remembered, in multiples of `birth.most`."""
 
 
-def live(engine: Engine, people: Population, frame: Frame, previous: Frame | None, cache: PlaneCache) -> None:
-    """Let the frame's births, returns and deaths happen to `people`, which is changed."""
+def live(
+    engine: Engine,
+    people: Population,
+    frame: Frame,
+    previous: Frame | None,
+    cache: PlaneCache,
+    looked: Looked | None = None,
+) -> None:
+    """Let the frame's births, returns and deaths happen to `people`, which is changed.
+
+    `looked` holds what the detectors found, and whose it is, where they looked before targets were weighed.
+    """
     rules = {plate: machine.life for plate, machine in engine.machinery.items() if machine.life is not None}
     if not rules:
         return
     _count(people, rules, frame)
-    found, people.life, told = look(engine, people.life, people.boxes, people.held, frame, previous)
+    if looked is None:
+        found, people.life, told = look(engine, people.life, people.boxes, people.held, frame, previous)
+    else:
+        found, told = looked.found, looked.told
     people.events += told
     for plate, rule in rules.items():
         if plate in found and rule.birth is not None:
-            _give_birth(
-                _Nursery(engine, people, frame, previous, cache, plate, rule, rule.birth), found[plate]
-            )
+            now = _Nursery(engine, people, frame, previous, cache, plate, rule, rule.birth)
+            _give_birth(now, found[plate], None if looked is None else looked.owners.get(plate))
     for plate, rule in rules.items():
         _end_duplicates(people, plate, rule, frame)
         _end_lost(engine, people, plate, rule, frame)
@@ -101,17 +114,23 @@ class _Nursery:
     birth: Birth
 
 
-def _give_birth(now: _Nursery, found: Found) -> None:
-    people, apart = now.people, now.birth.apart_box
+def _give_birth(now: _Nursery, found: Found, owners: tuple[str | None, ...] | None) -> None:
+    """What becomes of a plate's detections; `owners` says whose each is where they were given before."""
+    people, apart, covered = now.people, now.birth.apart_box, now.birth.covered
     held = people.held(now.plate)
-    sd = np.array([_sd_px(people.targets[target]) for target in held])
-    owner, free = claim(found.boxes, people.boxes(held), sd, apart)
-    people.life = replace(
-        people.life, lifelines=_seen(people.life.lifelines, [held[k] for k in owner if k != NOBODY])
-    )
+    if owners is None:
+        sd = np.array([_sd_px(people.targets[target]) for target in held])
+        owner, free = claim(found.boxes, people.boxes(held), sd, apart, covered)
+        seen = [held[k] for k in owner if k != NOBODY]
+    else:
+        seen = [target for target in owners if target is not None]
+        near = people.boxes(list(dict.fromkeys([*held, *seen])))
+        free = np.array([one is None for one in owners], dtype=bool)
+        free &= ~alike(found.boxes, near, apart, covered).any(axis=1)
+    people.life = replace(people.life, lifelines=_seen(people.life.lifelines, seen))
     found = found.only(free)
-    at = _find_lost(now, found)
-    found = found.only(np.logical_not(np.any(alike(found.boxes, at, apart), axis=1)))
+    at = _find_lost(now, found, seen)
+    found = found.only(np.logical_not(np.any(alike(found.boxes, at, apart, covered), axis=1)))
     waiting = feed(
         people.life.candidates.get(now.plate, ()), found.boxes, found.scores, now.frame.index, now.birth
     )
@@ -124,10 +143,10 @@ def _give_birth(now: _Nursery, found: Found) -> None:
     people.life = replace(people.life, candidates={**people.life.candidates, now.plate: left})
 
 
-def _find_lost(now: _Nursery, found: Found) -> Floats:
-    """Lost targets whose looks a free detection has start again there: (K, 4) where."""
+def _find_lost(now: _Nursery, found: Found, seen: Sequence[str]) -> Floats:
+    """Lost targets whose looks a free detection has start again there: (K, 4) where; not those `seen`."""
     people, recall = now.people, now.rule.recall
-    held = set(people.held(now.plate))
+    held = {*people.held(now.plate), *seen}
     lost = [target for target in people.of_plate(now.plate) if target not in held]
     places = np.empty((0, 4))
     if recall is None or not recall.lost or not lost:
@@ -158,7 +177,7 @@ def _bear(now: _Nursery, ready: Sequence[Candidate], found: Found) -> list[Candi
     refused = 0
     for number, candidate in enumerate(ready):
         others = people.boxes(people.held(now.plate))
-        if alike(candidate.box[None], others, now.birth.apart_box).any():
+        if alike(candidate.box[None], others, now.birth.apart_box, now.birth.covered).any():
             taken.append(candidate)
         elif len(people.of_plate(now.plate)) >= most:
             refused += 1

@@ -9,7 +9,7 @@ Floats = NDArray[np.float64]
 Owners = NDArray[np.intp]
 
 COVERED = 0.5
-"""Share of the smaller box from which on two boxes are taken for one object."""
+"""Share of the smaller box from which on two boxes are taken for one object, unless said otherwise."""
 
 NOBODY = -1
 
@@ -25,13 +25,13 @@ def distances(a: Floats, b: Floats) -> Floats:
     return np.asarray(away / side, dtype=np.float64)
 
 
-def alike(a: Floats, b: Floats, apart: float) -> NDArray[np.bool_]:
-    """(N, K) whether boxes (N, 4) and (K, 4) are one object: no farther apart, or half covered."""
+def alike(a: Floats, b: Floats, apart: float, covered: float = COVERED) -> NDArray[np.bool_]:
+    """(N, K) whether boxes (N, 4) and (K, 4) are one object: no farther apart, or so much covered."""
     low = np.maximum(a[:, None, :2] - a[:, None, 2:] / 2, b[None, :, :2] - b[None, :, 2:] / 2)
     high = np.minimum(a[:, None, :2] + a[:, None, 2:] / 2, b[None, :, :2] + b[None, :, 2:] / 2)
     shared = np.prod(np.clip(high - low, 0.0, None), axis=2)
     smaller = np.minimum(np.prod(a[:, 2:], axis=1)[:, None], np.prod(b[:, 2:], axis=1)[None])
-    return np.asarray((distances(a, b) <= apart) | (shared >= COVERED * smaller))
+    return np.asarray((distances(a, b) <= apart) | (shared >= covered * smaller))
 
 
 def pair_up(cost: Floats, limit: Floats) -> Owners:
@@ -50,7 +50,9 @@ def pair_up(cost: Floats, limit: Floats) -> Owners:
     return owner
 
 
-def claim(detections: Floats, live: Floats, sd_px: Floats, apart: float) -> tuple[Owners, NDArray[np.bool_]]:
+def claim(
+    detections: Floats, live: Floats, sd_px: Floats, apart: float, covered: float = COVERED
+) -> tuple[Owners, NDArray[np.bool_]]:
     """Who holds which detection, and which are free.
 
     Args:
@@ -58,6 +60,7 @@ def claim(detections: Floats, live: Floats, sd_px: Floats, apart: float) -> tupl
         live: (K, 4) estimates of the targets that are not lost.
         sd_px: (K,) root mean square sd of x and y of their beliefs.
         apart: within how many box sides a detection is taken for a target's.
+        covered: how much of the smaller box another holds that is taken for the same object.
 
     Returns:
         (N,) the live target that claims it, one to one, or `NOBODY`; and (N,) True where nobody claims it
@@ -67,7 +70,7 @@ def claim(detections: Floats, live: Floats, sd_px: Floats, apart: float) -> tupl
         return np.full(len(detections), NOBODY, dtype=np.intp), np.ones(len(detections), dtype=bool)
     reach = apart + 2.0 * sd_px / _sides(live)
     owner = pair_up(distances(detections, live), np.broadcast_to(reach, (len(detections), len(live))))
-    return owner, (owner == NOBODY) & ~alike(detections, live, apart).any(axis=1)
+    return owner, (owner == NOBODY) & ~alike(detections, live, apart, covered).any(axis=1)
 
 
 def _sides(boxes: Floats) -> Floats:

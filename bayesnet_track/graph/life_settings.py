@@ -7,7 +7,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from bayesnet_track.graph.model import FrameCount, Model, NotNegative, Number, PluginChoice, Truth, Whole
+from bayesnet_track.graph.model import FrameCount, Model, NotNegative, Number, PluginChoice, Share, Truth, Whole
 
 
 class DetectorChoice(PluginChoice):
@@ -40,8 +40,9 @@ class Birth(Model):
     """A detector's finds that no live target claims become targets of this plate, each with a net of its own.
 
     A live target claims one detection: the nearest within `apart_box`, or within twice the sd of its belief
-    beyond that. Further ones within `apart_box`, or half covered by it (or it by them), are taken for the
-    same object. While a target is lost it claims none.
+    beyond that. Further ones within `apart_box`, or `covered` by it (or it by them), are taken for the same
+    object. While a target is lost it claims none. Where an agent measures by detections, they are given to
+    targets before, lost ones too, as that agent says.
     """
 
     detector: DetectorChoice = Field(description="what finds targets")
@@ -56,6 +57,10 @@ class Birth(Model):
     apart_box: NotNegative = Field(
         default=0.5,
         description="least distance of a birth's centre from a live target's, in the mean of both sqrt(w h)",
+    )
+    covered: Share = Field(
+        default=0.5,
+        description="share of the smaller box that two boxes have in common from which on they are one object",
     )
 
 

@@ -1,0 +1,154 @@
+"""Give targets their detections before they are weighed, for plates whose agents measure by them.
+
+The detectors look, every target's belief is predicted, and the targets of a plate share its detections out: as
+many as can be, the best for all together by where each target is expected and, where the agent's `looks` ask
+for it, by what the target looks like. What nobody gets is left to the life of targets (`population`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.assign import assign, log_expected
+from bayesnet_track.adapt.claims import NOBODY
+from bayesnet_track.adapt.lifecycle import Life
+from bayesnet_track.belief.bounds import Confined
+from bayesnet_track.belief.gaussian_predict import predict
+from bayesnet_track.cue import CLAIM, ClaimRule, Hypotheses
+from bayesnet_track.detecting import Found, look
+from bayesnet_track.graph.net import Net
+from bayesnet_track.graph.spec import Gaussian
+from bayesnet_track.inference.compile import compile_plan
+from bayesnet_track.inference.messages import Observer, evaluate
+from bayesnet_track.journal.life_events import DetectorFailed
+from bayesnet_track.machinery import Engine
+from bayesnet_track.planes import Frame, PlaneCache
+from bayesnet_track.target import TargetState
+
+Floats = NDArray[np.float64]
+
+LEAST_LOG = -50.0
+"""Log-likelihoods of looks are cut here: a look that cannot be is no reason to leave a detection to nobody."""
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """What a look before the targets were weighed gave.
+
+    Attributes:
+        found: plate that looked -> its detections, the best first.
+        owners: plate whose agents claim -> (N,) for each of its detections the target that it was given to.
+        targets: every live target, the references of agents that claim with what they were given.
+        life: as it was, with the detectors' states after the look.
+        told: detectors that failed.
+    """
+
+    found: Mapping[str, Found]
+    owners: Mapping[str, tuple[str | None, ...]]
+    targets: Mapping[str, TargetState]
+    life: Life
+    told: tuple[DetectorFailed, ...]
+
+
+def look_first(
+    engine: Engine,
+    net: Net,
+    targets: Mapping[str, TargetState],
+    life: Life,
+    frame: Frame,
+    previous: Frame | None,
+    cache: PlaneCache,
+) -> Looked | None:
+    """What the detectors find, shared out among the targets; None where no plate has agents that claim."""
+    if not any(machine.claimers for machine in engine.machinery.values()):
+        return None
+    expected = {target: _predicted(engine, net, targets, target, frame) for target in targets}
+
+    def held(plate: str) -> list[str]:
+        of_plate = (target for target in targets if net.targets[target].template == plate)
+        return [target for target in of_plate if net.targets[target].status != "lost"]
+
+    found, life, told = look(
+        engine,
+        life,
+        lambda names: np.array([expected[name][0] for name in names]).reshape(-1, 4),
+        held,
+        frame,
+        previous,
+    )
+    given = dict(targets)
+    owners: dict[str, tuple[str | None, ...]] = {}
+    for plate, machine in engine.machinery.items():
+        if not machine.claimers:
+            continue
+        names = [target for target in targets if net.targets[target].template == plate]
+        seen = found.get(plate, Found(np.empty((0, 4)), np.empty(0)))
+        rule = next(iter(machine.claimers.values()))
+        gains = np.full((len(names), len(seen.boxes)), -np.inf)
+        for row, target in enumerate(names):
+            gains[row] = log_expected(*expected[target], seen.boxes, rule)
+            gains[row] += _looks(engine, plate, rule, targets[target], target, seen, gains[row], frame, cache)
+        owner = assign(gains)
+        whose: list[str | None] = [None] * len(seen.boxes)
+        for target, number in zip(names, owner.tolist(), strict=True):
+            claim = np.empty((0, 5))
+            if number != NOBODY:
+                whose[number] = target
+                claim = np.append(seen.boxes[number], seen.scores[number])[None]
+            given[target] = _with_claim(targets[target], machine.claimers, claim)
+        if plate in found:
+            owners[plate] = tuple(whose)
+    return Looked(found, owners, given, life, told)
+
+
+def _predicted(
+    engine: Engine, net: Net, targets: Mapping[str, TargetState], target: str, frame: Frame
+) -> tuple[Floats, Floats]:
+    """(4,) mean and (4, 4) covariance of the box that the target is expected to have in this frame.
+
+    Exact of a Gaussian belief under linear motion, else by moments and the motion's derivative.
+    """
+    before = targets[target]
+    motion = Confined(engine.machinery[net.targets[target].template].motion, frame.width, frame.height)
+    belief, elapsed = before.belief, frame.time - before.time
+    mean, covariance = predict(belief.mean, belief.covariance, motion, elapsed, Gaussian())
+    return mean[:4], covariance[:4, :4]
+
+
+def _looks(
+    engine: Engine,
+    plate: str,
+    rule: ClaimRule,
+    state: TargetState,
+    target: str,
+    found: Found,
+    gains: Floats,
+    frame: Frame,
+    cache: PlaneCache,
+) -> Floats:
+    """(N,) what the target's looks add to the gains of its detections, 0 of those beyond the gates."""
+    machine = engine.machinery[plate]
+    added = np.zeros(len(gains))
+    near = np.flatnonzero(gains > -np.inf)
+    agents = [a for a in machine.plate.agents if a in machine.looks and a in state.references]
+    if not frame.has_color:
+        agents = [agent for agent in agents if agent not in machine.color_agents]
+    if not rule.looks or not len(near) or not agents:
+        return added
+    stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
+    observer = Observer(cache, machine.cues, state.references, lambda what: stream(f"claim {what}"))
+    prior = np.full(len(near), -np.log(len(near)))
+    plan = compile_plan(machine.plate, agents, machine.cues)
+    log = evaluate(plan, observer, Hypotheses(found.boxes[near]), prior).log_likelihood
+    added[near] = rule.looks * np.clip(log, LEAST_LOG, None)
+    return added
+
+
+def _with_claim(state: TargetState, agents: Mapping[str, ClaimRule], claim: Floats) -> TargetState:
+    given = {agent: {**state.references[agent], CLAIM: claim} for agent in agents if agent in state.references}
+    return replace(state, references={**state.references, **given})

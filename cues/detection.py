@@ -1,0 +1,100 @@
+"""Cue: the detection that the target was given in this frame, as a measurement of its box.
+
+Detections are shared out before any target is weighed: all targets of a plate at once, each detection to one
+target at most, by where each target is expected and, if wanted, by looks (`bayesnet_track.claiming`). A target
+that gets none hears nothing from this agent, so that its belief predicts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from bayesnet_track.cue import (
+    CLAIM,
+    ClaimRule,
+    CueDeclaration,
+    CueParameters,
+    Floats,
+    Hypotheses,
+    Measurement,
+    Reference,
+)
+from bayesnet_track.planes import Plane, Planes
+
+
+class DetectionParameters(CueParameters):
+    """Parameters of the detection agent."""
+
+    sd_place: float = Field(
+        default=0.06, gt=0, description="Sd of a detection's centre (share of its width and height)."
+    )
+    sd_size: float = Field(default=0.06, gt=0, description="Sd of a detection's sides (share of them).")
+    gate: float = Field(
+        default=0.999,
+        gt=0,
+        le=1,
+        description="A detection farther from the prediction than this share of right ones is not the "
+        "target's (0..1).",
+    )
+    least_overlap: float = Field(
+        default=0.2,
+        ge=0,
+        le=1,
+        description="Nor is one that overlaps the predicted box by less (intersection over union).",
+    )
+    looks: float = Field(
+        default=0.0,
+        ge=0,
+        le=10,
+        description="How much agents that know looks say in whose a detection is (exponent of their "
+        "likelihood; 0: place alone).",
+    )
+
+
+@dataclass(frozen=True)
+class Detection:
+    """The detection agent at work. It has no reference of its own but what it is given."""
+
+    parameters: DetectionParameters
+    needs: ClassVar[tuple[Plane, ...]] = ()
+    context: ClassVar[float] = 0.0
+
+    @property
+    def rule(self) -> ClaimRule:
+        """Which detection is the target's."""
+        p = self.parameters
+        return ClaimRule(p.sd_place, p.sd_size, p.gate, p.least_overlap, p.looks)
+
+    def learn(self, planes: Planes, box: Floats) -> Reference:
+        """Nothing: a detection is this frame's."""
+        return {}
+
+    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+        """Nothing to blend."""
+        return new if rate > 0 else old
+
+    def measure(
+        self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
+    ) -> Measurement | None:
+        """x, y, w, h of the detection given, errors independent; None without one."""
+        claim = reference.get(CLAIM)
+        if claim is None or len(claim) == 0:
+            return None
+        box = np.array(claim[0, :4], dtype=np.float64)
+        covariance = np.diag(self.rule.variances(box))
+        return Measurement(("x", "y", "w", "h"), box, covariance, self.parameters.floor)
+
+
+CUE = CueDeclaration(
+    name="detection",
+    summary="The detection that is the target's, by where it is expected and by looks: a place and a size.",
+    parameters=DetectionParameters,
+    make=Detection,
+    cost_ms=0.05,
+    is_appearance=False,
+    reads_claim=True,
+)
