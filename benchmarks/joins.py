@@ -66,29 +66,29 @@ def tracked(scene: Scene, graph: CheckedGraph, seed: int) -> Tracked:
 
 
 def hidden_error(scene: Scene, run: Tracked) -> float:
-    """Median distance of the first target's centre from the truth, px, over the frames in which it is hidden."""
+    """Median distance of the first target's centre from the truth, px, while it is hidden."""
     hidden = scene.visible == 0
     true = centre_from_corner(scene.truth)
     return float(np.median(np.linalg.norm(run.boxes[0, hidden, :2] - true[hidden, :2], axis=1)))
 
 
 def switches(scene: Scene, run: Tracked) -> tuple[int, int]:
-    """Identity errors and crossings: of two that overlapped and are apart again, how many nets are not on theirs.
+    """Crossings after which a net is not on its own target, and all crossings.
 
-    A crossing is a stretch of frames in which the true boxes of two overlap by a fifth of their area at some
-    time; it is judged when they are a box apart, and only for a net that was on its own target, the nearest
-    one, when the stretch began.
+    A crossing is a stretch of frames in which the true boxes of two overlap by a twentieth of their area at
+    some time; it is judged when they are apart by a quarter of a box, and only for a net that was on its own
+    target, the nearest one, when the stretch began.
     """
     true = centre_from_corner(np.array([scene.truth, *scene.others]))[:, :, :2]
     away = np.linalg.norm(run.boxes[:, None, :, :2] - true[None], axis=-1)
-    on = np.argmin(away, axis=1)  # (T, n): the true one that each net is nearest to
+    on = np.argmin(away, axis=1)  # (net, frame): the true one that it is nearest to
     errors = crossings = 0
     count, frames = len(true), true.shape[1]
     for a in range(count):
         for b in range(a + 1, count):
             gap = np.abs(true[a] - true[b])
             shared = np.prod(np.clip(SIDE - gap, 0.0, None), axis=1) / SIDE**2
-            apart = gap.max(axis=1) > 1.5 * SIDE
+            apart = gap.max(axis=1) > 1.25 * SIDE
             began, deep = None, False
             for frame in range(frames):
                 if apart[frame]:
@@ -99,7 +99,7 @@ def switches(scene: Scene, run: Tracked) -> tuple[int, int]:
                     began, deep = None, False
                 elif began is None:
                     began = max(frame - 1, 0)
-                deep = deep or (not apart[frame] and shared[frame] > 0.2)
+                deep = deep or (not apart[frame] and shared[frame] > 0.05)
     return errors, crossings
 
 
@@ -118,11 +118,11 @@ def _box(seeds: int) -> None:
     print(f"median of seeds {middle[0]:.1f} against {middle[1]:.1f}; at most half in {better} of {seeds}")
 
 
-def _crowd(seeds: int, count: int) -> None:
+def _crowd(seeds: int, count: int, frames: int) -> None:
     print("seed  crossings  switches joined  alone   ms per frame joined (of it joins)  alone")
     total = np.zeros(4)
     for seed in range(seeds):
-        scene = crowd(seed, count)
+        scene = crowd(seed, count, frames)
         runs = [tracked(scene, graph_of("crowd", on), seed) for on in (True, False)]
         scored = [switches(scene, run) for run in runs]
         total += [*scored[0], *scored[1]]
@@ -144,11 +144,12 @@ def main() -> None:
     parser.add_argument("which", choices=["box", "crowd"])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--count", type=int, default=10)
+    parser.add_argument("--frames", type=int, default=200)
     options = parser.parse_args()
     if options.which == "box":
         _box(options.seeds)
     else:
-        _crowd(options.seeds, options.count)
+        _crowd(options.seeds, options.count, options.frames)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,8 @@ Floats = NDArray[np.float64]
 WIDTH, HEIGHT, SIDE, NOISE_SD = 640, 480, 28.0, 4.0
 TURN_SD = 0.06
 """Change of heading per frame, radians."""
+BORDER, TURN_BACK = 60.0, 0.25
+"""Distance from a border, px, from which on it turns away, and how strongly at the border itself."""
 
 
 def crowd(seed: int = 0, count: int = 10, frames: int = 200) -> Scene:
@@ -41,11 +43,17 @@ def crowd(seed: int = 0, count: int = 10, frames: int = 200) -> Scene:
 
 
 def _winding(rng: np.random.Generator, frames: int) -> Floats:
-    """(frames, 4) centre boxes of a disc that turns a little in each frame, reflected at the borders."""
-    room = np.array([WIDTH, HEIGHT]) - SIDE
-    start, speed = rng.uniform(0.0, 1.0, 2) * room, rng.uniform(1.5, 4.0)
-    heading = rng.uniform(0.0, 2 * np.pi) + np.cumsum(rng.normal(0.0, TURN_SD, frames))
-    steps = speed * np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    travelled = start + np.cumsum(steps, axis=0) - steps[0]
-    folded = np.abs((travelled + room) % (2 * room) - room)
-    return np.column_stack([folded + (SIDE - 1) / 2, np.full((frames, 2), SIDE)])
+    """(frames, 4) centre boxes of a disc that turns a little in each frame, and away from borders."""
+    low = np.full(2, (SIDE - 1) / 2)
+    high = np.array([WIDTH, HEIGHT]) - 1 - low
+    place, speed, heading = rng.uniform(low, high), rng.uniform(1.5, 4.0), rng.uniform(0.0, 2 * np.pi)
+    turns = rng.normal(0.0, TURN_SD, frames)
+    path = np.empty((frames, 2))
+    for frame in range(frames):
+        path[frame] = place
+        ahead = speed * np.array([np.cos(heading + turns[frame]), np.sin(heading + turns[frame])])
+        inward = np.clip(low + BORDER - place, 0.0, None) - np.clip(place - high + BORDER, 0.0, None)
+        ahead += inward * (speed / BORDER) * TURN_BACK
+        heading = float(np.arctan2(ahead[1], ahead[0]))
+        place = np.clip(place + speed * ahead / np.linalg.norm(ahead), low, high)
+    return np.column_stack([path, np.full((frames, 2), SIDE)])

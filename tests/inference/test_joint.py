@@ -121,7 +121,7 @@ def test_pairs_are_unbiased_before_they_are_normalised():
 
 
 def test_more_partners_and_more_hypotheses_come_nearer():
-    """The error of a marginal falls as 1 / sqrt(R N): a hundred times as many draws, a fifth of it at most."""
+    """The error of a marginal falls as 1 / sqrt(R N): of a hundred times the draws, a fifth at most."""
     truth, _ = enumerated(*small(1))
     errors = []
     for copies, pairings in ((1, 1), (10, 10)):
