@@ -81,4 +81,5 @@ def pair_sums(
                 value = (1.0 - in_front) * penalty * seen * np.exp(gain)
                 sums[2, i] += value
                 sums[3, i] += own * value
-    return sums / rounds
+    sums /= rounds
+    return sums
