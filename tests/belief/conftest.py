@@ -91,12 +91,6 @@ def _every_belief():
 BELIEFS = tuple(_every_belief())
 
 
-@pytest.fixture(params=BELIEFS, ids=lambda asked: asked.name)
-def asked(request):
-    """Every belief of `beliefs.yaml`."""
-    return request.param
-
-
 AT_WORK = {
     "bootstrap",
     "kld_revised",
@@ -109,23 +103,28 @@ AT_WORK = {
     "grid_that_resets",
     "few_particles",
 }
-"""One of every way of working: a whole run of each of the others is slow."""
+"""One of every way of working: what is asked of each of the others besides the contract is slow."""
 
 
-@pytest.fixture(
-    params=[
-        pytest.param(asked, marks=() if asked.name in AT_WORK else pytest.mark.slow) for asked in BELIEFS
-    ],
-    ids=lambda asked: asked.name,
-)
-def asked_at_work(request):
-    """Every belief, for whole runs."""
+def _others_slow(beliefs):
+    return [pytest.param(asked, marks=() if asked.name in AT_WORK else pytest.mark.slow) for asked in beliefs]
+
+
+@pytest.fixture(params=BELIEFS, ids=lambda asked: asked.name)
+def asked_each(request):
+    """Every belief of `beliefs.yaml`."""
     return request.param
 
 
-@pytest.fixture(params=[asked for asked in BELIEFS if asked.is_kalman], ids=lambda asked: asked.name)
+@pytest.fixture(params=_others_slow(BELIEFS), ids=lambda asked: asked.name)
+def asked(request):
+    """Every belief of `beliefs.yaml`, one of every way of working in the fast suite."""
+    return request.param
+
+
+@pytest.fixture(params=_others_slow(b for b in BELIEFS if b.is_kalman), ids=lambda asked: asked.name)
 def asked_exactly(request):
-    """Those that aim at the exact answer."""
+    """As `asked`, those that aim at the exact answer."""
     return request.param
 
 

@@ -196,8 +196,8 @@ def check_step(one, fields):
         assert explain(event)
 
 
-def test_every_step_keeps_to_the_contract(asked, kind, make):
-    belief, motion = make(asked, kind)
+def test_every_step_keeps_to_the_contract(asked_each, kind, make):
+    belief, motion = make(asked_each, kind)
     check_posterior(start(belief, motion), motion.fields)
     np.testing.assert_allclose(start(belief, motion).mean[:4], BOX)
     for one in followed(belief, motion, places_of(motion, 1)):

@@ -44,9 +44,8 @@ def boxes_of(results, place=0):
     return np.array([result.targets[place].box for result in results])
 
 
-def test_it_runs_from_pictures_to_files(asked_at_work, scene, tmp_path):
+def test_it_runs_from_pictures_to_files(asked, scene, tmp_path):
     """40 frames of the crossing squares: motion switched off and on by UD and KL, all of it written down."""
-    asked = asked_at_work
     results = play(graph_with(square=asked.says), scene, [Start(scene.start_box)], out=tmp_path / "run")
     events = list(read_events(tmp_path / "run" / FILES["journal"]))
     lines = list(read_metrics(tmp_path / "run" / FILES["frames"]))

@@ -34,6 +34,12 @@ METHODS = {
     "west": {"west": {"refinements": 2}},
     "likelihood_mixture": "likelihood_mixture",
 }
+OTHERS_SLOW = [
+    pytest.param(
+        method, marks=pytest.mark.slow if method in ("regular", "parents", "separate", "auxiliary") else ()
+    )
+    for method in METHODS
+]
 BY_LEVEL = ("adaptive", "parents", "separate", "west")
 
 
@@ -128,7 +134,7 @@ def test_the_surprise_counts_prior_weights_and_saturates():
 # ------------------------------------------------------------------------------------ evidence
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", OTHERS_SLOW)
 def test_the_evidence_is_unbiased(method, frame_of, stream_of):
     frame, belief = frame_of(), belief_of(METHODS[method], above_kl=0.0 if method in BY_LEVEL else None)
     found = np.exp([frame.step(belief, stream_of(seed, 1)).log_evidence for seed in range(250)])
@@ -202,10 +208,16 @@ def squared_error(motion, belief, seed, leap, stream_of):
 @pytest.mark.parametrize(
     ("kind", "settings", "leap", "most"),
     [
-        ("constant_velocity", {"sd_velocity_px": 2.0, "start_velocity_sd_px": 5.0}, 0.0, 1.1),
+        pytest.param(
+            "constant_velocity",
+            {"sd_velocity_px": 2.0, "start_velocity_sd_px": 5.0},
+            0.0,
+            1.1,
+            marks=pytest.mark.slow,
+        ),
         ("constant_velocity", {"sd_velocity_px": 2.0, "start_velocity_sd_px": 5.0}, 20.0, 0.85),
-        ("random_walk", {"sd_px": {"x": 20.0, "y": 20.0}}, 0.0, 0.85),
-        ("random_walk", {"sd_px": {"x": 20.0, "y": 20.0}}, 80.0, 0.85),
+        pytest.param("random_walk", {"sd_px": {"x": 20.0, "y": 20.0}}, 0.0, 0.85, marks=pytest.mark.slow),
+        pytest.param("random_walk", {"sd_px": {"x": 20.0, "y": 20.0}}, 80.0, 0.85, marks=pytest.mark.slow),
     ],
 )
 def test_at_equal_cost_it_beats_a_plain_filter(kind, settings, leap, most, motion_of, stream_of):
