@@ -56,10 +56,10 @@ class Confined:
 
     def confined(self, moved: Floats) -> Floats:
         """`moved` (N, D), changed in place: centres on the image, sizes of 1 px to twice the image's."""
-        np.clip(moved[:, 0], 0.0, self.width - 1.0, out=moved[:, 0])
-        np.clip(moved[:, 1], 0.0, self.height - 1.0, out=moved[:, 1])
-        np.clip(moved[:, 2], 1.0, 2.0 * self.width, out=moved[:, 2])
-        np.clip(moved[:, 3], 1.0, 2.0 * self.height, out=moved[:, 3])
+        # Imported here: a graph is validated without compiling anything.
+        from bayesnet_track.numerics.kinematic_kernels import confine
+
+        confine(moved, float(self.width), float(self.height))
         return moved
 
     def spread_limit(self, mean: Floats) -> Floats:

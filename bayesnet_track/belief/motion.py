@@ -8,7 +8,7 @@ covariance of one step of dt. The box's own noise (`belief.noise`) is added to i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,7 @@ from bayesnet_track.belief.noise import (
     component_log_shares,
     component_variances,
     is_log,
+    is_same_everywhere,
     log_noise_density,
     noisy,
     sample_noise,
@@ -61,6 +62,13 @@ class KinematicMotion:
     dynamics: Rows
     diffusion: float = 0.0
     start_sd: tuple[float, ...] = ()
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:  # once: that of settings takes longer than what is looked up by it
+        return hash((self.noise, self.dynamics, self.diffusion, self.start_sd))
 
     @property
     def order(self) -> int:
@@ -103,7 +111,7 @@ class KinematicMotion:
         # Imported here: a graph is validated without compiling anything.
         from bayesnet_track.numerics.kinematic_kernels import drifted
 
-        return drifted(_plain(states), _rows(_steps(self.dynamics, self.diffusion, dt)[0]))
+        return drifted(_plain(states), _move_rows(self.dynamics, self.diffusion, dt))
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """F and Q, each (D, D): new = F old + noise of covariance Q, at the state (D,).
@@ -137,17 +145,14 @@ class KinematicMotion:
         box's noise adds up with the last entry of D alone.
         """
         mean = self.drift(old, dt)
-        variances = component_variances(self.noise, old[:, :4], dt)
-        keep = noisy(self.noise)
         chain = None if self.diffusion == 0 else _unmixing(self.dynamics, self.diffusion, dt)
-        if chain is not None:
-            variances[:, :, :2] += chain.pivots[0]
-            keep = [True, True, *keep[2:]]
-            further = np.broadcast_to(
-                np.repeat(chain.pivots[1:], 2), (*variances.shape[:2], 2 * self.order - 2)
-            )
-            variances = np.concatenate([variances, further], axis=2)
-            keep += [True] * (2 * self.order - 2)
+        keep = _kept(self)
+        same = _same_sds(self, dt)
+        if same is None:
+            sds = _sds(self, old[:, :4], dt)
+        else:
+            sds = np.empty((len(same), len(old), same.shape[2]))
+            sds[:] = same
 
         def all_coordinates(states: Floats) -> tuple[Floats, Floats]:
             points, log_jacobian = box_coordinates(self.noise, states[:, :4])
@@ -158,8 +163,10 @@ class KinematicMotion:
             return points, log_jacobian
 
         def coordinates(states: Floats) -> tuple[Floats, Floats]:
+            if chain is not None and len(keep) == 2 * self.order:  # the size has no noise
+                return _chains(states) @ chain.unmix.T, np.zeros(len(states))
             points, log_jacobian = all_coordinates(states)
-            return points[:, keep], log_jacobian
+            return points.take(keep, axis=1), log_jacobian
 
         def states_at(points: Floats, still: Floats) -> Floats:
             full = all_coordinates(still)[0]
@@ -174,7 +181,7 @@ class KinematicMotion:
         return Transition(
             coordinates,
             coordinates(mean)[0],
-            np.sqrt(variances[:, :, keep]),
+            sds,
             component_log_shares(self.noise),
             states_at,
         )
@@ -225,6 +232,32 @@ def linear_gaussian(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]
     return motion.linearise(np.ones(len(motion.fields)), dt)
 
 
+@lru_cache(maxsize=256)
+def _kept(motion: KinematicMotion) -> NDArray[np.intp]:
+    """(K,) which of x, y, w, h, vx, vy, ... are coordinates with noise."""
+    x, y, w, h = noisy(motion.noise)
+    if motion.diffusion == 0:
+        return np.flatnonzero([x, y, w, h])
+    return np.flatnonzero([True, True, w, h] + [True] * (2 * motion.order - 2))
+
+
+def _sds(motion: KinematicMotion, old: Floats, dt: float) -> Floats:
+    """(C, N, K) sds of the coordinates with noise around boxes `old` (N, 4)."""
+    variances = component_variances(motion.noise, old, dt)
+    if motion.diffusion != 0:
+        pivots = _unmixing(motion.dynamics, motion.diffusion, dt).pivots
+        variances[:, :, :2] += pivots[0]
+        further = np.broadcast_to(np.repeat(pivots[1:], 2), (*variances.shape[:2], 2 * motion.order - 2))
+        variances = np.concatenate([variances, further], axis=2)
+    return np.asarray(np.sqrt(variances.take(_kept(motion), axis=2)))
+
+
+@lru_cache(maxsize=256)
+def _same_sds(motion: KinematicMotion, dt: float) -> Floats | None:
+    """(C, 1, K) those of any box; None where they depend on it."""
+    return _sds(motion, np.ones((1, 4)), dt) if is_same_everywhere(motion.noise) else None
+
+
 def _kinematics(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]:
     """F and the kinematic part of Q, each (D, D)."""
     moves, covariance = _steps(motion.dynamics, motion.diffusion, dt)
@@ -270,6 +303,12 @@ def _step_rows(dynamics: Rows, diffusion: float, dt: float) -> tuple[Rows, Rows]
     return _rows(transition), _rows(np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
 
 
+@lru_cache(maxsize=256)
+def _move_rows(dynamics: Rows, diffusion: float, dt: float) -> Rows:
+    """The rows of the transition for one axis."""
+    return _rows(_steps(dynamics, diffusion, dt)[0])
+
+
 def _driven(states: Floats, parents: Ancestors, moves: Rows, root: Rows, rng: np.random.Generator) -> Floats:
     from bayesnet_track.numerics.kinematic_kernels import driven, driven_by
 
@@ -280,7 +319,9 @@ def _driven(states: Floats, parents: Ancestors, moves: Rows, root: Rows, rng: np
 
 def _plain(states: Floats) -> Floats:
     """`states` writable and in C order: one compiled version of a kernel only."""
-    return np.require(states, np.float64, ("C", "W"))
+    from bayesnet_track.numerics.compiled import plain
+
+    return plain(states)
 
 
 def _rows(matrix: Floats) -> Rows:

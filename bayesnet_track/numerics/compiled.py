@@ -6,6 +6,8 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numba
+import numpy as np
+from numpy.typing import NDArray
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -25,6 +27,13 @@ def compiled_summing(function: Kernel) -> Kernel:
     Nothing else is relaxed: NaN and infinities keep their meaning.
     """
     return _compiled(function, {"reassoc", "contract", "nsz"})
+
+
+def plain(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`array` as float64, writable and in C order, so that a kernel has one compiled version only."""
+    if array.dtype.char == "d" and array.flags.carray:
+        return array
+    return np.require(array, np.float64, ("C", "W"))
 
 
 def _compiled(function: Kernel, relaxed: bool | set[str]) -> Kernel:

@@ -38,11 +38,12 @@ def mixture_argmax(
         sds: (N, K), positive.
     """
     # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.compiled import plain
     from bayesnet_track.numerics.density_kernels import likeliest
 
     # One compiled version only: writable and in C order.
     arrays = (log_factors, points, log_weights, means, 1.0 / sds)
-    best = int(likeliest(*(np.require(array, np.float64, ("C", "W")) for array in arrays)))
+    best = int(likeliest(*(plain(array) for array in arrays)))
     if best >= 0:
         return best
     # Every point is so far from every component that all densities are 0 in floating point.

@@ -49,6 +49,22 @@ def _driven(old: Floats, moves: Rows, root: Rows, normals: Floats, new: Floats) 
 
 
 @compiled
+def confine(states: Floats, width: float, height: float) -> None:
+    """In place: centres of the states (N, D) onto an image of that size, sizes to 1 px .. twice the image's.
+
+    NaN stays.
+    """
+    for n in range(states.shape[0]):
+        for k in range(4):
+            extent = width if k % 2 == 0 else height
+            low, high = (0.0, extent - 1.0) if k < 2 else (1.0, 2.0 * extent)
+            if states[n, k] < low:
+                states[n, k] = low
+            elif states[n, k] > high:
+                states[n, k] = high
+
+
+@compiled
 def driven(states: Floats, parents: Ancestors, moves: Rows, root: Rows, normals: Floats) -> Floats:
     """As `drifted`, of `states[parents]`, with noise root z added to each chain: `root` (n, n) is triangular.
 
