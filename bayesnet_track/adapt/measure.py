@@ -67,10 +67,17 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
     evidence, prior, root = step.evidence, step.prior.log, step.support.weights
     hypotheses = Hypotheses(step.support.boxes)
     nodes = list(evidence.messages)
-    logs = tilted(prior, _rows(evidence.messages.values(), len(prior)))
-    beliefs = dict(zip(nodes, logs, strict=True))
-    beliefs[target.root] = root.log
     agents = [obs.agent for obs in plan.observations if obs.agent in evidence.messages]
+    governors = [target.governor[agent] or target.root for agent in agents]
+    nothing, is_alone = np.zeros(len(prior)), len(plan.observations) == 1
+    left = [
+        nothing if is_alone else without(plan, evidence, agent, hypotheses, prior).get(governor, nothing)
+        for agent, governor in zip(agents, governors, strict=True)
+    ]
+    # All beliefs in one matrix: those of the nodes, then what is left without each agent.
+    logs = tilted(prior, _rows((*evidence.messages.values(), *left), len(prior)))
+    beliefs = dict(zip(nodes, logs[: len(nodes)], strict=True))
+    beliefs[target.root] = root.log
 
     agent_ud = {}
     for obs in plan.observations:
@@ -78,27 +85,26 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
             boxes = evidence.latent.get(obs.at, hypotheses).boxes
             agent_ud[obs.agent] = _agent_ud(target, boxes, evidence.messages[obs.agent], beliefs[obs.agent])
 
-    governors = [target.governor[agent] or target.root for agent in agents]
-    governing = _rows((beliefs.get(governor, root.log) for governor in governors), len(prior))
-    without_agent = [without(plan, evidence, agent, hypotheses, prior) for agent in agents]
-    nothing = np.zeros(len(prior))
-    left = (one.get(governor, nothing) for one, governor in zip(without_agent, governors, strict=True))
-    rest = tilted(prior, _rows(left, len(prior)))
-    alone = _rows((beliefs[agent] for agent in agents), len(prior))
+    governing = [beliefs.get(governor, root.log) for governor in governors]
+    alone = governing if is_alone and not plan.draws else [beliefs[agent] for agent in agents]
+    nats = divergences(
+        _rows((*governing, *governing, *logs[: len(nodes)]), len(prior)),
+        _rows((*alone, *logs[len(nodes) :], *[prior] * len(nodes)), len(prior)),
+    ).tolist()
 
     parts = part_beliefs(plan, evidence, step.support.weights)
     uds = _node_uds(target, step, beliefs, parts)
     silent = tuple(agent for agent, own in evidence.measured.items() if own is None)
     at_parts = measure_parts(target, evidence, parts, uds)
     seeing = _that_see(target, agents, silent, at_parts)
-    mean = sum((evidence.messages[agent] / len(seeing) for agent in seeing), np.zeros(len(prior)))
+    mean = sum((evidence.messages[agent] / len(seeing) for agent in seeing), nothing)
     return Measures(
         ud_px2=uds,
         agent_ud_px2=agent_ud,
-        kl=_named(agents, divergences(governing, alone)),
-        contribution=_named(agents, divergences(governing, rest)),
-        strength=_named(nodes, divergences(logs, prior)),
-        fit=float(np.exp(min(np.max(mean), 0.0))) if seeing else 0.0,
+        kl=dict(zip(agents, nats, strict=False)),
+        contribution=dict(zip(agents, nats[len(agents) :], strict=False)),
+        strength=dict(zip(nodes, nats[2 * len(agents) :], strict=True)),
+        fit=float(np.exp(min(mean.max(), 0.0))) if seeing else 0.0,
         area_px2=area_px2,
         silent=silent,
         inside=_insides(target, step, beliefs, parts),
@@ -119,10 +125,6 @@ def _that_see(
 def _rows(arrays: Iterable[Floats], size: int) -> Floats:
     """(M, size) the arrays (size,) as rows, also when there are none."""
     return np.array(list(arrays), dtype=np.float64).reshape(-1, size)
-
-
-def _named(names: list[str], values: Floats) -> dict[str, float]:
-    return dict(zip(names, values.tolist(), strict=True))
 
 
 def _columns(target: CheckedTarget, node: str) -> list[int]:

@@ -39,5 +39,6 @@ def divergences(f: Floats, g: Floats) -> Floats:
     shared = np.exp(f)
     with np.errstate(invalid="ignore"):  # 0 times the infinity of log 0, which counts nothing
         terms = shared * (f - g)
-    terms[np.broadcast_to(shared == 0.0, terms.shape)] = 0.0
+    if not shared.all():
+        terms[np.broadcast_to(shared == 0.0, terms.shape)] = 0.0
     return np.asarray(np.maximum(terms.sum(axis=1), 0.0))
