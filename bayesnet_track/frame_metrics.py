@@ -121,4 +121,4 @@ def first_frame_metrics(
 
 
 def _floats(values: object) -> tuple[float, ...]:
-    return tuple(float(v) for v in np.asarray(values, dtype=np.float64))
+    return tuple(np.asarray(values, dtype=np.float64).tolist())

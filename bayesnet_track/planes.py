@@ -6,6 +6,7 @@ parameters share one array. Planes form a graph through `inputs`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -106,15 +107,28 @@ class Region:
 
 def region_of_boxes(boxes: NDArray[np.float64], grow: float = 0.0) -> Region:
     """The smallest region that holds all centre boxes (N, 4), each grown by `grow` of its size per side."""
+    if len(boxes) == 1:  # plain numbers, several times faster
+        x, y, w, h = boxes[0].tolist()
+        across, down = w * (0.5 + grow), h * (0.5 + grow)
+        return Region(
+            _floor(x - across + 0.5), _floor(y - down + 0.5), _ceil(x + across + 0.5), _ceil(y + down + 0.5)
+        )
     x, y, w, h = boxes.T  # column by column: numpy reduces rows of two several times slower
     across, down = w * (0.5 + grow), h * (0.5 + grow)
-    low = [_whole(np.floor(least + 0.5)) for least in ((x - across).min(), (y - down).min())]
-    high = [_whole(np.ceil(most + 0.5)) for most in ((x + across).max(), (y + down).max())]
-    return Region(*low, *high)
+    return Region(
+        _floor(float((x - across).min()) + 0.5),
+        _floor(float((y - down).min()) + 0.5),
+        _ceil(float((x + across).max()) + 0.5),
+        _ceil(float((y + down).max()) + 0.5),
+    )
 
 
-def _whole(pixels: float) -> int:
-    return int(min(max(pixels, -(2.0**30)), 2.0**30))
+def _floor(pixels: float) -> int:
+    return math.floor(min(max(pixels, -(2.0**30)), 2.0**30))
+
+
+def _ceil(pixels: float) -> int:
+    return math.ceil(min(max(pixels, -(2.0**30)), 2.0**30))
 
 
 @dataclass(frozen=True, eq=False)

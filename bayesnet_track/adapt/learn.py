@@ -99,7 +99,7 @@ def _learnt(
 def _checked(reference: Reference) -> Reference | str:
     for name, values in reference.items():
         array = np.asarray(values)
-        if np.issubdtype(array.dtype, np.inexact) and not np.isfinite(array).all():
+        if array.dtype.kind in "fc" and not np.isfinite(array).all():
             return f"made a reference whose {name!r} is not finite"
     return reference
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,11 +77,16 @@ class ParticleSet:
 
     def region(self, share: float) -> tuple[float, float, float, float]:
         """x_low, x_high, y_low, y_high in px: the central `share` of the centre's weight on each axis."""
-        weights = self.weights.weights
         tails = np.array([(1.0 - share) / 2.0, (1.0 + share) / 2.0])
-        x_low, x_high = weighted_quantiles(self.states[:, 0], weights, tails)
-        y_low, y_high = weighted_quantiles(self.states[:, 1], weights, tails)
+        x_low, x_high = _quantiles(*self._ordered[0], tails)
+        y_low, y_high = _quantiles(*self._ordered[1], tails)
         return x_low, x_high, y_low, y_high
+
+    @cached_property
+    def _ordered(self) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+        """x, then y: values in ascending order and their cumulative weights. One sort for all regions."""
+        weights = self.weights.weights
+        return _ordered(self.states[:, 0], weights), _ordered(self.states[:, 1], weights)
 
     def draw(self, size: int, rng: np.random.Generator) -> Floats:
         """(size, 4) boxes of hypotheses, drawn systematically."""
@@ -89,10 +95,16 @@ class ParticleSet:
 
 def weighted_quantiles(values: Floats, weights: Floats, shares: Floats) -> tuple[float, ...]:
     """The least value that has at least the share of the weight up to it, for each share."""
-    order = np.argsort(values)
-    cumulative = np.cumsum(weights[order])
-    found = np.searchsorted(cumulative, shares * cumulative[-1])
-    return tuple(float(q) for q in values[order][found])
+    return _quantiles(*_ordered(values, weights), shares)
+
+
+def _ordered(values: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    order = values.argsort()
+    return values[order], weights[order].cumsum()
+
+
+def _quantiles(ordered: Floats, cumulative: Floats, shares: Floats) -> tuple[float, ...]:
+    return tuple(ordered[cumulative.searchsorted(shares * cumulative[-1])].tolist())
 
 
 @dataclass(frozen=True, eq=False)
