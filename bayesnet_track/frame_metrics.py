@@ -15,6 +15,7 @@ from bayesnet_track.journal.join_events import JoinMetrics
 from bayesnet_track.journal.part_metrics import PartMetrics
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.planes import Frame
+from bayesnet_track.score import widened
 
 Floats = NDArray[np.float64]
 
@@ -22,7 +23,7 @@ CLOUD_SIZE = 48
 """Hypotheses kept per frame, drawn from the posterior, so that they carry no weights."""
 
 
-def score(measures: Measures, root: str) -> float:
+def index(measures: Measures, root: str) -> float:
     """Uncalibrated index in 0..1: how well the best hypothesis fits, times how concentrated the belief is."""
     return measures.fit / (1.0 + measures.ud_px2[root] / max(measures.area_px2, 1.0))
 
@@ -40,24 +41,37 @@ def frame_metrics(
     rate: float,
     stream: Stream,
     join: JoinMetrics | None = None,
+    scored: tuple[float, Mapping[str, float]] | None = None,
 ) -> FrameMetrics:
-    """The measurements of a step: `box` and `covariance` of its belief, `status` the one it ran with."""
+    """The measurements of a step: `box` and `covariance` of its belief, `status` the one it ran with.
+
+    `scored` is a calibrated score with the features that it comes from; without it the score is `index`.
+    """
     posterior, weights = stepped.posterior, stepped.support.weights
     cloud = posterior.draw(CLOUD_SIZE, stream("cloud"))
-    spread = np.sqrt(np.clip(np.diag(covariance)[:4], 0.0, None))
+    variances = np.clip(np.diag(covariance)[:4], 0.0, None)
     root = plate.root
+    score, features = (index(measures, root), {}) if scored is None else scored
+    slack = plate.inference(root).slack
+    if slack is None:
+        region50, region90 = posterior.region(0.5), posterior.region(0.9)
+    else:
+        side = float(np.sqrt(max(measures.area_px2, 1.0)))
+        wide = widened(posterior, slack, score, side, stream)
+        region50, region90 = wide.region50, wide.region90
+        variances[:2] += wide.variance
     return FrameMetrics(
         frame=frame.index,
         time_s=frame.time_s,
         target=target,
         box=_floats(box),
         map=_floats(stepped.map_state[:4]),
-        sd=_floats(spread),
+        sd=_floats(np.sqrt(variances)),
         ud_px2=measures.ud_px2[root],
         ud_nodes=measures.ud_px2,
         quiet_px2=quiet_px2,
         status=status,
-        score=score(measures, root),
+        score=score,
         log_evidence=stepped.log_evidence,
         surprise=kl(weights.log, stepped.prior.log),
         ess=weights.ess,
@@ -68,11 +82,12 @@ def frame_metrics(
         agent_ud_px2=measures.agent_ud_px2,
         strength=measures.strength,
         learn_rate=rate,
-        region50=_floats(posterior.region(0.5)),
-        region90=_floats(posterior.region(0.9)),
+        region50=_floats(region50),
+        region90=_floats(region90),
         cloud=tuple(map(tuple, np.rint(cloud).astype(np.int64).tolist())),
         silent=measures.silent,
         join=join,
+        features=features,
         parts={
             name: PartMetrics(_floats(part.box), _floats(part.sd), part.ud_px2, part.status)
             for name, part in measures.parts.items()

@@ -20,7 +20,8 @@ from bayesnet_track.adapt.learn import adapt_reference, learn_first, learn_refer
 from bayesnet_track.adapt.measure import measure
 from bayesnet_track.adapt.memory import Memory, Streak
 from bayesnet_track.adapt.parts import part_rates
-from bayesnet_track.adapt.rules import Situation, decide, quiet_level
+from bayesnet_track.adapt.rules import decide
+from bayesnet_track.adapt.situation import Situation, quiet_level
 from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Motion, Posterior, Step
 from bayesnet_track.belief.estimate import estimate
@@ -35,6 +36,7 @@ from bayesnet_track.journal.events import DegenerateBelief, Event, FrameMetrics
 from bayesnet_track.journal.join_events import JoinMetrics
 from bayesnet_track.machinery import Engine, Machinery
 from bayesnet_track.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.score import Scored, probability
 
 Floats = NDArray[np.float64]
 
@@ -50,6 +52,7 @@ class TargetState:
         plan: the compiled net.
         time: time of the last frame, frame intervals.
         watched: the slow references that guard the others against drift.
+        scored: what its score remembers.
     """
 
     belief: Posterior
@@ -58,6 +61,7 @@ class TargetState:
     plan: Plan
     time: float
     watched: Watched = field(default_factory=Watched)
+    scored: Scored = field(default_factory=Scored)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +172,8 @@ def restart(
         before,
         belief=machine.belief.start(box, Confined(machine.motion, frame.width, frame.height), stream),
         references={**before.references, **learnt},
-        memory=replace(before.memory, activate={}, deactivate={}, lost=Streak(), found=Streak()),
+        memory=replace(before.memory, activate={}, deactivate={}, lost=Streak(), found=Streak(), seen=Streak(), unsure=Streak()),
+        scored=replace(before.scored, smooth={}),
         time=frame.time,
     )
 
@@ -230,8 +235,13 @@ def conclude(
 
     working = applied(net, weighed.faults).targets[target]
     measures = measure(machine.plate, before.plan, stepped, float(box[2] * box[3]))
+    scored, score = before.scored, None
+    if root.score is not None:
+        rule = root.score.settings
+        scored = scored.after(rule, measures, stepped, measures.ud_px2[machine.plate.root])
+        score = probability(rule, scored.smooth)
     now = Situation(
-        frame.index, target, machine.plate, working, measures, machine.costs_ms, machine.adaptable, hidden
+        frame.index, target, machine.plate, working, measures, machine.costs_ms, machine.adaptable, hidden, score
     )
     chosen, memory = decide(now, before.memory)
     started = _charge(engine, seconds, "measure", started)
@@ -241,7 +251,7 @@ def conclude(
     at_parts = part_rates(root.learn, measures.parts, partial(quiet_level, machine.plate, working, memory))
     seen = max(1.0 - 2.0 * hidden, 0.0)
     rate, at_parts = rate * seen, {part: own * seen for part, own in at_parts.items()}
-    if working.status == "lost" or not working.active or stepped.degenerate is not None:
+    if working.status != "tracking" or not working.active or stepped.degenerate is not None:
         rate, at_parts = 0.0, {}
     rates = {
         agent: at_parts.get(machine.part_of.get(agent, ""), rate) * most
@@ -253,14 +263,26 @@ def conclude(
     references, watched, judged, decisions = _learn(now, machine, before, rates, cache, at, own, chosen)
     _charge(engine, seconds, "learn", started)
 
-    after = TargetState(stepped.posterior, references, memory, before.plan, frame.time, watched)
+    after = TargetState(stepped.posterior, references, memory, before.plan, frame.time, watched, scored)
     told = [report(frame.index, target) for report in stepped.reports]
     if stepped.degenerate is not None:
         told.append(DegenerateBelief(frame.index, target, stepped.degenerate))
     told += changes(frame.index, target, before.watched, watched, judged, machine.guard)
     spread = stepped.posterior.covariance
     metrics = frame_metrics(
-        frame, target, machine.plate, live.status, stepped, measures, box, spread, quiet, rate, stream, join
+        frame,
+        target,
+        machine.plate,
+        live.status,
+        stepped,
+        measures,
+        box,
+        spread,
+        quiet,
+        rate,
+        stream,
+        join,
+        None if score is None else (score, scored.smooth),
     )
     return Concluded(after, metrics, (*weighed.faults, *decisions), tuple(told), spread)
 

@@ -69,6 +69,8 @@ class Memory:
         self_check: agent -> streak above its own level.
         lost: streak of frames that look lost.
         found: streak of frames that look found.
+        seen: streak of frames that do not look lost, where the score says so.
+        unsure: streak of frames that look uncertain or lost, where the score says so.
         quiet: governor (and root) -> quiet level.
         helpful: agent -> (sum of contributions while active, frames).
         worth: governor whose rules go by it -> what its agents contributed, the past fading.
@@ -79,6 +81,8 @@ class Memory:
     self_check: Mapping[str, Streak] = field(default_factory=dict)
     lost: Streak = Streak()
     found: Streak = Streak()
+    seen: Streak = Streak()
+    unsure: Streak = Streak()
     quiet: Mapping[str, Quiet] = field(default_factory=dict)
     helpful: Mapping[str, tuple[float, int]] = field(default_factory=dict)
     worth: Mapping[str, Worth] = field(default_factory=dict)

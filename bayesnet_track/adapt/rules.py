@@ -6,50 +6,22 @@ deactivates one agent; then the target's status. Decisions take effect on the ne
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from bayesnet_track.adapt.conditions import Reading, Tested, apply_test, read_level
 from bayesnet_track.adapt.information import Worth, expected_per_ms, remembered_per_ms
-from bayesnet_track.adapt.measure import Measures
 from bayesnet_track.adapt.memory import Memory, Quiet, Streak
-from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.adapt.situation import Situation, active_below, quiet_level, read_ud
+from bayesnet_track.adapt.status import judge_status
 from bayesnet_track.graph.net import (
     Activated,
     Deactivated,
     Decision,
     LocallyAdapted,
     SelfStopped,
-    StatusChanged,
-    TargetNet,
 )
-from bayesnet_track.graph.spec import Adapt, Condition, Level, Lost
-
-
-@dataclass(frozen=True, eq=False)
-class Situation:
-    """All that the rules of one target see in one frame.
-
-    Attributes:
-        frame: frame index.
-        target: target id.
-        plate: the checked plate.
-        net: the live net, faults of this frame already taken out.
-        measures: what was measured.
-        costs_ms: agent -> declared cost.
-        adaptable: agents that can act locally before they stop.
-        hidden: expected share of it that a target it is joined with hides.
-    """
-
-    frame: int
-    target: str
-    plate: CheckedTarget
-    net: TargetNet
-    measures: Measures
-    costs_ms: Mapping[str, float]
-    adaptable: frozenset[str]
-    hidden: float = 0.0
+from bayesnet_track.graph.spec import Adapt, Condition, Level
 
 
 def decide(now: Situation, memory: Memory) -> tuple[tuple[Decision, ...], Memory]:
@@ -63,13 +35,8 @@ def decide(now: Situation, memory: Memory) -> tuple[tuple[Decision, ...], Memory
         if rules is not None:
             memory = _govern(now, memory, node, rules, decisions)
     _wake(now, decisions)
-    memory = _judge_status(now, memory, decisions)
+    memory = judge_status(now, memory, decisions)
     return tuple(decisions), memory
-
-
-def quiet_level(plate: CheckedTarget, net: TargetNet, memory: Memory, node: str) -> float | None:
-    """The measured quiet level of a node's UD in px^2 with the agents now active; None while unknown."""
-    return memory.quiet.get(node, Quiet()).level_px2(_active_below(plate, net, node))
 
 
 def _note_worth(now: Situation, memory: Memory) -> Memory:
@@ -94,11 +61,11 @@ def _goes_by_worth(rules: Adapt) -> bool:
 
 def _note_quiet(now: Situation, memory: Memory) -> Memory:
     """Count this frame's UD toward the quiet level, where it is a quiet one."""
-    if now.net.status == "lost":
+    if now.net.status != "tracking":
         return memory
     quiet = dict(memory.quiet)
     for node, ud in now.measures.ud_px2.items():
-        active = _active_below(now.plate, now.net, node)
+        active = active_below(now.plate, now.net, node)
         rules = now.plate.inference(node).adapt
         loud = False
         if rules is not None and rules.activate is not None:
@@ -109,33 +76,16 @@ def _note_quiet(now: Situation, memory: Memory) -> Memory:
     return replace(memory, quiet=quiet)
 
 
-def _read(now: Situation, memory: Memory, node: str, level: Level) -> Reading | None:
-    """The UD of an inference node in the level's unit."""
-    quiet = quiet_level(now.plate, now.net, memory, node)
-    return read_level(level, now.measures.ud_px2[node], now.measures.area_of(node), quiet)
-
-
 def _find(
     now: Situation, memory: Memory, node: str, level: Level | None, test: Condition | None
 ) -> Reading | Tested | None:
     """What a rule's condition finds in the node's belief; None while it cannot be told."""
     if level is not None:
-        return _read(now, memory, node, level)
+        return read_ud(now, memory, node, level)
     if test is None or test.concentrated is None:
         return None
     inside = now.measures.inside.get((node, test.concentrated.within_box))
     return None if inside is None else apply_test(test.concentrated, inside, now.measures.ud_px2[node])
-
-
-def _active_below(plate: CheckedTarget, net: TargetNet, node: str) -> frozenset[str]:
-    return frozenset(agent for agent in net.active if node in _ancestors(plate, agent))
-
-
-def _ancestors(plate: CheckedTarget, node: str) -> Iterator[str]:
-    above = plate.parent[node]
-    while above is not None:
-        yield above
-        above = plate.parent[above]
 
 
 # ------------------------------------------------------------------------------------ self-checks
@@ -280,41 +230,3 @@ def _wake(now: Situation, decisions: list[Decision]) -> None:
     for agent in _eligible(now):
         governor = now.plate.governor[agent] or now.plate.root
         decisions.append(Activated(now.frame, now.target, agent, governor, None))
-
-
-# ------------------------------------------------------------------------------------ status
-
-
-def _judge_status(now: Situation, memory: Memory, decisions: list[Decision]) -> Memory:
-    """tracking <-> lost, after as many frames as the rule says.
-
-    That nothing fits is no reason while half of the target is known to be hidden; that UD is high is one.
-    """
-    rule = now.plate.inference(now.plate.root).lost or Lost()
-    reading = _read(now, memory, now.plate.root, rule.above)
-    too_wide = reading is not None and reading.value > reading.level
-    fits = now.measures.fit >= rule.fit_below or now.hidden >= 0.5
-    value = 0.0 if reading is None else reading.value
-    # On a frame on which nothing fits, no level of UD would have kept the target from looking lost.
-    lost = memory.lost.then(too_wide or not fits, value if fits else math.inf, rule.frames)
-    found = memory.found.then(fits and not too_wide, value, rule.frames)
-    status, turning = now.net.status, math.inf
-    if status != "lost" and lost.count >= rule.frames:
-        status, turning = "lost", min(lost.values) if too_wide else math.inf
-    elif status == "lost" and found.count >= rule.frames:
-        status, turning = "tracking", max(found.values)
-    if status != now.net.status:
-        by_ud = reading is not None and turning < math.inf
-        cause = reading.cause(rule.frames, turning) if by_ud and reading is not None else None
-        reason = "" if cause is not None else _reason(now, rule, fits)
-        decisions.append(StatusChanged(now.frame, now.target, status, cause, reason))
-    return replace(memory, lost=lost, found=found)
-
-
-def _reason(now: Situation, rule: Lost, fits: bool) -> str:
-    if not now.net.active:
-        return "no agent is active, so the belief is prediction only"
-    if now.net.active <= set(now.measures.silent):
-        return "no active agent saw it"
-    fit = f"{now.measures.fit:.3g} {'≥' if fits else '<'} {rule.fit_below:.3g}"
-    return f"the best hypothesis has a likelihood of {fit} of a perfect match"

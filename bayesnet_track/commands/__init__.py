@@ -16,6 +16,7 @@ from bayesnet_track.commands.answer import (
 )
 from bayesnet_track.commands.calibrate import calibrate
 from bayesnet_track.commands.detect import detect
+from bayesnet_track.commands.fit import fit
 from bayesnet_track.commands.graphs import graph, list_installed, schema, validate
 from bayesnet_track.commands.learn_shape import learn_shape
 from bayesnet_track.commands.learn_stereo import learn_stereo
@@ -33,6 +34,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "log": log,
     "calibrate": calibrate,
     "detect": detect,
+    "fit": fit,
     "score": score,
     "learn-shape": learn_shape,
     "learn-stereo": learn_stereo,

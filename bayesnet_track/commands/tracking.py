@@ -223,6 +223,8 @@ def _show(progress: Progress, summary: Summary, result: Result) -> None:
     active = dict.fromkeys(agent for metrics in result.targets for agent in metrics.active)
     lost = [metrics.target for metrics in result.targets if metrics.status == "lost"]
     status = ("tracking" if result.targets else "no target") if not lost else "lost"
+    if not lost and any(metrics.status == "uncertain" for metrics in result.targets):
+        status = "uncertain"
     if lost and len(result.targets) > 1:
         status = f"lost: {', '.join(lost)} of {len(result.targets)}"
     ud_px2 = max((metrics.ud_px2 for metrics in result.targets), default=0.0)

@@ -145,12 +145,23 @@ class Learn(Model):
 
 
 class Lost(Model):
-    """The target counts as lost while UD is above a level or nothing fits, until neither held as long."""
+    """The target counts as lost while UD is above a level or nothing fits, until neither held as long.
+
+    With `score_below` the score alone says so, which then has to be a probability (`score`): lost below it,
+    uncertain below `uncertain_below`, else tracked, each from the last of `frames` consecutive frames on.
+    While a target is uncertain, references do not learn and quiet levels are not measured.
+    """
 
     above: Level = Field(default=Level(ud_box=1.0), description="level of UD")
     fit_below: Annotated[Number, Field(ge=0, lt=1)] = Field(
         default=0.05,
         description="largest likelihood of any hypothesis, geometric mean over the active agents",
+    )
+    score_below: Annotated[Number, Field(gt=0, lt=1)] | None = Field(
+        default=None, description="score below which it counts as lost; instead of `above` and `fit_below`"
+    )
+    uncertain_below: Annotated[Number, Field(gt=0, lt=1)] | None = Field(
+        default=None, description="score below which it counts as uncertain; default: never"
     )
     frames: FrameCount = Field(default=3, description="consecutive frames before the status changes")
 

@@ -38,6 +38,26 @@ class Cause:
 
 
 @dataclass(frozen=True)
+class ScoreCause:
+    """The numbers that made a level of the score fire.
+
+    Attributes:
+        level: the level, a probability of being on target.
+        score: the score at this frame.
+        frames: how many consecutive frames it had to be below, or not to be below.
+        turning: the level at which the status would have stayed: at or below it when it fell, above it when it
+            rose.
+        fell: whether the score fell below the level.
+    """
+
+    level: float
+    score: float
+    frames: int
+    turning: float
+    fell: bool
+
+
+@dataclass(frozen=True)
 class Concentration:
     """The numbers of the test whether a belief lies around one mode: a one-sided binomial test.
 
@@ -191,12 +211,12 @@ class Quarantined:
 
 @dataclass(frozen=True)
 class StatusChanged:
-    """A target was lost or found again (the net stays as it is).
+    """A target was lost or found again, or is held uncertainly (the net stays as it is).
 
     Attributes:
         frame: frame whose numbers caused it.
         target: target id.
-        status: tracking or lost, from now on.
+        status: tracking, uncertain or lost, from now on.
         cause: the numbers; None when every agent is off or the evidence is degenerate.
         reason: one sentence when there is no cause.
     """
@@ -204,7 +224,7 @@ class StatusChanged:
     frame: int
     target: str
     status: str
-    cause: Cause | None = None
+    cause: Cause | ScoreCause | None = None
     reason: str = ""
 
 
@@ -235,7 +255,7 @@ class TargetNet:
         rests_until: self-stopped agent -> first frame at which it may be switched on again.
         rest_count: agent -> how many times it stopped itself.
         quarantined: agents that failed.
-        status: tracking or lost.
+        status: tracking, uncertain or lost.
     """
 
     template: str

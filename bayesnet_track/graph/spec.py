@@ -37,6 +37,7 @@ from bayesnet_track.graph.particle_settings import (
     NormalSize,
     Particles,
 )
+from bayesnet_track.graph.score_settings import Logistic, Score, Slack
 from bayesnet_track.graph.settings import (
     Belief,
     BoxSd,
@@ -102,6 +103,7 @@ __all__ = [
     "Level",
     "LikelihoodSize",
     "LogSd",
+    "Logistic",
     "Lost",
     "Model",
     "Motion",
@@ -117,8 +119,10 @@ __all__ = [
     "RandomWalk",
     "Recall",
     "Reset",
+    "Score",
     "SelfCheck",
     "SizeBox",
+    "Slack",
     "Target",
     "Together",
     "Unscented",
@@ -164,6 +168,14 @@ class InferenceNode(Model):
     adapt: Adapt | None = Field(default=None, description="when the agents below are switched on and off")
     learn: Learn | None = Field(default=None, description="root only")
     lost: Lost | None = Field(default=None, description="root only; default {above: {ud_box: 1}, frames: 3}")
+    score: Score | None = Field(
+        default=None,
+        description="root only; how the score becomes a probability of being on target. Default: an index of "
+        "fit and UD in 0..1, not calibrated",
+    )
+    slack: Slack | None = Field(
+        default=None, description="root only; widens the regions and sds that are told; default not at all"
+    )
 
 
 class AgentNode(Model):
@@ -178,6 +190,9 @@ class AgentNode(Model):
     agent: AgentChoice = Field(description="the cue, with its parameters")
     active: Truth = Field(default=True, description="whether it is switched on at the start")
     self_check: SelfCheck | None = Field(default=None, description="stop when uncertain of itself")
+    temperature: Annotated[Number, Field(gt=0)] = Field(
+        default=1.0, description="its log-likelihood is divided by it: above 1 the agent counts for less"
+    )
     learn_rate_max: Annotated[Number, Field(ge=0, le=1)] | None = Field(
         default=None, description="instead of the root's learn.rate_max; 0 keeps the first reference"
     )

@@ -11,6 +11,7 @@ from bayesnet_track.graph.grid_law import grid_holds_the_motion, grid_resets_at_
 from bayesnet_track.graph.messages import GraphMessage
 from bayesnet_track.graph.particle_laws import sizes_in_order
 from bayesnet_track.graph.plate import Law, Plate
+from bayesnet_track.graph.score_laws import SCORE_LAWS
 from bayesnet_track.graph.spec import Level, Lost, Noise
 
 
@@ -70,6 +71,8 @@ def thresholds_in_order(plate: Plate) -> Iterator[GraphMessage]:
             yield from _crossing(plate, name, key, off, on, "adapt.activate.above")
         if node.learn is not None and node.parent is None:
             lost = node.lost or Lost()
+            if lost.score_below is not None:
+                continue
             text = "lost.above" if node.lost is not None else "lost.above by default"
             yield from _crossing(plate, name, ("learn", "below"), node.learn.below, lost.above, text)
 
@@ -136,6 +139,7 @@ VALUE_LAWS: tuple[Law, ...] = (
     weights_name_the_children,
     thresholds_in_order,
     *ADAPT_LAWS,
+    *SCORE_LAWS,
     someone_is_active,
     learning_has_a_rule,
     sizes_in_order,

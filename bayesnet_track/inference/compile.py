@@ -36,12 +36,13 @@ class Draw:
 class Observe:
     """An agent scores the hypotheses of the node `at` (the root or the nearest latent node above it).
 
-    With `measures` it says where the target is instead.
+    With `measures` it says where the target is instead. Its log-likelihood is divided by `temperature`.
     """
 
     agent: str
     at: str
     measures: bool = False
+    temperature: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,12 @@ def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str
         active=working,
         draws=tuple(_draw(target, name) for name in _drawn(target, messengers)),
         observations=tuple(
-            Observe(name, _hypotheses_of(target, target.parent[name]), isinstance(cues[name], MeasuringCue))
+            Observe(
+                name,
+                _hypotheses_of(target, target.parent[name]),
+                isinstance(cues[name], MeasuringCue),
+                target.agent(name).temperature,
+            )
             for name in watching
         ),
         joins=tuple(_join(target, name, messengers) for name in reversed(inference)),

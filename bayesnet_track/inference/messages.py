@@ -51,13 +51,14 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
         if isinstance(answer, str):
             faults[step.agent] = answer
         elif isinstance(answer, Measurement):
+            answer = to_power(answer, 1.0 / step.temperature)
             measured[step.agent] = answer
             messages[step.agent] = measurement_message(answer, at[step.at])
         elif answer is None:
             measured[step.agent] = None
             messages[step.agent] = np.zeros(len(hypotheses))
         else:
-            messages[step.agent] = answer
+            messages[step.agent] = answer if step.temperature == 1.0 else answer / step.temperature
     joined = join_messages(plan, messages, measured, latent, hypotheses, prior_log)
     total = joined.messages.pop(plan.root, np.zeros(len(hypotheses)))
     return Evidence(total, joined.messages, latent, faults, joined.gaussians, joined.sampled, measured)

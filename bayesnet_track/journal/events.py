@@ -317,12 +317,13 @@ class FrameMetrics:
         target: target id.
         box: estimate, centre box x, y, w, h in px.
         map: maximum a posteriori box.
-        sd: posterior sd of x, y, w, h in px.
+        sd: posterior sd of x, y, w, h in px, that of x and y with the graph's slack.
         ud_px2: uncertainty deviation at the root.
         ud_nodes: inference node -> its UD in px^2.
         quiet_px2: measured quiet level of UD at the root, or None.
-        status: tracking or lost.
-        score: uncalibrated index in 0..1 from UD and evidence; high is sure.
+        status: tracking, uncertain or lost.
+        score: probability of being on target, an overlap (IoU) above 0.5, where the graph has coefficients
+            for it; else an uncalibrated index in 0..1 from UD and evidence; high is sure.
         log_evidence: log normalising constant of the frame.
         surprise: KL(posterior || prior) over the hypotheses, nats: how far the frame moved the belief.
         ess: effective sample size of the hypotheses' posterior weights.
@@ -333,10 +334,12 @@ class FrameMetrics:
         agent_ud_px2: active agent -> UD about its own maximum-likelihood hypothesis.
         strength: node -> KL(prior times message || prior), nats: how much its message says.
         learn_rate: learning rate applied this frame (0 when UD is above the level).
-        region50: bounds of the central 50 % of the centre: x_low, x_high, y_low, y_high in px.
+        region50: bounds of the central 50 % of the centre, with the graph's slack: x_low, x_high, y_low,
+            y_high in px.
         region90: the same of the central 90 %.
         cloud: hypotheses drawn from the posterior, whole px, centre boxes.
         silent: those of the active agents that measure and did not see the target.
+        features: what a calibrated score was computed from; not written where it is an index.
         parts: node that is a part of the target -> its own estimate; not written where there are none.
         join: what the joint belief says of it; not written for a target that is not joined.
     """
@@ -366,5 +369,6 @@ class FrameMetrics:
     region90: tuple[float, ...]
     cloud: tuple[tuple[int, ...], ...]
     silent: tuple[str, ...] = ()
+    features: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
     parts: Mapping[str, PartMetrics] = field(default_factory=dict, metadata={"left_out_when_empty": True})
     join: JoinMetrics | None = field(default=None, metadata={"left_out_when_empty": True})

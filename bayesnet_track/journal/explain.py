@@ -11,6 +11,7 @@ from bayesnet_track.graph.net import (
     Concentration,
     Deactivated,
     Quarantined,
+    ScoreCause,
     SelfStopped,
     StatusChanged,
     TargetStarted,
@@ -91,13 +92,16 @@ def _account(events: Sequence[Event], line: FrameMetrics) -> str:
     sample = f"{line.particles}, of which {line.ess:.0f} effective"
     rows = [
         f"frame {line.frame} at {line.time_s:.3f} s, target {line.target}: {line.status}, "
-        f"score {line.score:.2f} (uncalibrated)",
+        f"score {line.score:.2f} ({'probability of being on target' if line.features else 'uncalibrated'})",
         f"  estimate   centre {x:.1f}, {y:.1f}, {w:.1f} x {h:.1f} px; "
         f"sd {', '.join(f'{value:.1f}' for value in line.sd)} px",
         f"  hypotheses {sample}; log evidence {line.log_evidence:.2f}",
         f"  UD         {', '.join(f'{node} {_ud(ud)} px²' for node, ud in line.ud_nodes.items())}; "
         f"quiet level {quiet}; learning rate {line.learn_rate:.3g}",
     ]
+    if line.features:
+        shown = (f"{name} {value:.2f}" for name, value in sorted(line.features.items()))
+        rows.append(f"  score of   {', '.join(shown)}")
     mine = [event for event in events if getattr(event, "target", None) == line.target]
     before = [event for event in mine if getattr(event, "frame", 0) < line.frame or _is_start(event, line)]
     for agent in _agents(mine, line):
@@ -161,6 +165,8 @@ def _levels(events: Sequence[Event]) -> list[str]:
             switches = "activates unless" if isinstance(event, Activated) else "deactivates when"
             test = f"{cause.share:g} lies within {cause.within_box:g} box of the mode"
             found[f"{event.governor} {switches} {test} (confidence {cause.confidence:g})"] = None
+        if isinstance(cause, ScoreCause) and isinstance(event, StatusChanged):
+            found[f"{'below' if cause.fell else 'from'} a score of {cause.level:g} {event.status}"] = None
         if not isinstance(cause, Cause):
             continue
         level = f"{cause.level:g}{UNIT[cause.unit]}"

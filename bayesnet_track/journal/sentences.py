@@ -12,6 +12,7 @@ from bayesnet_track.graph.net import (
     Decision,
     LocallyAdapted,
     Quarantined,
+    ScoreCause,
     SelfStopped,
     StatusChanged,
     TargetStarted,
@@ -179,6 +180,8 @@ def happened(
 def _status(event: StatusChanged) -> str:
     lost = event.status == "lost"
     result = f"target {event.target} {'lost' if lost else 'found again'}"
+    if isinstance(event.cause, ScoreCause):
+        return _by_score(event, event.cause)
     if event.cause is None:
         return f"{event.reason} → {result}" if event.reason else result
     if not lost:
@@ -186,6 +189,18 @@ def _status(event: StatusChanged) -> str:
     return (
         f"{held(event.cause, '>')} → {result}; would have stayed at lost ≥ {turned_at(event.cause, up=True)}"
     )
+
+
+def _by_score(event: StatusChanged, cause: ScoreCause) -> str:
+    score, level = told_apart(cause.score, cause.level)
+    span = f"for {plural(cause.frames, 'frame')}"
+    found = f"score {score} {'<' if cause.fell else '≥'} {level} {span}"
+    turning = rounded(cause.turning, decimals(cause.turning, cause.level), up=not cause.fell)
+    key = "score_below" if event.status == "lost" else "uncertain_below"
+    if cause.fell:
+        return f"{found} → target {event.target} {event.status}; would have stayed at {key} ≤ {turning}"
+    status = "found again" if event.status == "tracking" else event.status
+    return f"{found} → target {event.target} {status}; would have stayed at a level > {turning}"
 
 
 def _reset(event: BeliefReset) -> str:

@@ -35,7 +35,7 @@ class Tracker:
         tracker = Tracker("general")
         tracker.init(frame, (x, y, w, h))       # top-left corner box, BGR frame
         ok, box = tracker.update(next_frame)    # ok is False while the target is lost
-        tracker.score                           # 0..1, an uncalibrated index of being on target
+        tracker.score                           # 0..1; a probability where the graph is calibrated
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class Tracker:
         if not live:
             return False, (0.0, 0.0, 0.0, 0.0)
         x, y, w, h = (float(v) for v in corner_from_centre(live[0].box))
-        return self._state.net.targets[live[0].target].status != "lost", (x, y, w, h)
+        return self.status != "lost", (x, y, w, h)
 
     @property
     def targets(self) -> tuple[FrameMetrics, ...]:
@@ -115,8 +115,19 @@ class Tracker:
 
     @property
     def score(self) -> float:
-        """Index in 0..1 from UD and evidence; high is sure, 0 without a target. Not a probability."""
+        """Probability of being on target (IoU above 0.5) where the graph has `score`, 0 without a target.
+
+        Elsewhere an index in 0..1 from UD and evidence: high is sure, but it is no probability.
+        """
         return self.metrics.score if self.targets else 0.0
+
+    @property
+    def status(self) -> str:
+        """tracking, uncertain or lost after the last frame, of the first target; lost without any."""
+        if self._state is None:
+            raise RuntimeError("call init(frame, box) first")
+        live = [line.target for line in self.targets if line.target in self._state.net.targets]
+        return self._state.net.targets[live[0]].status if live else "lost"
 
     @property
     def events(self) -> tuple[Event, ...]:

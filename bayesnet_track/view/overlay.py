@@ -13,7 +13,11 @@ from bayesnet_track.numerics.boxes import corner_from_centre
 Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
-STATUS_COLOUR: dict[str, Colour] = {"tracking": (110, 230, 90), "lost": (70, 70, 245)}
+STATUS_COLOUR: dict[str, Colour] = {
+    "tracking": (110, 230, 90),
+    "uncertain": (60, 200, 250),
+    "lost": (70, 70, 245),
+}
 CLOUD_COLOUR: Colour = (255, 215, 120)
 TRUTH_COLOUR: Colour = (255, 255, 255)
 PART_COLOUR: Colour = (250, 170, 240)

@@ -1,0 +1,63 @@
+"""What the rules of one target see in one frame, and how they read UD."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from bayesnet_track.adapt.conditions import Reading, read_level
+from bayesnet_track.adapt.measure import Measures
+from bayesnet_track.adapt.memory import Memory, Quiet
+from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.net import TargetNet
+from bayesnet_track.graph.spec import Level
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """All that the rules of one target see in one frame.
+
+    Attributes:
+        frame: frame index.
+        target: target id.
+        plate: the checked plate.
+        net: the live net, faults of this frame already taken out.
+        measures: what was measured.
+        costs_ms: agent -> declared cost.
+        adaptable: agents that can act locally before they stop.
+        hidden: expected share of it that a target it is joined with hides.
+        score: probability of being on target, or None where the graph does not say how it comes about.
+    """
+
+    frame: int
+    target: str
+    plate: CheckedTarget
+    net: TargetNet
+    measures: Measures
+    costs_ms: Mapping[str, float]
+    adaptable: frozenset[str]
+    hidden: float = 0.0
+    score: float | None = None
+
+
+def quiet_level(plate: CheckedTarget, net: TargetNet, memory: Memory, node: str) -> float | None:
+    """The measured quiet level of a node's UD in px^2 with the agents now active; None while unknown."""
+    return memory.quiet.get(node, Quiet()).level_px2(active_below(plate, net, node))
+
+
+def read_ud(now: Situation, memory: Memory, node: str, level: Level) -> Reading | None:
+    """The UD of an inference node in the level's unit."""
+    quiet = quiet_level(now.plate, now.net, memory, node)
+    return read_level(level, now.measures.ud_px2[node], now.measures.area_of(node), quiet)
+
+
+def active_below(plate: CheckedTarget, net: TargetNet, node: str) -> frozenset[str]:
+    """The active agents below an inference node."""
+    return frozenset(agent for agent in net.active if node in _ancestors(plate, agent))
+
+
+def _ancestors(plate: CheckedTarget, node: str) -> Iterator[str]:
+    above = plate.parent[node]
+    while above is not None:
+        yield above
+        above = plate.parent[above]

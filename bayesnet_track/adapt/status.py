@@ -1,0 +1,85 @@
+"""Whether a target is tracked, uncertain or lost: by UD and fit, or by a score that is a probability."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.situation import Situation, read_ud
+from bayesnet_track.graph.net import Decision, ScoreCause, StatusChanged
+from bayesnet_track.graph.spec import Lost
+
+
+def judge_status(now: Situation, memory: Memory, decisions: list[Decision]) -> Memory:
+    """Change the status after as many frames as the rule says; what is remembered of it."""
+    rule = now.plate.inference(now.plate.root).lost or Lost()
+    if now.score is not None and rule.score_below is not None:
+        return _by_score(now, memory, rule, now.score, rule.score_below, decisions)
+    return _by_ud(now, memory, rule, decisions)
+
+
+def _by_score(
+    now: Situation, memory: Memory, rule: Lost, score: float, low: float, decisions: list[Decision]
+) -> Memory:
+    """tracking, uncertain and lost by two levels of the score, each passed for `rule.frames` frames.
+
+    Without `uncertain_below` there are only tracking and lost.
+    """
+    high = low if rule.uncertain_below is None else rule.uncertain_below
+    memory = replace(
+        memory,
+        lost=memory.lost.then(score < low, score, rule.frames),
+        seen=memory.seen.then(score >= low, score, rule.frames),
+        unsure=memory.unsure.then(score < high, score, rule.frames),
+        found=memory.found.then(score >= high, score, rule.frames),
+    )
+    before, status, level, values = now.net.status, now.net.status, low, memory.lost.values
+    if before != "lost" and memory.lost.count >= rule.frames:
+        status = "lost"
+    elif before == "tracking" and low < high and memory.unsure.count >= rule.frames:
+        status, level, values = "uncertain", high, memory.unsure.values
+    elif before != "tracking" and memory.found.count >= rule.frames:
+        status, level, values = "tracking", high, memory.found.values
+    elif before == "lost" and low < high and memory.seen.count >= rule.frames:
+        status, level, values = "uncertain", low, memory.seen.values
+    if status != before:
+        fell = (before, status) in (("tracking", "uncertain"), ("tracking", "lost"), ("uncertain", "lost"))
+        turning = max(values) if fell else min(values)
+        cause = ScoreCause(level, score, rule.frames, turning, fell)
+        decisions.append(StatusChanged(now.frame, now.target, status, cause))
+    return memory
+
+
+def _by_ud(now: Situation, memory: Memory, rule: Lost, decisions: list[Decision]) -> Memory:
+    """tracking <-> lost by UD and fit.
+
+    That nothing fits is no reason while half of the target is known to be hidden; that UD is high is one.
+    """
+    reading = read_ud(now, memory, now.plate.root, rule.above)
+    too_wide = reading is not None and reading.value > reading.level
+    fits = now.measures.fit >= rule.fit_below or now.hidden >= 0.5
+    value = 0.0 if reading is None else reading.value
+    # On a frame on which nothing fits, no level of UD would have kept the target from looking lost.
+    lost = memory.lost.then(too_wide or not fits, value if fits else math.inf, rule.frames)
+    found = memory.found.then(fits and not too_wide, value, rule.frames)
+    status, turning = now.net.status, math.inf
+    if status != "lost" and lost.count >= rule.frames:
+        status, turning = "lost", min(lost.values) if too_wide else math.inf
+    elif status == "lost" and found.count >= rule.frames:
+        status, turning = "tracking", max(found.values)
+    if status != now.net.status:
+        by_ud = reading is not None and turning < math.inf
+        cause = reading.cause(rule.frames, turning) if by_ud and reading is not None else None
+        reason = "" if cause is not None else _reason(now, rule, fits)
+        decisions.append(StatusChanged(now.frame, now.target, status, cause, reason))
+    return replace(memory, lost=lost, found=found)
+
+
+def _reason(now: Situation, rule: Lost, fits: bool) -> str:
+    if not now.net.active:
+        return "no agent is active, so the belief is prediction only"
+    if now.net.active <= set(now.measures.silent):
+        return "no active agent saw it"
+    fit = f"{now.measures.fit:.3g} {'≥' if fits else '<'} {rule.fit_below:.3g}"
+    return f"the best hypothesis has a likelihood of {fit} of a perfect match"

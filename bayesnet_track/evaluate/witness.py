@@ -1,0 +1,155 @@
+"""Run a graph over a video with truth, and keep of every frame what calibration is fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.engine import Engine, State, make_engine, step
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.laws import check_graph
+from bayesnet_track.graph.write import as_plain
+from bayesnet_track.journal.events import FrameMetrics
+from bayesnet_track.numerics.boxes import centre_from_corner, overlap
+from bayesnet_track.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.runtime.starts import Start, start_targets
+from bayesnet_track.score import FEATURES
+from bayesnet_track.target import weigh
+
+Floats = NDArray[np.float64]
+
+DRAWS = 64
+TEMPERATURES = np.geomspace(0.25, 16.0, 25)
+"""Factors by which an agent's temperature is changed."""
+
+TEMPERATURE_SLACK = 0.05
+"""Sd, in box sides, of the true centre about the hypothesis that is right, where temperatures are judged."""
+
+ELSEWHERE = 1e-3
+"""Density of the true centre, per box side squared, that is granted whatever an agent says."""
+
+
+@dataclass(frozen=True, eq=False)
+class Witness:
+    """One run over one video: the frames after the first in which the truth has a box.
+
+    Attributes:
+        video: its name.
+        iou: (n,) overlap of estimate and truth.
+        features: name -> (n,) filtered features of the score.
+        ud_box: (n,) UD at the root as a share of the estimate's area.
+        offsets: (n, 64, 2) true centre less centres drawn from the belief, in sqrt(w h) of the estimate.
+        scores: (n,) the graph's own scores.
+        status: status of each frame.
+        surprise: agent -> (25,) mean over the frames on target of -log of the density that the agent, at each
+            of `TEMPERATURES` times its own temperature, gives to the true centre; empty unless asked for.
+    """
+
+    video: str
+    iou: Floats
+    features: Mapping[str, Floats]
+    ud_box: Floats
+    offsets: Floats
+    scores: Floats
+    status: tuple[str, ...]
+    surprise: Mapping[str, Floats] = field(default_factory=dict)
+
+    @property
+    def frames(self) -> int:
+        """Frames that it tells of."""
+        return len(self.iou)
+
+
+def with_features(graph: CheckedGraph) -> CheckedGraph:
+    """The graph, with a score where it has none, so that its frames have features."""
+    written = as_plain(graph.spec)
+    for name, plate in graph.targets.items():
+        root = written["targets"][name]["nodes"][plate.root]
+        root.setdefault("score", {"logistic": {"bias": 0}})
+    return check_graph(written)
+
+
+def witness(
+    graph: CheckedGraph,
+    video: str,
+    frames: Iterable[Frame],
+    truth: Floats,
+    seed: int = 0,
+    temperatures: bool = False,
+) -> Witness:
+    """Track through `frames` from the first of (n, 4) true corner boxes; needs a graph `with_features`.
+
+    Raises:
+        ValueError: the truth has fewer boxes than there are frames, none in the first, or none later.
+    """
+    engine = make_engine(graph, seed)
+    state: State | None = None
+    lines: list[FrameMetrics] = []
+    boxes, offsets, curves = [], [], _Curves()
+    for frame in frames:
+        number = frame.index
+        if number >= len(truth):
+            raise ValueError(f"{video}: the truth has {len(truth)} boxes, and the video has more frames")
+        if state is None:
+            if not np.isfinite(truth[number]).all():
+                raise ValueError(f"{video}: the truth has no box in the first frame")
+            x, y, w, h = (float(v) for v in truth[number])
+            state = start_targets(graph, engine, frame, [Start((x, y, w, h))]).state
+            continue
+        before, state = state, (outcome := step(engine, state, frame)).state
+        line = next((one for one in outcome.metrics if one.target == "1"), None)
+        if line is None or not np.isfinite(truth[number]).all() or "1" not in state.targets:
+            continue
+        true = centre_from_corner(truth[number])
+        side = float(np.sqrt(line.box[2] * line.box[3]))
+        drawn = state.targets["1"].belief.draw(DRAWS, engine.streams.of("1", "", frame.index, "witness"))
+        lines.append(line)
+        boxes.append(true)
+        offsets.append((true[:2] - drawn[:, :2]) / side)
+        if temperatures and float(overlap(np.array(line.box)[None], true[None])[0]) > 0.5:
+            curves.add(engine, before, frame, true, side)
+    if not lines:
+        raise ValueError(f"{video}: no frame after the first has a true box")
+    at = np.array([line.box for line in lines])
+    return Witness(
+        video,
+        overlap(at, np.array(boxes)),
+        {name: np.array([line.features[name] for line in lines]) for name in FEATURES},
+        np.array([line.ud_px2 for line in lines]) / (at[:, 2] * at[:, 3]),
+        np.array(offsets),
+        np.array([line.score for line in lines]),
+        tuple(line.status for line in lines),
+        curves.means(),
+    )
+
+
+class _Curves:
+    """Sums, over frames, of what each agent at each temperature says of the true centre."""
+
+    def __init__(self) -> None:
+        self.sums: dict[str, Floats] = {}
+        self.counts: dict[str, int] = {}
+
+    def add(self, engine: Engine, state: State, frame: Frame, true: Floats, side: float) -> None:
+        """One frame more, weighed once again."""
+        cache = PlaneCache(FramePair(frame, state.previous))
+        weighed = weigh(engine, state.net, state.targets["1"], "1", frame, cache, {})
+        evidence, prior = weighed.step.evidence, weighed.step.prior.log
+        away = (weighed.step.support.boxes[:, :2] - true[:2]) / (TEMPERATURE_SLACK * side)
+        near = np.exp(-0.5 * (away**2).sum(axis=1)) / (2.0 * np.pi * TEMPERATURE_SLACK**2)
+        for observation in state.targets["1"].plan.observations:
+            agent = observation.agent
+            if agent not in evidence.messages or evidence.measured.get(agent, evidence) is None:
+                continue
+            log = prior + evidence.messages[agent] / TEMPERATURES[:, None]
+            weights = np.exp(log - log.max(axis=1, keepdims=True))
+            density = (weights @ near) / weights.sum(axis=1)
+            self.sums[agent] = self.sums.get(agent, np.zeros(len(TEMPERATURES))) - np.log(density + ELSEWHERE)
+            self.counts[agent] = self.counts.get(agent, 0) + 1
+
+    def means(self) -> dict[str, Floats]:
+        """Agent -> mean surprise."""
+        return {agent: total / self.counts[agent] for agent, total in self.sums.items()}

@@ -1,0 +1,53 @@
+"""Mixtures of Gaussians of one dimension: distribution and quantiles."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+
+HALVINGS = 24
+"""Of the bracket in which a quantile lies: 6e-8 of its width is left."""
+
+_ERF = (0.254829592, -0.284496736, 1.421413741, -1.453152027, 1.061405429)
+
+
+def normal_cdf(z: ArrayLike) -> Floats:
+    """P(Z <= z) of a standard Gaussian, within 7.5e-8 (Abramowitz and Stegun 7.1.26).
+
+    >>> normal_cdf([0.0, 1.959964, -1.281552]).round(6).tolist()
+    [0.5, 0.975, 0.1]
+    """
+    x = np.asarray(z, dtype=np.float64) / np.sqrt(2.0)
+    size = np.abs(x)
+    t = 1.0 / (1.0 + 0.3275911 * size)
+    tail = 0.5 * np.polyval((*_ERF[::-1], 0.0), t) * np.exp(-(size**2))
+    return np.asarray(np.where(x < 0, tail, 1.0 - tail))
+
+
+def mixture_quantiles(
+    points: ArrayLike, sds: tuple[float, float], shares: tuple[float, float], levels: ArrayLike
+) -> Floats:
+    """(K, L) values with (L,) `levels` of the mass below them, for K mixtures.
+
+    A mixture is its (K, M) equally probable points, each blurred by a Gaussian: of sd `sds[0]` with
+    probability `shares[0]`, of `sds[1]` with `shares[1]`. The sds are above 0.
+
+    >>> mixture_quantiles([[0.0]], (1.0, 5.0), (1.0, 0.0), [0.5, 0.975]).round(4).tolist()
+    [[-0.0, 1.96]]
+    """
+    centres = np.atleast_2d(np.asarray(points, dtype=np.float64))[:, None, :]
+    wanted = np.asarray(levels, dtype=np.float64)
+    reach = 9.0 * max(sd for sd, share in zip(sds, shares, strict=True) if share > 0)
+    shape = (centres.shape[0], len(wanted))
+    low = np.broadcast_to(centres.min(axis=2) - reach, shape)
+    high = np.broadcast_to(centres.max(axis=2) + reach, shape)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        below = np.zeros(shape)
+        for sd, share in zip(sds, shares, strict=True):
+            if share > 0:
+                below = below + share * normal_cdf((middle[:, :, None] - centres) / sd).mean(axis=2)
+        low, high = np.where(below < wanted, middle, low), np.where(below < wanted, high, middle)
+    return np.asarray(0.5 * (low + high))

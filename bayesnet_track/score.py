@@ -1,0 +1,128 @@
+"""How sure it is that the target is held, from features of a frame; and regions that allow for it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from statistics import median
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.measure import Measures
+from bayesnet_track.belief.contract import Posterior, Step, Stream
+from bayesnet_track.graph.spec import Logistic, Slack
+from bayesnet_track.numerics.mixtures import mixture_quantiles
+
+Floats = NDArray[np.float64]
+Region = tuple[float, float, float, float]
+
+FEATURES = ("log_ud_box", "evidence", "log_fit", "agreement", "log_size")
+"""What a score can go by; the coefficients of `Logistic` have these names."""
+
+USUAL_FRAMES = 20
+"""Frames of an agent whose median log evidence counts as usual."""
+
+LEAST_LOG = -20.0
+"""Logarithms below it say nothing more: a feature is at least this."""
+
+SLACK_DRAWS = 64
+"""Hypotheses, drawn systematically, that stand for the posterior where it is widened."""
+
+
+@dataclass(frozen=True)
+class Scored:
+    """What a score remembers of its target.
+
+    Attributes:
+        smooth: feature -> its filtered value; empty before the first frame.
+        usual: agent -> its log evidence in its first frames.
+        side_px: sqrt(w h) of the first estimate.
+    """
+
+    smooth: Mapping[str, float] = field(default_factory=dict)
+    usual: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    side_px: float | None = None
+
+    def after(self, rule: Logistic, measures: Measures, step: Step[Posterior], ud_px2: float) -> Scored:
+        """With one frame more; `ud_px2` is the root's UD."""
+        seeing = [agent for agent in measures.kl if agent not in measures.silent]
+        own = {agent: _log_evidence(step, agent) for agent in seeing}
+        usual = dict(self.usual)
+        for agent, value in own.items():
+            if len(usual.get(agent, ())) < USUAL_FRAMES:
+                usual[agent] = (*usual.get(agent, ()), value)
+        side = math.sqrt(max(measures.area_px2, 1.0))
+        first = side if self.side_px is None else self.side_px
+        found = {
+            "log_ud_box": _log(ud_px2 / side**2),
+            "evidence": _mean([own[agent] - median(usual[agent]) for agent in seeing]),
+            "log_fit": _log(measures.fit),
+            "agreement": _agreement(step, seeing),
+            "log_size": abs(math.log(side / first)),
+        }
+        gain = 1.0 if not self.smooth or rule.memory == 0 else 1.0 - math.exp(-1.0 / rule.memory)
+        smooth = {
+            name: value if gain == 1.0 else self.smooth[name] + gain * (value - self.smooth[name])
+            for name, value in found.items()
+        }
+        return Scored(smooth, usual, first)
+
+
+def probability(rule: Logistic, features: Mapping[str, float]) -> float:
+    """1 / (1 + exp(-(bias + sum of coefficient times feature))).
+
+    >>> probability(Logistic(bias=1.0, log_ud_box=-0.5), dict.fromkeys(FEATURES, 2.0))
+    0.5
+    """
+    odds = rule.bias + sum(getattr(rule, name) * features[name] for name in FEATURES)
+    return 1.0 / (1.0 + math.exp(-odds)) if odds > -700.0 else 0.0
+
+
+@dataclass(frozen=True)
+class Widened:
+    """Bounds of the centre x_low, x_high, y_low, y_high in px, and the variance that slack adds, px^2."""
+
+    region50: Region
+    region90: Region
+    variance: float
+
+
+def widened(posterior: Posterior, rule: Slack, score: float, side_px: float, stream: Stream) -> Widened:
+    """The posterior's regions, its centre blurred by slack.
+
+    p(c) = sum_h w_h [p N(c; h, sd_box^2 s^2 I) + (1 - p) N(c; h, lost_sd_box^2 s^2 I)], p = `score` and
+    s = `side_px`: a mixture of being on target and off it. Without `lost_sd_box`, p = 1.
+    """
+    near = max(rule.sd_box * side_px, 1e-6)
+    far = near if rule.lost_sd_box is None else rule.lost_sd_box * side_px
+    held = 1.0 if rule.lost_sd_box is None else score
+    centres = posterior.draw(SLACK_DRAWS, stream("slack"))[:, :2].T
+    levels = (0.05, 0.25, 0.75, 0.95)
+    (x5, x25, x75, x95), (y5, y25, y75, y95) = mixture_quantiles(
+        centres, (near, far), (held, 1.0 - held), levels
+    ).tolist()
+    return Widened((x25, x75, y25, y75), (x5, x95, y5, y95), held * near**2 + (1.0 - held) * far**2)
+
+
+def _log_evidence(step: Step[Posterior], agent: str) -> float:
+    """log of the sum of beta L over the hypotheses, beta their prior weights."""
+    log = step.prior.log + step.evidence.messages[agent]
+    top = float(np.max(log))
+    return max(top + math.log(float(np.sum(np.exp(log - top)))), LEAST_LOG) if top > LEAST_LOG else LEAST_LOG
+
+
+def _agreement(step: Step[Posterior], agents: list[str]) -> float:
+    best = int(np.argmax(step.support.weights.log))
+    messages = [step.evidence.messages[agent] for agent in agents]
+    return _mean([max(float(one[best]) - float(np.max(one)), LEAST_LOG) for one in messages])
+
+
+def _mean(values: list[float]) -> float:
+    """The mean; without any agent that saw something, the least there is."""
+    return sum(values) / len(values) if values else LEAST_LOG
+
+
+def _log(value: float) -> float:
+    return max(math.log(value), LEAST_LOG) if value > 0 else LEAST_LOG
