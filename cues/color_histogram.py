@@ -86,12 +86,19 @@ class ColorHistogram:
         Alpha is half the mean distance of the four boxes that overlap it by 50 % (thesis eq. 3.3 and figure
         3.2, corrected), of those inside the frame where there are any.
         """
-        counts, visible, _ = self._count(planes, box[None])
+        from bayesnet_track.numerics.histogram_kernels import color_distances
+
+        boxes = np.empty((5, 4))  # the box itself, then those around it
+        boxes[:] = box
+        boxes[1:, :2] += HALF_OVERLAP * box[2:]
+        counts, visible, nominal = self._count(planes, boxes)
         bins, seen = self.parameters.bins, max(int(visible[0]), 1)
-        shares = np.append(counts[0] / seen, 0.0)
+        shares = np.zeros(bins + 1)
+        shares[:bins] = counts[0] / seen
         shares[bins] = 1.0 - shares[:bins].sum()
-        shifted = np.concatenate([box[:2] + HALF_OVERLAP * box[2:], np.tile(box[2:], (4, 1))], axis=1)
-        distances, outside = self._distances(planes, shifted, shares)
+        distances, outside = color_distances(
+            counts[1:], visible[1:], nominal[1:], shares, self.parameters.achromatic_distance
+        )
         inside = outside == 0
         alpha = 0.5 * float(distances[inside if inside.any() else slice(None)].mean())
         return {
