@@ -349,12 +349,13 @@ def _quarantined(frame: int, target: str, faults: Mapping[str, str]) -> tuple[Qu
 
 def _inside(box: Floats, frame: Frame) -> Floats:
     """The box with its centre on the image, so that tracks and references stay meaningful."""
+    x, y, w, h = box.tolist()
     return np.array(
         [
-            min(max(box[0], 0.0), frame.width - 1.0),
-            min(max(box[1], 0.0), frame.height - 1.0),
-            min(max(box[2], 1.0), 2.0 * frame.width),
-            min(max(box[3], 1.0), 2.0 * frame.height),
+            min(max(x, 0.0), frame.width - 1.0),
+            min(max(y, 0.0), frame.height - 1.0),
+            min(max(w, 1.0), 2.0 * frame.width),
+            min(max(h, 1.0), 2.0 * frame.height),
         ]
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.messages import without
 from bayesnet_track.inference.parts import PartBelief, part_beliefs, part_of_agents
 from bayesnet_track.numerics.disc import weighted_mass_in_disc
-from bayesnet_track.numerics.divergence import uncertainty_deviation
+from bayesnet_track.numerics.divergence import selected, uncertainty_deviation
 from bayesnet_track.numerics.tilts import divergences, tilted
 
 Floats = NDArray[np.float64]
@@ -127,12 +128,17 @@ def _rows(arrays: Iterable[Floats], size: int) -> Floats:
     return np.array(list(arrays), dtype=np.float64).reshape(-1, size)
 
 
-def _columns(target: CheckedTarget, node: str) -> list[int]:
-    return [BOX_FIELDS.index(name) for name in target.inference(node).ud_fields]
+def _columns(target: CheckedTarget, node: str) -> tuple[int, ...]:
+    return _columns_of(tuple(target.inference(node).ud_fields))
+
+
+@lru_cache(maxsize=64)
+def _columns_of(fields: tuple[str, ...]) -> tuple[int, ...]:
+    return tuple(BOX_FIELDS.index(name) for name in fields)
 
 
 def _ud(target: CheckedTarget, node: str, boxes: Floats, log: Floats, centre: Floats) -> float:
-    columns = _columns(target, node)
+    columns = selected(_columns(target, node))
     return uncertainty_deviation(boxes[:, columns], np.exp(log), centre[columns])
 
 

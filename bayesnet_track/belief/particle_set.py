@@ -14,7 +14,7 @@ from bayesnet_track.belief.need import Sized
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.cue import Hypotheses
 from bayesnet_track.numerics.disc import weighted_mass_in_disc
-from bayesnet_track.numerics.divergence import uncertainty_deviation
+from bayesnet_track.numerics.divergence import selected, uncertainty_deviation
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.resampling import resample
 
@@ -67,7 +67,7 @@ class ParticleSet:
 
     def uncertainty(self, about: Floats, columns: Sequence[int]) -> float:
         """UD = sum w |s - about|^2 over the columns of the state."""
-        chosen = list(columns)
+        chosen = selected(columns)
         return uncertainty_deviation(self.states[:, chosen], self.weights.weights, about[chosen])
 
     def mass_within(self, centre: Floats, radius: float) -> tuple[float, float]:

@@ -134,6 +134,8 @@ def _checked_measurement(measured: Any, hypotheses: Hypotheses) -> Measurement |
 def _checked(log_likelihood: Floats, size: int) -> Floats | str:
     if log_likelihood.shape != (size,):
         return f"returned an array of shape {log_likelihood.shape} for {size} hypotheses"
+    if size and log_likelihood.max() <= ROUNDING and log_likelihood.min() >= ZERO_BELOW:  # neither when NaN
+        return log_likelihood
     wrong = np.isnan(log_likelihood) | (log_likelihood > ROUNDING)
     if wrong.any():
         what = f"a log-likelihood of {log_likelihood[wrong][0]:.6g}, not at most 0,"

@@ -5,6 +5,8 @@ f is a belief, beta its prior weights, L a likelihood; all live on one set of N 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +28,14 @@ def kl(log_f: Floats, log_g: Floats) -> float:
     if g.min() == -np.inf:
         return float("inf")
     return max(0.0, float(np.dot(np.exp(f), f - g)))
+
+
+def selected(columns: Sequence[int]) -> slice | list[int]:
+    """What selects these columns: a slice, which copies nothing, where they stand side by side."""
+    first, size = columns[0], len(columns)
+    if tuple(columns) == tuple(range(first, first + size)):
+        return slice(first, first + size)
+    return list(columns)
 
 
 def uncertainty_deviation(states: Floats, weights: Floats, centre: Floats) -> float:
