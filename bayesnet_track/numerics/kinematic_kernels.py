@@ -65,6 +65,24 @@ def confine(states: Floats, width: float, height: float) -> None:
 
 
 @compiled
+def extent_of_boxes(boxes: Floats, half: float) -> tuple[float, float, float, float]:
+    """Least x and y and largest x and y of the centre boxes (N, 4) with sides of 2 `half` their size.
+
+    All NaN where there is a NaN.
+    """
+    left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
+    for n in range(boxes.shape[0]):
+        across, down = boxes[n, 2] * half, boxes[n, 3] * half
+        if not np.isfinite(boxes[n, 0] + across) or not np.isfinite(boxes[n, 1] + down):
+            bad = boxes[n, 0] + across + boxes[n, 1] + down
+            if np.isnan(bad):
+                return bad, bad, bad, bad
+        left, right = min(left, boxes[n, 0] - across), max(right, boxes[n, 0] + across)
+        top, bottom = min(top, boxes[n, 1] - down), max(bottom, boxes[n, 1] + down)
+    return left, top, right, bottom
+
+
+@compiled
 def driven(states: Floats, parents: Ancestors, moves: Rows, root: Rows, normals: Floats) -> Floats:
     """As `drifted`, of `states[parents]`, with noise root z added to each chain: `root` (n, n) is triangular.
 
