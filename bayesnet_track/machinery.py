@@ -22,11 +22,12 @@ from bayesnet_track.cue import (
     installed_cues,
 )
 from bayesnet_track.detect.selection import Selected
-from bayesnet_track.detector import Detector, DetectorError, detectors_of_graphs
+from bayesnet_track.detector import Detector, DetectorError, detectors_of_graphs, installed_detectors
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.cue_laws import plugin_parameters
 from bayesnet_track.graph.life_settings import LifeRules, life_rules
+from bayesnet_track.graph.motion_settings import Moving
 from bayesnet_track.graph.spec import Guard, Join, Learn
 from bayesnet_track.graph.write import as_plain, flow_text
 from bayesnet_track.inference.parts import part_of_agents
@@ -51,6 +52,8 @@ class Machinery:
         detector: the detector of its births in `Engine.detectors`; empty without births.
         looks: agents that tell one target from another by its looks.
         part_of: agent that looks at a part of the target -> the part.
+        moving: what a frame's motion depends on besides its states; None when on nothing.
+        finder: the detector that looks for a target which may reappear.
         claimers: agent that measures by the detection that the target is given -> which one that is.
     """
 
@@ -67,6 +70,8 @@ class Machinery:
     looks: frozenset[str] = frozenset()
     guard: Guard | None = None
     part_of: Mapping[str, str] = field(default_factory=dict)
+    moving: Moving | None = None
+    finder: Detector | None = None
     claimers: Mapping[str, ClaimRule] = field(default_factory=dict)
 
 
@@ -147,6 +152,8 @@ def _make_machinery(
     of = {agent: declarations[plate.agent(agent).agent.cue] for agent in plate.agents}
     made = {agent: of[agent].make(plate.parameters[agent]) for agent in plate.agents}
     assert root.motion is not None
+    settings = root.motion.settings
+    moving = None if own is not None or settings.is_plain else settings
     kind = plate.spec
     life = life_rules(kind.birth, kind.duplicates, kind.death, kind.recall)
     return Machinery(
@@ -165,8 +172,18 @@ def _make_machinery(
             agent for agent in plate.agents if of[agent].is_appearance and isinstance(made[agent], Cue)
         ),
         part_of=part_of_agents(plate),
+        moving=moving,
+        finder=None if moving is None else _finder(moving),
         claimers={agent: cue.rule for agent, cue in made.items() if isinstance(cue, ClaimingCue)},
     )
+
+
+def _finder(moving: Moving) -> Detector | None:
+    chosen = None if moving.recover is None else moving.recover.by.detector
+    if chosen is None:
+        return None
+    declaration = installed_detectors()[chosen.detector]
+    return declaration.make(plugin_parameters(chosen, declaration.parameters))
 
 
 def make_belief(chosen: spec.Belief | None) -> Belief[Any]:

@@ -36,6 +36,7 @@ from bayesnet_track.journal.events import DegenerateBelief, Event, FrameMetrics
 from bayesnet_track.journal.join_events import JoinMetrics
 from bayesnet_track.machinery import Engine, Machinery
 from bayesnet_track.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.predicting import Outlook, Predicted, outlook, predicted
 from bayesnet_track.score import Scored, probability
 
 Floats = NDArray[np.float64]
@@ -52,6 +53,7 @@ class TargetState:
         plan: the compiled net.
         time: time of the last frame, frame intervals.
         watched: the slow references that guard the others against drift.
+        outlook: what its motion depends on besides its states; None when on nothing.
         scored: what its score remembers.
     """
 
@@ -61,6 +63,7 @@ class TargetState:
     plan: Plan
     time: float
     watched: Watched = field(default_factory=Watched)
+    outlook: Outlook | None = None
     scored: Scored = field(default_factory=Scored)
 
 
@@ -82,12 +85,14 @@ class Weighed:
         before: its state after the last frame.
         step: the belief's step.
         faults: agents that failed while they observed.
+        predicted: how it was to move.
     """
 
     target: str
     before: TargetState
     step: Step[Posterior]
     faults: tuple[Quarantined, ...]
+    predicted: Predicted
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +152,7 @@ def start(
         plan=compile_plan(machine.plate, working, machine.cues),
         time=frame.time,
         watched=watch(references, machine.looks, machine.guard),
+        outlook=outlook(machine, box, FramePair(frame, previous)),
     )
     metrics = first_frame_metrics(frame, target, len(born.belief), working, box, parts)
     return Born(born, tuple(decisions), metrics)
@@ -172,7 +178,15 @@ def restart(
         before,
         belief=machine.belief.start(box, Confined(machine.motion, frame.width, frame.height), stream),
         references={**before.references, **learnt},
-        memory=replace(before.memory, activate={}, deactivate={}, lost=Streak(), found=Streak(), seen=Streak(), unsure=Streak()),
+        memory=replace(
+            before.memory,
+            activate={},
+            deactivate={},
+            lost=Streak(),
+            found=Streak(),
+            seen=Streak(),
+            unsure=Streak(),
+        ),
         scored=replace(before.scored, smooth={}),
         time=frame.time,
     )
@@ -196,15 +210,17 @@ def weigh(
     stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
     started = engine.clock()
     observer = Observer(cache, machine.cues, before.references, stream, engine.clock, seconds)
+    dt, is_lost = frame.time - before.time, net.targets[target].status == "lost"
+    moves = predicted(machine, motion, before.outlook, is_lost, dt, cache)
     stepped = machine.belief.step(
         before.belief,
-        Confined(machine.motion if motion is None else motion, frame.width, frame.height),
-        frame.time - before.time,
+        Confined(moves.motion, frame.width, frame.height),
+        dt,
         partial(evaluate, before.plan, observer),
         stream,
     )
     _charge(engine, seconds, "belief", started)
-    return Weighed(target, before, stepped, _quarantined(frame.index, target, observer.faults))
+    return Weighed(target, before, stepped, _quarantined(frame.index, target, observer.faults), moves)
 
 
 def conclude(
@@ -241,7 +257,15 @@ def conclude(
         scored = scored.after(rule, measures, stepped, measures.ud_px2[machine.plate.root])
         score = probability(rule, scored.smooth)
     now = Situation(
-        frame.index, target, machine.plate, working, measures, machine.costs_ms, machine.adaptable, hidden, score
+        frame.index,
+        target,
+        machine.plate,
+        working,
+        measures,
+        machine.costs_ms,
+        machine.adaptable,
+        hidden,
+        score,
     )
     chosen, memory = decide(now, before.memory)
     started = _charge(engine, seconds, "measure", started)
@@ -263,8 +287,11 @@ def conclude(
     references, watched, judged, decisions = _learn(now, machine, before, rates, cache, at, own, chosen)
     _charge(engine, seconds, "learn", started)
 
-    after = TargetState(stepped.posterior, references, memory, before.plan, frame.time, watched, scored)
-    told = [report(frame.index, target) for report in stepped.reports]
+    ahead = weighed.predicted.after(measures.ud_px2[machine.plate.root], measures.area_px2, quiet)
+    after = TargetState(
+        stepped.posterior, references, memory, before.plan, frame.time, watched, ahead, scored
+    )
+    told = [*weighed.predicted.told, *(report(frame.index, target) for report in stepped.reports)]
     if stepped.degenerate is not None:
         told.append(DegenerateBelief(frame.index, target, stepped.degenerate))
     told += changes(frame.index, target, before.watched, watched, judged, machine.guard)

@@ -17,13 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Report
+from bayesnet_track.belief.jumps import Jumping, jumped, jumping_of, reappeared
 from bayesnet_track.belief.need import Need, Sized, need_of
 from bayesnet_track.belief.particle_set import Inputs, ParticleSet
 from bayesnet_track.belief.passes import Pass, joined
 from bayesnet_track.belief.resized import Sizing, begin_with, halved, report_of
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.graph import spec
-from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import resample
 
 Floats = NDArray[np.float64]
@@ -63,6 +64,9 @@ def first_pass(
     better placed (`resized_by` looks at both).
     """
     if isinstance(settings.size, int):
+        jumping = jumping_of(inputs.motion)
+        if jumping is not None:
+            return _with_jumps(settings, inputs, settings.size, jumping)
         return First(_fixed(settings, inputs, settings.size))
     return _adaptive(settings, settings.size, inputs, will_repeat)
 
@@ -75,12 +79,32 @@ def resized_by(settings: spec.Particles, inputs: Inputs, whole: Pass, sized: Siz
 
 
 def _fixed(settings: spec.Particles, inputs: Inputs, size: int) -> Pass:
+    ancestors, beta = _of_last(settings, inputs, size)
+    return evaluated(inputs, moved(inputs, ancestors, "propagate"), beta.log, ancestors)
+
+
+def _with_jumps(settings: spec.Particles, inputs: Inputs, size: int, jumping: Jumping) -> First:
+    """The same where some jump, and what is told when they hold the belief."""
+    ancestors, beta = _of_last(settings, inputs, size)
+    jumps = jumped(inputs, jumping, ancestors, beta.log)
+    scaled = LogWeights.normalise(jumps.prior_log)[0].log
+    one = replace(evaluated(inputs, jumps.states, scaled, ancestors), prior_log=jumps.prior_log)
+    try:
+        weights, _ = LogWeights.normalise(jumps.prior_log + one.evidence.log_likelihood)
+    except DegenerateWeights:
+        return First(one)
+    told = reappeared(jumping, jumps, weights, inputs.prior.mean)
+    if told is None:
+        return First(one)
+    return First(one, reports=(lambda frame, target: replace(told, frame=frame, target=target),))
+
+
+def _of_last(settings: spec.Particles, inputs: Inputs, size: int) -> tuple[Ancestors, LogWeights]:
+    """The hypotheses of the last frame that those of this one move from, and their weights."""
     prior = inputs.prior
     if must_resample(settings, prior, size):
-        ancestors, beta = parents(settings, inputs, size, "resample"), LogWeights.uniform(size)
-    else:
-        ancestors, beta = np.arange(len(prior)), prior.weights
-    return evaluated(inputs, moved(inputs, ancestors, "propagate"), beta.log, ancestors)
+        return parents(settings, inputs, size, "resample"), LogWeights.uniform(size)
+    return np.arange(len(prior)), prior.weights
 
 
 def _adaptive(

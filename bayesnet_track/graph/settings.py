@@ -1,4 +1,4 @@
-"""The settings of nodes: noise, motion, belief, estimate and fusion."""
+"""The settings of nodes: belief, estimate and fusion."""
 
 from __future__ import annotations
 
@@ -13,108 +13,13 @@ from bayesnet_track.graph.model import (
     Empty,
     Model,
     Name,
-    NotNegative,
     Number,
     Positive,
     Share,
     word_or_mapping,
 )
+from bayesnet_track.graph.motion_settings import Noise
 from bayesnet_track.graph.particle_settings import Particles
-
-# ---------------------------------------------------------------------------------- noise and motion
-
-
-class PixelSd(Model):
-    """Standard deviations in pixels, for a step of one frame interval."""
-
-    x: NotNegative = Field(default=0.0, description="of the centre's column, px")
-    y: NotNegative = Field(default=0.0, description="of the centre's row, px")
-    w: NotNegative = Field(default=0.0, description="of the width, px")
-    h: NotNegative = Field(default=0.0, description="of the height, px")
-
-
-class BoxSd(Model):
-    """Standard deviations as a share of the box's mean side sqrt(w h)."""
-
-    x: NotNegative = Field(default=0.0, description="of the centre's column, sqrt(w h)")
-    y: NotNegative = Field(default=0.0, description="of the centre's row, sqrt(w h)")
-
-
-class LogSd(Model):
-    """Standard deviations of the size in logarithms, so that they carry over between sizes."""
-
-    scale: NotNegative = Field(default=0.0, description="of log sqrt(w h)")
-    aspect: NotNegative = Field(default=0.0, description="of log(w / h)")
-
-
-class Wide(Model):
-    """A share of the hypotheses moves with a larger sd: heavy tails for sudden motion."""
-
-    share: Annotated[Number, Field(gt=0, lt=1)] = Field(description="share of the hypotheses")
-    factor: Annotated[Number, Field(gt=1)] = Field(description="how many times the position's sd")
-
-
-class Noise(Model):
-    """Gaussian noise of a box; pixel and relative parts add up in variance.
-
-    Variances grow in proportion to the true time between frames.
-    """
-
-    sd_px: PixelSd = Field(default=PixelSd(), description="in pixels")
-    sd_box: BoxSd = Field(default=BoxSd(), description="relative to the box")
-    sd_log: LogSd = Field(default=LogSd(), description="of the size, in logarithms")
-    wide: Wide | None = Field(default=None, description="heavy tails of the position")
-
-
-class RandomWalk(Noise):
-    """Position and size drift by independent noise."""
-
-
-class ConstantVelocity(Noise):
-    """White noise in acceleration: `sd_velocity_px` is the change of velocity in one frame interval.
-
-    `sd_px`, `sd_box`, `sd_log` are added to position and size as in a random walk.
-    """
-
-    sd_velocity_px: NotNegative = Field(default=1.0, description="px per frame, per frame interval")
-    start_velocity_sd_px: NotNegative = Field(
-        default=5.0, description="sd of the unknown first velocity, px per frame"
-    )
-
-
-class DampedVelocity(ConstantVelocity):
-    """As constant velocity, the velocity decaying by `damping` per frame interval.
-
-    Damped velocity of the tracking chapter, eq. 3.91 corrected.
-    """
-
-    damping: Annotated[Number, Field(gt=0)] = Field(
-        default=0.25, description="velocity decays as exp(-damping dt)"
-    )
-
-
-class ConstantAcceleration(Noise):
-    """White noise in the derivative of acceleration."""
-
-    sd_acceleration_px: NotNegative = Field(default=0.5, description="px per frame^2, per frame interval")
-    start_velocity_sd_px: NotNegative = Field(
-        default=5.0, description="sd of the unknown first velocity, px per frame"
-    )
-    start_acceleration_sd_px: NotNegative = Field(
-        default=1.0, description="sd of the unknown first acceleration, px per frame^2"
-    )
-
-
-class Motion(Choice):
-    """How the target moves between frames."""
-
-    random_walk: RandomWalk | None = Field(default=None, description="position and size drift")
-    constant_velocity: ConstantVelocity | None = Field(default=None, description="the velocity drifts")
-    damped_velocity: DampedVelocity | None = Field(default=None, description="the velocity drifts and decays")
-    constant_acceleration: ConstantAcceleration | None = Field(
-        default=None, description="the acceleration drifts"
-    )
-
 
 # ---------------------------------------------------------------------------------- belief
 

@@ -29,6 +29,24 @@ from bayesnet_track.graph.grid_settings import Grid, Reset
 from bayesnet_track.graph.join_settings import Attachment, Exclusion, Join, Occlusion, Together
 from bayesnet_track.graph.life_settings import Birth, Confirm, Death, DetectorChoice, Duplicates, Recall
 from bayesnet_track.graph.model import Choice, Empty, Model, Name, Number, PluginChoice, Truth
+from bayesnet_track.graph.motion_settings import (
+    BoxSd,
+    ConstantAcceleration,
+    ConstantVelocity,
+    DampedVelocity,
+    KeepSize,
+    LogSd,
+    LookedFor,
+    Motion,
+    Moving,
+    Noise,
+    PixelSd,
+    Probes,
+    RandomWalk,
+    Recover,
+    Wide,
+    Widen,
+)
 from bayesnet_track.graph.particle_settings import (
     AdaptiveSize,
     BinnedSize,
@@ -40,23 +58,13 @@ from bayesnet_track.graph.particle_settings import (
 from bayesnet_track.graph.score_settings import Logistic, Score, Slack
 from bayesnet_track.graph.settings import (
     Belief,
-    BoxSd,
-    ConstantAcceleration,
-    ConstantVelocity,
-    DampedVelocity,
     Estimate,
     Fuse,
     Given,
     Latent,
-    LogSd,
-    Motion,
     Nearest,
-    Noise,
     OffsetBox,
-    PixelSd,
-    RandomWalk,
     SizeBox,
-    Wide,
     Window,
 )
 
@@ -98,15 +106,18 @@ __all__ = [
     "InferenceNode",
     "Information",
     "Join",
+    "KeepSize",
     "Latent",
     "Learn",
     "Level",
     "LikelihoodSize",
     "LogSd",
     "Logistic",
+    "LookedFor",
     "Lost",
     "Model",
     "Motion",
+    "Moving",
     "Name",
     "Nearest",
     "Node",
@@ -116,8 +127,10 @@ __all__ = [
     "OffsetBox",
     "Particles",
     "PixelSd",
+    "Probes",
     "RandomWalk",
     "Recall",
+    "Recover",
     "Reset",
     "Score",
     "SelfCheck",
@@ -127,6 +140,7 @@ __all__ = [
     "Together",
     "Unscented",
     "Wide",
+    "Widen",
     "Window",
 ]
 

@@ -9,6 +9,7 @@ from bayesnet_track.graph.adapt_laws import ADAPT_LAWS
 from bayesnet_track.graph.gaussian_law import gaussian_settings_have_effect, kalman_moves_linearly
 from bayesnet_track.graph.grid_law import grid_holds_the_motion, grid_resets_at_one_level
 from bayesnet_track.graph.messages import GraphMessage
+from bayesnet_track.graph.motion_laws import MOTION_LAWS
 from bayesnet_track.graph.particle_laws import sizes_in_order
 from bayesnet_track.graph.plate import Law, Plate
 from bayesnet_track.graph.score_laws import SCORE_LAWS
@@ -147,6 +148,7 @@ VALUE_LAWS: tuple[Law, ...] = (
     gaussian_settings_have_effect,
     grid_holds_the_motion,
     grid_resets_at_one_level,
+    *MOTION_LAWS,
 )
 """These need no sound tree."""
 

@@ -16,6 +16,7 @@ from bayesnet_track.journal.join_events import (
     OcclusionChanged,
     RingChanged,
 )
+from bayesnet_track.journal.jump_events import Reappeared
 from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
 from bayesnet_track.journal.part_metrics import PartMetrics
 
@@ -295,6 +296,7 @@ Event = (
     | BeliefReset
     | ParticlesResized
     | SecondPass
+    | Reappeared
     | ReferenceGuarded
     | CandidateConfirmed
     | BirthsRefused

@@ -39,6 +39,7 @@ from bayesnet_track.journal.join_sentences import (
     parted,
     ring_changed,
 )
+from bayesnet_track.journal.jump_events import Reappeared, reappeared
 from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
 from bayesnet_track.journal.life_sentences import (
     births_refused,
@@ -113,6 +114,7 @@ def happened(
     | BeliefReset
     | ParticlesResized
     | SecondPass
+    | Reappeared
     | ReferenceGuarded
     | OcclusionChanged
     | AttachmentChanged
@@ -149,6 +151,8 @@ def happened(
             return _resized(event)
         case SecondPass():
             return _second_pass(event)
+        case Reappeared():
+            return reappeared(event)
         case CandidateConfirmed():
             return confirmed(event)
         case Returned():

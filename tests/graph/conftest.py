@@ -103,16 +103,36 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
             {"share": share, "factor": st.floats(min_value=1, max_value=1e9, exclude_min=True)}, {}
         ),
     }
-    velocity = {**noise, "sd_velocity_px": sd, "start_velocity_sd_px": sd}
-    acceleration = {
+    looked = _choice(
+        ["uniform", "agents"],
+        agents=_mapping({}, {"most": st.integers(16, 10_000)}),
+        detector=_choice(["motion"], background=_mapping({}, {"min_area_px": st.integers(1, 900)})),
+    )
+    recover = {
+        "share": share,
+        "above": level,
+        "usual": st.just(0) | share,
+        "hypotheses": share,
+        "by": looked,
+    }
+    factor = st.floats(min_value=1, max_value=1e9, exclude_min=True)
+    moving = {
         **noise,
+        "widen": _mapping({}, {"above": level, "most": factor}),
+        "keep_size": _mapping({}, {"sd_scale": positive, "sd_aspect": positive}),
+        "camera": st.just("compensate"),
+        "recover": _mapping({}, recover),
+    }
+    velocity = {**moving, "sd_velocity_px": sd, "start_velocity_sd_px": sd}
+    acceleration = {
+        **moving,
         "sd_acceleration_px": sd,
         "start_velocity_sd_px": sd,
         "start_acceleration_sd_px": sd,
     }
     motion = _choice(
         ["random_walk", "constant_velocity", "damped_velocity", "constant_acceleration"],
-        random_walk=_mapping({}, noise),
+        random_walk=_mapping({}, moving),
         constant_velocity=_mapping({}, velocity),
         damped_velocity=_mapping({}, {**velocity, "damping": positive}),
         constant_acceleration=_mapping({}, acceleration),
@@ -260,7 +280,9 @@ def _joins(names: Any, share: Any, frames: Any) -> st.SearchStrategy[dict[str, A
 
 def _life(positive: Any, share: Any, frames: Any) -> dict[str, st.SearchStrategy[Any]]:
     """How targets of a plate are born, recognised and end."""
-    settings = _mapping({}, {"min_area_px": st.floats(min_value=1, max_value=1e9), "max_count": st.integers(1, 1000)})
+    settings = _mapping(
+        {}, {"min_area_px": st.floats(min_value=1, max_value=1e9), "max_count": st.integers(1, 1000)}
+    )
     detector = _choice(["background", "detections"], gray_level=settings, detections=settings)
     confirm = _mapping({}, {"looks": st.integers(1, 3), "of": st.integers(4, 1000)})
     birth = {"labels": st.lists(st.text("abc", min_size=1), max_size=2), "every": frames, "confirm": confirm}
@@ -343,7 +365,16 @@ def everything() -> dict[str, Any]:
             "belief": {"gaussian": {"filter": "unscented", "sigma": {"alpha": 0.5, "kappa": 1}}},
         },
         "f": {
-            "motion": {"damped_velocity": {"damping": 0.5}},
+            "motion": {
+                "damped_velocity": {
+                    "damping": 0.5,
+                    "sd_log": {"scale": 0.02},
+                    "widen": {"most": 3},
+                    "keep_size": {"sd_scale": 0.5},
+                    "camera": "compensate",
+                    "recover": {"by": {"agents": {"most": 200}}, "usual": 0.01},
+                }
+            },
             "estimate": "mean",
             "belief": {"particles": {"size": {"asymptotic_normal": {"error_px": 2}}, "min": 100, "max": 900}},
         },

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from bayesnet_track.graph.model import Choice, Model, PluginChoice
 from bayesnet_track.graph.read import read_graph
-from bayesnet_track.graph.spec import AgentChoice, Fuse, GraphSpec, Motion, Noise
+from bayesnet_track.graph.spec import AgentChoice, Fuse, GraphSpec, Motion, Moving, Noise
 from bayesnet_track.graph.write import as_plain, graph_sha256, write_graph
 
 LENIENT = settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
@@ -50,7 +50,7 @@ def test_floats_survive_bit_for_bit(sd):
 def test_every_part_of_the_language_survives(everything):
     spec = GraphSpec.model_validate(everything)
     assert read_graph(write_graph(spec))[0] == spec
-    bases = {Choice, PluginChoice, Noise}
+    bases = {Choice, PluginChoice, Moving, Noise}
     assert _subclasses(Model) - set(_models_in(spec)) == bases
 
 

@@ -41,6 +41,7 @@ from bayesnet_track.journal.events import (
 )
 from bayesnet_track.journal.explain import Filter, explain, has_several_targets, why
 from bayesnet_track.journal.join_events import AttachmentChanged, OcclusionChanged, RingChanged
+from bayesnet_track.journal.jump_events import Reappeared
 from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
 
 STARTED = RunStarted(1, "two_squares", "ab" * 32, 0, "scene:two_squares", 320, 240, True, 200, 0.04)
@@ -169,6 +170,12 @@ GOLDEN = [
         SecondPass(42, "1", "west", 2.0004, 2.0, 500, 1000, 40.0, 700.0),
         "frame 42: KL(posterior, prior) 2.0004 nats > 2 → second pass of 1000 hypotheses, by west, 40 "
         "effective before, 700 after; would have been spared at above_kl ≥ 2.01",
+    ),
+    (
+        Reappeared(*(41, "1", "agents", 200, 0.9312, 0.5, 0.1, 0.008141, 210.4, 84.25, 95.2, 5120.0, 1024.0)),
+        "frame 41: UD 5120 px² > 1024; 200 hypotheses looked over the whole frame, by agents, and hold "
+        "0.931 > 0.5 of the belief → target 1 reappears at 210.4, 84.25, 95.2 px away; would not have at "
+        "share ≤ 0.00814",
     ),
     (
         ParticlesResized(

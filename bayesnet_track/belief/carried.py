@@ -1,0 +1,173 @@
+"""States that something moves before their own motion: the camera, or the size they are drawn back to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import Ancestors, Motion
+from bayesnet_track.belief.motion import KinematicMotion
+from bayesnet_track.belief.noise import Transition
+from bayesnet_track.graph.motion_settings import KeepSize
+
+Floats = NDArray[np.float64]
+
+
+class Shift(Protocol):
+    """What happens to states before their motion, without chance."""
+
+    def shifted(self, states: Floats) -> Floats:
+        """(N, D) states after it, a copy."""
+        ...
+
+    def jacobian(self, state: Floats) -> Floats:
+        """(D, D) derivative at a state (D,)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """`motion` after `shift`: p(x | x') is that of the motion from shift(x'), exactly.
+
+    It is made for one frame: the shift is that frame's, whatever `dt`.
+    """
+
+    motion: Motion
+    shift: Shift
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Those of the model."""
+        return self.motion.fields
+
+    def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
+        """As the model."""
+        return self.motion.start(box, size, rng)
+
+    def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
+        """As the model."""
+        return self.motion.start_moments(box)
+
+    def propagate(
+        self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
+    ) -> Floats:
+        """Shifted, then as the model."""
+        return self.motion.propagate(self.shift.shifted(states), dt, rng, parents)
+
+    def drift(self, states: Floats, dt: float) -> Floats:
+        """Shifted, then as the model."""
+        return self.motion.drift(self.shift.shifted(states), dt)
+
+    def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
+        """F G and Q: the derivatives of both, and the model's noise at the shifted state."""
+        drift, noise = self.motion.linearise(self.shift.shifted(state[None])[0], dt)
+        return drift @ self.shift.jacobian(state), noise
+
+    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+        """Of the model from the shifted states."""
+        return self.transition(old, dt).log_density(new)
+
+    def transition(self, old: Floats, dt: float) -> Transition:
+        """Of the model from the shifted states."""
+        return self.motion.transition(self.shift.shifted(old), dt)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraShift:
+    """The picture moves: x <- L x + l for the centre, v <- L v for its derivatives, the size as it is.
+
+    A background that comes nearer says nothing of how far off the target is.
+
+    Attributes:
+        linear: (2, 2) L.
+        offset: (2,) l, px.
+    """
+
+    linear: Floats
+    offset: Floats
+
+    def shifted(self, states: Floats) -> Floats:
+        """(N, D) states where the camera's motion takes them."""
+        moved = states.copy()
+        # Sums written out: those of BLAS depend on threads.
+        for column in (0, *range(4, states.shape[1], 2)):
+            x, y = states[:, column], states[:, column + 1]
+            for axis, row in enumerate(self.linear):
+                moved[:, column + axis] = row[0] * x + row[1] * y
+        moved[:, :2] += self.offset
+        return moved
+
+    def jacobian(self, state: Floats) -> Floats:
+        """(D, D): L for the centre and each of its derivatives."""
+        found = np.eye(len(state))
+        for column in (0, *range(4, len(state), 2)):
+            found[column : column + 2, column : column + 2] = self.linear
+        return found
+
+
+def camera_shift(flow: Floats, dt: float) -> CameraShift | None:
+    """How points of the background moved over `dt` frame intervals; None where the picture rests.
+
+    Args:
+        flow: (2, 3) M of the camera's plane: M (x', y', 1) px per frame interval at the *present* place x'.
+        dt: the time.
+
+    x' = x + dt (A x' + b), so x' = (I - dt A)^-1 (x + dt b).
+    """
+    if not flow.any():
+        return None
+    linear = np.linalg.inv(np.eye(2) - dt * flow[:, :2])
+    return CameraShift(linear, linear @ (dt * flow[:, 2]))
+
+
+@dataclass(frozen=True, eq=False)
+class SizeShift:
+    """The logarithms of scale and aspect go toward their first values: m + keep (s - m).
+
+    Attributes:
+        first: (2,) m: log sqrt(w h) and log(w / h) of the first box.
+        keep: (2,) share of the difference that stays.
+    """
+
+    first: Floats
+    keep: Floats
+
+    def shifted(self, states: Floats) -> Floats:
+        """(N, D) states with sizes drawn back."""
+        moved = states.copy()
+        log_w, log_h = np.log(states[:, 2]), np.log(states[:, 3])
+        scale = self.first[0] + self.keep[0] * ((log_w + log_h) / 2 - self.first[0])
+        aspect = self.first[1] + self.keep[1] * (log_w - log_h - self.first[1])
+        moved[:, 2], moved[:, 3] = np.exp(scale + aspect / 2), np.exp(scale - aspect / 2)
+        return moved
+
+    def jacobian(self, state: Floats) -> Floats:
+        """(D, D): of log w and log h a constant matrix, of w and h that times w' / w."""
+        found = np.eye(len(state))
+        to_log = np.array([[0.5, 0.5], [1.0, -1.0]])
+        from_log = np.array([[1.0, 0.5], [1.0, -0.5]])
+        after = self.shifted(state[None])[0, 2:4]
+        found[2:4, 2:4] = after[:, None] * (from_log @ np.diag(self.keep) @ to_log) / state[2:4]
+        return found
+
+
+def size_kept(motion: KinematicMotion, settings: KeepSize, first: Floats, dt: float) -> Carried:
+    """The motion with log size an Ornstein-Uhlenbeck process around the size (2,) `first`, over `dt`.
+
+    With the noise's sd s per frame interval and the sd S in the long run, the rate is k = s^2 / (2 S^2), and
+    over `dt` exactly: keep = exp(-k dt), variance S^2 (1 - keep^2), which is s^2 dt for a large S.
+    """
+    own = motion.noise.sd_log
+    sds, limits = (own.scale, own.aspect), (settings.sd_scale, settings.sd_aspect)
+    keep, noise = np.ones(2), list(sds)
+    for n, (sd, limit) in enumerate(zip(sds, limits, strict=True)):
+        if limit is not None and sd > 0:
+            keep[n] = np.exp(-(sd**2) / (2 * limit**2) * dt)
+            noise[n] = float(limit * np.sqrt((1.0 - keep[n] ** 2) / dt))
+    sd_log = own.model_copy(update={"scale": noise[0], "aspect": noise[1]})
+    kept = replace(motion, noise=motion.noise.model_copy(update={"sd_log": sd_log}))
+    log_w, log_h = np.log(first)
+    return Carried(kept, SizeShift(np.array([(log_w + log_h) / 2, log_w - log_h]), keep))

@@ -1,0 +1,284 @@
+"""A target that may reappear anywhere in the frame: a component of its motion, and how it is looked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.bounds import Confined
+from bayesnet_track.belief.contract import Ancestors, Motion
+from bayesnet_track.belief.fitted import flattened
+from bayesnet_track.belief.noise import Transition
+from bayesnet_track.belief.particle_set import Inputs
+from bayesnet_track.belief.states import hypotheses_of
+from bayesnet_track.journal.jump_events import Reappeared
+from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+from bayesnet_track.numerics.resampling import systematic
+
+Floats = NDArray[np.float64]
+
+FLAT = 100.0
+"""Sds of the Gaussian that stands for uniform in a `Transition`, in sides of the frame: flat to 1e-4."""
+
+EVENLY = 0.2
+"""Share of the looking hypotheses that are spread evenly: weights are at most its inverse."""
+
+LEAST_PLACES = 8.0
+"""Effective places to look at; sharper scores are flattened until there are."""
+
+TELL_ABOVE = 0.5
+"""Share of the belief above which it is told that hypotheses which jumped hold it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """A mixture of uniform densities on rectangles, all inside the frame.
+
+    Attributes:
+        low: (M, 2) least x and y.
+        high: (M, 2) largest x and y.
+        shares: (M,) of the rectangles, summing to 1.
+    """
+
+    low: Floats
+    high: Floats
+    shares: Floats
+
+    def draw(self, size: int, rng: np.random.Generator) -> Floats:
+        """(size, 2) points in px, in random order: which hypothesis is sent where depends on nothing."""
+        chosen = rng.permutation(systematic(self.shares, size, rng))
+        return np.asarray(self.low[chosen] + rng.random((size, 2)) * (self.high - self.low)[chosen])
+
+    def density(self, points: Floats) -> Floats:
+        """(N,) per px^2 at points (N, 2)."""
+        inside = (points[:, None] >= self.low) & (points[:, None] < self.high)
+        return np.asarray(inside.all(axis=2) @ (self.shares / np.prod(self.high - self.low, axis=1)))
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """How reappearing is looked for in one frame.
+
+    Attributes:
+        hypotheses: share of the hypotheses that look.
+        by: uniform, agents, or the detector's name.
+        probes: boxes that the net's agents are asked about; 0 for none.
+        boxes: (M, 4) where a detector sees something.
+        scores: (M,) how surely.
+        ud_px2: UD of the last frame.
+        above_px2: level above which the belief is unsure.
+    """
+
+    hypotheses: float
+    by: str
+    probes: int
+    boxes: Floats
+    scores: Floats
+    ud_px2: float
+    above_px2: float
+
+
+@dataclass(frozen=True, eq=False)
+class Jumping:
+    """`motion`, or with probability `share` the position is anywhere: (1 - share) p + share / (W H).
+
+    What jumps keeps the motion's size and derivatives.
+
+    Attributes:
+        motion: the model.
+        share: probability of a jump, over the frame's own time step.
+        width: W, columns of the image; centres lie in [0, W - 1].
+        height: H, rows of the image.
+        search: how hypotheses that jump are drawn by a belief which weights them.
+    """
+
+    motion: Motion
+    share: float
+    width: int
+    height: int
+    search: Search
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Those of the model."""
+        return self.motion.fields
+
+    @property
+    def area(self) -> float:
+        """px^2 of where centres lie."""
+        return float((self.width - 1) * (self.height - 1))
+
+    def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
+        """As the model."""
+        return self.motion.start(box, size, rng)
+
+    def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
+        """As the model."""
+        return self.motion.start_moments(box)
+
+    def propagate(
+        self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
+    ) -> Floats:
+        """As the model, then each with probability `share` anywhere."""
+        moved = self.motion.propagate(states, dt, rng, parents)
+        jumps = np.flatnonzero(rng.random(len(moved)) < self.share)
+        moved[jumps, :2] = self.evenly().draw(len(jumps), rng)
+        return moved
+
+    def drift(self, states: Floats, dt: float) -> Floats:
+        """As the model: where it goes when it does not jump."""
+        return self.motion.drift(states, dt)
+
+    def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
+        """As the model, without jumps."""
+        return self.motion.linearise(state, dt)
+
+    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+        """Of the mixture, for states inside the frame."""
+        return self.transition(old, dt).log_density(new)
+
+    def transition(self, old: Floats, dt: float) -> Transition:
+        """The model's components, and one so wide in x and y that it is flat over the frame.
+
+        Its share is that of its whole, of which the frame holds `share`: inside the frame densities are
+        right to 1e-4. It needs x and y, which have noise, as the first two coordinates.
+        """
+        own = self.motion.transition(old, dt)
+        flat = own.sds[:1].copy()
+        flat[:, :, :2] = FLAT * np.array([self.width, self.height])
+        whole = 2.0 * np.pi * FLAT**2 * self.width * self.height / self.area
+        shares = [own.log_shares + np.log1p(-self.share), [np.log(self.share * whole)]]
+        return Transition(
+            own.coordinates,
+            own.means,
+            np.concatenate([own.sds, flat]),
+            np.concatenate(shares),
+            own.states,
+        )
+
+    def evenly(self) -> Places:
+        """The frame."""
+        high = np.array([[self.width - 1.0, self.height - 1.0]])
+        return Places(np.zeros((1, 2)), high, np.ones(1))
+
+
+def jumping_of(motion: Motion) -> Jumping | None:
+    """The jumping motion inside a confined one, or None."""
+    free = motion.motion if isinstance(motion, Confined) else motion
+    return free if isinstance(free, Jumping) else None
+
+
+@dataclass(frozen=True, eq=False)
+class Jumps:
+    """Hypotheses of a frame, some of which jumped.
+
+    Attributes:
+        states: (N, D).
+        prior_log: (N,) log-weights that make them a sample of the prior.
+        which: indices of those that jumped.
+    """
+
+    states: Floats
+    prior_log: Floats
+    which: Ancestors
+
+
+def jumped(inputs: Inputs, jumping: Jumping, ancestors: Ancestors, beta_log: Floats) -> Jumps:
+    """Hypotheses from both components, each with as many as `search` says, weighted to be a sample of both.
+
+    A hypothesis of the motion has the weight beta (1 - share) N / n, one that jumped beta share N / m times
+    the uniform density over the one it was drawn with. Their numbers n + m = N are fixed, and which jump is
+    drawn whatever they are: the evidence is unbiased.
+    """
+    size = len(ancestors)
+    count = min(max(round(jumping.search.hypotheses * size), 1), size - 1)
+    rng = inputs.stream("jump")
+    which = np.sort(rng.permutation(size)[:count]).astype(np.intp, copy=False)
+    motion = Confined(jumping.motion, jumping.width, jumping.height)
+    states = motion.propagate(inputs.prior.states, inputs.dt, inputs.stream("propagate"), ancestors)
+    places = _places(inputs, jumping, states, rng)
+    states[which, :2] = places.draw(count, rng)
+    prior_log = beta_log + np.log((1.0 - jumping.share) * size / (size - count))
+    prior_log[which] = beta_log[which] + np.log(
+        jumping.share * size / count / (jumping.area * places.density(states[which, :2]))
+    )
+    return Jumps(states, prior_log, which)
+
+
+def reappeared(jumping: Jumping, jumps: Jumps, weights: LogWeights, before: Floats) -> Reappeared | None:
+    """What is told when those that jumped hold more than half of the belief; frame and target left open."""
+    own = weights.weights[jumps.which]
+    held = float(own.sum())
+    if not held > TELL_ABOVE:
+        return None
+    x, y = (own / held @ jumps.states[jumps.which, :2]).tolist()
+    odds = jumping.share / (1.0 - jumping.share) * max(1.0 - held, 1e-300) / held
+    search = jumping.search
+    return Reappeared(
+        frame=0,
+        target="",
+        by=search.by,
+        hypotheses=len(jumps.which),
+        held=held,
+        level=TELL_ABOVE,
+        share=jumping.share,
+        turning=odds / (1.0 + odds),
+        x=x,
+        y=y,
+        moved_px=float(np.hypot(x - before[0], y - before[1])),
+        ud_px2=search.ud_px2,
+        above_px2=search.above_px2,
+    )
+
+
+def _places(inputs: Inputs, jumping: Jumping, states: Floats, rng: np.random.Generator) -> Places:
+    """Where to look: mostly where the search finds something, else evenly."""
+    search = jumping.search
+    if search.probes:
+        found = _probed(inputs, jumping, states, rng)
+    else:
+        found = _of_boxes(jumping, search.boxes, search.scores)
+    evenly = jumping.evenly()
+    if found is None:
+        return evenly
+    return Places(
+        np.concatenate([found.low, evenly.low]),
+        np.concatenate([found.high, evenly.high]),
+        np.append((1.0 - EVENLY) * found.shares, EVENLY),
+    )
+
+
+def _of_boxes(jumping: Jumping, boxes: Floats, scores: Floats) -> Places | None:
+    """Inside the boxes (M, 4), as far as they lie in the frame, in proportion to their scores (M,)."""
+    bounds = jumping.evenly().high
+    low = np.clip(boxes[:, :2] - boxes[:, 2:] / 2, 0.0, bounds)
+    high = np.clip(boxes[:, :2] + boxes[:, 2:] / 2, 0.0, bounds)
+    keep = (high - low >= 1.0).all(axis=1) & (scores > 0)
+    if not keep.any():
+        return None
+    return Places(low[keep], high[keep], scores[keep] / scores[keep].sum())
+
+
+def _probed(inputs: Inputs, jumping: Jumping, states: Floats, rng: np.random.Generator) -> Places | None:
+    """Cells of a lattice over the frame, by what the net says of a box in each; None when it says nothing.
+
+    The boxes are no hypotheses, so no evidence is used twice.
+    """
+    bounds = jumping.evenly().high[0]
+    side = 0.5 * float(np.sqrt(np.mean(states[:, 2] * states[:, 3])))
+    side = max(side, float(np.sqrt(jumping.area / jumping.search.probes)))
+    across, down = (max(int(extent / side), 1) for extent in bounds)
+    step = bounds / np.array([across, down])
+    at = np.stack(np.meshgrid(np.arange(across), np.arange(down)), axis=2).reshape(-1, 2)
+    low = at * step
+    probes = states[rng.integers(len(states), size=len(at))].copy()
+    probes[:, :2] = low + step / 2
+    equal = LogWeights.uniform(len(at))
+    seen = inputs.evaluate(hypotheses_of(probes, inputs.prior.fields), equal.log)
+    try:
+        weights = flattened(equal, seen.log_likelihood, min(LEAST_PLACES, len(at) / 2))[1]
+    except DegenerateWeights:
+        return None
+    return Places(low, low + step, weights.weights)

@@ -1,0 +1,56 @@
+"""The event of a belief that finds its target again by a jump, and its sentence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bayesnet_track.journal.wording import decimals, rounded, told_apart
+
+
+@dataclass(frozen=True)
+class Reappeared:
+    """Hypotheses that jumped hold most of the belief: the target reappeared elsewhere.
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        by: what told them where to look: uniform, agents, or a detector's name.
+        hypotheses: how many jumped.
+        held: their share of the belief.
+        level: share above which this is told.
+        share: prior probability of reappearing in this frame.
+        turning: largest prior probability with which these hypotheses would hold no more than `level`.
+        x: where they are, px; their mean.
+        y: the same, of rows.
+        moved_px: how far that is from the last frame's mean.
+        ud_px2: UD of the last frame.
+        above_px2: level of UD above which reappearing is likely, in px^2; 0 when it is not known yet.
+    """
+
+    frame: int
+    target: str
+    by: str
+    hypotheses: int
+    held: float
+    level: float
+    share: float
+    turning: float
+    x: float
+    y: float
+    moved_px: float
+    ud_px2: float
+    above_px2: float
+
+
+def reappeared(event: Reappeared) -> str:
+    """The sentence, without the frame."""
+    held, level = told_apart(event.held, event.level)
+    ud, above = told_apart(event.ud_px2, event.above_px2)
+    unsure = f"UD {ud} px² {'>' if event.ud_px2 > event.above_px2 else '≤'} {above}; "
+    turning = rounded(event.turning, decimals(event.turning, event.share), up=False)
+    how = "evenly" if event.by == "uniform" else f"by {event.by}"
+    return (
+        f"{unsure if event.above_px2 > 0 else ''}{event.hypotheses} hypotheses looked over the whole frame, "
+        f"{how}, and hold {held} > {level} of the belief → target {event.target} reappears at "
+        f"{event.x:.4g}, {event.y:.4g}, {event.moved_px:.3g} px away; would not have at share ≤ {turning}"
+    )

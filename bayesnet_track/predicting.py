@@ -1,0 +1,186 @@
+"""The motion of one frame: the plate's, with what the last frame and the camera say of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.conditions import Reading, read_level
+from bayesnet_track.belief.attached import Attached
+from bayesnet_track.belief.carried import Carried, camera_shift, size_kept
+from bayesnet_track.belief.contract import Motion
+from bayesnet_track.belief.jumps import Jumping, Search
+from bayesnet_track.belief.motion import KinematicMotion
+from bayesnet_track.belief.widened import widened, widening
+from bayesnet_track.detector import (
+    NOTHING,
+    Detections,
+    Detector,
+    DetectorError,
+    DetectorState,
+    LearningDetector,
+)
+from bayesnet_track.graph.adapt_settings import Level
+from bayesnet_track.graph.motion_settings import Recover
+from bayesnet_track.journal.life_events import DetectorFailed
+from bayesnet_track.machinery import Machinery
+from bayesnet_track.planes import FramePair, PlaneCache, Region
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """What a target's motion depends on besides its states: arrays and numbers.
+
+    Attributes:
+        size: (2,) width and height of the first box, px.
+        ud_px2: UD of the last frame; 0 at the start.
+        area_px2: area of its estimate.
+        quiet_px2: quiet level of UD, None while unknown.
+        finder: what the detector remembers that looks for it; None when it failed or is not there.
+    """
+
+    size: Floats
+    ud_px2: float
+    area_px2: float
+    quiet_px2: float | None = None
+    finder: DetectorState | None = None
+
+    def reading(self, level: Level) -> Reading | None:
+        """UD in a level's unit; None while that is unknown."""
+        return read_level(level, self.ud_px2, self.area_px2, self.quiet_px2)
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """The motion of one frame.
+
+    Attributes:
+        motion: the model.
+        outlook: the target's, with what its detector remembers now; None where nothing depends on it.
+        told: what is written down.
+    """
+
+    motion: Motion
+    outlook: Outlook | None = None
+    told: tuple[DetectorFailed, ...] = ()
+
+    def after(self, ud_px2: float, area_px2: float, quiet_px2: float | None) -> Outlook | None:
+        """The outlook after the frame, of which these were measured."""
+        if self.outlook is None:
+            return None
+        return replace(self.outlook, ud_px2=ud_px2, area_px2=area_px2, quiet_px2=quiet_px2)
+
+
+def outlook(machine: Machinery, box: Floats, frames: FramePair) -> Outlook | None:
+    """The outlook of a target that starts in the centre box (4,), which its detector is shown.
+
+    A detector that cannot learn it has nothing to look for and finds nothing. None for a plain motion.
+    """
+    if machine.moving is None:
+        return None
+    state: DetectorState | None = None
+    if machine.finder is not None:
+        state = machine.finder.start()
+        if isinstance(machine.finder, LearningDetector):
+            try:
+                state = machine.finder.learn(frames, box, state)
+            except DetectorError:
+                state = None
+    return Outlook(np.array(box[2:4]), 0.0, float(box[2] * box[3]), None, state)
+
+
+def predicted(
+    machine: Machinery,
+    given: Motion | None,
+    known: Outlook | None,
+    is_lost: bool,
+    dt: float,
+    cache: PlaneCache,
+) -> Predicted:
+    """The motion over `dt` frame intervals, as it stands before a frame's evidence.
+
+    In this order: the camera moves the states, their sizes are drawn back, noise is added, widened while
+    unsure, and with some probability the position is anywhere instead. `given` stands in for the plate's
+    motion; where that is of a target which may be carried, all this is how it moves on its own.
+    """
+    settings, plain = machine.moving, machine.motion
+    if settings is None or known is None or not isinstance(plain, KinematicMotion):
+        return Predicted(machine.motion if given is None else given, known)
+    own = plain
+    if settings.widen is not None:
+        now = known.reading(settings.widen.above)
+        own = widened(own, 1.0 if now is None else widening(now.value / now.level, settings.widen.most))
+    motion: Motion = own
+    if settings.keep_size is not None:
+        motion = size_kept(own, settings.keep_size, known.size, dt)
+    if settings.camera is not None:
+        motion = _with_camera(motion, cache, dt)
+    found = Predicted(motion, known)
+    if settings.recover is not None:
+        found = _recovering(motion, settings.recover, machine.finder, known, is_lost, dt, cache)
+    if isinstance(given, Attached):
+        return replace(found, motion=replace(given, motion=found.motion))
+    return found
+
+
+def _with_camera(motion: Motion, cache: PlaneCache, dt: float) -> Motion:
+    from bayesnet_track.vision.motion_planes import CameraPlane
+
+    plane, frame = CameraPlane(), cache.frames.current
+    flow = cache.planes([plane], Region(0, 0, frame.width, frame.height))[plane]
+    shift = camera_shift(flow, dt)
+    return motion if shift is None else Carried(motion, shift)
+
+
+def _recovering(
+    motion: Motion,
+    settings: Recover,
+    finder: Detector | None,
+    known: Outlook,
+    is_lost: bool,
+    dt: float,
+    cache: PlaneCache,
+) -> Predicted:
+    frame = cache.frames.current
+    now = known.reading(settings.above)
+    unsure = is_lost or (now is not None and now.above)
+    per_frame = max(settings.share, settings.usual) if unsure else settings.usual
+    if per_frame == 0.0 or min(frame.width, frame.height) < 3:
+        return Predicted(motion, known)
+    state, found, told = known.finder, NOTHING, tuple[DetectorFailed, ...]()
+    if finder is not None and state is not None:
+        try:
+            found, state = finder.detect(cache.frames, state)
+            found = _sound(found)
+        except Exception as error:  # a guest's code: whatever it raises must not end the run
+            found, state, told = NOTHING, None, (_failed(finder, cache.frames, error),)
+    probes = settings.by.agents
+    search = Search(
+        hypotheses=settings.hypotheses * min(per_frame / settings.share, 1.0),
+        by=settings.by.kind if settings.by.detector is None else settings.by.detector.detector,
+        probes=0 if probes is None else probes.most,
+        boxes=np.asarray(found.boxes, dtype=np.float64),
+        scores=np.asarray(found.scores, dtype=np.float64),
+        ud_px2=known.ud_px2,
+        above_px2=0.0 if now is None else now.level * now.scale_px2,
+    )
+    share = 1.0 - (1.0 - per_frame) ** dt
+    jumping = Jumping(motion, share, frame.width, frame.height, search)
+    return Predicted(jumping, replace(known, finder=state), told)
+
+
+def _sound(found: Detections) -> Detections:
+    boxes, scores = np.asarray(found.boxes), np.asarray(found.scores)
+    if boxes.ndim != 2 or boxes.shape[1] != 4 or len(boxes) != len(scores):
+        raise ValueError(f"boxes of shape {boxes.shape} and {len(scores)} scores")
+    if not (np.isfinite(boxes).all() and np.isfinite(scores).all()):
+        raise ValueError("boxes or scores that are not finite")
+    return found
+
+
+def _failed(finder: Detector, frames: FramePair, error: Exception) -> DetectorFailed:
+    return DetectorFailed(frames.current.index, type(finder).__name__, f"{type(error).__name__}: {error}")

@@ -1,0 +1,172 @@
+"""The motion of one frame in the engine: plain where nothing is asked; jumps told; faults contained."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from bayesnet_track.belief.attached import Attached
+from bayesnet_track.belief.carried import Carried
+from bayesnet_track.belief.jumps import Jumping
+from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.journal.jump_events import Reappeared
+from bayesnet_track.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.predicting import Outlook, outlook, predicted
+
+BOX = np.array([60.0, 50.0, 20.0, 10.0])
+WALK = {"sd_px": {"x": 2.0, "y": 2.0}, "sd_log": {"scale": 0.05}}
+
+
+def nodes_of(**settings):
+    return {
+        "root": {"motion": {"random_walk": {**WALK, **settings}}, "belief": {"particles": {"size": 300}}},
+        "eye": "root",
+    }
+
+
+def machine_of(fakes, **settings):
+    return fakes.engine(nodes_of(**settings), {"eye": fakes.flat()})[0].machinery["plate"]
+
+
+def orange_at(x, y):
+    """A gray picture with an orange square of 20 px around (x, y)."""
+    image = np.full((100, 120, 3), 128, np.uint8)
+    image[y - 10 : y + 10, x - 10 : x + 10] = (0, 128, 255)
+    return image
+
+
+def test_a_plain_motion_is_the_plates_own(fakes):
+    machine = machine_of(fakes)
+    cache = PlaneCache(FramePair(fakes.frame(1), fakes.frame(0)))
+    assert machine.moving is None
+    assert outlook(machine, BOX, cache.frames) is None
+    assert predicted(machine, None, None, False, 1.0, cache).motion is machine.motion
+
+
+def test_what_depends_on_the_last_frame_is_arrays_and_numbers(fakes):
+    machine = machine_of(fakes, recover={"by": {"detector": "color_backprojection"}})
+    found = outlook(machine, BOX, FramePair(Frame(0, 0.0, orange_at(60, 50)), None))
+    for item in fields(Outlook):
+        value = getattr(found, item.name)
+        held = value.values() if item.name == "finder" else [value]
+        assert all(one is None or isinstance(one, (float, np.ndarray)) for one in held), item.name
+
+
+@pytest.mark.parametrize(
+    ("ud", "is_lost", "share"), [(0.0, False, 0.0), (150.0, False, 0.1), (0.0, True, 0.1)]
+)
+def test_it_jumps_while_unsure_or_lost(fakes, ud, is_lost, share):
+    machine = machine_of(fakes, recover={"by": "uniform", "above": {"ud_box": 0.5}})
+    cache = PlaneCache(FramePair(fakes.frame(2), fakes.frame(0)))
+    known = replace(outlook(machine, BOX, cache.frames), ud_px2=ud)
+    motion = predicted(machine, None, known, is_lost, 2.0, cache).motion
+    if share == 0.0:
+        assert motion is machine.motion
+    else:
+        assert isinstance(motion, Jumping)
+        assert motion.share == pytest.approx(1 - (1 - share) ** 2)
+        carried = Attached(machine.motion, np.zeros(2), 0.1, 0.9, 1.0)
+        own = predicted(machine, carried, known, is_lost, 2.0, cache).motion
+        assert isinstance(own, Attached)
+        assert isinstance(own.motion, Jumping)
+
+
+def test_the_camera_carries_the_states(fakes):
+    rng = np.random.default_rng(2)
+    ground = np.kron(rng.integers(0, 256, (60, 60)), np.ones((5, 5))).astype(np.uint8)
+    views = [
+        Frame(n, float(n), np.dstack([ground[20:220, 20 + at : 260 + at]] * 3)) for n, at in ((0, 0), (1, 4))
+    ]
+    machine = machine_of(fakes, camera="compensate")
+    known = outlook(machine, BOX, FramePair(views[0], None))
+    motion = predicted(machine, None, known, False, 1.0, PlaneCache(FramePair(views[1], views[0]))).motion
+    assert isinstance(motion, Carried)
+    np.testing.assert_allclose(motion.drift(BOX[None], 1.0)[0], BOX - [4, 0, 0, 0], atol=0.1)
+
+
+def test_the_detector_is_shown_the_target_and_looks_for_it(fakes):
+    machine = machine_of(fakes, recover={"by": {"detector": "color_backprojection"}})
+    start = Frame(0, 0.0, orange_at(60, 50))
+    known = outlook(machine, np.array([60.0, 50.0, 20.0, 20.0]), FramePair(start, None))
+    now = PlaneCache(FramePair(Frame(1, 1.0, orange_at(100, 30)), start))
+    found = predicted(machine, None, known, True, 1.0, now)
+    np.testing.assert_allclose(found.motion.search.boxes, [[99.5, 29.5, 20, 20]], atol=2.0)
+    assert found.told == ()
+
+
+def test_a_detector_that_fails_is_out_and_told(fakes):
+    class Broken:
+        def start(self):
+            return {}
+
+        def detect(self, frames, state):
+            raise RuntimeError("no")
+
+    machine = replace(machine_of(fakes, recover={"by": "uniform"}), finder=Broken())
+    cache = PlaneCache(FramePair(fakes.frame(1), fakes.frame(0)))
+    found = predicted(machine, None, outlook(machine, BOX, cache.frames), True, 1.0, cache)
+    assert isinstance(found.motion, Jumping)
+    assert found.outlook.finder is None
+    assert [event.reason for event in found.told] == ["RuntimeError: no"]
+
+
+@pytest.mark.parametrize("by", ["agents", "uniform"])
+def test_a_target_that_leaps_is_found_again_and_that_is_told(fakes, by):
+    place = {"at": (60.0, 50.0)}
+
+    def see(planes, hypotheses, reference):
+        away = (hypotheses.boxes[:, :2] - place["at"]) / 3.0
+        return np.logaddexp(-0.5 * np.sum(away**2, axis=1), np.log(1e-4))
+
+    def run(**settings):
+        engine = fakes.engine(nodes_of(**settings), {"eye": see})[0]
+        place["at"] = (60.0, 50.0)
+        outcomes = fakes.play(engine, 3, {"1": tuple(BOX)})
+        from bayesnet_track.engine import step
+
+        place["at"] = (105.0, 85.0)
+        for index in range(4, 14):
+            outcomes.append(step(engine, outcomes[-1].state, fakes.frame(index)))
+        return outcomes
+
+    found = run(recover={"by": by, "above": {"ud_box": 0.2}})
+    told = [event for outcome in found for event in outcome.events if isinstance(event, Reappeared)]
+    assert len(told) == 1
+    assert told[0].by == by
+    assert np.hypot(found[-1].metrics[0].box[0] - 105, found[-1].metrics[0].box[1] - 85) < 3
+    without = run()[-1].metrics[0].box
+    assert np.hypot(without[0] - 105, without[1] - 85) > 20
+
+
+REFUSED = [
+    ({"keep_size": {}}, {}, "keep_size without an sd"),
+    ({"keep_size": {"sd_scale": 0.05}}, {}, "sd_scale is 0.05, and the step, sd_log.scale, is 0.05"),
+    ({"keep_size": {"sd_aspect": 0.5}}, {}, "sd_aspect is 0.5, and the step, sd_log.aspect, is 0"),
+    (
+        {"keep_size": {"sd_scale": 0.5}, "sd_px": {"x": 1.0, "y": 1.0, "w": 1.0}},
+        {},
+        "keep_size beside sd_px.w",
+    ),
+    ({"camera": "compensate"}, {"belief": "grid"}, "camera beside a grid"),
+    ({"keep_size": {"sd_scale": 0.5}}, {"belief": "grid"}, "keep_size beside a grid"),
+    ({"recover": {}}, {"belief": {"gaussian": {"filter": "extended"}}}, "recover beside gaussian"),
+    ({"recover": {}}, {"belief": {"particles": {"importance": "west"}}}, "recover beside importance: west"),
+    (
+        {"recover": {}},
+        {"belief": {"particles": {"size": {"kld": {"bin_px": 9}}}}},
+        "recover beside an adaptive size",
+    ),
+    ({"recover": {}, "sd_px": {"x": 1.0}}, {}, "recover without noise of y"),
+    ({"recover": {"by": {"detector": "mottion"}}}, {}, "unknown detector 'mottion'"),
+    ({"recover": {"by": {"detector": {"motion": {"no": 1}}}}}, {}, "unknown key 'no'"),
+]
+
+
+@pytest.mark.parametrize(("settings", "root", "message"), REFUSED)
+def test_what_cannot_act_is_refused(fakes, settings, root, message):
+    nodes = nodes_of(**settings)
+    nodes["root"] |= root
+    with pytest.raises(GraphError, match=message):
+        fakes.graph(nodes, {"eye": fakes.declare(None, name="eye")})
