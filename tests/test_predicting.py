@@ -170,3 +170,23 @@ def test_what_cannot_act_is_refused(fakes, settings, root, message):
     nodes["root"] |= root
     with pytest.raises(GraphError, match=message):
         fakes.graph(nodes, {"eye": fakes.declare(None, name="eye")})
+
+
+@pytest.mark.parametrize(
+    ("belief", "settings"),
+    [
+        ({"gaussian": {"filter": "kalman"}}, {"camera": "compensate", "widen": {"above": {"ud_box": 0.01}}}),
+        ({"gaussian": {"filter": "unscented"}}, {"camera": "compensate", "keep_size": {"sd_scale": 0.3}}),
+        ({"grid": {"cell_px": 2}}, {"widen": {"above": {"ud_box": 0.01}}}),
+        ({"particles": {"size": {"kld": {"bin_px": 5}}}}, {"widen": {}, "keep_size": {"sd_scale": 0.3}}),
+    ],
+    ids=["kalman", "unscented", "grid", "kld"],
+)
+def test_every_belief_takes_what_the_laws_let_pass(fakes, belief, settings):
+    nodes = nodes_of(**settings)
+    nodes["root"]["belief"] = belief
+    if "keep_size" not in settings:
+        nodes["root"]["motion"]["random_walk"].pop("sd_log")
+    seen = fakes.gaussian(62.0, 52.0, 3.0, floor=1e-3)
+    end = fakes.play(fakes.engine(nodes, {"eye": seen})[0], 5, {"1": tuple(BOX)})[-1].metrics[0]
+    np.testing.assert_allclose(end.box[:2], [62, 52], atol=2.0)

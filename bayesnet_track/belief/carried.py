@@ -119,7 +119,7 @@ def camera_shift(flow: Floats, dt: float) -> CameraShift | None:
     """
     if not flow.any():
         return None
-    linear = np.linalg.inv(np.eye(2) - dt * flow[:, :2])
+    linear = np.asarray(np.linalg.inv(np.eye(2) - dt * flow[:, :2]), dtype=np.float64)
     return CameraShift(linear, linear @ (dt * flow[:, 2]))
 
 
