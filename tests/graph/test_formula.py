@@ -50,6 +50,18 @@ def test_the_noise_of_velocities_is_told(target):
     assert formula_text(target(nodes)).splitlines()[-1] == told
 
 
+def test_what_a_motion_depends_on_is_told(target):
+    nodes = _fusion()
+    further = {"keep_size": {"sd_scale": 0.4}, "camera": "compensate", "widen": {}, "recover": {}}
+    nodes["s"]["motion"] = {
+        "random_walk": {"sd_box": {"x": 0.1, "y": 0.1}, "sd_log": {"scale": 0.1}, **further}
+    }
+    assert formula_text(target(nodes)).splitlines()[-1] == (
+        "p(s_t | s_t-1): random walk, sd x 0.1 √(wh), y 0.1 √(wh), scale 0.1 log, "
+        "up to 4 times that while unsure, around the first size, with the camera, anywhere with probability 0.1 while unsure"
+    )
+
+
 def test_the_weights_of_a_pool_are_its_exponents(target):
     two_to_one = _first(formula_text(target(_fusion({"pool": {"hist": 2, "blobs": 1}}))))
     assert "[p(e_hist | s_t)^(2/3) · p(e_blobs | s_t)^(1/3)]" in two_to_one
