@@ -21,10 +21,16 @@ from bayesnet_track.inference.messages import Observer
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
 
-# No property depends on how fast the machine is.
-settings.register_profile(
-    "repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
-)
+# No property depends on how fast the machine is. Those that say no number of examples take more of them with
+# `pytest -m hypothesis --hypothesis-profile thorough`.
+for _name, _examples in (("repeatable", 30), ("thorough", 200)):
+    settings.register_profile(
+        _name,
+        max_examples=_examples,
+        derandomize=True,
+        deadline=None,
+        suppress_health_check=[HealthCheck.too_slow],
+    )
 settings.load_profile("repeatable")
 
 START = (50.0, 40.0, 20.0, 20.0)

@@ -31,7 +31,6 @@ def windows(*insides):
     return [{0.5: inside} for inside in insides]
 
 
-@settings(max_examples=80, deadline=None)
 @given(st.integers(1, 300), st.floats(0.0, 1.0), st.floats(0.3, 0.99), st.sampled_from([0.8, 0.95, 0.99]))
 def test_it_is_the_one_sided_binomial_test(trials, part, share, confidence):
     inside = round(part * trials)

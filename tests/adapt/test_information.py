@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.adapt.information import Worth, expected_per_ms, remembered_per_ms
@@ -64,7 +64,6 @@ def test_it_follows_a_change():
     )
 
 
-@settings(max_examples=50, deadline=None)
 @given(
     st.lists(st.tuples(st.sampled_from(AGENTS), st.floats(0, 5)), min_size=1, max_size=40), st.integers(1, 99)
 )

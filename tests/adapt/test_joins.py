@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.adapt.joins import (
@@ -83,7 +83,6 @@ def test_joins_replay_and_end_with_their_targets():
         apply(net_of(a="t", b="t"), Parted(9, "a", "b", 0.0, 0.1, 3, 0.0, 6))
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
 @given(
     st.lists(
         st.lists(st.tuples(st.integers(0, 120), st.integers(0, 60)), min_size=4, max_size=4),

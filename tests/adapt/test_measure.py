@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 NODES = {"root": {"fuse": "product"}, **dict.fromkeys("abc", "root")}
@@ -107,7 +107,6 @@ def test_duplicates_score_alike(weigh):
         assert index["a"] == index["b"] != index["c"]
 
 
-@settings(max_examples=40)
 @given(seed=st.integers(0, 10_000), shift=st.floats(-30.0, 0.0))
 def test_a_constant_factor_changes_nothing_but_the_fit(weigh, seed, shift):
     boxes, beta, tables = random_case(seed)

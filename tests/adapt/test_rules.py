@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from bayesnet_track.adapt.conditions import read_level
@@ -325,7 +325,6 @@ def test_one_that_stopped_itself_is_not_dropped_as_well(drive):
     assert "a" not in made.of(Deactivated)[0].index
 
 
-@settings(max_examples=40)
 @given(
     frames=st.integers(1, 12),
     rest=st.integers(1, 20),
@@ -433,7 +432,6 @@ LEVELS = st.integers(4, 9).map(float)
 UNITS = st.sampled_from(["ud_px2", "ud_box"])
 
 
-@settings(max_examples=60)
 @given(uds=UDS, level=LEVELS, frames=st.integers(1, 4), unit=UNITS, rest=st.integers(0, 12))
 @example(uds=[9.0, 10.0, 10.0, 10.0, 10.0], level=8.0, frames=3, unit="ud_px2", rest=6)
 def test_activation_turns_at_turning(drive, uds, level, frames, unit, rest):
@@ -450,7 +448,6 @@ def test_activation_turns_at_turning(drive, uds, level, frames, unit, rest):
     assert run(math.nextafter(decision.cause.turning, 0)).frames(Activated) == [decision.frame]
 
 
-@settings(max_examples=60)
 @given(uds=UDS, level=LEVELS, frames=st.integers(1, 4), unit=UNITS)
 def test_deactivation_turns_at_turning(drive, uds, level, frames, unit):
     def run(at):
@@ -464,7 +461,6 @@ def test_deactivation_turns_at_turning(drive, uds, level, frames, unit):
     assert run(math.nextafter(made[0].cause.turning, math.inf))[0].frame == made[0].frame
 
 
-@settings(max_examples=60)
 @given(uds=UDS, level=LEVELS, frames=st.integers(1, 4), company=st.integers(1, 20))
 def test_a_self_stop_turns_at_turning(drive, uds, level, frames, company):
     """Also when it had to wait for another agent to be there."""
@@ -487,7 +483,6 @@ def test_a_self_stop_turns_at_turning(drive, uds, level, frames, company):
     assert run(math.nextafter(stop.cause.turning, 0)).frames(SelfStopped) == [stop.frame]
 
 
-@settings(max_examples=60)
 @given(data=st.data(), uds=UDS, level=LEVELS, frames=st.integers(1, 4), gone=st.booleans())
 def test_a_change_of_status_turns_at_turning(drive, data, uds, level, frames, gone):
     fits = data.draw(st.lists(st.sampled_from([0.01, 1.0]), min_size=len(uds), max_size=len(uds)))
@@ -508,7 +503,6 @@ def test_a_change_of_status_turns_at_turning(drive, data, uds, level, frames, go
     assert (kept.frame, kept.status) == (first.frame, first.status)
 
 
-@settings(max_examples=60)
 @given(seed=st.integers(0, 1000))
 def test_any_sequence_keeps_the_promises_of_the_rules(drive, seed):
     """At least one agent of each node stays; nobody rests or is out and works; on and off alternate."""

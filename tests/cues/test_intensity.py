@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.cue import Hypotheses, floored, log_size_penalty
@@ -86,7 +86,6 @@ def test_the_target_itself_is_the_best_match_wherever_it_moves(form: str) -> Non
     assert np.median(found) < -1.0
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     boxes=st.lists(
         st.tuples(st.floats(-20, 180), st.floats(-20, 140), st.floats(2, 90), st.floats(2, 90)),

@@ -9,7 +9,7 @@ import re
 import time
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.graph.document import MAX_BYTES, MAX_NODES, plain_scalar, read_document
@@ -243,7 +243,6 @@ _pieces = st.sampled_from(
 )
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
 @given(st.lists(_pieces, max_size=40).map("".join) | st.text(max_size=60) | st.binary(max_size=60))
 def test_any_input_is_read_or_refused_with_a_place(text):
     try:
@@ -260,7 +259,6 @@ _plain = st.recursive(
 )
 
 
-@settings(max_examples=120, deadline=None, derandomize=True)
 @given(data=st.data())
 def test_a_graph_with_any_value_anywhere_is_checked_or_refused(everything, cues, data):
     graph = copy.deepcopy(everything)

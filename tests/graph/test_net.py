@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.graph.net import (
@@ -136,7 +136,6 @@ def histories(draw):
     return decisions
 
 
-@settings(max_examples=100)
 @given(histories())
 def test_replay_is_the_fold_of_apply_at_every_frame(decisions):
     copies = copy.deepcopy(decisions)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.graph.spec import Given
@@ -155,7 +155,6 @@ def trees(draw: st.DrawFn) -> tuple[dict[str, object], list[str]]:
     return nodes, draw(st.lists(st.sampled_from(agents), unique=True))
 
 
-@settings(max_examples=60)
 @given(trees())
 def test_any_plan_hears_each_active_agent_once(fakes, tree):
     nodes, active = tree

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.adapt.measure import measure
@@ -103,7 +103,6 @@ def test_a_pool_divides_the_covariance_by_the_power_over_present_children(asked,
     np.testing.assert_allclose(evidence.log_likelihood, said, rtol=1e-12)
 
 
-@settings(max_examples=40)
 @given(data=st.data())
 def test_gaussians_and_the_rest_are_the_whole_in_any_tree(fakes, measuring, asked, data):
     """The net's log-likelihood is `sampled` plus the Gaussian messages as they reach the root."""

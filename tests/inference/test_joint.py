@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.inference.joint import Edge, Marginal, Member, draw_partners, joint_marginals
@@ -196,7 +196,6 @@ def test_to_be_hidden_is_better_than_a_bad_match_and_worse_than_a_good_one(occlu
     assert behind(-2.0, 0.0, level, occluder, worst, best) == -2.0
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
 @given(
     places=st.lists(st.tuples(st.floats(30, 70), st.floats(30, 70)), min_size=2, max_size=4),
     sides=st.tuples(st.floats(5, 40), st.floats(5, 40)),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.cue import Hypotheses
@@ -108,7 +108,6 @@ def test_no_active_agent_says_nothing(fakes):
 FUSIONS = ("product", "pool", "latent")
 
 
-@settings(max_examples=60)
 @given(data=st.data())
 def test_any_tree_equals_its_recursive_definition(fakes, data):
     """Against a recursion over the written tree, which shares nothing with the compiler."""

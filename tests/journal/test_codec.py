@@ -66,7 +66,6 @@ def same(a, b):
 EVENTS = st.one_of(*map(strategy_of, event_classes().values()))
 
 
-@settings(max_examples=120, deadline=None)
 @given(EVENTS)
 def test_round_trip(event):
     line = to_json(event)
@@ -75,7 +74,6 @@ def test_round_trip(event):
     assert to_json(back) == line
 
 
-@settings(max_examples=120, deadline=None)
 @given(EVENTS)
 def test_a_line_is_one_ascii_line_of_strict_json(event):
     line = to_json(event)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import special, stats
 
@@ -21,7 +21,6 @@ def test_the_tail_is_scipys():
                 assert binomial_tail(float(successes), trials, share) == pytest.approx(expected, abs=2e-11)
 
 
-@settings(max_examples=100, deadline=None)
 @given(
     st.floats(0.01, 1.0),
     st.floats(1.0, 1e5),
@@ -37,7 +36,6 @@ def test_the_vouched_share_turns_the_test(inside, trials, confidence):
         assert binomial_tail(k, trials, found + 1e-6) >= 1 - confidence
 
 
-@settings(max_examples=50, deadline=None)
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(1.0, 1e4), st.floats(1.0, 1e4))
 def test_more_inside_or_more_trials_vouch_for_no_less(inside, other, trials, more):
     low, high = sorted((inside, other))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.numerics.camera_motion import similarity
@@ -15,7 +15,6 @@ def vectors(rng, count, a, b):
     return np.column_stack([z.real, z.imag, flow.real, flow.imag])
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     st.floats(-0.05, 0.05),
     st.floats(-0.05, 0.05),

@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.numerics.dense_flow_kernels import dense_in_boxes, there_and_back, valid_vectors
 from bayesnet_track.numerics.flow_kernels import flow_in_boxes
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 30), st.integers(1, 30), st.integers(-5, 40))
 def test_the_same_counts_and_means_as_point_by_point(seed, width, height, left):
     """Bit for bit, also for boxes with edges on pixels, beyond the region, and of no size."""

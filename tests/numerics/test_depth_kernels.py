@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.numerics.depth_kernels import DEPTH, FEATURES, HEIGHT, SHARE, SPREAD, WIDTH, blob_features
@@ -60,7 +60,6 @@ def test_the_crop_does_not_matter():
     )
 
 
-@settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_order_and_company_change_nothing_and_shares_are_shares(seed):
     rng = np.random.default_rng(seed)

@@ -4,14 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
 from bayesnet_track.numerics.disc import gaussian_mass_in_disc, weighted_mass_in_disc
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.floats(0.05, 20.0), st.floats(0.0, 12.0), st.floats(0.0, 6.3), st.floats(0.5, 10.0))
 def test_a_round_gaussian_is_a_noncentral_chi_square(sd, away, angle, radius):
     offset = away * np.array([math.cos(angle), math.sin(angle)])
@@ -20,7 +19,6 @@ def test_a_round_gaussian_is_a_noncentral_chi_square(sd, away, angle, radius):
     assert found == pytest.approx(expected, abs=1e-8)
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.floats(1e-3, 30.0), st.floats(1e-3, 30.0), st.floats(0.0, 3.2), st.floats(0.0, 5.0))
 def test_it_turns_with_the_axes(first, second, angle, away):
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.numerics.distributions import (
@@ -19,7 +19,6 @@ def gaussian(at, mean, sd):
     return np.exp(-0.5 * ((at - mean) / sd) ** 2) / (sd * np.sqrt(2 * np.pi))
 
 
-@settings(deadline=None)
 @given(st.floats(-40, 40), st.floats(0, 8))
 def test_a_kernel_keeps_mass_mean_and_variance(shift, sd):
     first, taps = gaussian_taps(shift, sd)
@@ -47,7 +46,6 @@ def test_whole_cells_shift_exactly():
     np.testing.assert_allclose(taps, np.arange(len(taps)) == np.argmax(taps), atol=1e-15)
 
 
-@settings(deadline=None)
 @given(st.floats(0.2, 1), st.floats(0, 3))
 def test_velocities_decay_and_spread_without_loss(factor, sd):
     matrix = spreading_matrix(61, factor, sd)

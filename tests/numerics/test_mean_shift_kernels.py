@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.numerics.mean_shift_kernels import kernel_histogram, shifted, window_moments
@@ -23,7 +23,6 @@ def weights_of(x, y, rx, ry, rows, columns, margin=30):
     return np.clip(1.0 - square, 0.0, None), margin
 
 
-@settings(max_examples=60)
 @given(st.integers(0, 99), PLACES)
 def test_the_histogram_is_the_kernels_share_of_each_cell(seed, place):
     cells = picture(seed)
@@ -34,7 +33,6 @@ def test_the_histogram_is_the_kernels_share_of_each_cell(seed, place):
     np.testing.assert_allclose(found, expected / max(weights.sum(), 1e-300), rtol=1e-10, atol=1e-13)
 
 
-@settings(max_examples=60)
 @given(st.integers(0, 99), PLACES)
 def test_moments_are_sums_over_the_window(seed, place):
     cells = picture(seed)
@@ -56,7 +54,6 @@ def test_a_window_smaller_than_a_pixel_sees_the_nearest():
     assert kernel_histogram(cells, 5.0, 7.0, 0.1, 0.1, BINS)[cells[7, 5]] == 1.0
 
 
-@settings(max_examples=40)
 @given(st.integers(0, 99), st.floats(8.0, 16.0), st.floats(8.0, 12.0))
 def test_every_shift_climbs_the_bhattacharyya_coefficient(seed, x, y):
     model = np.random.default_rng(seed).dirichlet(np.ones(BINS))

@@ -4,7 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.numerics.odp_kernels import best_path, odp_pass
@@ -14,7 +14,6 @@ def cost_of(costs, path, penalty):
     return sum(costs[i, d] for i, d in enumerate(path)) + penalty * np.abs(np.diff(path)).sum()
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(1, 6), st.integers(1, 4), st.floats(0, 3), st.integers(0, 10_000))
 def test_best_path_against_all_paths(length, count, penalty, seed):
     """Every path whose neighbours differ by at most one candidate: at most 4^6."""

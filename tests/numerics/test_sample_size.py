@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2, norm
 
@@ -140,7 +140,6 @@ def test_the_simple_worth_is_hypotheses_per_effective_one():
 samples = st.integers(0, 10_000).map(np.random.default_rng).map(lambda r: (r.normal(size=60), r.random(60)))
 
 
-@settings(max_examples=40)
 @given(samples, st.floats(-1e4, 1e4), st.floats(1e-6, 1e6))
 def test_the_bound_of_the_mean_stays_the_same_when_moved_and_when_weights_are_scaled(sample, shift, scale):
     x, w = sample
@@ -150,7 +149,6 @@ def test_the_bound_of_the_mean_stays_the_same_when_moved_and_when_weights_are_sc
     assert sizes.inflation(x + shift, w * scale) == pytest.approx(sizes.inflation(x, w), rel=1e-6)
 
 
-@settings(max_examples=40)
 @given(samples, st.floats(0.1, 10))
 def test_in_sds_of_the_posterior_the_unit_of_the_field_does_not_matter(sample, unit):
     x, w = sample

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.scenes.render import Movie, Sprite, Veil, coverage, paint
@@ -27,7 +27,6 @@ def supersampled(
 
 
 @given(left=eighths, top=eighths, columns=st.integers(1, 3), rows=st.integers(1, 3), side=st.integers(1, 6))
-@settings(max_examples=60, deadline=None)
 def test_painting_equals_supersampling(left, top, columns, rows, side):
     cells = np.random.default_rng(rows * 7 + columns).uniform(0, 255, (rows, columns, 3))
     w, h = side * columns / 2, side * rows / 2  # every cell is side / 2 px: its edges lie on the grid too

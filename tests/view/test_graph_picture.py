@@ -4,7 +4,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.view.graph_layout import MARGIN, lay_out, pool_weights
@@ -36,7 +36,6 @@ def trees(draw):
 
 
 @given(nodes=trees(), data=st.data())
-@settings(max_examples=60, deadline=None)
 def test_layouts_of_any_tree(checked, nodes, data):
     target = checked(nodes)
     active = set(data.draw(st.lists(st.sampled_from(target.agents))))
