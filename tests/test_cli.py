@@ -146,7 +146,13 @@ def test_version(cli):
 # ------------------------------------------------------------------------------------ demo
 
 
-@pytest.mark.parametrize("scene", scene_names())
+DEMOS = ("two_squares", "ball_between_children", "carried_box", "person_and_board", "person_color_stereo")
+"""One of every kind of graph: several targets, parts, shapes, two eyes."""
+
+
+@pytest.mark.parametrize(
+    "scene", [pytest.param(one, marks=() if one in DEMOS else pytest.mark.slow) for one in scene_names()]
+)
 def test_every_scene_is_a_demo(cli, tmp_path, scene):
     out = tmp_path / "run"
     code, said, progress = cli(f"demo {scene} --end 4 --out", out)
@@ -686,6 +692,7 @@ def test_a_reader_that_goes_away_is_no_error(demo_run):
     assert process.returncode == 0
 
 
+@pytest.mark.slow
 def test_nobody_reads_the_progress_and_tracking_goes_on(images, tmp_path):
     read, write = os.pipe()
     os.close(read)
@@ -713,6 +720,7 @@ def test_a_service_may_have_no_streams(images, tmp_path, closed):
     assert len(column(tmp_path / "run", "frame")) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere names of files are text")
 def test_a_name_that_is_no_text(images, tmp_path):
     odd = os.fsencode(tmp_path) + b"/caf\xe9"

@@ -49,6 +49,7 @@ def test_occlusion(experiments):
         assert np.all(np.diff(spread) > 0) and np.trace(blind.covariance[40]) < spread[-1] / 4
 
 
+@pytest.mark.slow
 def test_manoeuvre(experiments):
     """Figure 3.13: uniform motion with little noise loses the turn; much noise or a turn's model follows."""
     found, turning = experiments.manoeuvres(RUNS), slice(20, 44)

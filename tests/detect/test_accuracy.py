@@ -32,9 +32,9 @@ def measured(bench, name, scene, end=60, skip=1, **parameters):
     ("kind", "split"),
     [
         ("two_squares", {}),
-        ("two_squares", {"split": "otsu", "levels": 2}),
-        ("two_squares", {"split": "bands", "bands": [[125, 255]]}),
-        ("orange_and_gray", {}),
+        pytest.param("two_squares", {"split": "otsu", "levels": 2}, marks=pytest.mark.slow),
+        pytest.param("two_squares", {"split": "bands", "bands": [[125, 255]]}, marks=pytest.mark.slow),
+        pytest.param("orange_and_gray", {}, marks=pytest.mark.slow),
         ("orange_and_gray", {"split": "otsu", "levels": 2}),
     ],
 )
@@ -69,6 +69,10 @@ def test_a_target_that_is_shown_is_found_again_among_others(bench):
 def test_motion_finds_what_moves_and_not_what_stands(bench):
     score = measured(bench, "motion", make_scene("gray_square", 0))
     assert score.recall >= 1 - MARGIN and score.precision >= 1 - MARGIN
+
+
+@pytest.mark.slow
+def test_motion_finds_who_walks_in_a_street(bench):
     score = measured(bench, "motion", street(0), 75, 1)  # a cart stands in it
     assert score.recall >= 0.94 and score.precision >= 0.94  # .987 and .993
 
@@ -107,8 +111,14 @@ def test_the_background_bears_shadows_and_a_sudden_change_of_light(bench):
     # the light changes in frame 100: nothing of the ground in it, everybody in it
     assert score_of(bench, found, scene, 100, 110).recall == 1.0
     assert score_of(bench, found, scene, 100, 110).false == 0
-    with_shadows = bench.scored(bench.run(bench.made("background", shadows=False), frames[:80])[0], scene, 26)
-    assert with_shadows.recall < 0.5  # .21: boxes hold the shadows, too
+
+
+@pytest.mark.slow
+def test_without_a_care_for_shadows_boxes_hold_them(bench):
+    scene = street(0)
+    frames = bench.frames(scene, 80)
+    with_shadows = bench.scored(bench.run(bench.made("background", shadows=False), frames)[0], scene, 26)
+    assert with_shadows.recall < 0.5  # .21
 
 
 def score_of(bench, found, scene, begin, end):

@@ -126,7 +126,7 @@ def test_one_thread_or_two_give_the_same_bits(name, build, scene, bench):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("value", [0, 128, 255])
+@pytest.mark.parametrize("value", [128, *(pytest.param(v, marks=pytest.mark.slow) for v in (0, 255))])
 def test_a_constant_picture_holds_nothing(name, value, build, scene, bench):
     frames = [replace(frame, image=np.full_like(frame.image, value)) for frame in scene(name, 5)]
     if name == "stereo_blobs":

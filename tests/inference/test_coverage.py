@@ -96,7 +96,7 @@ def test_the_latent_kernel_covers_nearly_what_it_says(fakes):
     assert 0.85 < ratio < 1.35  # 1.10
 
 
-@pytest.mark.parametrize("belief", ["gaussian", "grid"])
+@pytest.mark.parametrize("belief", ["gaussian", pytest.param("grid", marks=pytest.mark.slow)])
 def test_a_gaussian_or_a_grid_covers_what_the_kernel_does(fakes, belief):
     """O(N) and O(N + G log G): at least the kernel's coverage, at most what the regions say."""
     runs = 300
@@ -106,6 +106,7 @@ def test_a_gaussian_or_a_grid_covers_what_the_kernel_does(fakes, belief):
     assert 0.8 < ratio < 1.35  # squared errors in two dimensions, 300 runs: sd about 0.08
 
 
+@pytest.mark.slow
 def test_one_draw_needs_many_hypotheses(fakes):
     """Its weights are random: 1000 hypotheses leave about ten effective ones here, which is overconfident;
     with thirty times as many the regions cover what they say.

@@ -109,6 +109,7 @@ def test_a_full_disk_is_exit_code_6(tmp_path, capsys, monkeypatch, name):
     assert FILES[name] in err and "No space left on device" in err
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit of a file's size")
 def test_a_disk_that_fills_in_the_middle_of_a_line(tmp_path):
     """The system cuts a write short at the limit of a file's size: as a full disk does."""

@@ -29,7 +29,9 @@ def read(path, **settings):
 
 
 @pytest.mark.parametrize(("name", "codec"), CONTAINERS)
-@pytest.mark.parametrize("rate", [25, 30, Fraction(30000, 1001), 60])
+@pytest.mark.parametrize(
+    "rate", [Fraction(30000, 1001), *(pytest.param(rate, marks=pytest.mark.slow) for rate in (25, 30, 60))]
+)
 def test_a_gapless_video_has_times_0_1_2(make_video, name, codec, rate):
     source, frames, events = read(make_video(name, codec=codec, rate=rate))
     assert events == []

@@ -415,7 +415,9 @@ def check(out, notice=pytest.fail):
     return len(frames)
 
 
-@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize(
+    "number", [SIGNALS[0], *(pytest.param(n, marks=pytest.mark.slow) for n in SIGNALS[1:])]
+)
 def test_a_signal_ends_a_run_in_order(held, tmp_path, number):
     held.send_signal(number)
     said, complained = held.communicate("go on\n", timeout=HANG_S)

@@ -335,6 +335,7 @@ print(json.dumps(changed))
 """
 
 
+@pytest.mark.slow
 def test_a_host_process_is_left_as_it_was():
     done = subprocess.run([sys.executable, "-c", HOST], capture_output=True, text=True, check=True)
     assert json.loads(done.stdout.splitlines()[-1]) == {}

@@ -14,7 +14,17 @@ def shared_area(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.prod(np.clip(40.0 - np.abs(a - b)[:, :2], 0, None), axis=1)
 
 
-@pytest.mark.parametrize("name", scene_names())
+LARGE = ("crowd_of_fifty", "glass_wall", "two_people_color_stereo_shape")
+"""Scenes that take long to build or to draw, and those that are others with other settings."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in LARGE or "same_clothes" in name else ())
+        for name in scene_names()
+    ],
+)
 def test_every_scene_is_whole_and_reproducible(name):
     scene, again = make_scene(name, 5), make_scene(name, 5)
     n = len(scene.frames)
@@ -66,10 +76,11 @@ def test_bouncing_agrees_with_moving_step_by_step():
                 position[k], step[k] = 2 * high[k] - position[k], -step[k]
 
 
-def test_random_geometries_cross_and_part_again():
+@pytest.mark.parametrize("count", [8, pytest.param(50, marks=pytest.mark.slow)])
+def test_random_geometries_cross_and_part_again(count):
     rng = np.random.default_rng(0)
-    drawn = {random_geometry(rng) for _ in range(50)}
-    assert len(drawn) == 50
+    drawn = {random_geometry(rng) for _ in range(count)}
+    assert len(drawn) == count
     for geometry in drawn:
         scene = two_squares(0, geometry)
         area = shared_area(scene.truth, scene.others[0]) / 1600
