@@ -58,7 +58,8 @@ def test_what_a_motion_depends_on_is_told(target):
     }
     assert formula_text(target(nodes)).splitlines()[-1] == (
         "p(s_t | s_t-1): random walk, sd x 0.1 √(wh), y 0.1 √(wh), scale 0.1 log, "
-        "up to 4 times that while unsure, around the first size, with the camera, anywhere with probability 0.1 while unsure"
+        "up to 4 times that while unsure, around the first size, with the camera, "
+        "anywhere with probability 0.1 while unsure"
     )
 
 
