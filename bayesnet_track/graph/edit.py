@@ -32,7 +32,7 @@ def set_value(text: str, path: tuple[str, ...], value: Any, comment: str = "") -
     holder, line = top, None
     for name in path[:-1]:
         key, holder = _entry(holder, name)
-        line = key.start_mark.line if not holder.flow_style or line is None or _begins(text, key) else line
+        line = key.start_mark.line if _begins(text, key) else line
     if not isinstance(holder, yaml.MappingNode):
         raise KeyError(path)
     written = flow_text(value)
@@ -41,7 +41,7 @@ def set_value(text: str, path: tuple[str, ...], value: Any, comment: str = "") -
         key, inside = found[path[-1]]
         end = _end(text, inside)
         text = f"{text[: inside.start_mark.index]}{written}{text[end:]}"
-        if not holder.flow_style or _begins(text, key):
+        if _begins(text, key):
             line = key.start_mark.line
     elif holder.flow_style:
         close = holder.end_mark.index - 1
@@ -77,7 +77,7 @@ def _end(text: str, node: Any) -> int:
         last = node.value[-1]
         node = last[1] if isinstance(last, tuple) else last
     end: int = node.end_mark.index
-    return len(text[:end].rstrip()) if isinstance(node, yaml.ScalarNode) and node.style in "|>" else end
+    return len(text[:end].rstrip()) if isinstance(node, yaml.ScalarNode) and node.style in ("|", ">") else end
 
 
 def _line_end(text: str, index: int) -> int:

@@ -1,0 +1,107 @@
+"""Is the score a probability, and do regions hold what they say? Leave-one-sequence-out, and two scenes.
+
+    python benchmarks/calibration.py DATA_FOLDER [--graph general] [--seeds 1] [--max-frames 150]
+                                     [--sequences Car1,Crossing] [--features log_ud_box,evidence]
+
+DATA_FOLDER holds NAME/img/*.jpg and NAME/groundtruth.txt, as in benchmarks/sequences.py. The graph runs over
+every sequence; then score and slack are fitted to all sequences but one and judged on that one, in turn
+(docs/calibration.md). Learning and statuses are those of the graph as it is. The scenes are run with what is
+fitted to all sequences: how long is the target called tracked while the box is on something else?
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+from measuring import Image, environment, on_one_thread
+from sequences import find_sequences
+
+from bayesnet_track.commands.fit import calibration_table
+from bayesnet_track.evaluate.calibration import OFF_TARGET, longest_run
+from bayesnet_track.evaluate.fitting import USUAL_FEATURES, Fitted, fit, leave_one_out
+from bayesnet_track.evaluate.witness import Witness, with_features, witness
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.laws import check_graph
+from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.write import as_plain
+from bayesnet_track.planes import Frame
+from bayesnet_track.scenes import make_scene
+
+SCENES = ("two_squares", "orange_and_gray")
+
+
+def frames_of(images: Iterable[Image]) -> Iterator[Frame]:
+    """Frames at a regular rate."""
+    for index, image in enumerate(images):
+        yield Frame(index, float(index), image, True, float(index))
+
+
+def with_fitted(graph: CheckedGraph, fitted: Fitted) -> CheckedGraph:
+    """The graph with what was fitted."""
+    written = as_plain(graph.spec)
+    for name, plate in graph.targets.items():
+        root = written["targets"][name]["nodes"][plate.root]
+        sd, lost_sd = fitted.slack
+        levels = fitted.levels
+        root |= {
+            "score": {"logistic": dict(fitted.logistic)},
+            "slack": {"sd_box": sd, "lost_sd_box": lost_sd},
+            "lost": {"score_below": levels.score_below, "uncertain_below": levels.uncertain_below},
+        }
+    return check_graph(written)
+
+
+def wrongly_tracked(one: Witness) -> tuple[int, int]:
+    """Frames called tracking while off target (IoU below 0.1), and the longest stretch of them."""
+    wrong = (one.iou < OFF_TARGET) & (np.array(one.status) == "tracking")
+    return int(wrong.sum()), longest_run(wrong)
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--graph", default="general")
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--sequences", default="", help="comma-separated names; default all")
+    parser.add_argument("--features", default=",".join(USUAL_FEATURES))
+    parser.add_argument("--max-frames", type=int)
+    options = parser.parse_args()
+    on_one_thread()
+    wanted = [name for name in options.sequences.split(",") if name]
+    features = tuple(options.features.split(","))
+    graph = with_features(load_graph(options.graph))
+
+    print(environment() + "\n")
+    witnesses = []
+    for sequence in find_sequences(options.data, wanted, options.max_frames):
+        for seed in range(options.seeds):
+            frames = frames_of(sequence.images())
+            witnesses.append(witness(graph, sequence.name, frames, sequence.truth, seed))
+        sys.stderr.write(f"{sequence.name}: mean IoU {witnesses[-1].iou.mean():.3f}\n")
+    rows, everyone = leave_one_out(witnesses, features)
+    print(f"graph {options.graph}, {options.seeds} seeds, score by {', '.join(features)}\n")
+    print(calibration_table(rows, everyone) + "\n")
+
+    fitted = fit(witnesses, features)
+    print(f"fitted to all: {dict(fitted.logistic)}, slack {fitted.slack}, {fitted.levels}\n")
+    ready = with_fitted(graph, fitted)
+    for name in SCENES:
+        for seed in range(options.seeds):
+            scene = make_scene(name, seed=seed)
+            one = witness(ready, name, frames_of(scene.frames), scene.truth, seed)
+            total, longest = wrongly_tracked(one)
+            print(
+                f"{name}, seed {seed}: mean IoU {one.iou.mean():.3f}, off target in {(one.iou < 0.1).sum()} of "
+                f"{one.frames} frames, called tracking in {total} of them, at most {longest} in a row"
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+"""Calibration in graph files: what is accepted, and each message word for word."""
+
+from __future__ import annotations
+
+import pytest
+
+from bayesnet_track.graph.laws import check
+from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.graph.read import read_graph
+from bayesnet_track.graph.write import write_graph
+
+HEAD = """bayesnet: 1
+name: g
+targets: {t: {nodes: {a: {parent: s, agent: motion}, s: {motion: {random_walk: {sd_px: {x: 9}}},
+"""
+SCORE = "score: {logistic: {bias: 1, evidence: 0.5}}"
+
+CASES = [
+    (
+        "  lost: {score_below: 0.2}, slack: {lost_sd_box: 2}",
+        "4:10: s: lost.score_below without a score that is a probability; allowed: score at the root, or no "
+        "such key\n"
+        "4:37: s: slack.lost_sd_box without a score that is a probability; allowed: score at the root, or no "
+        "such key",
+    ),
+    (
+        f"  {SCORE}, lost: {{uncertain_below: 0.2}}",
+        "4:55: s: lost.uncertain_below without lost.score_below; allowed: both, or none",
+    ),
+    (
+        f"  {SCORE}, lost: {{score_below: 0.5, uncertain_below: 0.2}}",
+        "4:90: s: lost.uncertain_below is 0.2, not above lost.score_below, 0.5; allowed: above 0.5",
+    ),
+    (
+        f"  {SCORE}, lost: {{score_below: 0.5, above: {{ud_box: 3}}}}",
+        "4:73: s: lost.above has no effect: with score_below the score alone says when the target is lost; "
+        "allowed: one of above, score_below",
+    ),
+    (
+        f"  {SCORE}, slack: {{sd_box: 0.5, lost_sd_box: 0.25}}",
+        "4:82: s: slack.lost_sd_box is 0.25, not above slack.sd_box, 0.5; allowed: above 0.5",
+    ),
+]
+
+
+def graph(inside):
+    return f"{HEAD}{inside}}}}}}}}}\n"
+
+
+@pytest.mark.parametrize(("inside", "said"), CASES)
+def test_messages(inside, said):
+    with pytest.raises(GraphError) as error:
+        check(*read_graph(graph(inside), "g"))
+    assert "\n".join(str(one).removeprefix("g:") for one in error.value.errors) == said
+
+
+def test_a_calibrated_graph_is_accepted_and_written_back():
+    inside = f"  {SCORE}, slack: {{sd_box: 0.02, lost_sd_box: 2}}, lost: {{score_below: 0.2}}"
+    spec, at = read_graph(graph(inside).replace("agent: motion", "agent: motion, temperature: 1.7"))
+    assert read_graph(check(spec, at).text)[0] == spec
+    assert "temperature: 1.7" in write_graph(spec)
+
+
+@pytest.mark.parametrize("wrong", ["0", "-1", ".nan"])
+def test_a_temperature_is_above_zero(wrong):
+    with pytest.raises(GraphError, match="temperature is"):
+        read_graph(graph(f"  {SCORE}").replace("agent: motion", f"agent: motion, temperature: {wrong}"))
+
+
+def test_score_belongs_to_the_root():
+    text = graph(f"  {SCORE}").replace("a: {parent: s", "b: {parent: s, slack: {}}, a: {parent: b")
+    with pytest.raises(GraphError, match="key 'slack' below the root"):
+        check(*read_graph(text))
