@@ -1,8 +1,8 @@
 """Give targets their detections before they are weighed, for plates whose agents measure by them.
 
-The detectors look, every target's belief is predicted, and the targets of a plate share its detections out: as
-many as can be, the best for all together by where each target is expected and, where the agent's `looks` ask
-for it, by what the target looks like. What nobody gets is left to the life of targets (`population`).
+The detectors look, every target's belief is predicted, and the targets of a plate share its detections out:
+as many as can be, the best for all together by where each target is expected and, where the agent's `looks`
+ask for it, by what the target looks like. What nobody gets is left to the life of targets (`population`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.assign import assign, log_expected
+from bayesnet_track.adapt.assign import assign, gains
 from bayesnet_track.adapt.claims import NOBODY
 from bayesnet_track.adapt.lifecycle import Life
 from bayesnet_track.belief.bounds import Confined
@@ -33,7 +33,7 @@ from bayesnet_track.target import TargetState
 Floats = NDArray[np.float64]
 
 LEAST_LOG = -50.0
-"""Log-likelihoods of looks are cut here: a look that cannot be is no reason to leave a detection to nobody."""
+"""Log-likelihoods of looks are cut here, so that they are numbers: lower ones are beyond every gate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,11 +89,11 @@ def look_first(
         names = [target for target in targets if net.targets[target].template == plate]
         seen = found.get(plate, Found(np.empty((0, 4)), np.empty(0)))
         rule = next(iter(machine.claimers.values()))
-        gains = np.full((len(names), len(seen.boxes)), -np.inf)
+        gain = np.full((len(names), len(seen.boxes)), -np.inf)
         for row, target in enumerate(names):
-            gains[row] = log_expected(*expected[target], seen.boxes, rule)
-            gains[row] += _looks(engine, plate, rule, targets[target], target, seen, gains[row], frame, cache)
-        owner = assign(gains)
+            looks = partial(_looks, engine, plate, targets[target], target, frame, cache)
+            gain[row] = gains(*expected[target], seen.boxes, rule, looks)
+        owner = assign(gain)
         whose: list[str | None] = [None] * len(seen.boxes)
         for target, number in zip(names, owner.tolist(), strict=True):
             claim = np.empty((0, 5))
@@ -123,32 +123,28 @@ def _predicted(
 def _looks(
     engine: Engine,
     plate: str,
-    rule: ClaimRule,
     state: TargetState,
     target: str,
-    found: Found,
-    gains: Floats,
     frame: Frame,
     cache: PlaneCache,
+    boxes: Floats,
 ) -> Floats:
-    """(N,) what the target's looks add to the gains of its detections, 0 of those beyond the gates."""
+    """(N,) log-likelihood of boxes (N, 4) by all agents that know the target's looks, switched on or not."""
     machine = engine.machinery[plate]
-    added = np.zeros(len(gains))
-    near = np.flatnonzero(gains > -np.inf)
     agents = [a for a in machine.plate.agents if a in machine.looks and a in state.references]
     if not frame.has_color:
         agents = [agent for agent in agents if agent not in machine.color_agents]
-    if not rule.looks or not len(near) or not agents:
-        return added
+    if not agents:
+        return np.zeros(len(boxes))
     stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
     observer = Observer(cache, machine.cues, state.references, lambda what: stream(f"claim {what}"))
-    prior = np.full(len(near), -np.log(len(near)))
+    prior = np.full(len(boxes), -np.log(len(boxes)))
     plan = compile_plan(machine.plate, agents, machine.cues)
-    log = evaluate(plan, observer, Hypotheses(found.boxes[near]), prior).log_likelihood
-    added[near] = rule.looks * np.clip(log, LEAST_LOG, None)
-    return added
+    return np.clip(evaluate(plan, observer, Hypotheses(boxes), prior).log_likelihood, LEAST_LOG, 0.0)
 
 
 def _with_claim(state: TargetState, agents: Mapping[str, ClaimRule], claim: Floats) -> TargetState:
-    given = {agent: {**state.references[agent], CLAIM: claim} for agent in agents if agent in state.references}
+    given = {
+        agent: {**state.references[agent], CLAIM: claim} for agent in agents if agent in state.references
+    }
     return replace(state, references={**state.references, **given})

@@ -192,8 +192,8 @@ class ClaimRule:
 class ClaimingCue(MeasuringCue, Protocol):
     """A cue that measures by a detection: one that no other target of its plate is given in this frame.
 
-    When it is asked its reference holds a further array, `CLAIM`: (1, 5) the detection's centre box and score,
-    or (0, 5) when the target is given none. What it learns holds no such array.
+    When it is asked its reference holds a further array, `CLAIM`: (1, 5) the detection's centre box and
+    score, or (0, 5) when the target is given none. What it learns holds no such array.
     """
 
     @property

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,36 +15,42 @@ from bayesnet_track.numerics.gaussian import chi_square_quantile
 Floats = NDArray[np.float64]
 
 
-def log_expected(mean: Floats, covariance: Floats, boxes: Floats, rule: ClaimRule) -> Floats:
-    """(N,) log N(z; m, P + R) of detections z (N, 4) where a target's box is expected; -inf beyond its gates.
+def gains(
+    mean: Floats, covariance: Floats, boxes: Floats, rule: ClaimRule, log_looks: Callable[[Floats], Floats]
+) -> Floats:
+    """(N,) log of what speaks for detections z (N, 4) to be a target's: N(z; m, P + R) L(z)^looks.
 
-    m (4,) and P (4, 4) are the prediction of its centre box, R the detection's own error. Constants are left
+    m (4,) and P (4, 4) are the prediction of its centre box, R the detection's own error, log L(z) what
+    `log_looks` gives for boxes (M, 4), at most 0, asked only of those near enough. Constants are left
     out. Unlike the distance alone, the density makes it dear for an unsure target to take what a sure one
-    expects.
+    expects. It is -inf beyond the gates: d^2 - 2 looks log L above the chi-square quantile of `gate`, or too
+    small an overlap.
     """
     away = boxes - mean
     spread = covariance + rule.variances(boxes)[:, :, None] * np.eye(4)
     d2 = np.einsum("ni,ni->n", away, np.linalg.solve(spread, away[:, :, None])[:, :, 0])
-    log = -0.5 * (d2 + np.linalg.slogdet(spread)[1])
-    near = (d2 <= chi_square_quantile(rule.gate, 4)) & (overlap(boxes, mean) >= rule.least_overlap)
-    return np.where(near, log, -np.inf)
+    limit = chi_square_quantile(rule.gate, 4)
+    near = (d2 <= limit) & (overlap(boxes, mean) >= rule.least_overlap)
+    if rule.looks > 0 and near.any():
+        d2[near] -= 2.0 * rule.looks * log_looks(boxes[near])
+    return np.where(near & (d2 <= limit), -0.5 * (d2 + np.linalg.slogdet(spread)[1]), -np.inf)
 
 
-def assign(gains: Floats) -> Owners:
-    """(N,) column of each row of the gains (N, K), one to one, or `NOBODY`.
+def assign(gain: Floats) -> Owners:
+    """(N,) column of each row of gains (N, K), one to one, or `NOBODY`.
 
-    As many pairs as can be, and of those the largest sum of gains; -inf forbids a pair. By shortest augmenting
-    paths (Jonker and Volgenant 1987), O(N^2 K).
+    As many pairs as can be, and of those the largest sum of gains; -inf forbids a pair. By shortest
+    augmenting paths (Jonker and Volgenant 1987), O(N^2 K).
 
     >>> assign(np.array([[0.0, -1.0], [-0.5, -9.0]])).tolist()
     [1, 0]
     """
-    owner = np.full(len(gains), NOBODY, dtype=np.intp)
-    allowed = gains > -np.inf
+    owner = np.full(len(gain), NOBODY, dtype=np.intp)
+    allowed = gain > -np.inf
     rows, columns = np.flatnonzero(allowed.any(axis=1)), np.flatnonzero(allowed.any(axis=0))
     if not len(rows):
         return owner
-    costs, possible = -gains[np.ix_(rows, columns)], allowed[np.ix_(rows, columns)]
+    costs, possible = -gain[np.ix_(rows, columns)], allowed[np.ix_(rows, columns)]
     low, high = float(costs[possible].min()), float(costs[possible].max())
     # Dearer than any pairs that could be had instead.
     dear = (high - low + 1.0) * (min(costs.shape) + 1)

@@ -24,6 +24,8 @@ from bayesnet_track.runtime.starts import StartError
 
 WIDTH, HEIGHT, FRAMES = 96, 72, 7
 GEOMETRY = StereoGeometry(300.0, 0.2, WIDTH / 2, HEIGHT / 2)
+CUES = sorted(name for name, one in installed_cues().items() if not one.reads_claim)
+"""Those that look at the picture."""
 WITH_MODEL = sorted(name for name, one in installed_cues().items() if "model" in one.parameters.model_fields)
 NEEDS_COLOR = sorted(name for name, one in installed_cues().items() if one.needs_color)
 
@@ -106,7 +108,7 @@ def first_of(values: list[tuple[int, ...]], count: int = 1) -> list[object]:
     return [*values[:count], *(pytest.param(value, marks=pytest.mark.slow) for value in values[count:])]
 
 
-@pytest.mark.parametrize("cue", sorted(installed_cues()))
+@pytest.mark.parametrize("cue", CUES)
 def test_good_input_stops_nobody(cue: str) -> None:
     run = tracked(cue, Pictures([picture(frame) for frame in range(FRAMES)]), (30, 20, 24, 24))
     assert run.out is None
@@ -114,7 +116,7 @@ def test_good_input_stops_nobody(cue: str) -> None:
     assert np.hypot(x - 41.5 - FRAMES + 1, y - 31.5) < 12.0
 
 
-@pytest.mark.parametrize("cue", sorted(installed_cues()))
+@pytest.mark.parametrize("cue", CUES)
 def test_gray_video(cue: str) -> None:
     """A cue of colour is out from the first frame, and says why; the others work on."""
     gray = [cv2.cvtColor(picture(frame), cv2.COLOR_BGR2GRAY) for frame in range(FRAMES)]
@@ -124,7 +126,7 @@ def test_gray_video(cue: str) -> None:
         assert "tested" not in run.results[0].targets[0].active
 
 
-@pytest.mark.parametrize("cue", sorted(installed_cues()))
+@pytest.mark.parametrize("cue", CUES)
 @pytest.mark.parametrize(
     "box", first_of([(-30, -20, 160, 120), (84, 60, 24, 24), (-12, 20, 24, 24), (0, 0, 96, 72)], 2)
 )
@@ -132,32 +134,32 @@ def test_a_target_at_the_border_or_larger_than_the_frame(cue: str, box: tuple[fl
     assert tracked(cue, Pictures([picture(frame) for frame in range(FRAMES)]), box).out is None
 
 
-@pytest.mark.parametrize("cue", sorted(installed_cues()))
+@pytest.mark.parametrize("cue", CUES)
 def test_a_target_outside_the_frame_is_refused(cue: str) -> None:
     with pytest.raises(StartError, match="outside the 96x72 frame"):
         tracked(cue, Pictures([picture(0)]), (200, 10, 24, 24))
 
 
-@pytest.mark.parametrize("cue", sorted(installed_cues()))
+@pytest.mark.parametrize("cue", CUES)
 @pytest.mark.parametrize("box", first_of([(40, 30, 1, 1), (40, 30, 3, 1), (40, 30, 3, 3)]))
 def test_a_target_of_few_pixels(cue: str, box: tuple[float, ...]) -> None:
     assert tracked(cue, Pictures([picture(frame) for frame in range(FRAMES)]), box).out is None
 
 
-@pytest.mark.parametrize("cue", sorted(installed_cues()))
+@pytest.mark.parametrize("cue", CUES)
 @pytest.mark.parametrize("colour", first_of([(0, 0, 0), (128, 128, 128), (30, 60, 220)]))
 def test_a_constant_picture(cue: str, colour: tuple[int, int, int]) -> None:
     images = [np.full((HEIGHT, WIDTH, 3), colour, np.uint8)] * FRAMES
     assert tracked(cue, Pictures(images), (30, 20, 24, 24)).out is None
 
 
-@pytest.mark.parametrize("cue", sorted(installed_cues()))
+@pytest.mark.parametrize("cue", CUES)
 def test_a_picture_that_turns_constant(cue: str) -> None:
     images = [picture(frame) for frame in range(3)] + [np.full((HEIGHT, WIDTH, 3), 90, np.uint8)] * 4
     assert tracked(cue, Pictures(images), (30, 20, 24, 24)).out is None
 
 
-@pytest.mark.parametrize("cue", sorted(installed_cues()))
+@pytest.mark.parametrize("cue", CUES)
 def test_one_eye(cue: str) -> None:
     """An agent that needs depth: the source is refused before the first frame, with its name."""
     source = Pictures([picture(frame) for frame in range(FRAMES)], has_depth=False)
