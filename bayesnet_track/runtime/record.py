@@ -12,6 +12,7 @@ from bayesnet_track.journal.events import Event
 from bayesnet_track.journal.writer import JournalWriter, LineFile
 from bayesnet_track.runtime.run import Result
 from bayesnet_track.runtime.rundir import RunDirectory
+from bayesnet_track.runtime.starts import has_births
 from bayesnet_track.runtime.tracks import CsvWriter, MotWriter
 from bayesnet_track.runtime.videowriter import VideoWriter
 
@@ -40,7 +41,7 @@ class Recorder:
             self._journal = files.enter_context(JournalWriter(directory.journal))
             directory.write_text(directory.graph, graph.text)
             self._frames = files.enter_context(JournalWriter(directory.frames))
-            self._mot = files.enter_context(MotWriter(directory.mot))
+            self._mot = files.enter_context(MotWriter(directory.mot, lost=not has_births(graph)))
             self._csv = files.enter_context(CsvWriter(directory.csv))
             self._timings = files.enter_context(LineFile(directory.timings))
             self._files = files.pop_all()

@@ -19,16 +19,20 @@ class MotWriter(LineFile):
     """MOT text: ``frame, id, left, top, width, height, score, -1, -1, -1``.
 
     Frames count from 1, ids from 1 in the order in which targets appear. Pixels count from 0, as everywhere
-    here; 3 decimals, the score 6.
+    here; 3 decimals, the score 6. Without `lost`, a target has no line in frames in which it is lost: a box
+    that nothing speaks for counts as false where several targets are scored. `CsvWriter` has them all.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, lost: bool = True) -> None:
         super().__init__(path)
         self._ids: dict[str, int] = {}
+        self._lost = lost
 
     def write(self, metrics: FrameMetrics) -> None:
         """Add the line of one target in one frame to the next flush."""
         number = self._ids.setdefault(metrics.target, len(self._ids) + 1)
+        if metrics.status == "lost" and not self._lost:
+            return
         box = ",".join(_corner(metrics))
         self.append(f"{metrics.frame + 1},{number},{box},{_fixed(metrics.score, 6)},-1,-1,-1")
 

@@ -99,3 +99,14 @@ def test_a_frame_is_in_the_file_once_it_is_flushed(tmp_path, writer_class):
     writer.flush()
     assert len((tmp_path / "t").read_bytes().splitlines()) == len(before.splitlines()) + 1
     writer.close()
+
+
+def test_lost_targets_may_be_left_out_of_mot_and_never_of_csv(tmp_path):
+    """Numbers are given when a target appears, lost or not."""
+    rows = [metrics(0, "a", status="lost"), metrics(0, "b"), metrics(1, "a"), metrics(1, "b", status="lost")]
+    with MotWriter(tmp_path / "tracks.txt", lost=False) as writer:
+        for row in rows:
+            writer.write(row)
+    kept = [line.split(",")[:2] for line in (tmp_path / "tracks.txt").read_text().splitlines()]
+    assert kept == [["1", "2"], ["2", "1"]]
+    assert len(lines_of(CsvWriter, tmp_path / "tracks.csv", rows)) == 5
