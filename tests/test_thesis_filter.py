@@ -33,6 +33,7 @@ def test_a_mismatched_proposal_leaves_a_mode_to_few(figures):
     assert abs(proposed.mean() - 10.4) < 4 * 2.8 / np.sqrt(200) + 0.5  # the 10.4 is of 50 runs
 
 
+@pytest.mark.slow
 def test_numbers_that_the_bounds_ask_for(found):
     """Figures 5.6 a and 5.7 a: means of 50 runs; sds 104, 607, 472 and 960 of one."""
     expected = {"(5.6)": (4558, 104), "(5.10)": (21647, 607), "(5.14)": (15060, 472), "(5.17)": (56749, 960)}
@@ -41,6 +42,7 @@ def test_numbers_that_the_bounds_ask_for(found):
         assert abs(one.counts.mean() - mean) < 4 * sd * np.sqrt(1 / RUNS + 1 / 50)
 
 
+@pytest.mark.slow
 def test_divergences(found):
     """Figure 5.6 b: from q (5.6) misses its error .01, (5.10) and (5.14) keep it; so does (5.6) from p."""
     kld, revised, simple, _ = found.values()
@@ -49,6 +51,7 @@ def test_divergences(found):
     assert kld.from_posterior.mean() == pytest.approx(0.0080, abs=4 * 0.0016 / np.sqrt(RUNS))
 
 
+@pytest.mark.slow
 def test_error_of_the_mean(found):
     """Figure 5.7 b: sd 1 % / 1.96, so that its estimate from 8 runs is within 4 / sqrt(16) of that."""
     means = found["asymptotic normal (5.17)"].means

@@ -36,8 +36,8 @@ def stories() -> Iterator[Any]:
         ("orange_and_gray", 0),
         ("gray_square", 1),
         ("person_and_board", 0),
-        ("person_color_stereo", 0),
-        ("person_same_clothes_nearer", 0),
+        pytest.param("person_color_stereo", 0, marks=pytest.mark.slow),
+        pytest.param("person_same_clothes_nearer", 0, marks=pytest.mark.slow),
         pytest.param("color_fusion", 0, marks=pytest.mark.slow),
     ],
 )

@@ -151,7 +151,9 @@ def test_the_evidence_is_unbiased_when_the_first_pass_decides_on_the_second(meth
     check_mean(np.exp([step.log_evidence for step in steps]), np.exp(frame.log_evidence))
 
 
-@pytest.mark.parametrize("method", ["adaptive", "west", "likelihood_mixture"])
+@pytest.mark.parametrize(
+    "method", ["adaptive", *(pytest.param(m, marks=pytest.mark.slow) for m in ("west", "likelihood_mixture"))]
+)
 def test_sizes_in_logarithms_and_heavy_tails_leave_it_unbiased(method, frame_of, stream_of):
     frame = frame_of(
         "random_walk",
@@ -168,7 +170,7 @@ def test_sizes_in_logarithms_and_heavy_tails_leave_it_unbiased(method, frame_of,
     assert abs(found.mean() - exact.mean()) < 4 * error
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", OTHERS_SLOW)
 def test_weights_make_a_sample_of_the_posterior(method, frame_of, stream_of):
     frame = frame_of(off=(6.0, 3.0))
     belief = belief_of(METHODS[method], above_kl=0.0 if method in BY_LEVEL else None)

@@ -154,6 +154,7 @@ def test_a_wholly_new_picture_starts_the_background_again(bench):
     assert not any(map(len, found)) and state["times"][1] >= 30
 
 
+@pytest.mark.slow
 def test_stereo_finds_both_people_off_the_floor_and_before_the_wall(bench):
     scene = make_scene("person_stereo", 0)
     detector = bench.made("stereo_blobs", camera_height_m=1.2, max_depth_m=6.0)
