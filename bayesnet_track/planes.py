@@ -229,6 +229,6 @@ class PlaneCache:
 
 
 def _cut(values: Array, covered: Region, region: Region) -> Array:
-    return Region(
-        region.x0 - covered.x0, region.y0 - covered.y0, region.x1 - covered.x0, region.y1 - covered.y0
-    ).of(values)
+    return values[
+        region.y0 - covered.y0 : region.y1 - covered.y0, region.x0 - covered.x0 : region.x1 - covered.x0
+    ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from statistics import median
 
 from bayesnet_track.adapt.information import Worth
@@ -52,15 +53,21 @@ class Quiet:
     def level_px2(self, active: frozenset[str]) -> float | None:
         """The quiet level with `active` switched on, or None while it is unknown."""
         if len(self.values) == 1:  # the usual case, told apart from the others because it is asked often
-            (agents, seen), *_ = self.values.items()
+            ((agents, seen),) = self.values.items()
             applies = len(seen) >= QUIET_MINIMUM and (len(agents) <= len(active) or not active)
-            return median(seen) if applies else None
+            return self._only_median if applies else None
         known = [
             (len(agents), sorted(agents))
             for agents, seen in self.values.items()
             if len(seen) >= QUIET_MINIMUM and (len(agents) <= len(active) or not active)
         ]
         return median(self.values[frozenset(min(known)[1])]) if known else None
+
+    @cached_property
+    def _only_median(self) -> float:
+        """The median of the only set's values: several rules of a frame ask for it."""
+        (seen,) = self.values.values()
+        return median(seen)
 
 
 @dataclass(frozen=True)

@@ -89,11 +89,14 @@ def exact_sum(point: Floats, peaks: Floats, means: Floats, precisions: Floats) -
 def _peaks(log_weights: Floats, precisions: Floats) -> Floats:
     """(N,) heights of the components, the largest 1, so that sums stay finite."""
     log_peaks = np.empty(log_weights.shape[0])
+    before, log_density = 1.0, 0.0
     for n in range(log_weights.shape[0]):
         density = 1.0
         for k in range(precisions.shape[1]):
             density *= precisions[n, k]
-        log_peaks[n] = log_weights[n] + np.log(density)
+        if density != before:  # often all are equal, and a logarithm is dear
+            before, log_density = density, np.log(density)
+        log_peaks[n] = log_weights[n] + log_density
     peaks: Floats = np.exp(log_peaks - log_peaks.max())
     return peaks
 
@@ -104,12 +107,14 @@ def _moments(peaks: Floats, means: Floats, precisions: Floats) -> tuple[Floats, 
     total, size = peaks.sum(), means.shape[1]
     centre, spread = np.zeros(size), np.zeros(size)
     for n in range(means.shape[0]):
+        share = peaks[n] / total
         for k in range(size):
-            centre[k] += peaks[n] / total * means[n, k]
+            centre[k] += share * means[n, k]
     for n in range(means.shape[0]):
+        share = peaks[n] / total
         for k in range(size):
             away = means[n, k] - centre[k]
-            spread[k] += peaks[n] / total * (away * away + 1.0 / precisions[n, k] ** 2)
+            spread[k] += share * (away * away + 1.0 / (precisions[n, k] * precisions[n, k]))
     return centre, spread
 
 
