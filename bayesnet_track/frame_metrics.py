@@ -57,7 +57,7 @@ def frame_metrics(
         region50, region90 = posterior.region(0.5), posterior.region(0.9)
     else:
         side = float(np.sqrt(max(measures.area_px2, 1.0)))
-        wide = widened(posterior, slack, score, side, stream)
+        wide = widened(posterior, slack, score, side)
         region50, region90 = wide.region50, wide.region90
         variances[:2] += wide.variance
     return FrameMetrics(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.measure import Measures
-from bayesnet_track.belief.contract import Posterior, Step, Stream
+from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.graph.spec import Logistic, Slack
 from bayesnet_track.numerics.mixtures import mixture_quantiles
 
@@ -27,8 +27,8 @@ USUAL_FRAMES = 20
 LEAST_LOG = -20.0
 """Logarithms below it say nothing more: a feature is at least this."""
 
-SLACK_DRAWS = 64
-"""Hypotheses, drawn systematically, that stand for the posterior where it is widened."""
+MARGINAL_POINTS = 32
+"""Quantiles that stand for the posterior of each coordinate where it is widened; even."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Widened:
     variance: float
 
 
-def widened(posterior: Posterior, rule: Slack, score: float, side_px: float, stream: Stream) -> Widened:
+def widened(posterior: Posterior, rule: Slack, score: float, side_px: float) -> Widened:
     """The posterior's regions, its centre blurred by slack.
 
     p(c) = sum_h w_h [p N(c; h, sd_box^2 s^2 I) + (1 - p) N(c; h, lost_sd_box^2 s^2 I)], p = `score` and
@@ -98,12 +98,18 @@ def widened(posterior: Posterior, rule: Slack, score: float, side_px: float, str
     near = max(rule.sd_box * side_px, 1e-6)
     far = near if rule.lost_sd_box is None else rule.lost_sd_box * side_px
     held = 1.0 if rule.lost_sd_box is None else score
-    centres = posterior.draw(SLACK_DRAWS, stream("slack"))[:, :2].T
     levels = (0.05, 0.25, 0.75, 0.95)
     (x5, x25, x75, x95), (y5, y25, y75, y95) = mixture_quantiles(
-        centres, (near, far), (held, 1.0 - held), levels
+        marginal_points(posterior), (near, far), (held, 1.0 - held), levels
     ).tolist()
     return Widened((x25, x75, y25, y75), (x5, x95, y5, y95), held * near**2 + (1.0 - held) * far**2)
+
+
+def marginal_points(posterior: Posterior) -> Floats:
+    """(2, 32) equally probable x and y of the centre, px: the quantiles (i + 1/2) / 32 of each."""
+    shares = [1.0 - (2 * i + 1) / MARGINAL_POINTS for i in range(MARGINAL_POINTS // 2)]
+    bounds = np.array([posterior.region(share) for share in shares])
+    return np.concatenate([bounds[:, 0::2], bounds[::-1, 1::2]]).T
 
 
 def _log_evidence(step: Step[Posterior], agent: str) -> float:

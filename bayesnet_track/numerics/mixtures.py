@@ -7,9 +7,6 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 
-HALVINGS = 24
-"""Of the bracket in which a quantile lies: 6e-8 of its width is left."""
-
 _ERF = (0.254829592, -0.284496736, 1.421413741, -1.453152027, 1.061405429)
 
 
@@ -37,17 +34,8 @@ def mixture_quantiles(
     >>> mixture_quantiles([[0.0]], (1.0, 5.0), (1.0, 0.0), [0.5, 0.975]).round(4).tolist()
     [[-0.0, 1.96]]
     """
-    centres = np.atleast_2d(np.asarray(points, dtype=np.float64))[:, None, :]
-    wanted = np.asarray(levels, dtype=np.float64)
-    reach = 9.0 * max(sd for sd, share in zip(sds, shares, strict=True) if share > 0)
-    shape = (centres.shape[0], len(wanted))
-    low = np.broadcast_to(centres.min(axis=2) - reach, shape)
-    high = np.broadcast_to(centres.max(axis=2) + reach, shape)
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        below = np.zeros(shape)
-        for sd, share in zip(sds, shares, strict=True):
-            if share > 0:
-                below = below + share * normal_cdf((middle[:, :, None] - centres) / sd).mean(axis=2)
-        low, high = np.where(below < wanted, middle, low), np.where(below < wanted, high, middle)
-    return np.asarray(0.5 * (low + high))
+    from bayesnet_track.numerics.mixture_kernels import quantiles
+
+    centres = np.ascontiguousarray(np.atleast_2d(np.asarray(points, dtype=np.float64)))
+    wanted = np.array(levels, dtype=np.float64)
+    return quantiles(centres, float(sds[0]), float(sds[1]), float(shares[0]), float(shares[1]), wanted)

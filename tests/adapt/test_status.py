@@ -28,9 +28,7 @@ def statuses(fakes):
         for k, score in enumerate(scores):
             # UD and fit are those of a target that is lost: the score alone counts.
             measures = Measures({"root": 1e9}, {}, {"a": 0.0}, {"a": 0.0}, {}, 0.0, 400.0)
-            now = Situation(
-                k, "1", plate, live.targets["1"], measures, {"a": 1.0}, frozenset(), score=score
-            )
+            now = Situation(k, "1", plate, live.targets["1"], measures, {"a": 1.0}, frozenset(), score=score)
             made, memory = decide(now, memory)
             for one in made:
                 live = apply(live, one)

@@ -1,0 +1,44 @@
+"""Compiled kernel: quantiles of mixtures of Gaussians by halving."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.numerics.compiled import compiled
+
+Floats = NDArray[np.float64]
+
+HALVINGS = 18
+"""Of the bracket in which a quantile lies: 4e-6 of its width is left."""
+
+
+@compiled
+def quantiles(
+    points: Floats, near: float, far: float, near_share: float, far_share: float, levels: Floats
+) -> Floats:
+    """(K, L) quantiles of K mixtures of (K, M) points, blurred by `near` and `far` in their shares."""
+    count, size = points.shape
+    found = np.empty((count, len(levels)))
+    reach = 9.0 * max(near if near_share > 0.0 else 0.0, far if far_share > 0.0 else 0.0)
+    for k in range(count):
+        least, most = points[k].min() - reach, points[k].max() + reach
+        for n in range(len(levels)):
+            low, high = least, most
+            for _ in range(HALVINGS):
+                middle = 0.5 * (low + high)
+                below = 0.0
+                for m in range(size):
+                    away = (middle - points[k, m]) / math.sqrt(2.0)
+                    if near_share > 0.0:
+                        below += near_share * 0.5 * math.erfc(-away / near)
+                    if far_share > 0.0:
+                        below += far_share * 0.5 * math.erfc(-away / far)
+                if below < levels[n] * size:
+                    low = middle
+                else:
+                    high = middle
+            found[k, n] = 0.5 * (low + high)
+    return found

@@ -1,0 +1,116 @@
+"""The command `fit`: a graph calibrated on short videos, and what it says when something is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from bayesnet_track.cli import main
+from bayesnet_track.graph.load import load_graph
+
+GRAPH = """# my graph
+bayesnet: 1
+name: mine
+targets:
+  target:
+    nodes:
+      target:
+        belief: {particles: {size: 100}}
+        motion: {random_walk: {sd_box: {x: 0.2, y: 0.2}}}  # moves
+      # an agent
+      gray: {parent: target, agent: intensity}
+"""
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    """Two sequences of 16 frames: a patterned square that moves, then jumps away."""
+    rng = np.random.default_rng(5)
+    pattern = rng.integers(120, 255, (20, 20, 3)).astype(np.uint8)
+    for name in ("one", "two"):
+        folder = tmp_path / "data" / name
+        (folder / "img").mkdir(parents=True)
+        lines = []
+        for k in range(16):
+            x, y = (20 + 3 * k, 30) if k < 10 else (110, 70)
+            picture = np.full((100, 140, 3), 60, np.uint8)
+            picture[y : y + 20, x : x + 20] = pattern
+            cv2.imwrite(str(folder / "img" / f"{k:04d}.png"), picture)
+            lines.append(f"{x},{y},20,20\n")
+        (folder / "groundtruth.txt").write_text("".join(lines))
+    (tmp_path / "g.yaml").write_text(GRAPH)
+    return tmp_path
+
+
+def test_a_graph_is_calibrated_and_keeps_its_comments(data, capsys):
+    out = data / "fitted.yaml"
+    what = "score,slack,lost,temperature"
+    arguments = ["fit", str(data / "g.yaml"), "--folder", str(data / "data"), "--seeds", "1"]
+    assert main([*arguments, "--what", what, "--out", str(out)]) == 0
+    text = out.read_text()
+    assert [line for line in GRAPH.splitlines() if line not in text.splitlines()] == [
+        "      gray: {parent: target, agent: intensity}"
+    ]
+    assert "# fit: probability of IoU > 0.5; 30 frames of 2 videos" in text
+    root = load_graph(out).targets["target"].inference("target")
+    assert root.score is not None and root.slack is not None and root.lost is not None
+    assert root.lost.uncertain_below is not None and root.lost.score_below < root.lost.uncertain_below
+    # Again, from what was written: the same keys once more, not twice.
+    assert main(["fit", str(out), *arguments[2:], "--out", str(out), "--overwrite"]) == 0
+    assert out.read_text().count("# fit: probability") == 1
+    assert not (data / "fitted.yaml.part").exists()
+
+
+def test_leaving_one_out_prints_a_row_a_video(data, capsys):
+    arguments = ["fit", str(data / "g.yaml"), "--folder", str(data / "data"), "--seeds", "1"]
+    assert main([*arguments, "--leave-one-out"]) == 0
+    rows = [line.split()[:2] for line in capsys.readouterr().out.splitlines()[:4]]
+    assert rows == [["video", "frames"], ["one", "15"], ["two", "15"], ["all", "30"]]
+
+
+def wrong(data, *arguments):
+    given = [str(one).replace("DATA", str(data / "data")) for one in arguments]
+    return main(["fit", str(data / "g.yaml"), "--seeds", "1", *given])
+
+
+CASES = [
+    ((), "no video: give --source with --truth, or --folder"),
+    (("--source", "DATA/one/img"), "1 --source and 0 --truth: every video needs its truth"),
+    (("--folder", "DATA/one"), "DATA/one: no NAME/groundtruth.txt beside NAME/img"),
+    (
+        ("--source", "DATA/one/img", "--truth", "DATA/none.txt"),
+        "DATA/none.txt: No such file or directory",
+    ),
+    (("--source", "DATA/one/img", "--truth", "DATA/short.txt"), "one: 16 frames, and 3 true boxes"),
+    (
+        ("--source", "DATA/one/img", "--truth", "DATA/absent.txt"),
+        "one: the truth has no box in the first frame",
+    ),
+    (
+        ("--folder", "DATA", "--end", "6"),
+        "every frame is on target (IoU above 0.5): nothing tells what losing it looks like",
+    ),
+    (
+        ("--folder", "DATA", "--what", "score,sizes"),
+        "--what: no 'sizes'; there are score, slack, lost, ud, temperature",
+    ),
+    (
+        ("--folder", "DATA", "--features", "luck"),
+        "--features: no 'luck'; there are log_ud_box, evidence, log_fit, agreement, log_size",
+    ),
+    (("--folder", "DATA", "--out", "DATA/one/groundtruth.txt"), "DATA/one/groundtruth.txt exists; --overwrite "
+     "replaces it"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("arguments", "said"), CASES)
+def test_mistakes(data, capsys, arguments, said):
+    (data / "data" / "short.txt").write_text("1,1,9,9\n" * 3)
+    (data / "data" / "absent.txt").write_text("nan,nan,nan,nan\n" + "1,1,9,9\n" * 15)
+    assert wrong(data, *arguments) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == f"bayesnet-track fit: {said}".replace("DATA", str(data / "data"))
+    assert (data / "data" / "one" / "groundtruth.txt").read_text().startswith("20,30")

@@ -1,0 +1,146 @@
+"""Scores, widened regions and temperatures in the engine; without their keys nothing changes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bayesnet_track.belief.contract import BOX_FIELDS
+from bayesnet_track.belief.particles import ParticleSet
+from bayesnet_track.graph.net import StatusChanged
+from bayesnet_track.graph.spec import Logistic, Slack
+from bayesnet_track.journal.codec import from_json, to_json
+from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.score import FEATURES, probability, widened
+
+TWO = {"root": {"fuse": "product", "ud_fields": ["x", "y"]}, "a": "root", "b": "root"}
+GONE = 15
+
+
+def nodes(**settings):
+    return {**TWO, "root": {**TWO["root"], **settings}}
+
+
+def seen_until(fakes, last):
+    """Sees a target at rest, and nothing like it after frame `last`."""
+
+    def see(planes, h, reference):
+        shown = planes.frame.index <= last
+        return (
+            fakes.gaussian(50.0, 40.0, 3.0, floor=1e-3)(planes, h, None) if shown else np.full(len(h), -7.0)
+        )
+
+    return see
+
+
+def run(fakes, frames=30, agent_nodes=None, **settings):
+    described = {**nodes(**settings), **(agent_nodes or {})}
+    engine, cues = fakes.engine(described, {"a": seen_until(fakes, GONE), "b": fakes.flat()})
+    return fakes.play(engine, frames), cues
+
+
+SCORE = {"logistic": {"bias": 6.0, "log_fit": 2.0, "memory": 0}}
+
+
+def test_the_score_is_the_logistic_of_the_features(fakes):
+    outcomes, _ = run(
+        fakes, score={"logistic": {"bias": 0.5, "evidence": 0.3, "log_ud_box": -0.2, "memory": 4}}
+    )
+    rule = Logistic(bias=0.5, evidence=0.3, log_ud_box=-0.2, memory=4)
+    lines = [one.metrics[0] for one in outcomes[1:]]
+    assert all(set(line.features) == set(FEATURES) for line in lines)
+    assert [line.score for line in lines] == pytest.approx(
+        [probability(rule, line.features) for line in lines]
+    )
+    # The filter: the raw features are those of a run without memory.
+    raw = [one.metrics[0].features for one in run(fakes, score={"logistic": {"bias": 0, "memory": 0}})[0][1:]]
+    smooth, gain = dict(raw[0]), 1 - np.exp(-1 / 4)
+    for line, found in zip(lines, raw, strict=True):
+        smooth = {name: value + gain * (found[name] - value) for name, value in smooth.items()}
+        assert dict(line.features) == pytest.approx(smooth, abs=1e-9)
+
+
+def test_features_of_a_flat_frame_have_their_exact_values(fakes):
+    outcomes, _ = run(fakes, score=SCORE)
+    before, after = (outcomes[k].metrics[0].features for k in (GONE, GONE + 1))
+    assert before["log_fit"] == pytest.approx(0.0, abs=0.05)
+    # a says -7 of every hypothesis, b nothing: geometric mean -3.5, and each agent agrees with itself.
+    assert after["log_fit"] == pytest.approx(-3.5)
+    assert after["agreement"] == 0.0
+    # Evidence of a: -7 against its median so far; that of b is 0 as ever.
+    assert after["evidence"] < -2.0
+    assert after["log_ud_box"] == pytest.approx(
+        np.log(outcomes[GONE + 1].metrics[0].ud_px2 / np.prod(outcomes[GONE + 1].metrics[0].box[2:]))
+    )
+
+
+def test_while_uncertain_nothing_is_learnt_and_lost_is_said(fakes):
+    lost = {"score_below": 0.3, "uncertain_below": 0.9, "frames": 2}
+    outcomes, cues = run(fakes, score=SCORE, lost=lost, learn={"below": {"ud_px2": 1e6}})
+    said = [e for o in outcomes for e in o.events if isinstance(e, StatusChanged)]
+    assert [(e.status, e.frame) for e in said] == [("lost", GONE + 2)]
+    assert [m.learn_rate > 0 for o in outcomes[1:] for m in o.metrics] == [
+        k <= GONE + 2 for k in range(1, 31)
+    ]
+    lost = {"score_below": 1e-6, "uncertain_below": 0.9, "frames": 2}
+    outcomes, cues = run(fakes, score=SCORE, lost=lost, learn={"below": {"ud_px2": 1e6}})
+    assert outcomes[-1].metrics[0].status == "uncertain"
+    assert outcomes[-1].metrics[0].learn_rate == 0.0
+    assert max(frame for frame, *_ in cues["a"].learnt) == GONE + 2
+
+
+def test_a_calibrated_line_survives_the_journal(fakes):
+    outcomes, _ = run(fakes, 3, score=SCORE, slack={"sd_box": 0.1})
+    line = outcomes[-1].metrics[0]
+    again = from_json(to_json(line))
+    assert dict(again.features) == pytest.approx(dict(line.features))
+    assert "features" not in to_json(run(fakes, 3)[0][-1].metrics[0])
+
+
+def test_slack_touches_only_what_is_told(fakes):
+    plain, _ = run(fakes)
+    wide, _ = run(fakes, slack={"sd_box": 0.5})
+    for one, other in zip(plain[1:], wide[1:], strict=True):
+        a, b = one.metrics[0], other.metrics[0]
+        assert (a.box, a.ud_px2, a.cloud, a.score, a.status) == (b.box, b.ud_px2, b.cloud, b.score, b.status)
+        added = (0.5**2) * a.box[2] * a.box[3]
+        assert b.sd == pytest.approx(
+            [np.hypot(a.sd[0], added**0.5), np.hypot(a.sd[1], added**0.5), *a.sd[2:]]
+        )
+        assert b.region90[0] < a.region90[0] and b.region90[3] > a.region90[3]
+
+
+@pytest.mark.parametrize("score", [0.2, 0.7, 1.0])
+def test_a_widened_region_holds_what_it_says(score):
+    """Truths drawn from the mixture that slack stands for lie in the regions as often as they say."""
+    rng = np.random.default_rng(4)
+    boxes = np.column_stack([rng.normal(100, 3, 400), rng.normal(50, 2, 400), np.full((400, 2), 20.0)])
+    belief = ParticleSet(boxes, BOX_FIELDS, LogWeights.uniform(400))
+    found = widened(belief, Slack(sd_box=0.1, lost_sd_box=4.0), score, 20.0)
+    n = 20_000
+    noise = np.where(rng.random(n) < score, 2.0, 80.0)[:, None] * rng.normal(size=(n, 2))
+    truth = boxes[rng.integers(400, size=n), :2] + noise
+    for region, share in ((found.region50, 0.5), (found.region90, 0.9)):
+        for axis in (0, 1):
+            low, high = region[2 * axis : 2 * axis + 2]
+            inside = np.mean((low <= truth[:, axis]) & (truth[:, axis] <= high))
+            # Sd of the share below 0.004: four of them; 32 quantiles for 400 points cost as much.
+            assert inside == pytest.approx(share, abs=0.016 + 0.016)
+
+
+def test_a_temperature_divides_the_log_likelihood(fakes):
+    """Two agents that say the same, one at temperature 2, are as one at the power of one and a half."""
+    same = fakes.gaussian(55.0, 40.0, 6.0)
+    hot = {"b": {"parent": "root", "agent": "b", "temperature": 2.0}}
+    engine, _ = fakes.engine({**nodes(), **hot}, {"a": same, "b": same})
+    halved = lambda p, h, r: 0.5 * same(p, h, r)  # noqa: E731
+    plain, _ = fakes.engine(nodes(), {"a": same, "b": halved})
+    for one, other in zip(fakes.play(engine, 5), fakes.play(plain, 5), strict=True):
+        assert one.metrics[0].box == other.metrics[0].box
+        assert one.metrics[0].strength == other.metrics[0].strength
+
+
+def test_the_probability_does_not_overflow():
+    rule = Logistic(bias=0, log_fit=1e6)
+    assert probability(rule, dict.fromkeys(FEATURES, -20.0)) == 0.0
+    assert probability(rule, dict.fromkeys(FEATURES, 20.0)) == 1.0
