@@ -32,6 +32,7 @@ from bayesnet_track.vision.color_planes import HueBins
 HALF_OVERLAP = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
 SHARPEN = 0.7
 ATTEMPTS = 3
+LOG_AT_ZERO = np.logaddexp(0.0, -4.0)
 
 
 class ColorHistogramParameters(SizedCueParameters):
@@ -119,7 +120,7 @@ class ColorHistogram:
         """
         p, alpha = self.parameters, float(reference["alpha"])
         distances, _ = self._distances(planes, hypotheses.boxes, reference["shares"])
-        similarity = np.logaddexp(0.0, -4.0) - np.logaddexp(0.0, 4.0 * (distances - alpha) / alpha)
+        similarity = LOG_AT_ZERO - np.logaddexp(0.0, 4.0 * (distances - alpha) / alpha)
         size = log_size_penalty(hypotheses.boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
         return floored(similarity + size, p.floor)
 

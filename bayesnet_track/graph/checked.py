@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 from bayesnet_track.cue import CueParameters
 from bayesnet_track.graph.spec import AgentNode, GraphSpec, InferenceNode, Target
@@ -33,7 +34,7 @@ class CheckedTarget:
     parameters: Mapping[str, CueParameters]
     governor: Mapping[str, str | None]
 
-    @property
+    @cached_property
     def agents(self) -> tuple[str, ...]:
         """The agent nodes, in `order`."""
         return tuple(name for name in self.order if isinstance(self.spec.nodes[name], AgentNode))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -83,10 +85,16 @@ def count_by_integral(binned: Bins, corners: Corners, bins: int) -> Counts:
     dtype = np.uint16 if int(pixels.max(initial=0)) < 2**16 else np.uint32
     rows, columns = binned.shape
     integral = np.empty((rows + 1, columns + 1, bins), dtype)
-    _integrate(binned, np.eye(256, bins, dtype=dtype), integral)
+    _integrate(binned, _one_hot(bins, dtype), integral)
     counts: Counts = np.empty((len(corners), bins), np.int32)
     _gather(integral, corners, counts)
     return counts
+
+
+@lru_cache(maxsize=16)
+def _one_hot(bins: int, dtype: type[np.unsignedinteger]) -> NDArray[np.unsignedinteger]:
+    """(256, bins) what a pixel of each bin adds to the counts; only read."""
+    return np.eye(256, bins, dtype=dtype)
 
 
 @compiled
