@@ -23,7 +23,7 @@ from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
 
 # No property depends on how fast the machine is. Those that say no number of examples take more of them with
 # `pytest -m hypothesis --hypothesis-profile thorough`.
-for _name, _examples in (("repeatable", 30), ("thorough", 200)):
+for _name, _examples in (("repeatable", 30), ("thorough", 100)):
     settings.register_profile(
         _name,
         max_examples=_examples,

@@ -6,6 +6,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import numba
 import pytest
 
 SOURCE = """
@@ -28,6 +29,7 @@ def total(values):
 def load(tmp_path, monkeypatch):
     """Loads the kernels from a file of their own, as a fresh process would; their cache is beside it."""
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")  # which Numba has read already
     path = tmp_path / "kernels.py"
     path.write_text(SOURCE)
 
