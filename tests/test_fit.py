@@ -101,9 +101,11 @@ CASES = [
         ("--folder", "DATA", "--features", "luck"),
         "--features: no 'luck'; there are log_ud_box, evidence, log_fit, agreement, log_size",
     ),
-    (("--folder", "DATA", "--out", "DATA/one/groundtruth.txt"), "DATA/one/groundtruth.txt exists; --overwrite "
-     "replaces it"),
-]  # fmt: skip
+    (
+        ("--folder", "DATA", "--out", "DATA/one/groundtruth.txt"),
+        "DATA/one/groundtruth.txt exists; --overwrite replaces it",
+    ),
+]
 
 
 @pytest.mark.parametrize(("arguments", "said"), CASES)

@@ -40,8 +40,8 @@ class Witness:
         iou: (n,) overlap of estimate and truth.
         features: name -> (n,) filtered features of the score.
         ud_box: (n,) UD at the root as a share of the estimate's area.
-        offsets: (n, 32, 2) true centre less quantiles of the belief's (score.marginal_points), in sqrt(w h) of the
-            estimate.
+        offsets: (n, 32, 2) true centre less quantiles of the belief's (`score.marginal_points`), in
+            sqrt(w h) of the estimate.
         scores: (n,) the graph's own scores.
         status: status of each frame.
         surprise: agent -> (25,) mean over the frames on target of -log of the density that the agent, at each
