@@ -48,7 +48,7 @@ class Looked:
         told: detectors that failed.
     """
 
-    found: Mapping[str, Found]
+    found: dict[str, Found]
     owners: Mapping[str, tuple[str | None, ...]]
     targets: Mapping[str, TargetState]
     life: Life
