@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import pytest
 
-from bayesnet_track.planes import MANY, Frame, FramePair, PlaneCache, Region
+from bayesnet_track.planes import MANY, Frame, FramePair, PlaneCache, Region, region_of_boxes
 
 
 @dataclass(frozen=True)
@@ -73,3 +74,21 @@ def test_points_are_never_computed_on_more_than_was_asked_for():
     for region in squares(MANY + 20):
         held.planes((plane,), region)
     assert plane.computed == squares(MANY + 20)
+
+
+def test_the_region_of_many_boxes_is_the_union_of_the_regions_of_each():
+    rng = np.random.default_rng(3)
+    boxes = np.column_stack([rng.normal(0, 300, (40, 2)), rng.uniform(1, 90, (40, 2))])
+    for grow in (0.0, 0.5):
+        one_by_one = Region(0, 0, 0, 0)
+        for box in boxes:
+            one_by_one = one_by_one.union(region_of_boxes(box[None], grow))
+        assert region_of_boxes(boxes, grow) == one_by_one
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_box_that_is_nowhere_has_no_region(count):
+    boxes = np.tile([10.0, 10.0, 4.0, 4.0], (count, 1))
+    boxes[-1, 1] = np.nan
+    with pytest.raises(ValueError, match="NaN"):
+        region_of_boxes(boxes)
