@@ -226,8 +226,7 @@ def test_gray_images_are_tracked_by_what_is_not_colour(cli, images, tmp_path):
     assert cli(f"run general --source {folder} --init {BOX} --quiet --out", out)[0] == 0
     assert next(read_events(out / "journal.jsonl")).has_color is False
     for metrics in list(read_metrics(out / "frames.jsonl"))[1:]:
-        assert metrics.status == "tracking" and metrics.strength["intensity"] > 0.1
-        assert metrics.strength.get("histogram", 0.0) < 0.05 and metrics.strength.get("blobs", 0.0) < 0.05
+        assert metrics.status == "tracking" and metrics.strength["filter"] > 0.1
     assert abs(float(column(out, "x")[-1]) - 34) < 5
 
 
@@ -289,7 +288,7 @@ def test_progress_as_json(cli, images, tmp_path):
     code, _, err = cli(f"run general --source {images} --init {BOX} --log-json --out", tmp_path / "run")
     last = json.loads(err.splitlines()[-1])
     assert code == 0 and (last["progress"], last["total"], last["status"]) == (8, 8, "tracking")
-    assert "histogram" in last["active"] and last["ud_px2"] > 0
+    assert "filter" in last["active"] and last["ud_px2"] > 0
 
 
 def test_quiet_leaves_the_summary(cli, images, tmp_path):
@@ -549,7 +548,7 @@ def test_validate_tells_all_errors_of_all_files(cli, places):
     worse.write_text("bayesnet: 2\nname: 'worse'\n")
     code, out, err = cli("validate", bad, "general", worse)
     assert code == 3
-    assert out == "general: ok (general: 6 nodes, 4 of them agents)\n"
+    assert out == "general: ok (general: 3 nodes, 2 of them agents)\n"
     assert len([line for line in err.splitlines() if line.startswith(f"{bad}:")]) == 2
     assert len([line for line in err.splitlines() if line.startswith(f"{worse}:")]) == 2
     assert all(re.match(r"\S+:\d+:\d+: graph: ", line) for line in err.splitlines())
