@@ -36,7 +36,7 @@ METHODS = {
 }
 OTHERS_SLOW = [
     pytest.param(
-        method, marks=pytest.mark.slow if method in ("regular", "parents", "separate", "auxiliary") else ()
+        method, marks=pytest.mark.slow if method in ("regular", "parents", "separate", "west") else ()
     )
     for method in METHODS
 ]

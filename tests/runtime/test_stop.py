@@ -429,6 +429,7 @@ def test_a_signal_ends_a_run_in_order(held, tmp_path, number):
     assert events[-1] == RunEnded(10, 200, False, "interrupted")
 
 
+@pytest.mark.slow
 def test_a_second_signal_ends_a_frame_that_takes_long(held, tmp_path):
     held.send_signal(signal.SIGINT)
     held.send_signal(signal.SIGTERM)
