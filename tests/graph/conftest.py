@@ -227,7 +227,18 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
                     ),
                 },
             ),
-            "lost": _mapping({}, {"above": level, "fit_below": st.just(0) | share, "frames": frames}),
+            "lost": _mapping(
+                {},
+                {
+                    "above": level,
+                    "fit_below": st.just(0) | share,
+                    "score_below": share,
+                    "uncertain_below": share,
+                    "frames": frames,
+                },
+            ),
+            "score": _choice([], logistic=_mapping({"bias": aside}, {"evidence": aside, "memory": share})),
+            "slack": _mapping({}, {"sd_box": sd, "lost_sd_box": positive}),
         },
     )
     parameters = _mapping(
@@ -247,6 +258,7 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
             "active": st.booleans(),
             "self_check": _mapping({"above": level}, {"frames": frames, "rest": frames}),
             "learn_rate_max": st.just(0) | share,
+            "temperature": positive,
         },
     )
     nodes = st.dictionaries(names, inference | agent, min_size=1, max_size=4)
@@ -350,7 +362,9 @@ def everything() -> dict[str, Any]:
             "fuse": "product",
             "adapt": {"activate": {"above": level}, "deactivate": {"below": {"ud_box": 0.5}}, "keep": 2},
             "learn": {"below": {"ud_quiet": 2}, "guard": {}},
-            "lost": {"frames": 9},
+            "lost": {"frames": 9, "score_below": 0.25},
+            "score": {"logistic": {"bias": -1.5, "log_ud_box": -0.5}},
+            "slack": {"lost_sd_box": 3.5},
         },
         "b": {
             "parent": "a",
