@@ -70,9 +70,7 @@ def fit(witnesses: Sequence[Witness], features: Sequence[str] = USUAL_FEATURES) 
     videos = _by_video(witnesses)
     hits = np.concatenate([one.iou > ON_TARGET for one in witnesses])
     if not hits.any():
-        raise ValueError(
-            "no frame is on target (IoU above 0.5): nothing tells what that looks like"
-        )
+        raise ValueError("no frame is on target (IoU above 0.5): nothing tells what that looks like")
     if hits.all():
         raise ValueError("every frame is on target (IoU above 0.5): nothing tells what losing it looks like")
     weights = _weights(witnesses, videos)
