@@ -99,7 +99,8 @@ def main() -> None:
             total, longest = wrongly_tracked(one)
             print(
                 f"{name}, seed {seed}: mean IoU {one.iou.mean():.3f}, off target in "
-                f"{(one.iou < OFF_TARGET).sum()} of {one.frames} frames, called tracking in {total} of them, at most {longest} in a row"
+                f"{(one.iou < OFF_TARGET).sum()} of {one.frames} frames, "
+                f"called tracking in {total} of them, at most {longest} in a row"
             )
 
 
