@@ -34,6 +34,7 @@ from bayesnet_track.journal.events import (
     FramesMissing,
     MeasurementGated,
     ParticlesResized,
+    ReferenceGuarded,
     RunEnded,
     RunStarted,
     SecondPass,
@@ -312,12 +313,19 @@ GOLDEN = [
     ),
     (
         RingChanged(12, "1", "3", True, 0.0823, ("1", "2", "3")),
-        "frame 12: targets 1, 2, 3 are joined in a ring → target 1 and target 3, with an overlap of 0.082 the "
-        "least, are left out: a pixel of both may be evidence for both",
+        "frame 12: targets 1, 2, 3 are joined in a ring → target 1 and target 3, with an overlap of 0.082 "
+        "the least, are left out: a pixel of both may be evidence for both",
     ),
     (
         RingChanged(15, "1", "3", False, 0.07, ("1", "2", "3")),
-        "frame 15: no ring is closed by target 1 and target 3 any more → their pixels are accounted for again",
+        "frame 15: no ring is closed by target 1 and target 3 any more → "
+        "their pixels are accounted for again",
+    ),
+    (
+        ReferenceGuarded(50, "1", "hue", True, -0.31, -1.42, 1.0, 0.05, 0),
+        "frame 50: hue: the estimate scores -0.31 nats by its reference, -1.42 by its slow one: "
+        "1.11 > 1 apart → stops learning, pulled back by 0.05 a frame; "
+        "would have learnt at apart_nats ≥ 1.11",
     ),
 ]
 
