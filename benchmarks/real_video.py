@@ -108,7 +108,8 @@ def run_graph(name: str, spec: GraphSpec, sequence: Sequence, seed: int) -> Line
         else:
             ok, box = tracker.update(image)
             seconds.append(time.process_time() - started)
-            boxes.append(box)
+            # As trackers are usually scored: while lost, the last box that was held counts.
+            boxes.append(box if ok else boxes[-1])
             lost.append(not ok)
             active.append(frozenset(tracker.metrics.active))
         region50.append(tracker.metrics.region50)
