@@ -1,6 +1,6 @@
 """What a frame costs: four agents, 1000 hypotheses, 640x480, beside OpenCV's CSRT in the same run.
 
-    python benchmarks/engine.py [--graphs color_fusion,general] [--sweep] [--plot docs/figures/cost.svg]
+    python benchmarks/engine.py [--graphs color_fusion] [--sweep] [--plot docs/figures/cost.svg]
 
 All agents stay active and learn, frames are in memory, everything runs on one core. Wall and CPU time are
 measured frame by frame, engine and peer in turn on the same frame, so that a busy machine slows both alike;
@@ -213,7 +213,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--frames", type=int, default=200)
-    parser.add_argument("--graphs", default="color_fusion,general")
+    parser.add_argument("--graphs", default="color_fusion")
     parser.add_argument("--sweep", action="store_true")
     parser.add_argument("--plot", type=Path)
     options = parser.parse_args(arguments)
