@@ -132,11 +132,14 @@ def join_all(
     sharing = {pair: one.overlap for pair, one in pairs.items() if rules[pair].shares_pixels}
     tree, left_out = spanning_tree(sharing)
 
-    edges = [
-        Edge(pair, pairs[pair].first_in_front, rules[pair].nats, rules[pair].pairings)
-        for pair in tree
-        if all(of[name].step.degenerate is None for name in pair)
-    ]
+    edges, closing = (
+        [
+            Edge(pair, pairs[pair].first_in_front, rules[pair].nats, rules[pair].pairings)
+            for pair in chosen
+            if pairs[pair].overlap > 0 and all(of[name].step.degenerate is None for name in pair)
+        ]
+        for chosen in (tree, left_out)
+    )
     members = {
         name: Member(
             np.ascontiguousarray(one.step.support.boxes),
@@ -144,12 +147,17 @@ def join_all(
             one.step.evidence.log_likelihood,
             levels[name].log,
             _logs_on(engine, net, one, [of[other] for other in others], frame, cache),
+            max(len(one.before.plan.observations), 1),
+            levels[name].best,
         )
-        for name, others in _neighbours(edges).items()
+        for name, others in _neighbours((*edges, *closing)).items()
         for one in (of[name],)
     }
     marginals, orders = joint_marginals(
-        members, edges, lambda speaker, hearer: engine.streams.of(speaker, hearer, frame.index, "partners")
+        members,
+        edges,
+        lambda speaker, hearer: engine.streams.of(speaker, hearer, frame.index, "partners"),
+        closing,
     )
     told: list[Event] = []
     for pair, one in pairs.items():
@@ -288,14 +296,14 @@ def _level(known: Level | None, one: Weighed) -> Level:
     """The level with the agents that are active: as measured, else that of this very frame."""
     if known is not None and known.active == one.before.plan.active:
         return known
-    return Level(one.before.plan.active, _half_way(one.step), 0)
+    return Level(one.before.plan.active, *_half_way(one.step), 0)
 
 
-def _half_way(step: Step[Posterior]) -> float:
-    """Log-likelihood half way between the best and the worst hypothesis."""
+def _half_way(step: Step[Posterior]) -> tuple[float, float]:
+    """Log-likelihood half way between the best and the worst hypothesis, and that of the best."""
     log = step.evidence.log_likelihood
     best = float(np.max(log))
-    return best + max(float(np.min(log)) - best, -DEEPEST) / 2 if np.isfinite(best) else 0.0
+    return (best + max(float(np.min(log)) - best, -DEEPEST) / 2, best) if np.isfinite(best) else (0.0, 0.0)
 
 
 def _levels_after(
@@ -309,7 +317,7 @@ def _levels_after(
     for name, one in of.items():
         hidden = metrics[name].hidden if name in metrics else 0.0
         if hidden <= LEVEL_HIDDEN and one.step.degenerate is None:
-            after[name] = levels[name].then(one.before.plan.active, _half_way(one.step))
+            after[name] = levels[name].then(one.before.plan.active, *_half_way(one.step))
     return after
 
 

@@ -43,18 +43,28 @@ class PairMemory:
 
 @dataclass(frozen=True)
 class Level:
-    """Log of the evidence of a target whose agents are `active`, while it is seen: a mean over `frames`."""
+    """What the agents `active` say of a target while it is seen: means over `frames`.
+
+    Attributes:
+        active: those agents.
+        log: log-likelihood half way between the best hypothesis and the worst.
+        best: that of the best one.
+        frames: how many.
+    """
 
     active: frozenset[str]
     log: float
+    best: float
     frames: int = 1
 
-    def then(self, active: frozenset[str], log: float) -> Level:
+    def then(self, active: frozenset[str], log: float, best: float) -> Level:
         """With one more frame; from the start again when other agents are active."""
         if active != self.active:
-            return Level(active, log)
+            return Level(active, log, best)
         frames = min(self.frames + 1, LEVEL_FRAMES)
-        return Level(active, self.log + (log - self.log) / frames, frames)
+        return Level(
+            active, self.log + (log - self.log) / frames, self.best + (best - self.best) / frames, frames
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,24 +6,31 @@ Of targets a and b, and of the order o (who is in front), the joint posterior of
 
 with prior weights beta and the overlap c as a share of the smaller box. h is the hidden share of a box: 0
 for the one in front, and for the one behind what lies under the one in front, so that no pixel counts for
-both. L(0) is the likelihood L of the whole box. Of a box behind, the pixels of the one in front are taken out,
+both. Log-likelihoods do not add up over parts of a box, shares of it that do not match do. With the share
+s(L) at which a box loses as much as one of likelihood L has lost,
 
-    log L(h) = log L - h log W + h l,    without h l within (1 - h) log L_worst .. (1 - h) log L_best
+    K log (1 + e^(16 s - 4)) / (1 + e^-4) = log L_top - log L         (K agents; thesis eq. 3.3, corrected)
+
+what is left of a box behind, without the pixels of the one in front, is
+
+    s(h) = s(L) - h s(W), kept within (1 - h) s(best) .. (1 - h) s(worst),    + h s(l)
 
 W is the target's likelihood of a box wholly on the one in front, and l the level that stands for what cannot
 be seen: half way between its best and worst hypotheses, so that to be hidden is better than to match badly
 and worse than to match well. Of several targets each is hidden by one other at most, so that no share of a
-box is taken out twice.
+box is taken out twice. L_top is that of a target that is seen, so that one of which nothing is to be seen is
+not taken for one that matches.
 
 The sum over j is an average over a few partners of each i, drawn by a mixture of j's own posterior and prior,
 one from every stratum of it: no table of all pairs is made. Targets that hang together form a tree; messages
-go up and down once.
+go up and down once. Along pairs that would close a ring each is told what the other believes by itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +39,10 @@ from bayesnet_track.numerics.log_weights import LogWeights
 
 Floats = NDArray[np.float64]
 Pair = tuple[str, str]
+Hidden = tuple[float, float, float, float, int]
+
+STEEP, HALF = 4.0, 0.25
+"""Log-odds at the best hypothesis, and share of a box whose misfit halves an agent's likelihood."""
 
 FARTHEST = 150.0
 """A log-likelihood further below the best counts as so far below it: their ratio has to stay a number."""
@@ -48,6 +59,8 @@ class Member:
         level: log of what stands for its evidence where it is hidden.
         on: other -> log L of a box of this target's that lies wholly on the other; that of its best
             hypothesis for one that is not named.
+        agents: number of agents that the likelihood is a product of.
+        top: log L of a perfect match; that of the best hypothesis where it is higher.
     """
 
     boxes: Floats
@@ -55,11 +68,30 @@ class Member:
     log_likelihood: Floats
     level: float
     on: Mapping[str, float] = field(default_factory=dict)
+    agents: int = 1
+    top: float = -np.inf
 
-    def hidden_by(self, other: str) -> tuple[float, float, float, float]:
-        """Level, log W, and log L of the worst and the best hypothesis."""
-        worst, best = float(self.log_likelihood.min()), float(self.log_likelihood.max())
-        return self.level, min(max(self.on.get(other, best), worst), best), worst, best
+    @cached_property
+    def losses(self) -> Floats:
+        """(N,) by how much log L is below that of a perfect match."""
+        return np.asarray(self._perfect - self.log_likelihood)
+
+    @cached_property
+    def bad(self) -> Floats:
+        """(N,) share of each box that does not match."""
+        return bad_shares(self.losses, self.agents)
+
+    def hidden_by(self, other: str) -> Hidden:
+        """Shares that do not match: what stands for hidden pixels, W, the worst's and the best's; agents."""
+        worst, best = float(self.losses.max()), float(self.losses.min())
+        occluder = min(max(self._perfect - self.on.get(other, self._perfect), best), worst)
+        losses = np.array([max(self._perfect - self.level, 0.0), occluder, worst, best])
+        level, occluder, worst, best = bad_shares(losses, self.agents).tolist()
+        return level, occluder, worst, best, self.agents
+
+    @property
+    def _perfect(self) -> float:
+        return max(self.top, float(self.log_likelihood.max()))
 
 
 @dataclass(frozen=True)
@@ -123,7 +155,10 @@ class _Said:
 
 
 def joint_marginals(
-    members: Mapping[str, Member], edges: Sequence[Edge], stream: Callable[[str, str], np.random.Generator]
+    members: Mapping[str, Member],
+    edges: Sequence[Edge],
+    stream: Callable[[str, str], np.random.Generator],
+    closing: Sequence[Edge] = (),
 ) -> tuple[dict[str, Marginal], dict[Pair, float]]:
     """The marginals of all members, and of each edge the probability that its first target is in front.
 
@@ -131,24 +166,20 @@ def joint_marginals(
         members: target -> its hypotheses.
         edges: a forest over the targets.
         stream: (who speaks, who hears) -> generator of the partners.
+        closing: edges that close rings. Along them each target says what it believes by itself, and no more.
 
     Raises:
         ValueError: the edges close a ring.
     """
     members = {name: _bounded(one) for name, one in members.items()}
-    near: dict[str, dict[str, Edge]] = {name: {} for name in members}
-    for edge in edges:
-        first, second = edge.pair
-        near[first][second] = near[second][first] = edge
+    near = _near(members, edges)
     order, above = _rooted(near)
+    around = _near(members, (*closing, *edges))
     messages: dict[Pair, _Message] = {}
-    upward = [(name, above[name]) for name in reversed(order)]
-    downward = [(above[name], name) for name in order]
-    for speaker, hearer in (*upward, *downward):
-        if speaker is None or hearer is None:
-            continue
-        said = _together(members[speaker], [n for n in near[speaker] if n != hearer], speaker, messages)
-        edge = near[speaker][hearer]
+
+    def say(speaker: str, hearer: str, others: Sequence[str]) -> None:
+        said = _together(members[speaker], others, speaker, messages)
+        edge = around[speaker][hearer]
         messages[speaker, hearer] = _message(
             members[speaker],
             members[hearer],
@@ -158,11 +189,27 @@ def joint_marginals(
             edge.first_in_front if edge.pair[0] == hearer else 1.0 - edge.first_in_front,
             stream(speaker, hearer),
         )
+
+    for first, second in (edge.pair for edge in closing):
+        say(first, second, ())
+        say(second, first, ())
+    upward = [(name, above[name]) for name in reversed(order)]
+    downward = [(above[name], name) for name in order]
+    for speaker, hearer in (*upward, *downward):
+        if speaker is not None and hearer is not None:
+            say(speaker, hearer, [name for name in around[speaker] if name != hearer])
     marginals = {
-        name: _marginal(one, _together(one, list(near[name]), name, messages))
+        name: _marginal(one, _together(one, list(around[name]), name, messages))
         for name, one in members.items()
     }
-    return marginals, {edge.pair: _order(edge, members, near, messages) for edge in edges}
+    return marginals, {edge.pair: _order(edge, members, around, messages) for edge in (*edges, *closing)}
+
+
+def bad_shares(losses: Floats, agents: int) -> Floats:
+    """(N,) share of a box that does not match, where `agents` say that log L is `losses` below the best."""
+    with np.errstate(divide="ignore"):
+        log = np.log(np.expm1(losses / agents) + np.exp(losses / agents - STEEP))
+    return np.asarray(np.clip((log + STEEP) / (STEEP / HALF), 0.0, None))
 
 
 def draw_partners(
@@ -184,6 +231,14 @@ def draw_partners(
 def _bounded(one: Member) -> Member:
     best = one.log_likelihood.max()
     return replace(one, log_likelihood=np.maximum(one.log_likelihood, best - FARTHEST))
+
+
+def _near(members: Iterable[str], edges: Iterable[Edge]) -> dict[str, dict[str, Edge]]:
+    near: dict[str, dict[str, Edge]] = {name: {} for name in members}
+    for edge in edges:
+        first, second = edge.pair
+        near[first][second] = near[second][first] = edge
+    return near
 
 
 def _rooted(near: Mapping[str, Mapping[str, Edge]]) -> tuple[list[str], dict[str, str | None]]:
@@ -224,7 +279,7 @@ def _together(one: Member, speakers: Sequence[str], hearer: str, messages: Mappi
 def _message(
     speaker: Member,
     hearer: Member,
-    hidden: tuple[tuple[float, float, float, float], tuple[float, float, float, float]],
+    hidden: tuple[Hidden, Hidden],
     said: _Said,
     edge: Edge,
     in_front: float,
@@ -238,16 +293,18 @@ def _message(
     belief = prior * np.exp(speaker.log_likelihood - speaker.log_likelihood.max()) * said.all
     shares = 0.5 * (prior + belief / belief.sum())
     partners = draw_partners(speaker.boxes, shares, len(hearer.boxes), edge.pairings, rng)
-    _, evidence = LogWeights.normalise(speaker.prior.log + speaker.log_likelihood)
+    _, evidence = LogWeights.normalise(speaker.prior.log - speaker.losses)
     with np.errstate(divide="ignore"):
         log_importance = speaker.prior.log - np.log(shares) - evidence
     return _Message(
         *pair_sums(
             np.ascontiguousarray(hearer.boxes),
-            hearer.log_likelihood,
+            hearer.losses,
+            hearer.bad,
             hidden[1],
             np.ascontiguousarray(speaker.boxes),
-            speaker.log_likelihood,
+            speaker.losses,
+            speaker.bad,
             hidden[0],
             partners,
             log_importance,

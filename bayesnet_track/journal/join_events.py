@@ -56,7 +56,8 @@ class AttachmentChanged:
 class RingChanged:
     """Joins closed a ring: joint beliefs live on a tree, so the pair that overlaps least is left out of it.
 
-    Its pixels may be evidence for both until the ring opens.
+    Each of the two still hears of the other, but only what that one believes by itself: their joint belief is
+    an approximation until the ring opens.
 
     Attributes:
         frame: the frame.

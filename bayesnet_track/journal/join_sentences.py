@@ -65,9 +65,9 @@ def ring_changed(event: RingChanged) -> str:
     """`targets 1, 2, 3 are joined in a ring → the pair 1, 3 is left out`."""
     pair = f"target {event.target} and target {event.other}"
     if not event.left_out:
-        return f"no ring is closed by {pair} any more → their pixels are accounted for again"
+        return f"no ring is closed by {pair} any more → their joint belief is of the tree again"
     group = ", ".join(event.group)
     return (
         f"targets {group} are joined in a ring → {pair}, with an overlap of {event.overlap:.2g} the least, "
-        "are left out: a pixel of both may be evidence for both"
+        "are left out: each hears only what the other believes by itself"
     )

@@ -12,20 +12,33 @@ Indices = NDArray[np.intp]
 
 
 @compiled
-def behind(log: float, share: float, level: float, occluder: float, worst: float, best: float) -> float:
-    """Log-likelihood of a box of which `share` is hidden; see `inference.joint`."""
-    rest = 1.0 - share
-    return min(max(log - share * occluder, rest * worst), rest * best) + share * level
+def loss_of(bad: float, agents: int) -> float:
+    """By how much the log-likelihood of `agents` falls when a share `bad` of the box does not match.
+
+    Each falls by log (1 + e^(16 bad - 4)) / (1 + e^-4): to a half at a quarter (thesis eq. 3.3, corrected).
+    """
+    return agents * np.log((1.0 + np.exp(16.0 * bad - 4.0)) / (1.0 + np.exp(-4.0)))
+
+
+@compiled
+def behind(
+    bad: float, share: float, level: float, occluder: float, worst: float, best: float, agents: int
+) -> float:
+    """Loss of log-likelihood of a box of which `share` is hidden, all in shares; see `inference.joint`."""
+    rest = min(max(bad - share * occluder, (1.0 - share) * best), (1.0 - share) * worst)
+    return loss_of(rest + share * level, agents)
 
 
 @compiled
 def pair_sums(
     boxes: Floats,
-    log_likelihood: Floats,
-    hidden: tuple[float, float, float, float],
+    losses: Floats,
+    bad: Floats,
+    hidden: tuple[float, float, float, float, int],
     others: Floats,
-    other_log_likelihood: Floats,
-    other_hidden: tuple[float, float, float, float],
+    other_losses: Floats,
+    other_bad: Floats,
+    other_hidden: tuple[float, float, float, float, int],
     partners: Indices,
     log_importance: Floats,
     free: Floats,
@@ -37,10 +50,12 @@ def pair_sums(
 
     Args:
         boxes: (N, 4) hypotheses that hear.
-        log_likelihood: (N,) their log L.
-        hidden: what `behind` needs of them: level, occluder, worst, best.
+        losses: (N,) by how much their log L is below that of a perfect match.
+        bad: (N,) shares of them that do not match.
+        hidden: what `behind` needs of them: level, occluder, worst, best, agents.
         others: (M, 4) hypotheses that speak.
-        other_log_likelihood: (M,) their log L.
+        other_losses: (M,) losses of those who speak.
+        other_bad: (M,) shares of them that do not match.
         other_hidden: the same of those who speak.
         partners: (R, N) indices into `others`.
         log_importance: (M,) log beta / q, for partners drawn by q.
@@ -65,7 +80,7 @@ def pair_sums(
             down = min(boxes[i, 1] + boxes[i, 3] / 2, others[j, 1] + others[j, 3] / 2) - max(
                 boxes[i, 1] - boxes[i, 3] / 2, others[j, 1] - others[j, 3] / 2
             )
-            seen = weight * (free[j] + taken[j]) * np.exp(other_log_likelihood[j])
+            seen = weight * (free[j] + taken[j]) * np.exp(-other_losses[j])
             if across <= 0 or down <= 0:
                 sums[0, i] += in_front * seen
                 sums[1, i] += (1.0 - in_front) * seen
@@ -74,10 +89,10 @@ def pair_sums(
             share = min(across * down / (others[j, 2] * others[j, 3]), 1.0)
             penalty = np.exp(-nats * max(own, share))
             if in_front > 0:
-                log = behind(other_log_likelihood[j], share, *other_hidden)
-                sums[0, i] += in_front * penalty * weight * free[j] * np.exp(log)
+                loss = behind(other_bad[j], share, *other_hidden)
+                sums[0, i] += in_front * penalty * weight * free[j] * np.exp(-loss)
             if in_front < 1:
-                gain = behind(log_likelihood[i], own, *hidden) - log_likelihood[i]
+                gain = losses[i] - behind(bad[i], own, *hidden)
                 value = (1.0 - in_front) * penalty * seen * np.exp(gain)
                 sums[2, i] += value
                 sums[3, i] += own * value

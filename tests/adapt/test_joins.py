@@ -118,6 +118,6 @@ def test_a_ring_opens_where_the_overlap_is_least():
 
 
 def test_a_level_belongs_to_the_agents_that_were_active():
-    level = Level(frozenset("a"), -2.0).then(frozenset("a"), -4.0)
-    assert level == Level(frozenset("a"), -3.0, 2)
-    assert level.then(frozenset("ab"), -9.0) == Level(frozenset("ab"), -9.0)
+    level = Level(frozenset("a"), -2.0, 0.0).then(frozenset("a"), -4.0, -1.0)
+    assert level == Level(frozenset("a"), -3.0, -0.5, 2)
+    assert level.then(frozenset("ab"), -9.0, -1.0) == Level(frozenset("ab"), -9.0, -1.0)

@@ -314,12 +314,12 @@ GOLDEN = [
     (
         RingChanged(12, "1", "3", True, 0.0823, ("1", "2", "3")),
         "frame 12: targets 1, 2, 3 are joined in a ring → target 1 and target 3, with an overlap of 0.082 "
-        "the least, are left out: a pixel of both may be evidence for both",
+        "the least, are left out: each hears only what the other believes by itself",
     ),
     (
         RingChanged(15, "1", "3", False, 0.07, ("1", "2", "3")),
         "frame 15: no ring is closed by target 1 and target 3 any more → "
-        "their pixels are accounted for again",
+        "their joint belief is of the tree again",
     ),
     (
         ReferenceGuarded(50, "1", "hue", True, -0.31, -1.42, 1.0, 0.05, 0),
