@@ -710,7 +710,7 @@ def test_the_reader_of_help_goes_away():
 
 @pytest.mark.skipif(os.name != "posix", reason="closing streams is done by the shell")
 @pytest.mark.parametrize(
-    "closed", [*(pytest.param(one, marks=pytest.mark.slow) for one in (">&-", "2>&-")), ">&- 2>&-"]
+    "closed", [pytest.param(one, marks=pytest.mark.slow) for one in (">&-", "2>&-", ">&- 2>&-")]
 )
 def test_a_service_may_have_no_streams(images, tmp_path, closed):
     line = f"run general --source {images} --init {BOX} --end 3 --out {tmp_path / 'run'}"

@@ -145,7 +145,7 @@ def _declaration(name):
     return replace(declaration, parameters=model)
 
 
-@pytest.fixture(params=[*_names(Cue), *VARIANTS])
+@pytest.fixture(params=[*_names(Cue), *(pytest.param(name, marks=pytest.mark.slow) for name in VARIANTS)])
 def asked(request):
     declaration = _declaration(request.param)
     return Asked(declaration, declaration.make(declaration.parameters()))

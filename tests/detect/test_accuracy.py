@@ -128,6 +128,7 @@ def score_of(bench, found, scene, begin, end):
     return bench.scored(some[:end], scene, begin)
 
 
+@pytest.mark.slow
 def test_the_background_waits_and_learns_by_time_not_by_frames(bench):
     scene = street(0)
     frames = bench.frames(scene, 60)
