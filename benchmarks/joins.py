@@ -1,7 +1,7 @@
 """What joins are worth: a carried box while it is hidden, and identities in a crowd, with and without joins.
 
 python benchmarks/joins.py box [--seeds 20]
-python benchmarks/joins.py crowd [--seeds 5] [--count 10]
+python benchmarks/joins.py crowd [--first 0] [--seeds 5] [--count 10] [--frames 200]
 """
 
 from __future__ import annotations
@@ -103,10 +103,10 @@ def switches(scene: Scene, run: Tracked) -> tuple[int, int]:
     return errors, crossings
 
 
-def _box(seeds: int) -> None:
+def _box(seeds: range) -> None:
     print("seed  joined  alone   median error of the hidden box, px")
     found = []
-    for seed in range(seeds):
+    for seed in seeds:
         scene = carried_box(seed)
         errors = [
             hidden_error(scene, tracked(scene, graph_of("carried_box", on), seed)) for on in (True, False)
@@ -115,13 +115,15 @@ def _box(seeds: int) -> None:
         print(f"{seed:4d}  {errors[0]:6.1f}  {errors[1]:6.1f}", flush=True)
     middle = np.median(found, axis=0)
     better = sum(joined <= alone / 2 for joined, alone in found)
-    print(f"median of seeds {middle[0]:.1f} against {middle[1]:.1f}; at most half in {better} of {seeds}")
+    print(
+        f"median of seeds {middle[0]:.1f} against {middle[1]:.1f}; at most half in {better} of {len(found)}"
+    )
 
 
-def _crowd(seeds: int, count: int, frames: int) -> None:
+def _crowd(seeds: range, count: int, frames: int) -> None:
     print("seed  crossings  switches joined  alone   ms per frame joined (of it joins)  alone")
     total = np.zeros(4)
-    for seed in range(seeds):
+    for seed in seeds:
         scene = crowd(seed, count, frames)
         runs = [tracked(scene, graph_of("crowd", on), seed) for on in (True, False)]
         scored = [switches(scene, run) for run in runs]
@@ -142,14 +144,16 @@ def main() -> None:
     """Run one of the two."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("which", choices=["box", "crowd"])
+    parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--count", type=int, default=10)
     parser.add_argument("--frames", type=int, default=200)
     options = parser.parse_args()
+    seeds = range(options.first, options.first + options.seeds)
     if options.which == "box":
-        _box(options.seeds)
+        _box(seeds)
     else:
-        _crowd(options.seeds, options.count, options.frames)
+        _crowd(seeds, options.count, options.frames)
 
 
 if __name__ == "__main__":

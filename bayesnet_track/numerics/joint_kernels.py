@@ -17,7 +17,7 @@ def loss_of(bad: float, agents: int) -> float:
 
     Each falls by log (1 + e^(16 bad - 4)) / (1 + e^-4): to a half at a quarter (thesis eq. 3.3, corrected).
     """
-    return agents * np.log((1.0 + np.exp(16.0 * bad - 4.0)) / (1.0 + np.exp(-4.0)))
+    return float(agents * np.log((1.0 + np.exp(16.0 * bad - 4.0)) / (1.0 + np.exp(-4.0))))
 
 
 @compiled
