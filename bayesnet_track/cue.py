@@ -68,6 +68,9 @@ class Hypotheses:
         return int(self.boxes.shape[0])
 
 
+ANGLE = "angle"
+"""Name of the field that says how far the target is turned since its first frame: degrees, clockwise."""
+
 CONTEXT = 1.0
 """How many box sizes beyond each side of the box a cue may look when it learns, unless it says otherwise."""
 
@@ -217,6 +220,15 @@ class LocallyAdaptable(Protocol):
         ...
 
 
+@runtime_checkable
+class Turnable(Protocol):
+    """A cue that follows the target's rotation: it reads the hypotheses' field `ANGLE` where they have it."""
+
+    def learn_turned(self, planes: Planes, box: Floats, angle: float) -> Reference:
+        """As `learn`, for a target turned by `angle` degrees: the reference is of the upright target."""
+        ...
+
+
 def context_of(cue: AnyCue) -> float:
     """How many box sizes beyond each side of the box the cue looks when it learns."""
     return float(getattr(cue, "context", CONTEXT))
@@ -241,6 +253,7 @@ class CueDeclaration:
         missing: parameters -> what they need and this computer has not (a library's part, a file), in words,
             or None; `validate` asks it. Without it nothing is needed.
         reads_claim: True for a `ClaimingCue`.
+        reads_angle: True for a `Turnable` one.
     """
 
     name: str
@@ -254,6 +267,7 @@ class CueDeclaration:
     is_appearance: bool = True
     missing: Callable[[Any], str | None] | None = None
     reads_claim: bool = False
+    reads_angle: bool = False
 
 
 def floored(log_likelihood: Floats, floor: float) -> Floats:

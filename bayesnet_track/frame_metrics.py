@@ -42,9 +42,11 @@ def frame_metrics(
     stream: Stream,
     join: JoinMetrics | None = None,
     scored: tuple[float, Mapping[str, float]] | None = None,
+    angle: float = 0.0,
 ) -> FrameMetrics:
     """The measurements of a step: `box` and `covariance` of its belief, `status` the one it ran with.
 
+    `angle` is the estimate's.
     `scored` is a calibrated score with the features that it comes from; without it the score is `index`.
     """
     posterior, weights = stepped.posterior, stepped.support.weights
@@ -86,6 +88,7 @@ def frame_metrics(
         region90=_floats(region90),
         cloud=tuple(map(tuple, np.rint(cloud).astype(np.int64).tolist())),
         silent=measures.silent,
+        angle=angle,
         join=join,
         features=features,
         parts={

@@ -12,6 +12,7 @@ from bayesnet_track.belief.gaussian import GaussianFilter
 from bayesnet_track.belief.grid import GridFilter
 from bayesnet_track.belief.motion import make_motion
 from bayesnet_track.belief.particles import ParticleFilter
+from bayesnet_track.belief.rotating import Rotating
 from bayesnet_track.cue import (
     AnyCue,
     ClaimingCue,
@@ -160,7 +161,7 @@ def _make_machinery(
         plate=plate,
         cues=made,
         belief=make_belief(root.belief),
-        motion=make_motion(root.motion) if own is None else own,
+        motion=_make_motion(root.motion) if own is None else own,
         costs_ms={agent: of[agent].cost_ms for agent in plate.agents},
         rate_max={agent: _rate_max(plate, agent, of[agent], root.learn) for agent in plate.agents},
         adaptable=frozenset(agent for agent, cue in made.items() if isinstance(cue, LocallyAdaptable)),
@@ -176,6 +177,11 @@ def _make_machinery(
         finder=None if moving is None else _finder(moving),
         claimers={agent: cue.rule for agent, cue in made.items() if isinstance(cue, ClaimingCue)},
     )
+
+
+def _make_motion(chosen: spec.Motion) -> Motion:
+    motion, sd = make_motion(chosen), chosen.settings.sd_angle_deg
+    return motion if sd == 0.0 else Rotating(motion, sd)
 
 
 def _finder(moving: Moving) -> Detector | None:

@@ -13,6 +13,7 @@ from bayesnet_track.belief.carried import Carried, camera_shift, size_kept
 from bayesnet_track.belief.contract import Motion
 from bayesnet_track.belief.jumps import Jumping, Search
 from bayesnet_track.belief.motion import KinematicMotion
+from bayesnet_track.belief.rotating import Rotating
 from bayesnet_track.belief.widened import widened, widening
 from bayesnet_track.detector import (
     NOTHING,
@@ -108,6 +109,8 @@ def predicted(
     motion; where that is of a target which may be carried, all this is how it moves on its own.
     """
     settings, plain = machine.moving, machine.motion
+    if isinstance(plain, Rotating):
+        plain = plain.motion
     if settings is None or known is None or not isinstance(plain, KinematicMotion):
         return Predicted(machine.motion if given is None else given, known)
     own = plain
@@ -119,6 +122,8 @@ def predicted(
         motion = size_kept(own, settings.keep_size, known.size, dt)
     if settings.camera is not None:
         motion = _with_camera(motion, cache, dt)
+    if isinstance(machine.motion, Rotating):
+        motion = replace(machine.motion, motion=motion)
     found = Predicted(motion, known)
     if settings.recover is not None:
         found = _recovering(motion, settings.recover, machine.finder, known, is_lost, dt, cache)

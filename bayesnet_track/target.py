@@ -26,7 +26,7 @@ from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Motion, Posterior, Step
 from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.belief.states import hypotheses_of
-from bayesnet_track.cue import Hypotheses, LocallyAdaptable, Reference
+from bayesnet_track.cue import ANGLE, Hypotheses, LocallyAdaptable, Reference
 from bayesnet_track.frame_metrics import first_frame_metrics, frame_metrics
 from bayesnet_track.graph.net import Decision, LocallyAdapted, Net, Quarantined, TargetStarted, apply
 from bayesnet_track.inference.compile import Plan, compile_plan
@@ -310,6 +310,7 @@ def conclude(
         stream,
         join,
         None if score is None else (score, scored.smooth),
+        _angle(at),
     )
     return Concluded(after, metrics, (*weighed.faults, *decisions), tuple(told), spread)
 
@@ -350,7 +351,9 @@ def _learn(
     """
     judged = judge(before.watched, before.references, machine.cues, rates, cache, at, machine.guard, own)
     free = {agent: rate for agent, rate in rates.items() if agent not in judged.held}
-    moved, faults = learn_references(before.references, machine.cues, free, cache, at.boxes[0], own)
+    moved, faults = learn_references(
+        before.references, machine.cues, free, cache, at.boxes[0], own, _angle(at)
+    )
     moved, watched, failed = guard(before.watched, judged, moved, machine.cues, rates, machine.guard)
     faults |= failed
     kept: list[Decision] = []
@@ -372,6 +375,11 @@ def _learn(
 
 def _quarantined(frame: int, target: str, faults: Mapping[str, str]) -> tuple[Quarantined, ...]:
     return tuple(Quarantined(frame, target, agent, reason) for agent, reason in faults.items())
+
+
+def _angle(at: Hypotheses) -> float:
+    """The estimate's rotation, degrees; 0 for a motion without one."""
+    return float(at.fields[ANGLE][0]) if ANGLE in at.fields else 0.0
 
 
 def _inside(box: Floats, frame: Frame) -> Floats:

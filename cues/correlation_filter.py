@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from bayesnet_track.cue import (
+    ANGLE,
     Cue,
     CueDeclaration,
     Floats,
@@ -41,6 +42,8 @@ FOLLOW = 20.0
 """The usual answer falls toward the last one at so many times the learning rate; it rises at once."""
 LEAST_ANSWER = 0.1
 """The usual answer is at least this, of a wanted 1: nothing less is a target."""
+TURN_STEP = 15.0
+"""Between levels of rotation, degrees."""
 LEAST_CELL = 0.5
 """Side of a cell, px, at least: a smaller target is seen with more of its surroundings."""
 
@@ -96,13 +99,21 @@ class CorrelationFilter:
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """The filter that answers to this patch with a narrow peak in its middle."""
+        return self.learn_turned(planes, box, 0.0)
+
+    def learn_turned(self, planes: Planes, box: Floats, angle: float) -> Reference:
+        """The same for a target turned by `angle` degrees: the patch is cut out as turned, and so upright."""
         from bayesnet_track.vision.correlation import equations, gaussian_label
-        from bayesnet_track.vision.correlation_patches import patch_at
+        from bayesnet_track.vision.correlation_patches import patch_at, turned_patch_at
 
         p = self.parameters
         size = np.array(box[2:], dtype=np.float64)
         cell, mean = self._cell(size), np.sqrt(size[0] * size[1])
-        patch = patch_at(planes[WholeFrame()], float(box[0]), float(box[1]), cell, p.cells)
+        image, x, y = planes[WholeFrame()], float(box[0]), float(box[1])
+        if angle == 0.0:
+            patch = patch_at(image, x, y, cell, p.cells)
+        else:
+            patch = turned_patch_at(image, x, y, cell, p.cells, angle)
         off = (box[0] - patch.x) / patch.cell, (box[1] - patch.y) / patch.cell
         label = gaussian_label(p.cells, max(p.sd_answer * mean / cell, 0.3), *off)
         numerator, denominator = equations(patch.features * self._window(size), label)
@@ -143,17 +154,26 @@ class CorrelationFilter:
         """
         p, boxes = self.parameters, hypotheses.boxes
         share = _share_inside(boxes, planes.frame.width, planes.frame.height)
-        q = self.answers(planes, boxes, reference, share > 0.0) / float(reference["usual"])
+        answers = self.answers(planes, boxes, reference, share > 0.0, hypotheses.fields.get(ANGLE))
+        q = answers / float(reference["usual"])
         size = log_size_penalty(boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
         return floored(p.sharpness * (share * np.clip(q, 0.0, 1.0) - 1.0) + size, p.floor)
 
     def answers(
-        self, planes: Planes, boxes: Floats, reference: Reference, asked: NDArray[np.bool_]
+        self,
+        planes: Planes,
+        boxes: Floats,
+        reference: Reference,
+        asked: NDArray[np.bool_],
+        angles: Floats | None = None,
     ) -> Floats:
-        """(N,) answers of the filter to the centre boxes (N, 4); 0 for those that are not `asked`."""
+        """(N,) answers of the filter to the centre boxes (N, 4); 0 for those that are not `asked`.
+
+        With `angles` (N,), in degrees, those of the filter turned by as much.
+        """
         from bayesnet_track.numerics.correlation_kernels import read_answers
         from bayesnet_track.vision.correlation import answers, scaled_spectra, spectra
-        from bayesnet_track.vision.correlation_patches import patch_at
+        from bayesnet_track.vision.correlation_patches import patch_at, turned_features
 
         cells, image, values = self.parameters.cells, planes[WholeFrame()], np.zeros(len(boxes))
         around, size, kernel = cells + REACH, reference["size"], reference["kernel"]
@@ -161,22 +181,33 @@ class CorrelationFilter:
         tiles = np.floor((boxes[:, :2] - reference["place"]) / ((REACH - 4) * cell) + 0.5)
         tile_of = tiles @ [1.0, 2.0**20]  # one number is sorted faster than two
         log_scale = 0.5 * np.log(boxes[:, 2] * boxes[:, 3] / (size[0] * size[1]))
-        filters: dict[int, list[NDArray[np.float32]]] = {}
+        turns = _turns(len(boxes)) if angles is None else _turns_of(angles)
+        kernels: dict[int, NDArray[np.float32]] = {0: kernel}
+        filters: dict[tuple[int, int], list[NDArray[np.float32]]] = {}
         for tile in np.unique(tile_of[asked]):
             which = np.flatnonzero(asked & (tile_of == tile))
             x, y = reference["place"] + tiles[which[0]] * (REACH - 4) * cell
             patch = patch_at(image, float(x), float(y), cell, around)
             seen = spectra(patch.features)
             levels = np.clip((log_scale + np.log(cell / patch.cell)) / SCALE_STEP, -LEVELS, LEVELS)
-            lowest = int(np.floor(levels[which].min()))
-            maps = []
-            for level in range(lowest, int(np.ceil(levels[which].max())) + 1):
-                if level not in filters:
-                    filters[level] = scaled_spectra(kernel, float(np.exp(SCALE_STEP * level)), around)
-                maps.append(answers(seen, filters[level], cells))
             columns = (boxes[:, 0] - patch.x) / patch.cell + 0.5 * REACH
             rows = (boxes[:, 1] - patch.y) / patch.cell + 0.5 * REACH
-            read_answers(np.array(maps), lowest, columns, rows, levels, which, values)
+            for turn, share in turns.items():
+                some = which[share[which] > 0.0]
+                if not len(some):
+                    continue
+                lowest = int(np.floor(levels[some].min()))
+                maps = []
+                for level in range(lowest, int(np.ceil(levels[some].max())) + 1):
+                    if turn not in kernels:
+                        kernels[turn] = turned_features(kernel, TURN_STEP * turn)
+                    if (turn, level) not in filters:
+                        scale = float(np.exp(SCALE_STEP * level))
+                        filters[turn, level] = scaled_spectra(kernels[turn], scale, around)
+                    maps.append(answers(seen, filters[turn, level], cells))
+                read = np.zeros(len(boxes))
+                read_answers(np.array(maps), lowest, columns, rows, levels, some, read)
+                values[some] += share[some] * read[some]
         return values
 
     def _cell(self, size: Floats) -> float:
@@ -204,6 +235,25 @@ def _answer(kernel: NDArray[np.float32], patch: NDArray[np.float32]) -> float:
     return float(np.sum(kernel * patch, dtype=np.float64))
 
 
+def _turns(count: int) -> dict[int, Floats]:
+    return {0: np.ones(count)}
+
+
+def _turns_of(angles: Floats) -> dict[int, Floats]:
+    """Level of turn -> (N,) share of it in the answer at each angle: linear between the two nearest."""
+    steps = np.asarray(angles) / TURN_STEP
+    below = np.floor(steps)
+    part, around = steps - below, round(360.0 / TURN_STEP)
+    shares: dict[int, Floats] = {}
+    for above in (0, 1):
+        turns = (below.astype(np.int64) + above) % around
+        weights = part if above else 1.0 - part
+        for turn in np.unique(turns).tolist():
+            own = shares.setdefault(turn, np.zeros(len(steps)))
+            own += np.where(turns == turn, weights, 0.0)
+    return shares
+
+
 def _share_inside(boxes: Floats, width: int, height: int) -> Floats:
     """(N,) share of each centre box that lies inside the frame."""
     x, y, w, h = boxes.T
@@ -227,4 +277,5 @@ CUE = CueDeclaration(
     make=_make,
     cost_ms=3.0,
     rate_max=0.015,
+    reads_angle=True,
 )

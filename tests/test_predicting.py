@@ -10,6 +10,7 @@ import pytest
 from bayesnet_track.belief.attached import Attached
 from bayesnet_track.belief.carried import Carried
 from bayesnet_track.belief.jumps import Jumping
+from bayesnet_track.belief.rotating import Rotating
 from bayesnet_track.graph.messages import GraphError
 from bayesnet_track.journal.jump_events import Reappeared
 from bayesnet_track.planes import Frame, FramePair, PlaneCache
@@ -84,6 +85,25 @@ def test_the_camera_carries_the_states(fakes):
     motion = predicted(machine, None, known, False, 1.0, PlaneCache(FramePair(views[1], views[0]))).motion
     assert isinstance(motion, Carried)
     np.testing.assert_allclose(motion.drift(BOX[None], 1.0)[0], BOX - [4, 0, 0, 0], atol=0.1)
+
+
+def test_an_angle_is_beside_all_of_it(fakes):
+    """What the camera, the size and doubt say of the rest leaves the angle alone, and jumps keep it."""
+    rng = np.random.default_rng(2)
+    ground = np.kron(rng.integers(0, 256, (60, 60)), np.ones((5, 5))).astype(np.uint8)
+    views = [
+        Frame(n, float(n), np.dstack([ground[20:220, 20 + at : 260 + at]] * 3)) for n, at in ((0, 0), (1, 4))
+    ]
+    plain = machine_of(
+        fakes, camera="compensate", keep_size={"sd_scale": 0.3}, widen={}, recover={"by": "uniform"}
+    )
+    machine = replace(plain, motion=Rotating(plain.motion, 6.0))
+    known = outlook(machine, BOX, FramePair(views[0], None))
+    motion = predicted(machine, None, known, True, 1.0, PlaneCache(FramePair(views[1], views[0]))).motion
+    assert motion.fields == machine.motion.fields
+    assert isinstance(motion, Jumping) and isinstance(motion.motion, Rotating)
+    old = np.append(BOX, 40.0)[None]
+    np.testing.assert_allclose(motion.drift(old, 1.0)[0], [*(BOX - [4, 0, 0, 0]), 40.0], atol=0.1)
 
 
 def test_the_detector_is_shown_the_target_and_looks_for_it(fakes):

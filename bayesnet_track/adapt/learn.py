@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from bayesnet_track.adapt.conditions import read_level
-from bayesnet_track.cue import AnyCue, Floats, LocallyAdaptable, Reference, context_of
+from bayesnet_track.cue import AnyCue, Floats, LocallyAdaptable, Reference, Turnable, context_of
 from bayesnet_track.graph.spec import Learn
 from bayesnet_track.planes import PlaneCache, region_of_boxes
 
@@ -49,17 +49,19 @@ def learn_references(
     cache: PlaneCache,
     box: Floats,
     own: Mapping[str, Floats] = NO_PARTS,
+    angle: float = 0.0,
 ) -> tuple[dict[str, Reference], dict[str, str]]:
     """The references of all agents, active or not, each moved by its rate toward what its box holds now.
 
-    The box is that in `own`, of the part that the agent looks at, else `box`.
+    The box is that in `own`, of the part that the agent looks at, else `box`; the target in it is turned by
+    `angle` degrees.
 
     Planes are computed on the estimate and as much around it as the agent asks for, unless the hypotheses'
     own region holds that. An agent that fails keeps its reference; the second mapping says what was wrong.
     """
     moved, faults = _sorted_out(
         {
-            agent: _learnt(cues[agent], cache, own.get(agent, box), references[agent], rate)
+            agent: _learnt(cues[agent], cache, own.get(agent, box), references[agent], rate, angle)
             for agent, rate in rates.items()
             if rate > 0.0
         }
@@ -85,12 +87,21 @@ def adapt_reference(cue: LocallyAdaptable, reference: Reference, attempt: int) -
 
 
 def _learnt(
-    cue: AnyCue, cache: PlaneCache, box: Floats, old: Reference | None = None, rate: float = 1.0
+    cue: AnyCue,
+    cache: PlaneCache,
+    box: Floats,
+    old: Reference | None = None,
+    rate: float = 1.0,
+    angle: float = 0.0,
 ) -> Reference | str:
     """What the cue sees in the box, blended into the old reference; or what went wrong."""
     try:
         region = region_of_boxes(box[None, :], grow=context_of(cue))
-        seen = cue.learn(cache.planes(cue.needs, region), box.copy())
+        planes = cache.planes(cue.needs, region)
+        if angle != 0.0 and isinstance(cue, Turnable):
+            seen = cue.learn_turned(planes, box.copy(), angle)
+        else:
+            seen = cue.learn(planes, box.copy())
         return _checked(seen if old is None else cue.blend(old, seen, rate))
     except Exception as error:  # as in evaluation: a cue's fault must not end the run
         return f"raised {type(error).__name__} while learning: {error}"

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import Ancestors, Motion
 from bayesnet_track.belief.noise import Transition
 from bayesnet_track.belief.particle_set import ParticleSet
+from bayesnet_track.cue import ANGLE
 
 Floats = NDArray[np.float64]
 
@@ -65,7 +66,7 @@ class Attached:
         moved[carried, :2] = old[carried, :2] + self.displacement + noise
         if moved.shape[1] >= 6:
             moved[carried, 4:6] = self.displacement / dt
-        moved[carried, 6:] = 0.0
+        moved[carried, 6 : self._kinematic] = 0.0
         return with_column(moved, carried)
 
     def drift(self, states: Floats, dt: float) -> Floats:
@@ -103,10 +104,15 @@ class Attached:
         carried = states[:, -1] > 0
         if seeded.shape[1] >= 6:
             seeded[carried, 4:6] = self.displacement / dt
-            seeded[carried, 6:] = 0.0
+            seeded[carried, 6 : self._kinematic] = 0.0
         else:
             seeded[carried, :2] += self.displacement
         return seeded
+
+    @property
+    def _kinematic(self) -> int:
+        """Columns of a state up to its last derivative: an angle stays what it is."""
+        return len(self.motion.fields) - (ANGLE in self.motion.fields)
 
     def _carried(self, before: NDArray[np.bool_], dt: float, rng: np.random.Generator) -> NDArray[np.bool_]:
         """(N,) whether each is carried now: the chain over `dt`, its changes drawn systematically."""

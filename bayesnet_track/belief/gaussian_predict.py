@@ -9,6 +9,7 @@ from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Motion
 from bayesnet_track.belief.functions import FunctionMotion
 from bayesnet_track.belief.motion import KinematicMotion, linear_gaussian
+from bayesnet_track.belief.rotating import Rotating
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.gaussian import root, sigma_points, symmetric
 
@@ -81,6 +82,7 @@ def require_linear(motion: Motion) -> None:
         ValueError: it is not linear, or its noise is not Gaussian in px.
     """
     free = motion.motion if isinstance(motion, Confined) else motion
+    free = free.motion if isinstance(free, Rotating) else free
     if isinstance(free, KinematicMotion):
         linear_gaussian(free, 1.0)
     elif isinstance(free, FunctionMotion):

@@ -70,6 +70,23 @@ def belief_holds_the_motion(plate: Plate) -> Iterator[GraphMessage]:
                 yield plate.message(name, found, "importance: regular", key=here, on_key=True)
 
 
+def angle_is_seen(plate: Plate) -> Iterator[GraphMessage]:
+    """A grid has no cells for the angle; elsewhere some agent must read it."""
+    for name, key, settings in _moving(plate):
+        if settings.sd_angle_deg == 0:
+            continue
+        here = (*key, "sd_angle_deg")
+        belief = plate.inference[name].belief
+        if belief is not None and belief.grid is not None:
+            found = "sd_angle_deg beside a grid, which has no cells for angles"
+            yield plate.message(name, found, "particles or gaussian", key=here, on_key=True)
+        known = [plate.cues[node.agent.cue] for node in plate.agents.values() if node.agent.cue in plate.cues]
+        if not any(cue.reads_angle for cue in known):
+            able = sorted(cue.name for cue in plate.cues.values() if cue.reads_angle)
+            found = "sd_angle_deg, and no agent reads the angle"
+            yield plate.message(name, found, able or "no sd_angle_deg", key=here, on_key=True)
+
+
 def jumps_have_places(plate: Plate) -> Iterator[GraphMessage]:
     """`recover` needs noise of both x and y, and a detector that is installed and takes its parameters."""
     for name, key, settings in _moving(plate):
@@ -103,5 +120,6 @@ def jumps_have_places(plate: Plate) -> Iterator[GraphMessage]:
 MOTION_LAWS: tuple[Law, ...] = (
     size_is_drawn_back_from_somewhere,
     belief_holds_the_motion,
+    angle_is_seen,
     jumps_have_places,
 )

@@ -120,6 +120,10 @@ class Moving(Noise):
 
     widen: Widen | None = Field(default=None, description="more noise while unsure; default never")
     keep_size: KeepSize | None = Field(default=None, description="draws the size back; default nothing")
+    sd_angle_deg: NotNegative = Field(
+        default=0.0,
+        description="of the target's rotation in the picture, degrees; 0: the state has no angle",
+    )
     camera: Literal["compensate"] | None = Field(
         default=None, description="move hypotheses with the background's flow first; default not"
     )

@@ -20,7 +20,6 @@ from bayesnet_track.journal.jump_events import Reappeared
 from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
 from bayesnet_track.journal.part_metrics import PartMetrics
 
-
 JOURNAL_VERSION = 1
 
 
@@ -343,6 +342,8 @@ class FrameMetrics:
         silent: those of the active agents that measure and did not see the target.
         features: what a calibrated score was computed from; not written where it is an index.
         parts: node that is a part of the target -> its own estimate; not written where there are none.
+        angle: rotation in the picture since the first frame, degrees, clockwise; not written while it is 0,
+            as it is without `sd_angle_deg`.
         join: what the joint belief says of it; not written for a target that is not joined.
     """
 
@@ -373,4 +374,5 @@ class FrameMetrics:
     silent: tuple[str, ...] = ()
     features: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
     parts: Mapping[str, PartMetrics] = field(default_factory=dict, metadata={"left_out_when_empty": True})
+    angle: float = field(default=0.0, metadata={"left_out_when_empty": True})
     join: JoinMetrics | None = field(default=None, metadata={"left_out_when_empty": True})

@@ -61,6 +61,10 @@ def draw_overlay(image: Image, metrics: FrameMetrics, truth: ArrayLike | None = 
         if 2 * step <= min(high[0] - low[0], high[1] - low[1]):
             inner, outer = (low[0] + step, low[1] + step), (high[0] - step, high[1] - step)
             cv2.rectangle(drawn, inner, outer, DARK if step < 0 else colour, 1)
+    if metrics.angle != 0.0:
+        x, y, w, h = (float(np.clip(value, -REACH, 2 * REACH)) for value in metrics.box)
+        turned = np.rint(cv2.boxPoints(((x, y), (w, h), metrics.angle))).astype(np.int32)
+        cv2.polylines(drawn, [turned], True, colour, 1)
     _label(drawn, metrics, low, high, colour, scale)
     return np.asarray(drawn, dtype=np.uint8)
 

@@ -53,7 +53,7 @@ def patch_at(image: Bytes, x: float, y: float, cell: float, cells: int) -> Patch
     """
     import cv2
 
-    from bayesnet_track.numerics.gradient_kernels import CELL, normalised_cells, oriented_gradients
+    from bayesnet_track.numerics.gradient_kernels import CELL
 
     around = cells + 2  # a rim for the energy around a cell
     size = CELL * around
@@ -64,8 +64,76 @@ def patch_at(image: Bytes, x: float, y: float, cell: float, cells: int) -> Patch
     crop = _cut(image, left, top, side)
     if times > 1:  # first by whole pixels, so that nothing aliases
         crop = cv2.resize(crop, (side // times, side // times), interpolation=cv2.INTER_AREA)
-    resized = cv2.resize(crop, (size, size), interpolation=cv2.INTER_LINEAR)
+    resized = np.asarray(cv2.resize(crop, (size, size), interpolation=cv2.INTER_LINEAR), np.uint8)
+    return Patch(left + (side - 1) / 2, top + (side - 1) / 2, side / around, _features(resized, cells))
 
+
+def turned_patch_at(image: Bytes, x: float, y: float, cell: float, cells: int, angle: float) -> Patch:
+    """As `patch_at`, of a square that is turned by `angle` degrees, clockwise: it shows what was upright."""
+    import cv2
+
+    from bayesnet_track.numerics.gradient_kernels import CELL
+
+    size = CELL * (cells + 2)
+    scale = cell / CELL  # px per pixel of the patch
+    times = max(int(scale), 1)
+    side = -(-int(np.ceil(1.5 * scale * size)) // times) * times  # a square that holds the turned one
+    left, top = round(x - (side - 1) / 2), round(y - (side - 1) / 2)
+    crop = _cut(image, left, top, side)
+    if times > 1:
+        crop = cv2.resize(crop, (side // times, side // times), interpolation=cv2.INTER_AREA)
+    turn = scale / times * np.array([[_cos(angle), -_sin(angle)], [_sin(angle), _cos(angle)]])
+    middle = (np.array([x - left, y - top]) - (times - 1) / 2) / times
+    matrix = np.column_stack([turn, middle - turn @ np.full(2, (size - 1) / 2)])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    upright = cv2.warpAffine(crop, matrix, (size, size), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    return Patch(x, y, cell, _features(np.asarray(upright, np.uint8), cells))
+
+
+def turned_features(features: Singles, angle: float) -> Singles:
+    """(CHANNELS, S, S) features, or a filter over them, of what is turned by `angle` degrees, clockwise.
+
+    Places are bicubic about the middle, with nothing beyond; orientations turn with them, by
+    their harmonics.
+    """
+    import cv2
+
+    side = features.shape[1]
+    middle = (side - 1) / 2
+    turn = np.array([[_cos(angle), _sin(angle)], [-_sin(angle), _cos(angle)]])
+    matrix = np.column_stack([turn, middle - turn @ np.full(2, middle)])
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    placed = np.stack([cv2.warpAffine(one, matrix, (side, side), flags=flags) for one in features])
+    for first, count in ((0, ORIENTATIONS), (ORIENTATIONS, ORIENTATIONS // 2)):
+        own = placed[first : first + count].reshape(count, -1)
+        placed[first : first + count] = (_shift(count, angle * ORIENTATIONS / 360.0) @ own).reshape(
+            -1, side, side
+        )
+    return placed
+
+
+def _shift(count: int, steps: float) -> Singles:
+    """(count, count) matrix that moves values round a circle by `steps`, by their harmonics."""
+    spectrum = np.fft.rfft(np.eye(count), axis=0)
+    phases = np.exp(-2j * np.pi * np.arange(count // 2 + 1) * steps / count)
+    return np.fft.irfft(spectrum * phases[:, None], n=count, axis=0).astype(np.float32)
+
+
+def _cos(degrees: float) -> float:
+    return float(np.cos(np.radians(degrees)))
+
+
+def _sin(degrees: float) -> float:
+    return float(np.sin(np.radians(degrees)))
+
+
+def _features(resized: Bytes, cells: int) -> Singles:
+    """(CHANNELS, cells, cells) of a square of `cells` + 2 cells."""
+    import cv2
+
+    from bayesnet_track.numerics.gradient_kernels import normalised_cells, oriented_gradients
+
+    around = cells + 2
     histograms = np.empty((around, around, ORIENTATIONS), np.float32)
     oriented_gradients(cv2.cvtColor(resized, cv2.COLOR_BGR2GRAY), ORIENTATIONS, histograms)
     features = np.empty((CHANNELS, cells, cells), np.float32)
@@ -73,7 +141,7 @@ def patch_at(image: Bytes, x: float, y: float, cell: float, cells: int) -> Patch
     means = cv2.resize(resized, (around, around), interpolation=cv2.INTER_AREA)
     mixed = cv2.transform(means[1:-1, 1:-1].astype(np.float32), _MIXES)
     features[-3:] = np.moveaxis(mixed, 2, 0)
-    return Patch(left + (side - 1) / 2, top + (side - 1) / 2, side / around, features)
+    return features
 
 
 def _cut(image: Bytes, left: int, top: int, side: int) -> Bytes:

@@ -118,6 +118,7 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
     factor = st.floats(min_value=1, max_value=1e9, exclude_min=True)
     moving = {
         **noise,
+        "sd_angle_deg": sd,
         "widen": _mapping({}, {"above": level, "most": factor}),
         "keep_size": _mapping({}, {"sd_scale": positive, "sd_aspect": positive}),
         "camera": st.just("compensate"),

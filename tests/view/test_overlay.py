@@ -29,6 +29,16 @@ def test_the_box_is_drawn_on_the_pixels_it_covers(metrics, status):
     assert (rows[below].min(), rows[below].max()) == (95, 125)
 
 
+def test_a_turned_target_has_a_turned_box_too(metrics):
+    """By 90 degrees the sides of 41 x 31 change places: lower, and 15.5 columns from the middle."""
+    status = replace(metrics, status="tracking", cloud=())
+    rows, columns = pixels(draw_overlay(GRAY, replace(status, angle=90.0)), STATUS_COLOUR["tracking"])
+    upright = pixels(draw_overlay(GRAY, status), STATUS_COLOUR["tracking"])
+    assert max(rows) > max(upright[0]) + 3
+    below = columns[rows > max(upright[0])]
+    assert abs(below.min() - (154 - 15.5)) <= 1.5 and abs(below.max() - (154 + 15.5)) <= 1.5
+
+
 def test_the_two_statuses_look_different(metrics):
     lost = draw_overlay(GRAY, replace(metrics, status="lost"))
     assert not pixels(lost, STATUS_COLOUR["tracking"])[0].size
