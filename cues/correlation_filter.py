@@ -181,7 +181,7 @@ class CorrelationFilter:
         tiles = np.floor((boxes[:, :2] - reference["place"]) / ((REACH - 4) * cell) + 0.5)
         tile_of = tiles @ [1.0, 2.0**20]  # one number is sorted faster than two
         log_scale = 0.5 * np.log(boxes[:, 2] * boxes[:, 3] / (size[0] * size[1]))
-        turns = _turns(len(boxes)) if angles is None else _turns_of(angles)
+        turns = {0: np.ones(len(boxes))} if angles is None else _turns_of(angles)
         kernels: dict[int, NDArray[np.float32]] = {0: kernel}
         filters: dict[tuple[int, int], list[NDArray[np.float32]]] = {}
         for tile in np.unique(tile_of[asked]):
@@ -233,10 +233,6 @@ class CorrelationFilter:
 def _answer(kernel: NDArray[np.float32], patch: NDArray[np.float32]) -> float:
     """The answer to a patch in whose middle the target is."""
     return float(np.sum(kernel * patch, dtype=np.float64))
-
-
-def _turns(count: int) -> dict[int, Floats]:
-    return {0: np.ones(count)}
 
 
 def _turns_of(angles: Floats) -> dict[int, Floats]:
