@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.joins import JoinMemory, decide_joins
 from bayesnet_track.adapt.lifecycle import Life
-from bayesnet_track.claiming import Looked, look_first
 from bayesnet_track.graph.net import Net
-from bayesnet_track.joining import Together, join_all, reach_of, weigh_all
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.machinery import Engine, Machinery, make_engine
-from bayesnet_track.people import Population
+from bayesnet_track.nets.claiming import Looked, look_first
+from bayesnet_track.nets.joining import Together, join_all, reach_of, weigh_all
+from bayesnet_track.nets.people import Population
+from bayesnet_track.nets.population import live
+from bayesnet_track.nets.target import TargetState, Weighed, applied, conclude, recompiled, start
 from bayesnet_track.planes import Frame, FramePair, PlaneCache
-from bayesnet_track.population import live
-from bayesnet_track.target import TargetState, Weighed, applied, conclude, recompiled, start
 
 __all__ = [
     "Engine",
@@ -81,7 +81,7 @@ class Outcome:
 def start_target(
     engine: Engine, state: State, frame: Frame, target: str, template: str, box: Floats
 ) -> Outcome:
-    """Start a net for the target inside the centre box (4,) of `frame`; see `target.start`."""
+    """Start a net for the target inside the centre box (4,) of `frame`; see `nets.target.start`."""
     # Another target that started in this frame has made it the state's last one.
     previous = state.previous if state.previous is None or state.previous.index < frame.index else None
     born = start(engine, frame, previous, target, template, box)

@@ -10,8 +10,8 @@ from bayesnet_track.belief.particles import ParticleSet
 from bayesnet_track.graph.net import StatusChanged
 from bayesnet_track.graph.spec import Logistic, Slack
 from bayesnet_track.journal.codec import from_json, to_json
+from bayesnet_track.nets.score import FEATURES, probability, widened
 from bayesnet_track.numerics.log_weights import LogWeights
-from bayesnet_track.score import FEATURES, probability, widened
 
 TWO = {"root": {"fuse": "product", "ud_fields": ["x", "y"]}, "a": "root", "b": "root"}
 GONE = 15

@@ -13,11 +13,11 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.laws import check_graph
 from bayesnet_track.graph.write import as_plain
 from bayesnet_track.journal.events import FrameMetrics
+from bayesnet_track.nets.score import FEATURES, marginal_points
+from bayesnet_track.nets.target import weigh
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.planes import Frame, FramePair, PlaneCache
 from bayesnet_track.runtime.starts import Start, start_targets
-from bayesnet_track.score import FEATURES, marginal_points
-from bayesnet_track.target import weigh
 
 Floats = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ class Witness:
         iou: (n,) overlap of estimate and truth.
         features: name -> (n,) filtered features of the score.
         ud_box: (n,) UD at the root as a share of the estimate's area.
-        offsets: (n, 32, 2) true centre less quantiles of the belief's (`score.marginal_points`), in
+        offsets: (n, 32, 2) true centre less quantiles of the belief's (`nets.score.marginal_points`), in
             sqrt(w h) of the estimate.
         scores: (n,) the graph's own scores.
         status: status of each frame.

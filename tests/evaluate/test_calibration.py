@@ -19,7 +19,7 @@ from bayesnet_track.evaluate.calibration import (
 )
 from bayesnet_track.evaluate.fitting import fit, leave_one_out
 from bayesnet_track.evaluate.witness import Witness
-from bayesnet_track.score import FEATURES
+from bayesnet_track.nets.score import FEATURES
 
 
 @settings(max_examples=60, deadline=None)

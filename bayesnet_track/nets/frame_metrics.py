@@ -13,9 +13,9 @@ from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.journal.events import FrameMetrics
 from bayesnet_track.journal.join_events import JoinMetrics
 from bayesnet_track.journal.part_metrics import PartMetrics
+from bayesnet_track.nets.score import widened
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.planes import Frame
-from bayesnet_track.score import widened
 
 Floats = NDArray[np.float64]
 

@@ -27,7 +27,6 @@ from bayesnet_track.belief.contract import Motion, Posterior, Step
 from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.cue import ANGLE, Hypotheses, LocallyAdaptable, Reference
-from bayesnet_track.frame_metrics import first_frame_metrics, frame_metrics
 from bayesnet_track.graph.net import Decision, LocallyAdapted, Net, Quarantined, TargetStarted, apply
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
@@ -35,9 +34,10 @@ from bayesnet_track.inference.parts import nominal_boxes
 from bayesnet_track.journal.events import DegenerateBelief, Event, FrameMetrics
 from bayesnet_track.journal.join_events import JoinMetrics
 from bayesnet_track.machinery import Engine, Machinery
+from bayesnet_track.nets.frame_metrics import first_frame_metrics, frame_metrics
+from bayesnet_track.nets.predicting import Outlook, Predicted, outlook, predicted
+from bayesnet_track.nets.score import Scored, probability
 from bayesnet_track.planes import Frame, FramePair, PlaneCache
-from bayesnet_track.predicting import Outlook, Predicted, outlook, predicted
-from bayesnet_track.score import Scored, probability
 
 Floats = NDArray[np.float64]
 

@@ -28,16 +28,16 @@ from bayesnet_track.adapt.lifecycle import (
     time_to_die,
 )
 from bayesnet_track.adapt.recognise import Match, match
-from bayesnet_track.claiming import Looked
-from bayesnet_track.detecting import Found, look
 from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
 from bayesnet_track.graph.life_settings import Birth, LifeRules
 from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed
 from bayesnet_track.machinery import Engine
-from bayesnet_track.people import Population
+from bayesnet_track.nets.claiming import Looked
+from bayesnet_track.nets.detecting import Found, look
+from bayesnet_track.nets.people import Population
+from bayesnet_track.nets.recalling import compare
+from bayesnet_track.nets.target import TargetState, restart, start
 from bayesnet_track.planes import Frame, PlaneCache
-from bayesnet_track.recalling import compare
-from bayesnet_track.target import TargetState, restart, start
 
 Floats = NDArray[np.float64]
 

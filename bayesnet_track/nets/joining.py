@@ -40,10 +40,10 @@ from bayesnet_track.journal.join_events import (
     RingChanged,
 )
 from bayesnet_track.machinery import Engine
+from bayesnet_track.nets.target import TargetState, Weighed, weigh
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import resample
 from bayesnet_track.planes import Frame, PlaneCache
-from bayesnet_track.target import TargetState, Weighed, weigh
 
 Floats = NDArray[np.float64]
 

@@ -1,0 +1,1 @@
+"""The live nets of a frame: each target's step, joins, births and ends."""
