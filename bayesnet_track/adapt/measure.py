@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.conditions import Inside
 from bayesnet_track.adapt.parts import PartMeasure, measure_parts
-from bayesnet_track.belief.contract import BOX_FIELDS, Posterior, Step
+from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Posterior, Step
 from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
@@ -45,6 +45,8 @@ class Measures:
         inside: (node, radius in sqrt(w h) of its most probable state) -> what of its belief lies within, for
             the windows that its rules ask about.
         parts: part -> its measures, in nets with parts.
+        ud_without_px2: active agent -> UD of its governor's belief had it been switched off, about that
+            belief's most probable hypothesis; where a rule asks for it (`dearest_dispensable`).
     """
 
     ud_px2: Mapping[str, float]
@@ -57,6 +59,7 @@ class Measures:
     silent: tuple[str, ...] = ()
     inside: Mapping[tuple[str, float], Inside] = field(default_factory=dict)
     parts: Mapping[str, PartMeasure] = field(default_factory=dict)
+    ud_without_px2: Mapping[str, float] = field(default_factory=dict)
 
     def area_of(self, node: str) -> float:
         """Area of the estimate that a node is about: of the part, or of the whole target."""
@@ -110,7 +113,25 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
         silent=silent,
         inside=_insides(target, step, beliefs, parts),
         parts=at_parts,
+        ud_without_px2={
+            agent: _ud_without(target, governor, evidence, hypotheses, log)
+            for agent, governor, log in zip(agents, governors, logs[len(nodes) :], strict=True)
+            if _asks_for_the_dispensable(target, governor)
+        },
     )
+
+
+def _asks_for_the_dispensable(target: CheckedTarget, governor: str) -> bool:
+    rules = target.inference(governor).adapt
+    off = None if rules is None else rules.deactivate
+    return off is not None and off.drop == "dearest_dispensable"
+
+
+def _ud_without(
+    target: CheckedTarget, governor: str, evidence: Evidence, hypotheses: Hypotheses, log: Floats
+) -> float:
+    boxes = evidence.latent.get(governor, hypotheses).boxes
+    return _ud(target, governor, boxes, log, boxes[int(np.argmax(log))])
 
 
 def _that_see(

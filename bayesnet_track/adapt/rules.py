@@ -149,10 +149,9 @@ def _govern(now: Situation, memory: Memory, node: str, rules: Adapt, decisions: 
             down = memory.deactivate.get(node, down).then(found.below, found.value, frames)
         if found is not None and down.count >= frames and not fired:
             index = _drop_index(now, memory, node, rules.deactivate.drop, decisions)
-            if len(index) > rules.keep:
+            agent = _dropped(now, memory, node, rules, index) if len(index) > rules.keep else None
+            if agent is not None:
                 cause = found.cause_below(frames, down.values)
-                largest = rules.deactivate.drop == "largest_kl"
-                agent = (max if largest else min)(index, key=lambda name: index[name])
                 decisions.append(
                     Deactivated(now.frame, now.target, agent, node, cause, rules.deactivate.drop, index)
                 )
@@ -216,9 +215,31 @@ def _drop_index(
     ]
     if drop == "largest_kl":
         return {agent: now.measures.kl[agent] for agent in agents}
+    if drop == "dearest_dispensable":
+        return {agent: now.measures.ud_without_px2[agent] for agent in agents}
     if drop == "least_information_per_ms":
         return remembered_per_ms(memory.worth.get(node, Worth()), agents, now.costs_ms)
     return {agent: now.measures.contribution[agent] / now.costs_ms[agent] for agent in agents}
+
+
+def _dropped(
+    now: Situation, memory: Memory, node: str, rules: Adapt, index: Mapping[str, float]
+) -> str | None:
+    """The agent to switch off by its index; None where none can be spared."""
+    if rules.deactivate is None or rules.deactivate.drop != "dearest_dispensable":
+        largest = rules.deactivate is not None and rules.deactivate.drop == "largest_kl"
+        return (max if largest else min)(index, key=lambda name: index[name])
+    # Without it the rule that switches agents on would not call it back at once.
+    level = rules.deactivate.below if rules.activate is None else rules.activate.above
+    assert level is not None
+    quiet = quiet_level(now.plate, now.net, memory, node)
+    spared = [
+        agent
+        for agent, ud in index.items()
+        if (reading := read_level(level, ud, now.measures.area_of(node), quiet)) is not None
+        and reading.value < reading.level
+    ]
+    return max(spared, key=lambda agent: now.costs_ms[agent], default=None)
 
 
 def _wake(now: Situation, decisions: list[Decision]) -> None:

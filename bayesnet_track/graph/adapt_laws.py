@@ -59,4 +59,16 @@ def information_has_effect(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, "which: information_per_ms, or no explore", key=key, on_key=True)
 
 
-ADAPT_LAWS: tuple[Law, ...] = (tests_in_order, information_has_effect)
+def dispensable_by_levels(plate: Plate) -> Iterator[GraphMessage]:
+    """What can be spared is told by levels of UD, not by tests."""
+    for name, node in plate.inference.items():
+        adapt = node.adapt
+        if adapt is None or adapt.deactivate is None or adapt.deactivate.drop != "dearest_dispensable":
+            continue
+        if adapt.deactivate.below is None or (adapt.activate is not None and adapt.activate.above is None):
+            found = "drop: dearest_dispensable asks what UD would be, and a rule here goes by a test"
+            allowed = "levels of UD (above, below), or another drop"
+            yield plate.message(name, found, allowed, key=("adapt", "deactivate", "drop"))
+
+
+ADAPT_LAWS: tuple[Law, ...] = (tests_in_order, information_has_effect, dispensable_by_levels)

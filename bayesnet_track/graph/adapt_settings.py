@@ -77,10 +77,13 @@ class Deactivate(Model):
     frames: FrameCount = Field(
         default=5, description="consecutive frames below the level, or with what the test asks for"
     )
-    drop: Literal["largest_kl", "least_contribution_per_ms", "least_information_per_ms"] = Field(
+    drop: Literal[
+        "largest_kl", "least_contribution_per_ms", "least_information_per_ms", "dearest_dispensable"
+    ] = Field(
         default="largest_kl",
         description="largest KL(belief || agent); least KL(belief || belief without it) per declared cost in "
-        "this frame; or the same, averaged over the frames in which it was active",
+        "this frame; the same, averaged over the frames in which it was active; or the largest declared cost "
+        "among those without which UD, in this frame, would stay below the level that switches agents on",
     )
 
     @model_validator(mode="after")
@@ -116,9 +119,9 @@ class Guard(Model):
     """A second, slow reference per agent keeps the first one from learning its own errors.
 
     Agents that know the target by its looks have one; what another remembers, such as a speed, has to change.
-    In each `every`-th frame that would be learnt from, both score the estimate. Where the slow one's likelihood is lower by
-    more than `apart_nats`, the agent does not learn, and its reference moves toward the slow one by `pull`.
-    Else the slow one moves toward the first by `rate`.
+    In each `every`-th frame that would be learnt from, both score the estimate. Where the slow one's
+    likelihood is lower by more than `apart_nats`, the agent does not learn, and its reference moves toward
+    the slow one by `pull`. Else the slow one moves toward the first by `rate`.
     """
 
     rate: Annotated[Number, Field(ge=0, le=1)] = Field(

@@ -7,7 +7,16 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from bayesnet_track.graph.model import FrameCount, Model, NotNegative, Number, PluginChoice, Share, Truth, Whole
+from bayesnet_track.graph.model import (
+    FrameCount,
+    Model,
+    NotNegative,
+    Number,
+    PluginChoice,
+    Share,
+    Truth,
+    Whole,
+)
 
 
 class DetectorChoice(PluginChoice):
@@ -60,7 +69,7 @@ class Birth(Model):
     )
     covered: Share = Field(
         default=0.5,
-        description="share of the smaller box that two boxes have in common from which on they are one object",
+        description="share of the smaller box that two boxes have in common, from which on they are one",
     )
 
 

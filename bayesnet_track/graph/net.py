@@ -45,8 +45,8 @@ class ScoreCause:
         level: the level, a probability of being on target.
         score: the score at this frame.
         frames: how many consecutive frames it had to be below, or not to be below.
-        turning: the level at which the status would have stayed: at or below it when it fell, above it when it
-            rose.
+        turning: the level at which the status would have stayed: at or below it when the score fell, above it
+            when it rose.
         fell: whether the score fell below the level.
     """
 
@@ -141,7 +141,8 @@ class Deactivated:
         node: the agent.
         governor: the inference node whose rule fired.
         cause: the numbers.
-        drop: which index chose it: largest_kl, least_contribution_per_ms or least_information_per_ms.
+        drop: which index chose it: largest_kl, least_contribution_per_ms, least_information_per_ms or
+            dearest_dispensable.
         index: agent -> that index, for every active agent it was chosen among.
     """
 

@@ -95,6 +95,8 @@ def _told(trials: float) -> str:
 def _chosen_among(event: Deactivated) -> str:
     """Why this agent and not another: its index against that of the runner-up."""
     own = event.index.get(event.node)
+    if own is not None and event.drop == "dearest_dispensable":
+        return f" (the dearest that can be spared: UD {own:.3g} px² without it)"
     others = {name: value for name, value in event.index.items() if name != event.node}
     if own is None or not others:
         return ""
