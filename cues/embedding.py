@@ -161,9 +161,15 @@ def _make(parameters: EmbeddingParameters) -> Cue:
 
 
 def _missing(parameters: EmbeddingParameters) -> str | None:
-    from bayesnet_track.vision.embedding import missing_model
+    if not parameters.model:
+        return None
+    from bayesnet_track.vision.embedding import EmbeddingError
 
-    return missing_model(parameters.model)
+    try:
+        _make(parameters)
+    except EmbeddingError as error:
+        return str(error)
+    return None
 
 
 CUE = CueDeclaration(
