@@ -226,7 +226,7 @@ def test_gray_images_are_tracked_by_what_is_not_colour(cli, images, tmp_path):
     assert cli(f"run general --source {folder} --init {BOX} --quiet --out", out)[0] == 0
     assert next(read_events(out / "journal.jsonl")).has_color is False
     for metrics in list(read_metrics(out / "frames.jsonl"))[1:]:
-        assert metrics.status == "tracking" and metrics.strength["filter"] > 0.1
+        assert metrics.status == "tracking" and max(metrics.strength.values()) > 0.1
     assert abs(float(column(out, "x")[-1]) - 34) < 5
 
 
@@ -426,7 +426,7 @@ MISTAKES = {
         3,
         "{wrong}/bad.yaml:1:1: graph: key 'targets' is missing; allowed: a mapping, each a mapping with "
         "state, birth, duplicates, death, recall, nodes\n"
-        "{wrong}/bad.yaml:3:1: graph: unknown key 'targts'; allowed: bayesnet, name, about, targets; "
+        "{wrong}/bad.yaml:3:1: graph: unknown key 'targts'; allowed: bayesnet, name, about, targets, joins; "
         "nearest: targets",
     ),
     # a source, or a run, that cannot be read
