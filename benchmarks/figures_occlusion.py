@@ -32,6 +32,7 @@ from bayesnet_track.scenes import Scene, make_scene
 GRAY, COLOR_UD = "#15803d", "#b26a10"
 FRAMES = (4, 20, 23, 30)
 
+
 @cache
 def hidden() -> tuple[Scene, Trace]:
     """Both squares of Example 2, each with a copy of the library's `color_fusion`."""

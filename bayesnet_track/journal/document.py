@@ -16,7 +16,6 @@ from bayesnet_track.journal.events import JOURNAL_VERSION, FrameMetrics
 from bayesnet_track.journal.join_events import JoinMetrics
 from bayesnet_track.journal.part_metrics import PartMetrics
 
-
 _FIELD = re.compile(r"^    (\w+): (.*)$")
 
 
