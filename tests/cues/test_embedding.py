@@ -130,7 +130,7 @@ def test_a_model_that_does_not_fit_is_named(ask, tmp_path, content, message):
 def test_validate_is_told_of_a_missing_file(model):
     declaration = installed_cues()["embedding"]
     assert "none.onnx: no such model file" in declaration.missing(declaration.parameters(model="none.onnx"))
-    assert declaration.missing(declaration.parameters(model=model)) is None
+    assert declaration.missing(declaration.parameters(model=model, **INPUT)) is None
     assert declaration.missing(declaration.parameters()) is None
 
 
