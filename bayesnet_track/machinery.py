@@ -24,6 +24,7 @@ from bayesnet_track.cue import (
 )
 from bayesnet_track.detect.selection import Selected
 from bayesnet_track.detector import Detector, DetectorError, detectors_of_graphs, installed_detectors
+from bayesnet_track.executor import Executor, Serial
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.cue_laws import plugin_parameters
@@ -86,6 +87,7 @@ class Engine:
         detectors: what finds targets, by name and parameters; plates that want the same share it.
         clock: seconds, for timings only.
         joins: how targets depend on each other.
+        executor: how the agents of a frame are asked; changes no result.
     """
 
     machinery: Mapping[str, Machinery]
@@ -93,6 +95,7 @@ class Engine:
     clock: Callable[[], float] = time.perf_counter
     detectors: Mapping[str, Detector] = field(default_factory=dict)
     joins: tuple[Join, ...] = ()
+    executor: Executor = field(default_factory=Serial)
 
 
 def make_engine(

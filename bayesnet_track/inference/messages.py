@@ -46,8 +46,10 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
     measured: dict[str, Measurement | None] = {}
     faults: dict[str, str] = {}
     region = _region(at)
-    for step in plan.observations:
-        answer = observe(step, at[step.at], prior_log, region, observer)
+    answers = observer.executor.each(
+        lambda step: observe(step, at[step.at], prior_log, region, observer), plan.observations
+    )
+    for step, answer in zip(plan.observations, answers, strict=True):
         if isinstance(answer, str):
             faults[step.agent] = answer
         elif isinstance(answer, Measurement):

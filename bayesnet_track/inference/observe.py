@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Stream
 from bayesnet_track.cue import AnyCue, Hypotheses, Measurement, Reference
+from bayesnet_track.executor import Executor, Serial
 from bayesnet_track.inference.compile import Observe
 from bayesnet_track.planes import PlaneCache, Region
 
@@ -42,6 +43,7 @@ class Observer:
         measured: (agent, node) -> what an agent that measures answered at the hypotheses of the node: it is
             asked once a frame, however often the net is evaluated.
         faults: agent -> what was wrong with it in any evaluation of the frame; it is not asked again.
+        executor: how the agents are asked, which do not depend on each other.
     """
 
     cache: PlaneCache
@@ -53,6 +55,7 @@ class Observer:
     passes: Iterator[int] = field(default_factory=count)
     measured: MutableMapping[tuple[str, str], Answer] = field(default_factory=dict)
     faults: MutableMapping[str, str] = field(default_factory=dict)
+    executor: Executor = field(default_factory=Serial)
 
 
 def observe(

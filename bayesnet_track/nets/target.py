@@ -209,7 +209,15 @@ def weigh(
     machine = engine.machinery[net.targets[target].template]
     stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
     started = engine.clock()
-    observer = Observer(cache, machine.cues, before.references, stream, engine.clock, seconds)
+    observer = Observer(
+        cache,
+        machine.cues,
+        before.references,
+        stream,
+        engine.clock,
+        seconds,
+        executor=engine.executor,
+    )
     dt, is_lost = frame.time - before.time, net.targets[target].status == "lost"
     moves = predicted(machine, motion, before.outlook, is_lost, dt, cache)
     stepped = machine.belief.step(

@@ -1,0 +1,42 @@
+"""How the independent work of one frame is carried out: one piece after the other, or side by side.
+
+The engine hands over work whose pieces do not depend on each other (the agents that observe, those that
+learn) and takes back the results in the order of the pieces, so that an executor changes no result. One piece
+is never split: an agent sees all its hypotheses at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol, TypeVar
+
+Piece = TypeVar("Piece")
+Made = TypeVar("Made")
+
+
+class AgentUnavailable(Exception):
+    """An agent gave no answer for a reason outside of it: its process died, hangs, or is late.
+
+    Its answer is missing in one frame; other than a fault of the cue it says nothing about the next one, and
+    does not repeat when the run does.
+    """
+
+
+class Executor(Protocol):
+    """Carries out independent pieces of work."""
+
+    def each(self, work: Callable[[Piece], Made], pieces: Sequence[Piece]) -> list[Made]:
+        """`work` done for every piece; the results in the order of the pieces."""
+        ...
+
+
+class Serial:
+    """One piece after the other, in the caller's thread."""
+
+    def each(self, work: Callable[[Piece], Made], pieces: Sequence[Piece]) -> list[Made]:
+        """`work` done for every piece, in order.
+
+        >>> Serial().each(abs, [-1, 2])
+        [1, 2]
+        """
+        return [work(piece) for piece in pieces]
