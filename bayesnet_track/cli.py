@@ -10,6 +10,7 @@ from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdo
 from io import TextIOWrapper
 
 from bayesnet_track.arguments import cells, gradient, metres, share, whole_number
+from bayesnet_track.parsers.completion import add_completion
 from bayesnet_track.runtime.stop import StopRequest, Terminated
 
 EXIT_CODES = """\
@@ -231,6 +232,7 @@ def make_parser() -> argparse.ArgumentParser:
         "--set", action="append", default=[], metavar="KEY=VALUE", help="a parameter of the cue, as YAML"
     )
     _add_window_options(stereo)
+    add_completion(commands)
     return parser
 
 

@@ -15,6 +15,7 @@ from bayesnet_track.commands.answer import (
     words,
 )
 from bayesnet_track.commands.calibrate import calibrate
+from bayesnet_track.commands.completion import completion
 from bayesnet_track.commands.detect import detect
 from bayesnet_track.commands.fit import fit
 from bayesnet_track.commands.graphs import graph, list_installed, schema, validate
@@ -33,6 +34,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "list": list_installed,
     "log": log,
     "calibrate": calibrate,
+    "completion": completion,
     "detect": detect,
     "fit": fit,
     "score": score,

@@ -1,0 +1,1 @@
+"""Parsers of single commands, one file each: argparse only, so that `--help` stays quick."""
