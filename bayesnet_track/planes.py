@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any, Protocol
 
 import numpy as np
@@ -192,6 +193,9 @@ class PlaneCache:
     Once an image-like plane was computed on MANY regions, or on regions that add up to the frame, it is
     computed on the whole frame: then many targets cost no more than a few, and no region needs to be looked
     for among all others.
+
+    Threads may share it. Each plane has a lock of its own, so that two planes are computed side by side and
+    one that several ask for is computed once; planes form a graph without circles, and so do their locks.
     """
 
     def __init__(self, frames: FramePair) -> None:
@@ -199,6 +203,7 @@ class PlaneCache:
         self._whole = Region(0, 0, frames.current.width, frames.current.height)
         self._held: dict[Plane, list[tuple[Region, Array]]] = {}
         self._spent: dict[Plane, int] = {}
+        self._locks: dict[Plane, Lock] = {}
 
     def planes(self, wanted: Iterable[Plane], region: Region) -> Planes:
         """The planes `wanted`, all on `region` cut to the frame."""
@@ -207,6 +212,10 @@ class PlaneCache:
         return Planes(frame, inside, {plane: self._on(plane, inside) for plane in wanted})
 
     def _on(self, plane: Plane, region: Region) -> Array:
+        with self._locks.setdefault(plane, Lock()):
+            return self._found_or_made(plane, region)
+
+    def _found_or_made(self, plane: Plane, region: Region) -> Array:
         held = self._held.setdefault(plane, [])
         for covered, values in held:
             if covered.contains(region):

@@ -9,10 +9,12 @@ import numpy as np
 
 from bayesnet_track.adapt.conditions import read_level
 from bayesnet_track.cue import AnyCue, Floats, LocallyAdaptable, Reference, Turnable, context_of
+from bayesnet_track.executor import Executor, Serial
 from bayesnet_track.graph.spec import Learn
 from bayesnet_track.planes import PlaneCache, region_of_boxes
 
 NO_PARTS: Mapping[str, Floats] = {}
+SERIAL = Serial()
 
 
 def learning_rate(rule: Learn | None, ud_px2: float, area_px2: float, quiet_px2: float | None) -> float:
@@ -33,13 +35,18 @@ def learning_rate(rule: Learn | None, ud_px2: float, area_px2: float, quiet_px2:
 
 
 def learn_first(
-    cues: Mapping[str, AnyCue], cache: PlaneCache, box: Floats, own: Mapping[str, Floats] = NO_PARTS
+    cues: Mapping[str, AnyCue],
+    cache: PlaneCache,
+    box: Floats,
+    own: Mapping[str, Floats] = NO_PARTS,
+    executor: Executor = SERIAL,
 ) -> tuple[dict[str, Reference], dict[str, str]]:
     """Every agent's first reference, and what was wrong with those that failed.
 
     It is learnt from the centre box (4,) in `own`, of the part that the agent looks at, else from `box`.
     """
-    return _sorted_out({agent: _learnt(cue, cache, own.get(agent, box)) for agent, cue in cues.items()})
+    outcomes = executor.each(lambda agent: _learnt(cues[agent], cache, own.get(agent, box)), list(cues))
+    return _sorted_out(dict(zip(cues, outcomes, strict=True)))
 
 
 def learn_references(
@@ -50,6 +57,7 @@ def learn_references(
     box: Floats,
     own: Mapping[str, Floats] = NO_PARTS,
     angle: float = 0.0,
+    executor: Executor = SERIAL,
 ) -> tuple[dict[str, Reference], dict[str, str]]:
     """The references of all agents, active or not, each moved by its rate toward what its box holds now.
 
@@ -59,13 +67,14 @@ def learn_references(
     Planes are computed on the estimate and as much around it as the agent asks for, unless the hypotheses'
     own region holds that. An agent that fails keeps its reference; the second mapping says what was wrong.
     """
-    moved, faults = _sorted_out(
-        {
-            agent: _learnt(cues[agent], cache, own.get(agent, box), references[agent], rate, angle)
-            for agent, rate in rates.items()
-            if rate > 0.0
-        }
+    learning = [agent for agent, rate in rates.items() if rate > 0.0]
+    outcomes = executor.each(
+        lambda agent: _learnt(
+            cues[agent], cache, own.get(agent, box), references[agent], rates[agent], angle
+        ),
+        learning,
     )
+    moved, faults = _sorted_out(dict(zip(learning, outcomes, strict=True)))
     return {**references, **moved}, faults
 
 

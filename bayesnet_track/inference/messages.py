@@ -15,7 +15,7 @@ from bayesnet_track.graph.spec import Noise
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.gaussian_messages import latent_gaussian, measurement_message, to_power
 from bayesnet_track.inference.latent_messages import grid_message, kernel_message
-from bayesnet_track.inference.observe import Observer, observe
+from bayesnet_track.inference.observe import Observer, observe, remember
 from bayesnet_track.inference.parts import part_boxes
 from bayesnet_track.planes import Region, region_of_boxes
 
@@ -50,6 +50,7 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
         lambda step: observe(step, at[step.at], prior_log, region, observer), plan.observations
     )
     for step, answer in zip(plan.observations, answers, strict=True):
+        remember(step, answer, observer)
         if isinstance(answer, str):
             faults[step.agent] = answer
         elif isinstance(answer, Measurement):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from itertools import count
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,10 @@ ROUNDING = 1e-6
 
 ZERO_BELOW = -1e100
 """A log-likelihood below this is a likelihood of zero, so that sums of them stay finite."""
+
+
+CHARGING = Lock()
+"""Held while seconds are added up: agents are asked side by side, and several charge the planes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +76,15 @@ def observe(
         return observer.faults[step.agent]
     if key in observer.measured:
         return observer.measured[key]
-    answer = _asked(step, hypotheses, prior_log, region, observer)
+    return _asked(step, hypotheses, prior_log, region, observer)
+
+
+def remember(step: Observe, answer: Answer, observer: Observer) -> None:
+    """Keep what is asked once a frame only. It is called in the order of the plan, whoever answered first."""
     if isinstance(answer, str):
-        observer.faults[step.agent] = answer
+        observer.faults.setdefault(step.agent, answer)
     elif step.measures:
-        observer.measured[key] = answer
-    return answer
+        observer.measured.setdefault((step.agent, step.at), answer)
 
 
 def _asked(
@@ -103,7 +111,8 @@ def _asked(
 
 def _charge(observer: Observer, part: str, started: float) -> float:
     now = observer.clock()
-    observer.seconds[part] = observer.seconds.get(part, 0.0) + now - started
+    with CHARGING:
+        observer.seconds[part] = observer.seconds.get(part, 0.0) + now - started
     return now
 
 

@@ -27,6 +27,7 @@ from bayesnet_track.belief.contract import Motion, Posterior, Step
 from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.cue import ANGLE, Hypotheses, LocallyAdaptable, Reference
+from bayesnet_track.executor import Executor
 from bayesnet_track.graph.net import Decision, LocallyAdapted, Net, Quarantined, TargetStarted, apply
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
@@ -135,7 +136,7 @@ def start(
     parts = {part: _inside(at, frame) for part, at in nominal_boxes(machine.plate, box).items()}
     own = {agent: parts[part] for agent, part in machine.part_of.items()}
     unknown = {agent: cue for agent, cue in machine.cues.items() if agent not in known}
-    learnt, faults = learn_first(unknown, PlaneCache(FramePair(frame, previous)), box, own)
+    learnt, faults = learn_first(unknown, PlaneCache(FramePair(frame, previous)), box, own, engine.executor)
     references = {**learnt, **known}
     if not frame.has_color:
         faults |= dict.fromkeys(sorted(machine.color_agents), "needs colour, and the source is gray")
@@ -173,7 +174,7 @@ def restart(
     placed = {agent: cue for agent, cue in machine.cues.items() if agent not in machine.looks}
     parts = {part: _inside(at, frame) for part, at in nominal_boxes(machine.plate, box).items()}
     own = {agent: parts[part] for agent, part in machine.part_of.items()}
-    learnt, _ = learn_first(placed, PlaneCache(FramePair(frame, previous)), box, own)
+    learnt, _ = learn_first(placed, PlaneCache(FramePair(frame, previous)), box, own, engine.executor)
     return replace(
         before,
         belief=machine.belief.start(box, Confined(machine.motion, frame.width, frame.height), stream),
@@ -292,7 +293,9 @@ def conclude(
     }
     own = {agent: _inside(measures.parts[part].box, frame) for agent, part in machine.part_of.items()}
     at = hypotheses_of(np.concatenate([box, state[4:]])[None], stepped.posterior.fields)
-    references, watched, judged, decisions = _learn(now, machine, before, rates, cache, at, own, chosen)
+    references, watched, judged, decisions = _learn(
+        now, machine, before, rates, cache, at, own, chosen, engine.executor
+    )
     _charge(engine, seconds, "learn", started)
 
     ahead = weighed.predicted.after(measures.ud_px2[machine.plate.root], measures.area_px2, quiet)
@@ -348,6 +351,7 @@ def _learn(
     at: Hypotheses,
     own: Mapping[str, Floats],
     chosen: tuple[Decision, ...],
+    executor: Executor,
 ) -> tuple[dict[str, Reference], Watched, Judged, tuple[Decision, ...]]:
     """Move all references that are guarded by none or agree with their guard, then carry out local actions.
 
@@ -360,7 +364,7 @@ def _learn(
     judged = judge(before.watched, before.references, machine.cues, rates, cache, at, machine.guard, own)
     free = {agent: rate for agent, rate in rates.items() if agent not in judged.held}
     moved, faults = learn_references(
-        before.references, machine.cues, free, cache, at.boxes[0], own, _angle(at)
+        before.references, machine.cues, free, cache, at.boxes[0], own, _angle(at), executor
     )
     moved, watched, failed = guard(before.watched, judged, moved, machine.cues, rates, machine.guard)
     faults |= failed
