@@ -14,6 +14,7 @@ from typing import Any
 
 import av
 import numpy as np
+from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
 from bayesnet_track.runtime.frames import Damage, Picture, PictureError, SourceError
@@ -60,6 +61,8 @@ class VideoReader:
         self.declared_frames = self._declared.frames
         self.frame_interval_s = self._timing.interval_s
         self.gap_from = self._timing.gap_from
+        # One for all: each would start threads of its own, which end only when the frame is collected.
+        self._reformatter = VideoReformatter()
         self._index = 0
         self._packets = 0
         self._silent = 0
@@ -136,7 +139,7 @@ class VideoReader:
                 self._index, f"a frame's time, {seconds:.3f} s, is past the declared end, {limit:.3f} s"
             )
         self._end_s = max(self._end_s, seconds + self.frame_interval_s)
-        return Picture(self._index, time, seconds, partial(pixels_of, frame))
+        return Picture(self._index, time, seconds, partial(pixels_of, frame, self._reformatter))
 
     def _ending(self) -> Iterator[Damage]:
         frames, duration = self._stream.frames, self._declared.duration_s
@@ -158,7 +161,7 @@ class VideoReader:
             yield Damage(self._index, reason, True)
 
 
-def pixels_of(frame: Any) -> tuple[NDArray[np.uint8], bool]:
+def pixels_of(frame: Any, reformatter: Any) -> tuple[NDArray[np.uint8], bool]:
     """The pixels of a decoded frame, upright, as ((H, W, 3) uint8 BGR, has_color).
 
     Raises:
@@ -166,7 +169,7 @@ def pixels_of(frame: Any) -> tuple[NDArray[np.uint8], bool]:
     """
     has_color = not frame.format.name.startswith(("gray", "mono", "ya8", "ya16"))
     try:
-        image = frame.to_ndarray(format="bgr24" if has_color else "gray")
+        image = reformatter.reformat(frame, format="bgr24" if has_color else "gray").to_ndarray()
     except FAULTS as error:
         raise PictureError(f"a frame cannot be converted: {_words(error)}") from error
     if not has_color:
@@ -176,11 +179,12 @@ def pixels_of(frame: Any) -> tuple[NDArray[np.uint8], bool]:
 
 def _quarter_turns(frame: Any) -> int:
     """How many quarter turns against the clock bring the stored picture upright."""
-    stored = frame.side_data.get("DISPLAYMATRIX")
-    if stored is None:
-        return 0
-    matrix = np.frombuffer(stored, dtype=np.int32)
-    return round(-math.atan2(matrix[1], matrix[0]) / (math.pi / 2)) % 4
+    degrees = getattr(frame, "rotation", None)
+    if degrees is None:  # PyAV 12; asking for side data leaves frames to the garbage collector
+        stored = frame.side_data.get("DISPLAYMATRIX")
+        matrix = np.array([1, 0]) if stored is None else np.frombuffer(stored, dtype=np.int32)
+        degrees = math.degrees(-math.atan2(matrix[1], matrix[0]))
+    return round(degrees / 90) % 4
 
 
 def _open(text: str, network: bool) -> Any:
