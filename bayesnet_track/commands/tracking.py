@@ -61,15 +61,14 @@ def demo(options: argparse.Namespace) -> int:
     from bayesnet_track.runtime.rundir import RunDirectory
     from bayesnet_track.runtime.scene_source import SceneSource
     from bayesnet_track.runtime.starts import has_births
-    from bayesnet_track.scenes import make_scene
 
     with users_mistake():
-        scene = make_scene(options.scene, seed=options.seed)
+        source = SceneSource.named(options.scene, options.seed, options.end)
+    scene = source.scene
     graph = load_graph(options.graph or SCENE_GRAPHS.get(options.scene, "two_squares"))
     # Only what an earlier demo wrote there is replaced without being asked to.
     out = Path(options.out or f"runs/{options.scene}")
     options.overwrite = options.overwrite or options.out is None
-    source = SceneSource(scene, f"scene:{options.scene}", options.end)
     starts = [Start(box, plate) for plate, box in scene.starts if plate in graph.targets]
     starts = [] if has_births(graph) else starts or [Start(scene.start_box)]
     code = _track(options, graph, source, starts, out, video=True)

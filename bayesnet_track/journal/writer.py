@@ -32,7 +32,7 @@ class LineFile:
         try:
             self._file = path.open("wb", buffering=0)
         except OSError as error:
-            raise _output_error(path, error) from error
+            raise output_error(path, error) from error
 
     def append(self, line: str) -> None:
         """Add a line (without its newline) to the next flush."""
@@ -51,7 +51,7 @@ class LineFile:
         except OSError as error:
             with suppress(OSError):
                 self._file.truncate(self._size)
-            raise _output_error(self.path, error) from error
+            raise output_error(self.path, error) from error
         self._size += done
 
     def close(self) -> None:
@@ -81,7 +81,8 @@ class JournalWriter(LineFile):
         self.append(to_json(event))
 
 
-def _output_error(path: Path, error: OSError) -> OutputError:
+def output_error(path: Path, error: OSError) -> OutputError:
+    """What the system said of a file that cannot be written."""
     return OutputError(
         error.errno, f"cannot write: {error.strerror or os.strerror(error.errno or 0)}", str(path)
     )

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from bayesnet_track.depth import Depth
 from bayesnet_track.journal.events import FrameSizeChanged, FramesMissing, SourceDamaged
 from bayesnet_track.planes import Frame
+from bayesnet_track.runtime.origin import Origin
 
 SourceItem = Frame | FramesMissing | FrameSizeChanged | SourceDamaged
 OnResize = Literal["stop", "rescale"]
@@ -124,15 +125,22 @@ class Source:
         frame_interval_s: nominal seconds between frames.
         frames: frames handed out so far.
         end_reason: why it ended, in the words of `RunEnded.reason`; end_of_source while nothing is wrong.
+        origin: how it was opened, where it can be opened again.
 
     Raises:
         SourceError: no frame can be read.
     """
 
     def __init__(
-        self, description: str, reader: Reader, start: int | None, end: int | None, on_resize: OnResize
+        self,
+        description: str,
+        reader: Reader,
+        start: int | None,
+        end: int | None,
+        on_resize: OnResize,
+        origin: Origin | None = None,
     ) -> None:
-        self.description = description
+        self.description, self.origin = description, origin
         self.declared_frames = reader.declared_frames
         self.frame_interval_s = reader.frame_interval_s
         self.frames = 0

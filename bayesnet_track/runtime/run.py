@@ -5,8 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import version
-from platform import python_version
 from types import MappingProxyType
 from typing import Protocol
 
@@ -26,6 +24,7 @@ from bayesnet_track.journal.events import (
 from bayesnet_track.planes import Frame
 from bayesnet_track.runtime.frames import EndReason, SourceItem
 from bayesnet_track.runtime.starts import Start, StartError, check_starts, start_targets
+from bayesnet_track.runtime.versions import versions
 
 __all__ = ["FrameSource", "Result", "Sink", "Start", "StartError", "Summary", "run"]
 
@@ -236,14 +235,6 @@ def _run_started(
         declared_frames=source.expected_frames,
         frame_interval_s=source.frame_interval_s,
         costs_ms=MappingProxyType(costs),
-        versions=_versions(),
+        versions=versions(),
         inputs=inputs,
     )
-
-
-def _versions() -> dict[str, str]:
-    """Versions of what touches numbers."""
-    import cv2
-
-    names = ("bayesnet-track", "numpy", "numba", "av")
-    return {"python": python_version(), **{name: version(name) for name in names}, "opencv": cv2.__version__}

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Self
 
 FILES = {
+    "recipe": "run.json",
     "journal": "journal.jsonl",
     "frames": "frames.jsonl",
     "mot": "tracks.txt",
@@ -96,6 +97,11 @@ class RunDirectory:
             path.write_text(text, encoding="utf-8", newline="\n")
         except OSError as error:
             raise RunDirectoryError(f"{path}: cannot write: {error.strerror}") from error
+
+    @property
+    def recipe(self) -> Path:
+        """What was asked for; see `runtime.recipe`."""
+        return self.path / FILES["recipe"]
 
     @property
     def journal(self) -> Path:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Self
 
 from bayesnet_track.planes import Frame
 from bayesnet_track.runtime.frames import EndReason
-from bayesnet_track.scenes import Scene
+from bayesnet_track.runtime.origin import Origin
+from bayesnet_track.scenes import Scene, make_scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,6 +20,7 @@ class SceneSource:
         scene: the scene.
         description: how the journal names it.
         end: frame to stop before; None is the scene's end.
+        origin: how it can be made again; None for a scene of one's own.
     """
 
     scene: Scene
@@ -25,6 +28,13 @@ class SceneSource:
     end: int | None = None
     frame_interval_s: float = 0.04
     end_reason: EndReason = "end_of_source"
+    origin: Origin | None = None
+
+    @classmethod
+    def named(cls, name: str, seed: int = 0, end: int | None = None) -> Self:
+        """The built-in scene of this name; raises ValueError when there is none."""
+        origin = Origin("scene", name, f"scene:{name}", end=end, seed=seed)
+        return cls(make_scene(name, seed=seed), origin.description, end, origin=origin)
 
     @property
     def expected_frames(self) -> int:

@@ -16,6 +16,7 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.runtime.detection_files import file_detector
+from bayesnet_track.runtime.recipe import make_recipe
 from bayesnet_track.runtime.record import Recorder
 from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
 from bayesnet_track.runtime.rundir import RunDirectory
@@ -88,6 +89,15 @@ def track(
         told: list[Sink] = list(sinks)
         if out is not None:
             directory = RunDirectory.create(str(out), overwrite)
+            make_recipe(
+                checked,
+                opened,
+                starts,
+                seed,
+                detections=detections,
+                has_video=video,
+                own_motion=motion is not None,
+            ).write(directory)
             told.append(stack.enter_context(Recorder(directory, checked, opened.frame_interval_s, video)))
         yield from run(
             checked, opened, starts, seed=seed, sinks=told, summary=summary, engine=engine, inputs=inputs

@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 
 from bayesnet_track.runtime.frames import OnResize, Reader, Source, SourceError, SourceItem
+from bayesnet_track.runtime.origin import Origin
 
 __all__ = ["Source", "SourceError", "SourceItem", "open_source"]
 
@@ -38,7 +39,8 @@ def open_source(
         SourceError: nothing can be read there; says what was found, what is allowed and how to mend it.
     """
     check_range(text, start, end)
-    return Source(text, make_reader(text, allow_network), start, end, on_resize)
+    origin = Origin("plain", text, text, start, end, on_resize, allow_network)
+    return Source(text, make_reader(text, allow_network), start, end, on_resize, origin)
 
 
 def check_range(text: str, start: int | None, end: int | None) -> None:
@@ -86,17 +88,40 @@ def make_reader(text: str, allow_network: bool) -> Reader:
     except OSError as error:
         raise SourceError(text, f"{error.strerror}", KINDS, "check the name") from error
     if glob.has_magic(text):
-        found = [Path(name) for name in glob.glob(text, recursive=True)]  # noqa: PTH207 (keeps absolute patterns)
-        images = [name for name in found if name.suffix.lower() in IMAGE_SUFFIXES and name.is_file()]
-        if images:
-            return _images(text, images)
-        raise SourceError(
-            text,
-            f"the pattern matches {len(found)} files, none of them an image",
-            f"images ({' '.join(sorted(IMAGE_SUFFIXES))})",
-            "quote the pattern so that the shell leaves it alone, and check it",
-        )
+        return _images(text, _matching(text))
     raise SourceError(text, "no such file or folder", KINDS, _nearest(path))
+
+
+def is_file(text: str) -> bool:
+    """True for what names files: no camera and no URL."""
+    return not (text.isascii() and text.isdigit()) and _SCHEME.match(text) is None
+
+
+def files_of(text: str) -> list[Path]:
+    """The files that a path or a glob names, images in the order of the frames; raises SourceError."""
+    from bayesnet_track.runtime.images import natural_key
+
+    path = Path(text)
+    if path.is_dir():
+        return sorted(_in_folder(text, path), key=natural_key)
+    if path.is_file():
+        return [path]
+    if glob.has_magic(text):
+        return sorted(_matching(text), key=natural_key)
+    raise SourceError(text, "no such file or folder", KINDS, _nearest(path))
+
+
+def _matching(text: str) -> list[Path]:
+    found = [Path(name) for name in glob.glob(text, recursive=True)]  # noqa: PTH207 (keeps absolute patterns)
+    images = [name for name in found if name.suffix.lower() in IMAGE_SUFFIXES and name.is_file()]
+    if images:
+        return images
+    raise SourceError(
+        text,
+        f"the pattern matches {len(found)} files, none of them an image",
+        f"images ({' '.join(sorted(IMAGE_SUFFIXES))})",
+        "quote the pattern so that the shell leaves it alone, and check it",
+    )
 
 
 def _check_scheme(text: str, scheme: str, allow_network: bool) -> None:

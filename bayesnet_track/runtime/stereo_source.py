@@ -27,6 +27,7 @@ from bayesnet_track.runtime.frames import (
     SourceError,
 )
 from bayesnet_track.runtime.images import ImageReader, times_of
+from bayesnet_track.runtime.origin import Kind, Origin
 from bayesnet_track.runtime.sources import check_range, make_reader
 from bayesnet_track.vision.stereo import RectifiedPair, Rectifier, read_calibration
 
@@ -88,8 +89,8 @@ def open_stereo_source(
         elif depth is not None:
             description, paths = f"{left} with depth {depth}", depth_files(depth)
             _check_alike(first, paths, left, depth)
-            pair = rectifier if isinstance(rectifier, RectifiedPair) else None
-            reader = Joined(left, first, partial(measured, paths, pair))
+            rectified = rectifier if isinstance(rectifier, RectifiedPair) else None
+            reader = Joined(left, first, partial(measured, paths, rectified))
         else:
             assert right is not None and rectifier is not None
             description, second = f"{left} + {right}", make_reader(right, allow_network)
@@ -99,7 +100,12 @@ def open_stereo_source(
     except BaseException:
         first.close()
         raise
-    return Source(description, reader, start, end, on_resize)
+    kind: Kind = "side_by_side" if side_by_side else "right" if depth is None else "depth"
+    pair = None if calibration is None else str(calibration)
+    origin = Origin(
+        kind, left, description, start, end, on_resize, allow_network, right, depth, calibration=pair
+    )
+    return Source(description, reader, start, end, on_resize, origin)
 
 
 def check_depth(engine: Engine, source: object) -> None:

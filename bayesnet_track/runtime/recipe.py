@@ -1,0 +1,213 @@
+"""The recipe of a run: everything that was asked for and that changes its results, in ``run.json``.
+
+With graph.yaml beside it, it is enough to do the same again: to go on where a run stopped, to ask what would
+have been, to see the frames.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cache
+from os import PathLike
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.write import graph_sha256
+from bayesnet_track.runtime.atomic import write_atomically
+from bayesnet_track.runtime.origin import Origin
+from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
+from bayesnet_track.runtime.starts import Start
+from bayesnet_track.runtime.versions import versions
+
+if TYPE_CHECKING:
+    from bayesnet_track.runtime.frames import Source
+    from bayesnet_track.runtime.run import FrameSource
+    from bayesnet_track.runtime.scene_source import SceneSource
+
+RECIPE_VERSION = 1
+
+
+class RecipeError(ValueError):
+    """A ``run.json`` that is not there, not of this version, or does not go with what lies beside it."""
+
+
+@dataclass(frozen=True)
+class DetectionsFile:
+    """A file of detections from outside: its path as given and from the root, and its content."""
+
+    path: str
+    absolute: str
+    sha256: str
+
+    @property
+    def place(self) -> Path:
+        """Where it is now: where it was, or as given where that is gone."""
+        return Path(self.absolute) if Path(self.absolute).exists() else Path(self.path)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What was asked for.
+
+    Attributes:
+        graph: name of the graph, whose text is in graph.yaml.
+        graph_sha256: of its canonical text.
+        origin: how the source was opened, and what it held.
+        starts: start boxes; empty where the graph has births.
+        seed: seed of all randomness.
+        detections: the file of detections for births by them, or None.
+        has_video: whether the annotated video was asked for.
+        own_motion: whether a motion model of one's own stood in for the graph's.
+        options: what else was asked for that changes results, by name.
+        versions: library -> version.
+        recipe: version of this format.
+    """
+
+    graph: str
+    graph_sha256: str
+    origin: Origin
+    starts: tuple[Start, ...] = ()
+    seed: int = 0
+    detections: DetectionsFile | None = None
+    has_video: bool = False
+    own_motion: bool = False
+    options: Mapping[str, bool | int | float | str] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=versions)
+    recipe: int = RECIPE_VERSION
+
+    @property
+    def sha256(self) -> str:
+        """Of the text that `write` writes."""
+        return hashlib.sha256(self.text().encode()).hexdigest()
+
+    @property
+    def only_once(self) -> str | None:
+        """Why the same cannot be done again from the run directory alone; None where it can."""
+        if self.own_motion:
+            return "it was tracked with a motion model of one's own"
+        return self.origin.only_once
+
+    def text(self) -> str:
+        """It as JSON."""
+        return str(_codec().dump_json(self, indent=1), "utf-8") + "\n"
+
+    def write(self, directory: RunDirectory | str | PathLike[str]) -> None:
+        """Write it into a run directory, whole or not at all.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        write_atomically(_directory(directory).recipe, self.text().encode("utf-8"))
+
+    @classmethod
+    def read(cls, directory: RunDirectory | str | PathLike[str]) -> Recipe:
+        """The recipe of the run in a directory.
+
+        Raises:
+            RecipeError: there is none, or it is damaged or of another version.
+        """
+        path = _directory(directory).recipe
+        try:
+            text = path.read_bytes()
+        except FileNotFoundError:
+            where = "no such folder" if not path.parent.is_dir() else f"no {path.name} in it"
+            raise RecipeError(f"{path.parent}: {where}: not a run that can be done again") from None
+        except OSError as error:
+            raise RecipeError(f"{path}: {error.strerror}") from error
+        try:
+            recipe: Recipe = _codec().validate_json(text)
+        except ValueError as error:
+            raise RecipeError(
+                f"{path}: not the recipe of a run: {' '.join(str(error).split())[:300]}"
+            ) from None
+        if recipe.recipe != RECIPE_VERSION:
+            raise RecipeError(f"{path}: version {recipe.recipe} of the format; this is {RECIPE_VERSION}")
+        return recipe
+
+    def open_source(self) -> Source | SceneSource:
+        """The same source again, from its first frame on.
+
+        Raises:
+            SourceError: it could be read only once, or it is gone.
+            CalibrationError: the pair's calibration file cannot be used.
+        """
+        return self.origin.open()
+
+    @contextmanager
+    def opened(self) -> Iterator[FrameSource]:
+        """The same source again, let go of at the end; raises as `open_source`."""
+        source = self.open_source()
+        try:
+            yield source
+        finally:
+            close = getattr(source, "close", None)
+            if close is not None:
+                close()
+
+    def load_graph(self, directory: RunDirectory | str | PathLike[str]) -> CheckedGraph:
+        """The graph of the run in a directory.
+
+        Raises:
+            GraphError: every error of it.
+            RecipeError: it is another than the one that the run began with.
+            RunDirectoryError: it cannot be read.
+        """
+        path = _directory(directory).graph
+        try:
+            text = path.read_text("utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise RunDirectoryError(f"{path}: cannot be read: {error}") from error
+        if graph_sha256(text) != self.graph_sha256:
+            raise RecipeError(f"{path}: another graph than the one that the run began with")
+        return load_graph(path)
+
+
+def make_recipe(
+    graph: CheckedGraph,
+    source: FrameSource,
+    starts: Sequence[Start],
+    seed: int = 0,
+    *,
+    detections: str | PathLike[str] | None = None,
+    has_video: bool = False,
+    own_motion: bool = False,
+    options: Mapping[str, bool | int | float | str] = MappingProxyType({}),
+) -> Recipe:
+    """The recipe of a run that is about to begin; files are read for their fingerprints.
+
+    Raises:
+        OSError: a file cannot be read.
+    """
+    origin: Origin | None = getattr(source, "origin", None)
+    given = None
+    if detections is not None:
+        digest = hashlib.sha256(Path(detections).read_bytes()).hexdigest()
+        given = DetectionsFile(str(detections), str(Path(detections).absolute()), digest)
+    return Recipe(
+        graph=graph.spec.name,
+        graph_sha256=graph_sha256(graph.text),
+        origin=(Origin("own", "", source.description) if origin is None else origin.marked()),
+        starts=tuple(Start(tuple(float(v) for v in one.box), one.plate) for one in starts),  # type: ignore[arg-type]
+        seed=seed,
+        detections=given,
+        has_video=has_video,
+        own_motion=own_motion,
+        options=dict(sorted(options.items())),
+    )
+
+
+def _directory(given: RunDirectory | str | PathLike[str]) -> RunDirectory:
+    return given if isinstance(given, RunDirectory) else RunDirectory(Path(given))
+
+
+@cache
+def _codec() -> Any:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(Recipe)
