@@ -10,13 +10,15 @@ from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdo
 from io import TextIOWrapper
 
 from bayesnet_track.arguments import cells, gradient, metres, share, whole_number
+from bayesnet_track.parsers.compare import add_compare
 from bayesnet_track.parsers.completion import add_completion
+from bayesnet_track.parsers.doctor import add_doctor
 from bayesnet_track.runtime.stop import StopRequest, Terminated
 
 EXIT_CODES = """\
 exit codes:
   0    done
-  1    an error in bayesnet-track itself
+  1    an error in bayesnet-track itself; or `doctor` found something broken
   2    wrong arguments
   3    the graph file is wrong
   4    the source, or the run to look back at, cannot be read
@@ -232,7 +234,9 @@ def make_parser() -> argparse.ArgumentParser:
         "--set", action="append", default=[], metavar="KEY=VALUE", help="a parameter of the cue, as YAML"
     )
     _add_window_options(stereo)
+    add_doctor(commands)
     add_completion(commands)
+    add_compare(commands)
     return parser
 
 
@@ -257,6 +261,9 @@ def _add_window_options(parser: argparse.ArgumentParser) -> None:
         "--on-resize", choices=["stop", "rescale"], default="stop", help="when pictures change size"
     )
     parser.add_argument("--allow-network", action="store_true", help="let the source be a URL")
+    parser.add_argument(
+        "--isolate-decoder", action="store_true", help="decode in a process of its own, held down by limits"
+    )
 
 
 def _add_run_options(parser: argparse.ArgumentParser) -> None:
@@ -307,6 +314,10 @@ def _main(arguments: Sequence[str] | None, stop: StopRequest) -> int:
         return 2
     options.stop = stop
     try:
+        if options.command == "doctor":  # works where the others cannot even be imported
+            from bayesnet_track.doctor.examine import doctor
+
+            return doctor(options)
         from bayesnet_track import commands
 
         code = commands.call(options)

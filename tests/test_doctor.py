@@ -1,0 +1,247 @@
+"""`doctor`: what it says of broken installations, each made by hand, and that nothing broken stops it."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from argparse import Namespace
+from pathlib import Path
+
+import packaging.requirements  # noqa: F401 - loaded before the folder of packages is hidden
+import pytest
+
+import bayesnet_track
+from bayesnet_track.doctor import examine, libraries, machine, packages, selftest
+from bayesnet_track.doctor.finding import Finding, try_code
+
+ROOT = Path(__file__).parents[1]
+
+
+def distribution(folder, name, version, requires=(), **files):
+    about = folder / f"{name.replace('-', '_')}-{version}.dist-info"
+    about.mkdir(parents=True)
+    needs = "".join(f"Requires-Dist: {one}\n" for one in requires)
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n{needs}")
+    for file, text in files.items():
+        (about / file.replace("__", ".")).write_text(text)
+
+
+@pytest.fixture
+def site(tmp_path, monkeypatch):
+    """A folder of installed packages, the only one that is seen."""
+    folder = tmp_path / "site"
+    folder.mkdir()
+    monkeypatch.setattr(sys, "path", [str(folder)])
+    return folder
+
+
+def only(findings):
+    (found,) = findings
+    return found
+
+
+# ------------------------------------------------------------------------------------ what is installed
+
+
+@pytest.mark.parametrize(
+    ("second", "kept"),
+    [
+        ("opencv-python", "opencv-python-headless"),
+        ("opencv-contrib-python", "opencv-contrib-python-headless"),
+        ("opencv-contrib-python-headless", "opencv-contrib-python-headless"),
+    ],
+)
+def test_two_wheels_of_opencv(site, second, kept):
+    distribution(site, "opencv-python-headless", "5.0.0")
+    distribution(site, second, "4.10.0")
+    found = only(packages.check_wheels())
+    assert found.level == "broken" and f"{second} 4.10.0" in found.text
+    assert re.search(rf"uninstall -y (?=.*{second}\b).* && .*install \"{kept}>=4.9,<6\"$", found.cure)
+
+
+def test_another_wheel_alone_is_fine(site):
+    distribution(site, "opencv-python", "4.10.0")
+    assert only(packages.check_wheels()).level == "note"
+
+
+def test_versions_out_of_range_and_packages_that_are_missing(site):
+    distribution(site, "bayesnet-track", "1", ["alpha>=2,<3", "beta", 'gamma; extra == "more"', "delta>=1"])
+    distribution(site, "alpha", "3.1", ["delta<1", 'delta<0.1; extra == "odd"'])
+    distribution(site, "delta", "1.4")
+    found = {one.text: one.cure for one in packages.check_versions()}
+    assert found == {
+        "alpha 3.1 is not <3,>=2": 'python -m pip install "alpha<3,>=2"',
+        "alpha 3.1 needs delta<1, not 1.4": 'python -m pip install "delta<1"',
+        "beta is missing": 'python -m pip install "beta"',
+    }
+
+
+def test_any_wheel_of_opencv_will_do(site):
+    distribution(site, "bayesnet-track", "1", ["opencv-python-headless>=4.9"])
+    distribution(site, "opencv-contrib-python", "4.10.0")
+    assert only(packages.check_versions()).level == "ok"
+
+
+def test_a_checkout_that_is_not_installed(site):
+    found = only(packages.check_this_package())
+    assert found.level == "broken" and "is not installed" in found.text and "pip install -e" in found.cure
+    found = only(selftest.check_plugins())
+    assert found.level == "broken" and "no cues" in found.text
+
+
+def test_a_checkout_that_shadows_what_is_installed(site):
+    distribution(site, "bayesnet-track", "0.0.1")
+    (site / "bayesnet_track").mkdir()
+    (site / "bayesnet_track" / "__init__.py").touch()
+    found = only(packages.check_this_package())
+    assert found.level == "broken" and f"shadows the installed 0.0.1 in {site}" in found.text
+
+
+def test_an_editable_installation_is_where_it_says(site):
+    home = Path(bayesnet_track.__file__).parents[1]
+    told = json.dumps({"url": home.as_uri(), "dir_info": {"editable": True}})
+    distribution(site, "bayesnet-track", "0.0.1", direct_url__json=told)
+    assert only(packages.check_this_package()).level == "ok"
+
+
+# ------------------------------------------------------------------------------------ libraries
+
+
+def replaced(monkeypatch, tmp_path, name, code):
+    """A module of that name that is found first by the processes that try it out."""
+    folder = tmp_path / "first"
+    folder.mkdir()
+    (folder / f"{name}.py").write_text(code)
+    monkeypatch.setattr(sys, "path", [str(folder), *sys.path])
+
+
+@pytest.mark.parametrize(
+    ("name", "check", "code", "text", "cure"),
+    [
+        (
+            "cv2",
+            libraries.check_opencv,
+            "raise ImportError('libGL.so.1: cannot open shared object file: No such file or directory')",
+            "libGL.so.1",
+            "the machine lacks their libraries",
+        ),
+        (
+            "cv2",
+            libraries.check_opencv,
+            "import sys; sys.stderr.write('AttributeError: _ARRAY_API not found\\n'); "
+            "raise ImportError('numpy.core.multiarray failed to import')",
+            "multiarray",
+            "built for another version of NumPy",
+        ),
+        (
+            "cv2",
+            libraries.check_opencv,
+            "__version__ = '9'",
+            "9 lacks Canny, DISOpticalFlow",
+            "--force-reinstall",
+        ),
+        (
+            "numba",
+            libraries.check_numba,
+            "raise ImportError('Numba needs NumPy 2.3 or less. Got NumPy 9.9.')",
+            "Got NumPy 9.9",
+            "Numba needs NumPy 2.3 or less",
+        ),
+        ("av", libraries.check_av, "import os; os.abort()", "died of signal 6", "--force-reinstall"),
+        (
+            "av",
+            libraries.check_av,
+            "__version__ = '1'; codecs_available = {'mpeg4', 'mjpeg', 'libx264'}",
+            "cannot read h264",
+            "--force-reinstall",
+        ),
+        ("numpy", libraries.check_numpy, "raise ImportError('no')", "no", "--force-reinstall numpy"),
+    ],
+)
+def test_a_broken_library(monkeypatch, tmp_path, name, check, code, text, cure):
+    replaced(monkeypatch, tmp_path, name, code)
+    found = only(check())
+    assert found.level == "broken" and text in found.text and cure in found.cure
+
+
+def test_every_part_of_opencv_that_is_asked_for_is_used():
+    files = [*(ROOT / "bayesnet_track").rglob("*.py"), *(ROOT / "cues").glob("*.py")]
+    code = "".join(file.read_text("utf-8") for file in files if "doctor" not in file.parts)
+    assert [name for name in libraries.NEEDED_OF_OPENCV if f"cv2.{name}" not in code] == []
+
+
+def test_a_process_that_hangs_is_given_up():
+    assert try_code("import time; time.sleep(60)", timeout_s=0.2).error == "no answer within 0 s"
+
+
+# ------------------------------------------------------------------------------------ the machine
+
+
+def test_more_threads_than_processors(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", str(machine.processors() + 1))
+    assert only(machine.check_processors()).level == "note"
+    monkeypatch.setenv("OMP_NUM_THREADS", "many")
+    assert only(machine.check_processors()).level == "broken"
+
+
+def test_a_folder_that_cannot_be_written(monkeypatch, tmp_path):
+    monkeypatch.setattr(machine, "_can_write", lambda folder: False)
+    here, temporary = machine.check_folders()
+    assert (here.level, temporary.level) == ("note", "broken") and "TMPDIR" in temporary.cure
+
+
+@pytest.mark.slow
+def test_a_damaged_cache_is_named(monkeypatch, tmp_path):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert only(selftest.check_tracking()).level == "ok"
+    assert only(machine.check_cache()).level == "ok"
+    file = sorted(tmp_path.rglob("*.nbi"))[0]
+    file.write_bytes(file.read_bytes()[:-9])
+    found = only(machine.check_cache())
+    assert found.level == "note" and str(file) in found.cure
+    assert only(selftest.check_tracking()).level == "ok"
+
+
+# ------------------------------------------------------------------------------------ the command
+
+
+def test_a_check_that_fails_is_a_finding():
+    def check_the_moon():
+        yield Finding("moon", "ok", "up")
+        raise OSError("gone")
+
+    assert [one.level for one in examine.examine([check_the_moon])] == ["ok", "broken"]
+
+
+@pytest.mark.parametrize(("level", "code"), [("ok", 0), ("note", 0), ("broken", 1)])
+def test_the_exit_code(monkeypatch, capsys, level, code):
+    monkeypatch.setattr(examine, "CHECKS", ())
+    monkeypatch.setattr(examine, "examine", lambda: iter([Finding("moon", level, "here", "look up")]))
+    assert examine.doctor(Namespace(json=False)) == code
+    assert "moon          here\n                     → look up\n" in capsys.readouterr().out
+    assert examine.doctor(Namespace(json=True)) == code
+    assert json.loads(capsys.readouterr().out)[0]["cure"] == "look up"
+
+
+@pytest.mark.slow
+def test_this_installation_is_well():
+    line = [sys.executable, "-m", "bayesnet_track", "doctor", "--json"]
+    done = subprocess.run(line, capture_output=True, text=True, check=True)
+    levels = {one["check"]: one["level"] for one in json.loads(done.stdout)}
+    assert levels["self test"] == levels["plug-ins"] == levels["package"] == "ok"
+
+
+@pytest.mark.slow
+def test_it_works_without_any_library(tmp_path):
+    """A fresh environment and a checkout: the standard library is all that is there."""
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "new")], check=True)
+    folder = tmp_path / "new" / ("Scripts" if os.name == "nt" else "bin")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    line = [str(folder / "python"), "-m", "bayesnet_track", "doctor", "--json"]
+    done = subprocess.run(line, capture_output=True, text=True, cwd=tmp_path, env=environment)
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    found = json.loads(done.stdout)
+    broken = {one["check"] for one in found if one["level"] == "broken"}
+    assert {"package", "versions", "numpy", "opencv", "numba", "video", "plug-ins", "self test"} <= broken
+    assert all(one["cure"] for one in found if one["level"] == "broken")
