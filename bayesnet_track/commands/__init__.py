@@ -15,6 +15,7 @@ from bayesnet_track.commands.answer import (
     words,
 )
 from bayesnet_track.commands.calibrate import calibrate
+from bayesnet_track.commands.compare import compare
 from bayesnet_track.commands.completion import completion
 from bayesnet_track.commands.detect import detect
 from bayesnet_track.commands.fit import fit
@@ -34,6 +35,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "list": list_installed,
     "log": log,
     "calibrate": calibrate,
+    "compare": compare,
     "completion": completion,
     "detect": detect,
     "fit": fit,
@@ -49,6 +51,7 @@ def call(options: argparse.Namespace) -> int:
     Expected errors become one clear message; any other is an error in the program and passes through.
     """
     try:
+        _allow(options)
         return COMMANDS[options.command](options)
     except GraphError as error:
         complain(str(error))
@@ -59,6 +62,21 @@ def call(options: argparse.Namespace) -> int:
             raise
         complain(f"bayesnet-track {options.command}: {words(error)}")
         return code
+
+
+def _allow(options: argparse.Namespace) -> None:
+    """Let the plug-ins of other packages that the user names be loaded."""
+    names = [name for given in getattr(options, "allow_plugins", ()) for name in given]
+    if not names:
+        return
+    from bayesnet_track import cue, detector, plugins
+
+    known = {**plugins.others(cue.ENTRY_POINT_GROUP), **plugins.others(detector.ENTRY_POINT_GROUP)}
+    for name in names:
+        if name not in known:
+            there = ", ".join(sorted(known)) or "none is installed"
+            raise UsageError(f"--allow-plugins {name}: no other package has it; there are: {there}")
+    plugins.allow(names)
 
 
 def _code_of(error: Exception, command: str) -> int | None:

@@ -1,0 +1,186 @@
+"""A comparison of two runs in words: the same sentences for the terminal and for the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from bayesnet_track.graph.net import Decision
+from bayesnet_track.journal.compare import Comparison, Moment, RunRecord, Total
+from bayesnet_track.journal.events import RunStarted
+from bayesnet_track.journal.explain import explain
+from bayesnet_track.journal.wording import plural
+
+SHOWN_MOMENTS = 20
+
+
+def settings_apart(first: RunStarted, second: RunStarted) -> list[str]:
+    """What the two journals' first lines do not share, besides the graph's text."""
+    said = []
+    if first.graph != second.graph:
+        said.append(f"graph: {first.graph} → {second.graph}")
+    if first.seed != second.seed:
+        said.append(f"seed: {first.seed} → {second.seed}")
+    said += [
+        f"{library}: {first.versions.get(library, 'none')} → {second.versions.get(library, 'none')}"
+        for library in dict.fromkeys([*first.versions, *second.versions])
+        if first.versions.get(library) != second.versions.get(library)
+    ]
+    costs = dict.fromkeys([*first.costs_ms, *second.costs_ms])
+    both = [cue for cue in costs if cue in first.costs_ms and cue in second.costs_ms]
+    said += [
+        f"declared cost of {cue}: {first.costs_ms[cue]:g} → {second.costs_ms[cue]:g} ms"
+        for cue in both
+        if first.costs_ms[cue] != second.costs_ms[cue]
+    ]
+    return said
+
+
+def compare_text(
+    first: RunRecord,
+    second: RunRecord,
+    comparison: Comparison,
+    settings: Sequence[str],
+    shown: int = SHOWN_MOMENTS,
+) -> str:
+    """The whole comparison as plain text."""
+    lines = [f"A  {first.name}", f"B  {second.name}", ""]
+    lines += ["differ in", *(f"  {one}" for one in settings)] if settings else ["the same graph and settings"]
+    lines += ["", *parting_lines(first, second, comparison)]
+    rest = comparison.moments[1:]
+    if rest:
+        lines += ["", f"after that they part {plural(len(rest), 'more time')}"]
+        for moment in rest[:shown]:
+            lines += [
+                f"  {place(moment, comparison)}",
+                *(f"    {one}" for one in sides(first, second, moment, comparison)),
+            ]
+        if len(rest) > shown:
+            lines.append(f"  ... and {len(rest) - shown} more; --all tells them all, --html draws them")
+    lines += ["", *totals_lines(comparison.totals), "", *estimate_lines(comparison)]
+    return "\n".join(lines)
+
+
+def parting_lines(first: RunRecord, second: RunRecord, comparison: Comparison) -> list[str]:
+    """Where the runs part first, with both causes."""
+    agreed = f"{plural(comparison.agreed, 'decision')} taken by both in the same frame"
+    apart = comparison.first_apart
+    numbers = "the estimates never differ" if apart is None else f"the estimates differ from frame {apart} on"
+    if not comparison.moments:
+        return [f"they never part: {agreed}; {numbers}"]
+    moment = comparison.moments[0]
+    return [
+        f"they part first at {place(moment, comparison)}",
+        *(f"  {one}" for one in sides(first, second, moment, comparison)),
+        f"  {agreed}; {numbers}",
+    ]
+
+
+def place(moment: Moment, comparison: Comparison) -> str:
+    """``frame 25, motion``, with the target where there are several."""
+    several = len(comparison.pairs) + sum(map(len, comparison.alone)) > 1
+    whose = f", target {moment.target}" if several else ""
+    return f"frame {moment.frame}{whose}" + (f", {moment.node}" if moment.node else "")
+
+
+def sides(first: RunRecord, second: RunRecord, moment: Moment, comparison: Comparison) -> tuple[str, str]:
+    """What each of the runs decided and why; where one decided nothing, how it stood."""
+    theirs = dict(comparison.pairs).get(moment.target, moment.target)
+    return (
+        f"A  {_said(first, moment.first, moment, moment.target)}",
+        f"B  {_said(second, moment.second, moment, theirs)}",
+    )
+
+
+def _said(run: RunRecord, decided: Sequence[Decision], moment: Moment, target: str) -> str:
+    if decided:
+        return "; ".join(explain(event) for event in decided)
+    return f"frame {moment.frame}: {_standing(run, moment, target)}"
+
+
+def _standing(run: RunRecord, moment: Moment, target: str) -> str:
+    """Why nothing was decided, as far as the measurements tell."""
+    line = next((one for one in run.metrics if one.frame == moment.frame and one.target == target), None)
+    if line is None:
+        return f"target {target} is not live"
+    ud = f"UD {line.ud_px2:.3g} px²" if abs(line.ud_px2) < 1000 else f"UD {line.ud_px2:.0f} px²"
+    if not moment.node or not _is_agent(run, moment.node):
+        return f"no such decision; {ud}, {line.status}"
+    on = "on" if moment.node in line.active else "off"
+    later = _next(run, moment, target)
+    then = f"; {explain(later)}" if later is not None else "; it stays so to the end"
+    return f"no such decision, {moment.node} is {on} at {ud}{then}"
+
+
+def _is_agent(run: RunRecord, node: str) -> bool:
+    return any(
+        getattr(event, "node", None) == node or node in getattr(event, "active", ()) for event in run.events
+    )
+
+
+def _next(run: RunRecord, moment: Moment, target: str) -> Decision | None:
+    for event in run.events:
+        if (
+            isinstance(event, Decision)
+            and event.frame > moment.frame
+            and event.target == target
+            and getattr(event, "node", "") == moment.node
+        ):
+            return event
+    return None
+
+
+def totals_lines(totals: Sequence[Total]) -> list[str]:
+    """The table of figures: A, B, and B - A."""
+    rows = [("", "A", "B", "B - A")]
+    rows += [(one.name, figure(one.first), figure(one.second), change(one)) for one in totals]
+    widths = [max(len(row[k]) for row in rows) for k in range(4)]
+    return [
+        "  ".join(
+            cell.ljust(w) if k == 0 else cell.rjust(w)
+            for k, (cell, w) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+
+
+def figure(value: float | None) -> str:
+    """Three or four significant digits, whole numbers whole."""
+    if value is None or math.isnan(value):
+        return "-"
+    if value == int(value) and abs(value) < 1e9:
+        return f"{value:.0f}"
+    return f"{value:.4g}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def change(total: Total) -> str:
+    """B - A, with its sign."""
+    if total.first is None or total.second is None:
+        return "-"
+    difference = total.second - total.first
+    return "0" if difference == 0 else f"{'+' if difference > 0 else '−'}{figure(abs(difference))}"
+
+
+def estimate_lines(comparison: Comparison) -> list[str]:
+    """How far the estimates of each target are apart, in a line; the farthest first."""
+    lines = []
+    for (a, b), distances in comparison.distances.items():
+        name = f"target {a}" if a == b else f"target {a} of A, {b} of B"
+        if not distances:
+            lines.append((math.inf, f"{name}: never live in the same frame"))
+            continue
+        far = max(distances, key=lambda one: one.px)
+        mean = sum(one.px for one in distances) / len(distances)
+        off = sum(one.iou < 0.5 for one in distances)
+        lines.append(
+            (
+                -mean,
+                f"{name}: estimates {mean:.3g} px apart on average over {plural(len(distances), 'frame')}, "
+                f"{far.px:.3g} px at most (frame {far.frame}); overlap below 0.5 in {plural(off, 'frame')}",
+            )
+        )
+    said = [line for _, line in sorted(lines)]
+    for run, alone in zip("AB", comparison.alone, strict=True):
+        if alone:
+            said.append(f"only in {run}: target {', '.join(alone)}")
+    return said

@@ -1,0 +1,143 @@
+"""An earlier run, read back: `open_run(folder)` gives its measurements, events and tables."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+
+from bayesnet_track.graph.read import read_graph
+from bayesnet_track.graph.spec import AgentNode, GraphSpec
+from bayesnet_track.journal.codec import JournalError
+from bayesnet_track.journal.events import Event, FrameMetrics, RunStarted
+from bayesnet_track.journal.reader import Notice, read_events, read_metrics
+from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
+
+
+def open_run(path: str | PathLike[str], notice: Notice | None = None) -> Run:
+    """The run in a run directory, finished or killed.
+
+    `notice` is told of a torn last line, which is dropped.
+
+    Raises:
+        RunDirectoryError: it is no run directory, or a file is missing from it.
+        JournalError: a file in it is damaged.
+
+    ::
+
+        run = open_run("runs/mine")
+        run.metrics[-1].box, run.events[0], pandas.DataFrame(run.to_dict())
+    """
+    directory = RunDirectory.open(Path(path))
+    try:
+        events = tuple(read_events(directory.journal, notice))
+        metrics = tuple(read_metrics(directory.frames, notice))
+        text = directory.graph.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise RunDirectoryError(f"{error.filename}: missing from the run directory") from error
+    except UnicodeDecodeError as error:
+        raise JournalError(f"{directory.graph}: not a text: {error}") from error
+    return Run(directory, events, metrics, text)
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run as its directory tells it. Made by `open_run`.
+
+    Attributes:
+        directory: where its files are.
+        events: the lines of journal.jsonl, in order.
+        metrics: the lines of frames.jsonl, in order: one per live target and frame.
+        graph_text: the canonical text of its graph.
+    """
+
+    directory: RunDirectory
+    events: tuple[Event, ...]
+    metrics: tuple[FrameMetrics, ...]
+    graph_text: str
+
+    @property
+    def name(self) -> str:
+        """The folder as it was given."""
+        return str(self.directory.path)
+
+    @cached_property
+    def started(self) -> RunStarted:
+        """The journal's first line: source, seed, size, versions.
+
+        Raises:
+            JournalError: it is something else.
+        """
+        first = next(iter(self.events), None)
+        if not isinstance(first, RunStarted):
+            raise JournalError(f"{self.directory.journal}:1: a journal begins with run_started")
+        return first
+
+    @cached_property
+    def spec(self) -> GraphSpec:
+        """The graph that it was run with.
+
+        Raises:
+            GraphError: graph.yaml is no graph.
+        """
+        return read_graph(self.graph_text, str(self.directory.graph))[0]
+
+    @cached_property
+    def kinds(self) -> Mapping[str, str]:
+        """Target id -> name of its plate, in the order in which targets appear."""
+        from bayesnet_track.graph.life_decisions import Returned
+        from bayesnet_track.graph.net import TargetStarted
+
+        started = TargetStarted | Returned
+        return {event.target: event.template for event in self.events if isinstance(event, started)}
+
+    @cached_property
+    def costs_ms(self) -> Mapping[tuple[str, str], float]:
+        """(plate, agent) -> declared cost, where the journal has one for its cue."""
+        costs = self.started.costs_ms
+        return {
+            (plate, name): costs[node.agent.cue]
+            for plate, target in self.spec.targets.items()
+            for name, node in target.nodes.items()
+            if isinstance(node, AgentNode) and node.agent.cue in costs
+        }
+
+    @cached_property
+    def seconds(self) -> Mapping[int, float]:
+        """Frame -> seconds that its step took, by a clock; empty when the run has no timings.
+
+        Raises:
+            JournalError: a line of timings.jsonl is malformed.
+        """
+        return dict(_timings(self.directory.timings))
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """Ids of all targets, in the order in which they appear."""
+        return tuple(self.kinds)
+
+    def of_target(self, target: str | None = None) -> tuple[FrameMetrics, ...]:
+        """The measurements of one target; of the first when None.
+
+        Raises:
+            KeyError: there is no such target.
+        """
+        wanted = target if target is not None else next(iter(self.targets), None)
+        if wanted not in self.targets:
+            raise KeyError(f"no target {target!r}; there are {', '.join(self.targets) or 'none'}")
+        return tuple(line for line in self.metrics if line.target == wanted)
+
+
+def _timings(path: Path) -> Iterator[tuple[int, float]]:
+    if not path.is_file():
+        return
+    # What follows the last newline is what a killed process leaves of a line.
+    for number, line in enumerate(path.read_text(encoding="utf-8").split("\n")[:-1], start=1):
+        try:
+            entry = json.loads(line)
+            yield int(entry["frame"]), float(entry["seconds"])
+        except (ValueError, KeyError, TypeError):
+            raise JournalError(f"{path}:{number}: expected an object with frame and seconds") from None

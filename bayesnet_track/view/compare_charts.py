@@ -1,0 +1,242 @@
+"""Two runs of one target over each other, as inline SVG: UD, how far the estimates are apart, active agents.
+
+Colours are classes of the page's style, so that it can be light or dark.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from bayesnet_track.graph.net import Activated, Deactivated, Quarantined, SelfStopped, TargetStarted
+from bayesnet_track.journal.compare import Comparison, Distance, Moment, RunRecord
+from bayesnet_track.journal.events import FrameMetrics
+from bayesnet_track.journal.explain import explain
+from bayesnet_track.view.svg import element, text_of
+
+WIDTH, LEFT, RIGHT = 960.0, 120.0, 16.0
+UD_TOP, UD_HEIGHT, APART_HEIGHT, ROW, GAP, FOOT = 44.0, 200.0, 90.0, 11.0, 40.0, 30.0
+COLUMNS = 900
+"""Curves are thinned to this many columns, each with its lowest and highest value."""
+
+Points = list[tuple[float, float]]
+
+
+def draw_pair(first: RunRecord, second: RunRecord, compared: Comparison, pair: tuple[str, str]) -> str:
+    """The chart of one target, given as its ids in both runs, for a page.
+
+    Raises:
+        ValueError: neither run has a line of it.
+    """
+    lines = [
+        sorted((line for line in run.metrics if line.target == target), key=lambda line: line.frame)
+        for run, target in zip((first, second), pair, strict=True)
+    ]
+    frames = [line.frame for side in lines for line in side]
+    if not frames:
+        raise ValueError(f"neither run has measurements of target {pair[0]}")
+    x = _Scale(min(frames), max(max(frames), min(frames) + 1), LEFT, WIDTH - RIGHT)
+    agents = _agents((first, second), pair, lines)
+    apart_top = UD_TOP + UD_HEIGHT + GAP
+    bars_top = apart_top + APART_HEIGHT + GAP
+    bottom = bars_top + len(agents) * (2 * ROW + 10.0)
+    body = [
+        *_grid(x, bottom),
+        *_ud(lines, x),
+        *_apart(compared.distances.get(pair, ()), x, apart_top),
+        *_bars(lines, agents, x, bars_top),
+        *_marks([moment for moment in compared.moments if moment.target == pair[0]], compared, x, bottom),
+    ]
+    height = bottom + FOOT
+    told = f"UD, distance of the estimates and active agents of target {pair[0]} in both runs"
+    return (
+        f'<svg class="chart" role="img" viewBox="0 0 {WIDTH:g} {height:g}">'
+        + element("title", text_of(told))
+        + "".join(body)
+        + "</svg>"
+    )
+
+
+class _Scale:
+    """Linear from values to px."""
+
+    def __init__(self, low: float, high: float, start: float, end: float) -> None:
+        self.low, self.high, self.start, self.end = low, high, start, end
+
+    def __call__(self, value: float) -> float:
+        inside = min(max(value, self.low), self.high)
+        return self.start + (inside - self.low) / (self.high - self.low) * (self.end - self.start)
+
+
+def _agents(
+    runs: Iterable[RunRecord], pair: tuple[str, str], lines: Sequence[Sequence[FrameMetrics]]
+) -> list[str]:
+    found: dict[str, None] = {}
+    for run, target in zip(runs, pair, strict=True):
+        for event in run.events:
+            if isinstance(event, TargetStarted) and event.target == target:
+                found |= dict.fromkeys(event.active)
+            if isinstance(event, Activated | Deactivated | SelfStopped | Quarantined):
+                found |= {event.node: None} if event.target == target else {}
+    return list(found | dict.fromkeys(name for side in lines for line in side for name in line.active))
+
+
+# ------------------------------------------------------------------------------------ what is drawn
+
+
+def _grid(x: _Scale, bottom: float) -> list[str]:
+    drawn = []
+    for frame in _ticks(x.low, x.high, 10):
+        drawn.append(_line(x(frame), UD_TOP, x(frame), bottom, "grid"))
+        drawn.append(_text(f"{frame:g}", x(frame), bottom + 15.0, "soft", "middle"))
+    return [*drawn, _text("frame", LEFT - 8.0, bottom + 15.0, "soft", "end")]
+
+
+def _ud(lines: Sequence[Sequence[FrameMetrics]], x: _Scale) -> list[str]:
+    values = sorted(line.ud_px2 for side in lines for line in side if 1e-6 < line.ud_px2 < 1e15) or [1.0]
+    # The first frames start from certainty: a few of them must not stretch the scale.
+    low = values[min(len(values) // 50 + 1, len(values) - 1)] / 1.6
+    high = max(values[-1] * 1.2, low * 10)
+    y = _Scale(math.log10(low), math.log10(high), UD_TOP + UD_HEIGHT, UD_TOP)
+    drawn = [_text("UD, px²", LEFT - 8.0, UD_TOP - 10.0, "soft", "end")]
+    for value in _decades(low, high):
+        row = y(math.log10(value))
+        drawn += [
+            _line(LEFT, row, WIDTH - RIGHT, row, "grid"),
+            _text(f"{value:g}", LEFT - 8.0, row + 4.0, "soft", "end"),
+        ]
+    for side, name in zip(lines, "ab", strict=True):
+        lost = {line.frame for line in side if line.status == "lost"}
+        top = UD_TOP if name == "a" else UD_TOP + UD_HEIGHT - 8.0
+        for start, end in _stretches(side, lost):
+            tip = element("title", text_of(f"{name.upper()} lost in frames {start} to {end}"))
+            left, right = x(start - 0.5), x(end + 0.5)
+            drawn.append(
+                element("rect", tip, x=left, y=top, width=right - left, height=8.0, class_=f"lost {name}")
+            )
+    for side, name in zip(lines, "ab", strict=True):
+        usable = {line.frame for line in side if math.isfinite(line.ud_px2) and line.ud_px2 > 0}
+        uds = {line.frame: line.ud_px2 for line in side}
+        for start, end in _stretches(side, usable):
+            points = [
+                (x(f), y(math.log10(uds[f]))) for f in range(start, end + 1) if f in uds and f in usable
+            ]
+            drawn.append(_curve(points, f"curve {name}"))
+    return drawn
+
+
+def _apart(distances: Sequence[Distance], x: _Scale, top: float) -> list[str]:
+    head = _text("estimates apart, px", LEFT, top - 10.0, "soft")
+    high = max((one.px for one in distances), default=0.0)
+    y = _Scale(0.0, high if high > 0 else 1.0, top + APART_HEIGHT, top)
+    drawn = [head, _line(LEFT, y(0.0), WIDTH - RIGHT, y(0.0), "grid")]
+    drawn.append(_text("0", LEFT - 8.0, y(0.0) + 4.0, "soft", "end"))
+    if high == 0.0:
+        return [*drawn, _text("never", LEFT + 8.0, top + APART_HEIGHT / 2, "soft")]
+    drawn.append(_text(f"{high:.3g}", LEFT - 8.0, y(high) + 4.0, "soft", "end"))
+    points = _thinned([(x(one.frame), y(one.px)) for one in distances])
+    outline = [(points[0][0], y(0.0)), *points, (points[-1][0], y(0.0))]
+    return [*drawn, element("polygon", points=_path(outline), class_="apart")]
+
+
+def _bars(lines: Sequence[Sequence[FrameMetrics]], agents: Sequence[str], x: _Scale, top: float) -> list[str]:
+    drawn = [_text("active agents, A above B", LEFT, top - 10.0, "soft")]
+    for number, agent in enumerate(agents):
+        row = top + number * (2 * ROW + 10.0)
+        name = text_of(agent if len(agent) <= 15 else f"{agent[:14]}…") + element("title", text_of(agent))
+        drawn.append(element("text", name, x=LEFT - 8.0, y=row + ROW + 4.0, class_="ink", text_anchor="end"))
+        for side, which in zip(lines, "ab", strict=True):
+            y = row + (ROW if which == "b" else 0.0)
+            drawn.append(
+                element("rect", x=LEFT, y=y, width=WIDTH - LEFT - RIGHT, height=ROW - 1.0, class_="ground")
+            )
+            for start, end in _stretches(side, {line.frame for line in side if agent in line.active}):
+                left, right = x(start - 0.5), x(end + 0.5)
+                tip = element("title", text_of(f"{which.upper()}: {agent} in frames {start} to {end}"))
+                drawn.append(
+                    element(
+                        "rect", tip, x=left, y=y, width=right - left, height=ROW - 1.0, class_=f"bar {which}"
+                    )
+                )
+    return drawn
+
+
+def _marks(moments: Sequence[Moment], compared: Comparison, x: _Scale, bottom: float) -> list[str]:
+    """A line at each parting, dashed but for the first of all; it leads to the moment's row in the page."""
+    drawn, free = [], -math.inf
+    for moment in moments:
+        at, number = x(moment.frame), compared.moments.index(moment)
+        told = [
+            f"{name} {explain(event)}"
+            for name, side in (("A", moment.first), ("B", moment.second))
+            for event in side
+        ]
+        parts = [element("title", text_of("\n".join(told)))]
+        parts.append(_line(at, UD_TOP - 12.0, at, bottom, "parting first" if number == 0 else "parting"))
+        if at >= free:
+            parts.append(_text(str(moment.frame), at, UD_TOP - 18.0, "mark", "middle"))
+            free = at + 34.0
+        drawn.append(element("a", "".join(parts), href=f"#moment-{number}"))
+    return drawn
+
+
+# ------------------------------------------------------------------------------------ small things
+
+
+def _stretches(lines: Sequence[FrameMetrics], wanted: set[int]) -> list[tuple[int, int]]:
+    """Stretches of consecutive lines whose frames are wanted, as first and last frame."""
+    runs: list[tuple[int, int]] = []
+    previous = False
+    for line in lines:
+        if line.frame in wanted:
+            runs = [*runs[:-1], (runs[-1][0], line.frame)] if previous else [*runs, (line.frame, line.frame)]
+        previous = line.frame in wanted
+    return runs
+
+
+def _thinned(points: Points) -> Points:
+    """At most two points per column: the lowest and the highest, in their order."""
+    if len(points) <= 2 * COLUMNS:
+        return points
+    kept: Points = []
+    for start in range(COLUMNS):
+        some = points[start * len(points) // COLUMNS : (start + 1) * len(points) // COLUMNS]
+        ends = {some.index(min(some, key=lambda p: p[1])), some.index(max(some, key=lambda p: p[1]))}
+        kept += [some[k] for k in sorted(ends)]
+    return kept
+
+
+def _curve(points: Points, look: str) -> str:
+    return element("polyline", points=_path(_thinned(points)), class_=look)
+
+
+def _path(points: Points) -> str:
+    return " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+
+
+def _line(x1: float, y1: float, x2: float, y2: float, look: str) -> str:
+    return element("line", x1=x1, y1=y1, x2=x2, y2=y2, class_=look)
+
+
+def _text(text: str, x: float, y: float, look: str, anchor: str = "start") -> str:
+    return element("text", text_of(text), x=x, y=y, class_=look, text_anchor=anchor)
+
+
+def _ticks(low: float, high: float, most: int) -> list[float]:
+    step = next(
+        size * 10.0**power
+        for power in range(19)
+        for size in (1, 2, 5)
+        if (high - low) / (size * 10.0**power) <= most
+    )
+    first = math.ceil(low / step)
+    return [step * k for k in range(first, math.floor(high / step) + 1)]
+
+
+def _decades(low: float, high: float) -> list[float]:
+    exponents = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    for steps in ((1, 2, 5), (1,)):
+        found = [step * 10.0**e for e in exponents for step in steps if low <= step * 10.0**e <= high]
+        if len(found) <= 8:
+            return found
+    return found[:: math.ceil(len(found) / 8)]

@@ -1,0 +1,141 @@
+"""Two runs side by side, on journals made by hand: pairs, partings, distances, figures, and their words."""
+
+from dataclasses import dataclass, field, replace
+
+import pytest
+
+from bayesnet_track.graph.net import Activated, Cause, Deactivated, StatusChanged, TargetStarted
+from bayesnet_track.journal.compare import compare
+from bayesnet_track.journal.compare_text import compare_text
+from bayesnet_track.journal.events import FrameMetrics
+from bayesnet_track.journal.life_events import CandidateConfirmed
+
+BOX = (50.0, 40.0, 20.0, 10.0)
+
+
+@dataclass
+class Record:
+    name: str
+    events: list
+    metrics: list
+    seconds: dict = field(default_factory=dict)
+    costs_ms: dict = field(default_factory=lambda: {("plate", "color"): 0.5, ("plate", "motion"): 2.0})
+
+
+def line(frame, target="1", box=BOX, ud=10.0, active=("color",), status="tracking"):
+    return FrameMetrics(
+        frame=frame, time_s=frame / 25, target=target, box=box, map=box, sd=(1.0,) * 4, ud_px2=ud,
+        ud_nodes={}, quiet_px2=None, status=status, score=0.5, log_evidence=0.0, surprise=0.0, ess=90.0,
+        particles=100, active=active, kl={}, contribution={}, agent_ud_px2={}, strength={}, learn_rate=0.0,
+        region50=(), region90=(), cloud=(),
+    )  # fmt: skip
+
+
+def start(target="1", box=BOX):
+    return TargetStarted(0, target, "plate", box, ("color",))
+
+
+def on(frame, ud=210.0, target="1"):
+    return Activated(frame, target, "motion", "root", Cause("ud_px2", 200.0, ud, 1, ud, ud, 1.0))
+
+
+def off(frame, target="1"):
+    cause = Cause("ud_px2", 100.0, 90.0, 1, 90.0, 90.0, 1.0)
+    return Deactivated(frame, target, "motion", "root", cause, "largest_kl", {})
+
+
+def record(name, decisions=(), count=40, **settings):
+    return Record(name, [start(), *decisions], [line(frame, **settings) for frame in range(count)])
+
+
+def test_a_run_never_parts_from_itself():
+    one = record("a", [on(5), off(9)])
+    found = compare(one, one)
+    assert (found.agreed, found.moments, found.first_apart) == (3, (), None)
+    assert all(total.first == total.second for total in found.totals)
+    text = compare_text(one, one, found, [])
+    assert "they never part: 3 decisions taken by both in the same frame; the estimates never differ" in text
+
+
+def test_the_same_decision_a_little_later_is_one_moment_and_far_later_two():
+    found = compare(record("a", [on(5), off(9)]), record("b", [on(8, 230.0), off(30)]))
+    assert [(m.frame, len(m.first), len(m.second)) for m in found.moments] == [
+        (5, 1, 1),
+        (9, 1, 0),
+        (30, 0, 1),
+    ]
+    assert found.moments[0].second[0].frame == 8
+    assert found.agreed == 1  # the start
+
+
+def test_numbers_alone_are_no_parting():
+    found = compare(record("a", [on(5, 210.0)]), record("b", [on(5, 220.0)]))
+    assert found.moments == () and found.agreed == 2
+
+
+def test_both_sides_of_the_first_parting_are_told_with_their_causes():
+    a, b = record("a", [on(5)]), record("b", [on(25, 230.0)])
+    text = compare_text(a, b, compare(a, b), ["seed: 0 → 1"])
+    assert "they part first at frame 5, motion" in text
+    assert (
+        "A  frame 5: UD 210 px² > 200 for 1 frame → motion on; would have stayed off at activate ≥ 210"
+        in text
+    )
+    assert "B  frame 5: no such decision, motion is off at UD 10 px²; frame 25: UD 230 px² > 200" in text
+    assert "  seed: 0 → 1" in text
+
+
+def test_a_status_parts_by_what_it_becomes():
+    lost = StatusChanged(7, "1", "lost", Cause("ud_box", 1.0, 2.0, 1, 2.0, 200.0, 100.0))
+    found = compare(record("a", [lost]), record("b", [replace(lost, status="uncertain")]))
+    assert [(m.node, len(m.first), len(m.second)) for m in found.moments] == [("", 1, 1)]
+
+
+def test_distances_are_of_centres_and_boxes():
+    moved = (53.0, 44.0, 20.0, 10.0)
+    found = compare(record("a"), record("b", box=moved))
+    one = found.distances["1", "1"][3]
+    shared = 17.0 * 6.0
+    assert (one.px, one.iou) == (5.0, pytest.approx(shared / (400.0 - shared)))
+    assert found.first_apart == 0
+
+
+def test_figures():
+    a = record("a", [on(5), off(9)])
+    a.metrics[10:20] = [line(f, active=("color", "motion"), status="lost") for f in range(10, 20)]
+    a.seconds = {0: 9.0, 1: 0.002, 2: 0.004, 3: 0.012}
+    b = record("b")
+    figures = {total.name: (total.first, total.second) for total in compare(a, b).totals}
+    assert figures["agents per frame"] == (1.25, 1.0)
+    assert figures["declared ms per frame"] == (pytest.approx((40 * 0.5 + 10 * 2.0) / 40), 0.5)
+    assert figures["measured ms per frame"] == (pytest.approx(6.0), None)  # without the first
+    assert figures["measured ms, median frame"] == (pytest.approx(4.0), None)
+    assert figures["reconfigurations"] == (2, 0)
+    assert figures["frames lost"] == (10, 0)
+
+
+def test_a_cost_that_is_not_declared_is_not_taken_for_nothing():
+    a = record("a")
+    a.costs_ms = {}
+    figures = {total.name: total.first for total in compare(a, a).totals}
+    assert figures["declared ms per frame"] is None
+
+
+def test_born_targets_are_paired_by_where_they_are_not_by_id():
+    left, right = (30.0, 40.0, 20.0, 20.0), (90.0, 40.0, 20.0, 20.0)
+
+    def crowd(name, places):
+        events, metrics = [], []
+        for target, box in places.items():
+            events += [CandidateConfirmed(0, target, "plate", "d", 0, 1, 1, 1.0, None), start(target, box)]
+            metrics += [line(frame, target, box) for frame in range(20)]
+        return Record(name, events, metrics)
+
+    found = compare(
+        crowd("a", {"1": left, "2": right}), crowd("b", {"1": right, "2": left, "3": (200.0, 9, 8, 8)})
+    )
+    assert found.pairs == (("1", "2"), ("2", "1"))
+    assert found.alone == ((), ("3",))
+    assert found.first_apart is None
+    # The start of the third is the only decision that one of them took alone.
+    assert [(m.target, len(m.first), len(m.second)) for m in found.moments] == [("3", 0, 1)]

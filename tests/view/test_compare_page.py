@@ -1,0 +1,86 @@
+"""The page of a comparison: it escapes, loads nothing, and its chart says what the runs say."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from types import SimpleNamespace
+
+import pytest
+
+from bayesnet_track.graph.net import Activated, Cause, TargetStarted
+from bayesnet_track.journal.compare import compare
+from bayesnet_track.view.compare_page import compare_page
+
+HOSTILE = '"><script>alert(1)</script><img src=x onerror=alert(2)>'
+VOID = {"meta"}
+
+
+class Checked(HTMLParser):
+    """Tags closed in order, and what they could load or run."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.active, self.ids, self.links = [], [], set(), []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.active += [(tag, key) for key, value in attrs if key in ("src", "style") or key.startswith("on")]
+        self.active += [(tag, "")] if tag in ("script", "img", "iframe", "link", "object") else []
+        self.ids |= {value for key, value in attrs if key == "id"}
+        self.links += [value for key, value in attrs if key == "href"]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+@pytest.fixture
+def few_metrics(metrics):
+    """A hand-made line -> 20 frames of it."""
+    return lambda: [replace(metrics, frame=frame, box=(9.0, 9.0, 4.0, 4.0)) for frame in range(20)]
+
+
+def runs(make_metrics, name="a"):
+    cause = Cause("ud_px2", 200.0, 210.0, 1, 210.0, 210.0, 1.0)
+    events = [TargetStarted(0, "1", "plate", (9.0, 9.0, 4.0, 4.0), (name,))]
+    first = SimpleNamespace(
+        name=f"runs/{name}", events=events, metrics=make_metrics(), seconds={}, costs_ms={}
+    )
+    on = Activated(12, "1", name, "root", cause)
+    moved = [replace(one, box=(12.0, 9.0, 4.0, 4.0)) for one in first.metrics]
+    second = SimpleNamespace(**{**vars(first), "events": [*events, on], "metrics": moved})
+    return first, second, compare(first, second)
+
+
+def test_it_tells_the_parting_and_draws_it(few_metrics):
+    first, second, compared = runs(few_metrics)
+    page = compare_page(first, second, compared, ["seed: 0 → 1"])
+    assert "They part first at frame 12, a" in page
+    assert "UD 210 px² &gt; 200" in page
+    checked = Checked(page)
+    assert checked.active == []
+    assert checked.links == ["#moment-0"] and "moment-0" in checked.ids
+    assert page.count('class="parting first"') == 1
+    assert 'polyline points="' in page and ">3</text>" in page  # the estimates are 3 px apart
+
+
+def test_hostile_names_stay_text_and_the_policy_forbids_everything_else(few_metrics):
+    first, second, compared = runs(few_metrics, HOSTILE)
+    page = compare_page(first, second, compared, [HOSTILE])
+    assert Checked(page).active == []
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', page).group(1)
+    assert policy.startswith("default-src 'none'; style-src 'sha256-") and "unsafe" not in policy
+
+
+def test_runs_that_never_part(few_metrics):
+    first, _, _ = runs(few_metrics)
+    page = compare_page(first, first, compare(first, first), [])
+    assert "They never part" in page and ">never</text>" in page and "parting first" not in page
