@@ -210,6 +210,11 @@ class AgentNode(Model):
     learn_rate_max: Annotated[Number, Field(ge=0, le=1)] | None = Field(
         default=None, description="instead of the root's learn.rate_max; 0 keeps the first reference"
     )
+    on: Literal["engine", "process"] | None = Field(
+        default=None,
+        description="where it works, which changes no result: `engine`, in the engine's own process; "
+        "`process`, in a worker process, which it may crash or hang; default: as `--executor` has it",
+    )
 
 
 def _node_kind(value: Any) -> str:

@@ -11,6 +11,7 @@ from bayesnet_track.graph.grid_law import grid_holds_the_motion, grid_resets_at_
 from bayesnet_track.graph.messages import GraphMessage
 from bayesnet_track.graph.motion_laws import MOTION_LAWS
 from bayesnet_track.graph.particle_laws import sizes_in_order
+from bayesnet_track.graph.place_law import PLACE_LAWS
 from bayesnet_track.graph.plate import Law, Plate
 from bayesnet_track.graph.score_laws import SCORE_LAWS
 from bayesnet_track.graph.spec import Level, Lost, Noise
@@ -149,6 +150,7 @@ VALUE_LAWS: tuple[Law, ...] = (
     grid_holds_the_motion,
     grid_resets_at_one_level,
     *MOTION_LAWS,
+    *PLACE_LAWS,
 )
 """These need no sound tree."""
 

@@ -1,0 +1,11 @@
+"""Executors: how and where the agents of a frame are asked. None changes a result.
+
+`serial` asks one after the other, `threads` side by side in the engine's process, `processes` in supervised
+worker processes.
+"""
+
+from __future__ import annotations
+
+from bayesnet_track.runtime.executors.making import EXECUTORS, Executing, make_executor
+
+__all__ = ["EXECUTORS", "Executing", "make_executor"]

@@ -1,0 +1,166 @@
+"""Frames in memory that worker processes share: written once by the engine, read in place by the workers.
+
+The memory has no name: a file that exists only as long as a process holds it, so that nothing is left behind,
+however the processes end.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import tempfile
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.depth import Depth, PointMap, RightEye, StereoGeometry
+from bayesnet_track.planes import Frame
+
+Array = NDArray[Any]
+
+SLOTS = 4
+"""Frames that are held: the current one, the one before, and those of targets that start."""
+ALIGNED = 64
+
+
+@dataclass(frozen=True)
+class Block:
+    """An array in the shared memory."""
+
+    offset: int
+    shape: tuple[int, ...]
+    dtype: str
+    is_writable: bool
+
+
+@dataclass(frozen=True)
+class SharedFrame:
+    """Where a frame lies, and what is known of it. No two frames of a run have the same `number`."""
+
+    number: int
+    index: int
+    time: float
+    time_s: float
+    has_color: bool
+    image: Block
+    depth: Block | None
+    geometry: StereoGeometry | None
+
+
+class FrameStore:
+    """The engine's side: a ring of slots, of which each holds one frame with its depth.
+
+    Attributes:
+        descriptor: of the file, to be handed to workers.
+    """
+
+    def __init__(self) -> None:
+        if hasattr(os, "memfd_create"):
+            self.descriptor = os.memfd_create("bayesnet_track frames")
+        else:
+            with tempfile.TemporaryFile() as file:
+                self.descriptor = os.dup(file.fileno())
+        self._memory: mmap.mmap | None = None
+        self._base = self._slot_size = self._number = 0
+        self._held: deque[tuple[Frame, SharedFrame]] = deque(maxlen=SLOTS)
+
+    def put(self, frame: Frame) -> SharedFrame:
+        """Where the frame lies; it is written there unless it is one of the last ones already."""
+        for held, shared in self._held:
+            if held is frame:
+                return shared
+        other = _pixels(frame.depth)
+        size = _aligned(frame.image.nbytes) + (0 if other is None else _aligned(other.nbytes))
+        if size > self._slot_size:
+            self._grow(size)
+        at = self._base + self._number % SLOTS * self._slot_size
+        self._number += 1
+        image = self._written(frame.image, at)
+        depth = None if other is None else self._written(other, at + _aligned(frame.image.nbytes))
+        geometry = frame.depth.geometry if isinstance(frame.depth, RightEye) else None
+        shared = SharedFrame(
+            self._number, frame.index, frame.time, frame.time_s, frame.has_color, image, depth, geometry
+        )
+        self._held.append((frame, shared))
+        return shared
+
+    def close(self) -> None:
+        """Let go of the memory; it is gone when the last worker has."""
+        self._held.clear()
+        if self._memory is not None:
+            self._memory.close()
+            self._memory = None
+        if self.descriptor >= 0:
+            os.close(self.descriptor)
+            self.descriptor = -1
+
+    def _grow(self, size: int) -> None:
+        """Larger slots, behind the old ones, in which a worker may still look."""
+        self._base, self._slot_size = self._base + SLOTS * self._slot_size, size
+        self._held.clear()
+        os.ftruncate(self.descriptor, self._base + SLOTS * size)
+        if self._memory is not None:
+            self._memory.close()
+        self._memory = mmap.mmap(self.descriptor, self._base + SLOTS * size)
+
+    def _written(self, array: Array, offset: int) -> Block:
+        block = Block(offset, array.shape, array.dtype.str, bool(array.flags.writeable))
+        assert self._memory is not None
+        target = np.frombuffer(self._memory, array.dtype, array.size, offset).reshape(array.shape)
+        target[...] = array
+        return block
+
+
+class FrameView:
+    """A worker's side: frames are views of the shared memory."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._memory: mmap.mmap | None = None
+        self._frames: dict[int, Frame] = {}
+
+    def get(self, shared: SharedFrame) -> Frame:
+        """The frame; the same object as long as it is one of the last."""
+        frame = self._frames.get(shared.number)
+        if frame is None:
+            for number in [known for known in self._frames if known <= shared.number - SLOTS]:
+                del self._frames[number]
+            frame = Frame(
+                shared.index,
+                shared.time,
+                self._array(shared.image),
+                shared.has_color,
+                shared.time_s,
+                self._depth(shared),
+            )
+            self._frames[shared.number] = frame
+        return frame
+
+    def _depth(self, shared: SharedFrame) -> Depth | None:
+        if shared.depth is None:
+            return None
+        pixels = self._array(shared.depth)
+        return PointMap(pixels) if shared.geometry is None else RightEye(pixels, shared.geometry)
+
+    def _array(self, block: Block) -> Array:
+        dtype, size = np.dtype(block.dtype), int(np.prod(block.shape))
+        end = block.offset + size * dtype.itemsize
+        if self._memory is None or len(self._memory) < end:
+            # The old memory stays as long as a frame in it does.
+            self._memory = mmap.mmap(self._descriptor, os.fstat(self._descriptor).st_size)
+        array = np.frombuffer(self._memory, dtype, size, block.offset).reshape(block.shape)
+        array.flags.writeable = block.is_writable
+        return array
+
+
+def _pixels(depth: Depth | None) -> Array | None:
+    if depth is None:
+        return None
+    return depth.image if isinstance(depth, RightEye) else depth.points
+
+
+def _aligned(size: int) -> int:
+    return -(-size // ALIGNED) * ALIGNED

@@ -1,0 +1,103 @@
+"""The answering side: cues at work in another process, asked one question at a time.
+
+It holds nothing between frames but copies of what the engine told it, so that a new one answers alike.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from bayesnet_track.cue import AnyCue, Measurement
+from bayesnet_track.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.runtime.executors.questions import Answer, Foreign, Question, Received, Told
+
+CACHES = 2
+"""Pairs of frames whose planes are kept."""
+
+
+class AgentHost:
+    """Cues by agent, the planes of the current frames, and the references that were told.
+
+    `frame_of` fetches a frame from where `Question.frames` says that it lies; `is_limited` says that memory
+    is, so that running out of it is nothing that the cue does everywhere.
+    """
+
+    def __init__(self, frame_of: Callable[[Any], Frame], is_limited: bool = False) -> None:
+        self._frame_of, self._is_limited = frame_of, is_limited
+        self._cues: dict[str, AnyCue] = {}
+        self._received = Received()
+        self._caches: dict[tuple[int, int], PlaneCache] = {}
+
+    def employ(self, agent: str, make: Callable[[Any], AnyCue], parameters: Any) -> None:
+        """Make the cue of an agent."""
+        self._cues[agent] = make(parameters)
+
+    def dismiss(self, agent: str) -> None:
+        """Drop the cue of an agent."""
+        self._cues.pop(agent, None)
+
+    def answer(self, question: Question) -> Answer:
+        """What the cue says; whatever it raises is told, not raised."""
+        started = time.perf_counter()
+        try:
+            value = self._asked(question)
+            return Answer(value, seconds=time.perf_counter() - started)
+        except Exception as error:  # a guest's code: the engine decides what comes of it
+            seconds = time.perf_counter() - started
+            if self._is_limited and _is_shortage(error):
+                return Answer(out_of_memory=True, seconds=seconds)
+            return Answer(raised=(type(error).__name__, str(error)), seconds=seconds)
+
+    def _asked(self, question: Question) -> Any:
+        received = self._received
+        received.forget(question.forget)
+        cue: Any = self._cues[question.agent]
+        arguments = [
+            received.reference(part) if isinstance(part, Told) else part for part in question.arguments
+        ]
+        if question.frames is not None:
+            assert question.region is not None
+            planes = self._cache(question.frames).planes(cue.needs, question.region)
+            arguments.insert(0, planes)
+        returned = getattr(cue, question.method)(*arguments)
+        match question.method:
+            case "log_likelihood":
+                return np.array(returned, dtype=np.float64)
+            case "measure":
+                return _measurement(returned)
+        if returned is None and question.method == "adapt":
+            return None
+        # As the engine looks at what a cue learnt: what is no mapping fails in the same words.
+        reference: Mapping[str, Any] = dict(returned.items())
+        given = [part for part in question.arguments if isinstance(part, Told)]
+        return received.tell(reference, given, question.next_number)
+
+    def _cache(self, frames: tuple[Any, Any]) -> PlaneCache:
+        current, previous = frames
+        key = (current.number, -1 if previous is None else previous.number)
+        cache = self._caches.get(key)
+        if cache is None:
+            while len(self._caches) >= CACHES:
+                del self._caches[next(iter(self._caches))]
+            pair = FramePair(self._frame_of(current), None if previous is None else self._frame_of(previous))
+            cache = self._caches[key] = PlaneCache(pair)
+        return cache
+
+
+def _measurement(returned: Any) -> Measurement | Foreign | None:
+    """A measurement of plain arrays, which the engine checks; another object as what it is not."""
+    if returned is None:
+        return None
+    if not isinstance(returned, Measurement):
+        return Foreign(type(returned).__name__)
+    fields = tuple(str(name) for name in returned.fields)
+    floor = returned.floor if isinstance(returned.floor, str) else float(returned.floor)
+    return Measurement(fields, np.array(returned.mean, float), np.array(returned.covariance, float), floor)
+
+
+def _is_shortage(error: Exception) -> bool:
+    return isinstance(error, MemoryError) or "Insufficient memory" in str(error)

@@ -1,0 +1,120 @@
+"""Make an executor by its name, and ready an engine to be run by it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from types import MappingProxyType, TracebackType
+from typing import Self
+
+from bayesnet_track.cue import CueDeclaration
+from bayesnet_track.engine import Engine
+from bayesnet_track.executor import Executor, Serial
+from bayesnet_track.runtime.executors.placing import Place, employed_of, places_of, with_proxies
+from bayesnet_track.runtime.executors.processes import Processes
+from bayesnet_track.runtime.executors.single import one_thread_inside
+from bayesnet_track.runtime.executors.threads import Threads
+from bayesnet_track.runtime.executors.workers import Limits
+
+NO_PLACES: Mapping[str, Place] = MappingProxyType({})
+MOST_WAITING = 32
+"""Threads that wait for workers, at most."""
+
+
+class Executing:
+    """An executor for a run: entered it is ready, left it has nothing running any more.
+
+    Attributes:
+        kind: its name.
+        workers: threads or processes at work at a time.
+        processes: the worker processes, when the engine has agents in some.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        workers: int,
+        default: Place,
+        places: Mapping[str, Place],
+        limits: Limits,
+        retries: int,
+        cues: Mapping[str, CueDeclaration] | None,
+    ) -> None:
+        self.kind, self.workers = kind, workers
+        self.processes: Processes | None = None
+        self._default, self._places, self._limits = default, places, limits
+        self._retries, self._cues = retries, cues
+        self._open = ExitStack()
+
+    def __enter__(self) -> Self:
+        self._open.enter_context(one_thread_inside())
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._open.close()
+
+    def engine(self, engine: Engine) -> Engine:
+        """`engine` with its agents placed, to be run while this is entered; once.
+
+        Raises:
+            PlacingError: an agent cannot be where it was put.
+        """
+        places = places_of(engine, self._default, self._places, self._cues)
+        employed = employed_of(engine, places, self._cues)
+        if employed:
+            self.processes = Processes(employed, self.workers, self._limits, self._retries)
+            self._open.callback(self.processes.close)
+            engine = with_proxies(engine, places, self.processes)
+        return replace(engine, executor=self._pool(len(employed)))
+
+    def _pool(self, waiting: int) -> Executor:
+        """Serial asks agents in processes one after the other; else a thread waits for each of them."""
+        if self.kind == "serial" or (self.kind == "threads" and self.workers == 1):
+            return Serial()
+        threads = self.workers if self.kind == "threads" else min(1 + waiting, MOST_WAITING)
+        pool = Threads(threads)
+        self._open.callback(pool.close)
+        return pool
+
+
+EXECUTORS: Mapping[str, Place] = MappingProxyType(
+    {"serial": "engine", "threads": "engine", "processes": "process"}
+)
+"""Name of an executor -> where agents work that are put nowhere."""
+
+
+def make_executor(
+    kind: str = "serial",
+    *,
+    workers: int | None = None,
+    places: Mapping[str, Place] = NO_PLACES,
+    limits: Limits = Limits(),  # noqa: B008  (immutable)
+    retries: int = 2,
+    cues: Mapping[str, CueDeclaration] | None = None,
+) -> Executing:
+    """An executor by name, a context manager::
+
+        with make_executor("threads", workers=2) as executor:
+            engine = executor.engine(make_engine(graph))
+
+    Args:
+        kind: serial, threads or processes.
+        workers: threads or processes at work at a time; as many as the machine has processors when None.
+        places: AGENT or PLATE.AGENT -> "engine" or "process", before what the graph says with `on`.
+        limits: what a worker process may take.
+        retries: how often an agent whose worker was lost is asked again; 0 where frames do not wait.
+        cues: declarations by name, where not the installed ones.
+
+    Raises:
+        ValueError: there is no such executor, or `workers` is less than 1.
+    """
+    if kind not in EXECUTORS:
+        raise ValueError(f"executor {kind!r}; there are {', '.join(EXECUTORS)}")
+    number = os.cpu_count() or 1 if workers is None else workers
+    if number < 1:
+        raise ValueError(f"{number} workers: at least 1 is needed")
+    return Executing(kind, number, EXECUTORS[kind], places, limits, retries, cues)

@@ -1,0 +1,221 @@
+"""Agents in worker processes: which worker has which, and what happens when one dies or hangs."""
+
+from __future__ import annotations
+
+import pickle
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from threading import Lock
+from typing import Any
+
+from bayesnet_track.cue import AnyCue
+from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.planes import Frame, Region
+from bayesnet_track.runtime.executors.frames import FrameStore, SharedFrame
+from bayesnet_track.runtime.executors.packing import packed, repacked
+from bayesnet_track.runtime.executors.questions import Foreign
+from bayesnet_track.runtime.executors.workers import END_S, Limits, Worker, WorkerLost
+
+IDLE_FRAMES = 30
+"""After so many frames without a question an agent leaves its worker, and a worker without agents ends."""
+REPACK_EVERY = 50
+"""Frames after which it is looked whether agents should be packed anew."""
+MEMORY_OF_COST = 0.9
+"""Weight of the past in the running mean of what an agent costs a frame."""
+
+
+class PlacingError(ValueError):
+    """An agent cannot be where it was put; says why."""
+
+
+@dataclass(frozen=True, eq=False)
+class Employed:
+    """How a worker makes an agent's cue, and what it is expected to cost, seconds a frame."""
+
+    make: Callable[[Any], AnyCue]
+    parameters: Any
+    cost_s: float
+
+
+class _Slot:
+    """A place for a worker, which may be empty."""
+
+    def __init__(self) -> None:
+        self.lock = Lock()
+        self.worker: Worker | None = None
+        self.agents: set[str] = set()
+
+
+class Processes:
+    """Agents in supervised worker processes.
+
+    A worker starts when one of its agents is first asked and ends when none was for a while. One that dies,
+    or does not answer in time, is replaced by a fresh one, which is asked the same again; after `retries`
+    such attempts `AgentUnavailable` says why.
+
+    Attributes:
+        retries: further attempts; 0 where time does not wait for them.
+        deadline: seconds of the monotonic clock by which answers are needed; a later one is dropped
+            (`AgentUnavailable`), and its worker works on. None for no deadline.
+    """
+
+    def __init__(
+        self, agents: Mapping[str, Employed], workers: int, limits: Limits, retries: int = 2
+    ) -> None:
+        for agent, employed in agents.items():
+            _check_sendable(agent, employed)
+        self.retries, self.deadline = retries, None
+        self._agents, self._limits = agents, limits
+        self._slots = [_Slot() for _ in range(max(1, min(workers, len(agents))))]
+        self._store = FrameStore()
+        self._assigning = Lock()
+        self._costs = {agent: employed.cost_s for agent, employed in agents.items()}
+        self._spent = dict.fromkeys(agents, 0.0)
+        self._asked_in = dict.fromkeys(agents, 0)
+        self._slot_of: dict[str, _Slot] = {}
+        self._frames = 0
+        self._is_closed = False
+        self._assign(packed(self._costs, len(self._slots)))
+
+    deadline: float | None
+
+    def send_frame(self, frame: Frame) -> SharedFrame:
+        """Where the frame lies in the shared memory; with a new one, agents are placed anew if need be."""
+        shared = self._store.put(frame)
+        if shared.number > self._frames:
+            self._frames = shared.number
+            self._look_after()
+        return shared
+
+    def ask(
+        self,
+        agent: str,
+        method: str,
+        frames: tuple[Any, Any] | None,
+        region: Region | None,
+        arguments: tuple[Any, ...],
+    ) -> Any:
+        """What the agent's cue returns; raises what it raised, by type name and text, or AgentUnavailable."""
+        reasons: list[str] = []
+        slot = self._slot(agent)
+        with slot.lock:
+            for _ in range(1 + self.retries):
+                try:
+                    worker = self._working(slot, agent)
+                    answer = worker.ask(agent, method, frames, region, arguments, self.deadline)
+                except WorkerLost as lost:
+                    slot.worker = None
+                    reasons.append(str(lost))
+                    continue
+                self._spent[agent] += answer.seconds
+                if answer.raised is not None:
+                    raise _again(*answer.raised)
+                if isinstance(answer.value, Foreign):
+                    return type(answer.value.type_name, (), {})()
+                return answer.value
+            self._restart(slot)
+        tries = f", {len(reasons)} times" if len(reasons) > 1 else ""
+        raise AgentUnavailable(f"{reasons[-1]}{tries}")
+
+    def workers(self) -> dict[int, tuple[str, ...]]:
+        """Process id of every worker -> the agents that it has."""
+        alive = (slot.worker for slot in self._slots)
+        return {w.pid: tuple(sorted(w.agents)) for w in alive if w is not None and not w.is_dead}
+
+    def close(self) -> None:
+        """End all workers."""
+        self._is_closed = True
+        workers = [slot.worker for slot in self._slots if slot.worker is not None]
+        for worker in workers:
+            worker.let_go()
+        until = time.monotonic() + END_S
+        for worker in workers:
+            worker.reap(until)
+        self._store.close()
+
+    def _slot(self, agent: str) -> _Slot:
+        with self._assigning:
+            self._asked_in[agent] = self._frames
+            slot = self._slot_of.get(agent)
+            if slot is None:
+                slot = min(self._slots, key=self._load)
+                slot.agents.add(agent)
+                self._slot_of[agent] = slot
+            return slot
+
+    def _load(self, slot: _Slot) -> float:
+        return sum(self._costs[agent] for agent in slot.agents)
+
+    def _working(self, slot: _Slot, agent: str) -> Worker:
+        """The slot's worker, with the agent in it."""
+        if slot.worker is not None and slot.worker.is_dead:
+            slot.worker.close()
+            slot.worker = None
+        if slot.worker is None:
+            self._restart(slot)
+        assert slot.worker is not None
+        if agent not in slot.worker.agents:
+            employed = self._agents[agent]
+            slot.worker.employ(agent, employed.make, employed.parameters)
+        return slot.worker
+
+    def _restart(self, slot: _Slot) -> None:
+        if self._is_closed:
+            raise AgentUnavailable("the run is over")
+        slot.worker = Worker(self._store.descriptor, self._limits)
+
+    def _look_after(self) -> None:
+        """Once a frame: costs, workers with nothing to do, and now and then another packing."""
+        with self._assigning:
+            for agent, spent in self._spent.items():
+                if self._frames > 1:
+                    self._costs[agent] += (1 - MEMORY_OF_COST) * (spent - self._costs[agent])
+                self._spent[agent] = 0.0
+            for agent in list(self._slot_of):
+                if self._frames - self._asked_in[agent] > IDLE_FRAMES:
+                    self._slot_of.pop(agent).agents.discard(agent)
+            if self._frames % REPACK_EVERY == 0:
+                costs = {agent: self._costs[agent] for agent in self._slot_of}
+                better = repacked(costs, [slot.agents for slot in self._slots])
+                if better is not None:
+                    self._assign(better)
+            for slot in self._slots:
+                self._release(slot)
+
+    def _assign(self, packing: list[set[str]]) -> None:
+        for slot, agents in zip(self._slots, packing, strict=True):
+            slot.agents = set(agents)
+            self._slot_of.update(dict.fromkeys(agents, slot))
+
+    def _release(self, slot: _Slot) -> None:
+        worker = slot.worker
+        if worker is None or not slot.lock.acquire(blocking=False):
+            return
+        try:
+            if not slot.agents:
+                worker.close()
+                slot.worker = None
+                return
+            for agent in worker.agents - slot.agents:
+                worker.dismiss(agent)
+        except WorkerLost:
+            slot.worker = None
+        finally:
+            slot.lock.release()
+
+
+def _again(name: str, text: str) -> Exception:
+    """An exception with the type's name and the text of one that a worker told of."""
+    kind: type[Exception] = type(name, (Exception,), {})
+    return kind(text)
+
+
+def _check_sendable(agent: str, employed: Employed) -> None:
+    try:
+        pickle.dumps((employed.make, employed.parameters), protocol=5)
+    except Exception as error:
+        raise PlacingError(
+            f"agent {agent} cannot be in a process: how its cue is made cannot be sent there ({error}); "
+            "its declaration's `make` must be a function of a module"
+        ) from None

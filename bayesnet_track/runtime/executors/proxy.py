@@ -1,0 +1,132 @@
+"""A cue that is at work elsewhere: the engine asks it as it asks any cue."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.cue import AnyCue, Floats, Hypotheses, Measurement, Reference
+from bayesnet_track.planes import Array, Frame, FramePair, Plane, Planes, Region
+
+
+class Desk(Protocol):
+    """Where questions for agents that work elsewhere are handed in."""
+
+    def send_frame(self, frame: Frame) -> Any:
+        """Bring a frame to where the agents are; what says there which one it is, and can be pickled."""
+        ...
+
+    def ask(
+        self,
+        agent: str,
+        method: str,
+        frames: tuple[Any, Any] | None,
+        region: Region | None,
+        arguments: tuple[Any, ...],
+    ) -> Any:
+        """What the agent's cue returns from `method`; references are mappings of arrays.
+
+        Raises:
+            AgentUnavailable: it gives no answer.
+            Exception: of the type name and the text of what the cue raised.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class SentFrames:
+    """The plane that a proxy needs: "computing" it brings the frames to where the agents are, once a frame.
+
+    Its value is an array of two objects: what `Desk.send_frame` said of the current frame and of the one
+    before, or None.
+    """
+
+    desk: Desk
+    margin: None = None
+    inputs: tuple[Plane, ...] = ()
+    is_points: bool = True
+
+    def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
+        """Where the two frames lie."""
+        where: NDArray[np.object_] = np.empty(2, dtype=object)
+        # The older one first: it lies there already, and must not be overwritten by the newer.
+        where[1] = None if frames.previous is None else self.desk.send_frame(frames.previous)
+        where[0] = self.desk.send_frame(frames.current)
+        return where
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """What all proxies have: a name to ask by, and the plane that sends frames."""
+
+    agent: str
+    desk: Desk
+    sent: SentFrames
+    context: float
+
+    @property
+    def needs(self) -> tuple[Plane, ...]:
+        """The real planes are computed where the agent is."""
+        return (self.sent,)
+
+    def ask(self, method: str, planes: Planes, *arguments: Any) -> Any:
+        """A question about a frame."""
+        current, previous = planes[self.sent]
+        return self.desk.ask(self.agent, method, (current, previous), planes.region, arguments)
+
+    def learn(self, planes: Planes, box: Floats) -> Reference:
+        """As of a `Cue`."""
+        learnt: Reference = self.ask("learn", planes, box)
+        return learnt
+
+    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+        """As of a `Cue`."""
+        blended: Reference = self.desk.ask(self.agent, "blend", None, None, (old, new, rate))
+        return blended
+
+
+def _log_likelihood(self: Placed, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
+    answer: Floats = self.ask("log_likelihood", planes, hypotheses, reference)
+    return answer
+
+
+def _measure(
+    self: Placed, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
+) -> Measurement | None:
+    answer: Measurement | None = self.ask("measure", planes, hypotheses, weights, reference)
+    return answer
+
+
+def _learn_turned(self: Placed, planes: Planes, box: Floats, angle: float) -> Reference:
+    learnt: Reference = self.ask("learn_turned", planes, box, angle)
+    return learnt
+
+
+def _adapt(self: Placed, reference: Reference, attempt: int) -> Reference | None:
+    tuned: Reference | None = self.desk.ask(self.agent, "adapt", None, None, (reference, attempt))
+    return tuned
+
+
+FURTHER: Mapping[str, Any] = {
+    "log_likelihood": _log_likelihood,
+    "measure": _measure,
+    "learn_turned": _learn_turned,
+    "adapt": _adapt,
+}
+"""Methods that a proxy has where its cue has them, so that it fulfils the same protocols."""
+
+
+def placed(agent: str, cue: AnyCue, desk: Desk, sent: SentFrames) -> AnyCue:
+    """A proxy of `cue`, which fulfils the runtime protocols that `cue` does."""
+    own = {name: method for name, method in FURTHER.items() if hasattr(cue, name)}
+    if hasattr(cue, "rule"):
+        own["rule"] = cue.rule
+    from bayesnet_track.cue import context_of
+
+    kind = type("Placed" + type(cue).__name__, (Placed,), own)
+    proxy: AnyCue = kind(agent, desk, sent, context_of(cue))
+    return proxy

@@ -1,0 +1,203 @@
+"""A worker process as the engine sees it: started, asked, found dead or hanging, ended."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from types import MappingProxyType
+from typing import Any
+
+from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.runtime.executors.questions import Answer, Question, Sent, Told
+
+ONE_THREAD: Mapping[str, str] = MappingProxyType(
+    {
+        name: "1"
+        for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+    }
+)
+START_S = 60.0
+"""Seconds in which a worker is ready, on the slowest machine."""
+END_S = 0.5
+"""Seconds in which a worker that is let go has ended; then it is killed."""
+
+
+class WorkerLost(Exception):
+    """A worker died, was killed because it did not answer, or needed too much memory; says which."""
+
+
+class Late(AgentUnavailable):
+    """The answer did not come by the deadline; the worker still works on it."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a worker may take.
+
+    Attributes:
+        answer_s: seconds for an answer.
+        first_s: seconds for the first answer of an agent to a kind of question, for which kernels may be
+            compiled.
+        memory_mb: above what it has when it is ready; 0 for no limit.
+    """
+
+    answer_s: float = 10.0
+    first_s: float = 30.0
+    memory_mb: int = 0
+
+
+class Worker:
+    """One process with some agents. Not for several threads at a time."""
+
+    def __init__(self, frames: int, limits: Limits) -> None:
+        """Start it; it becomes ready while the engine goes on. `frames` is the descriptor of their memory."""
+        ours, theirs = socket.socketpair()
+        held, self._lifeline = os.pipe()
+        try:
+            self._process = subprocess.Popen(
+                [
+                    sys.executable,
+                    "-m",
+                    "bayesnet_track.runtime.executors.worker",
+                    *map(str, (theirs.fileno(), held, frames, limits.memory_mb)),
+                ],
+                stdin=subprocess.DEVNULL,
+                pass_fds=(theirs.fileno(), held, frames),
+                env={**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+                # Ctrl-C in a terminal reaches the engine only, which then ends its workers.
+                start_new_session=True,
+            )
+        finally:
+            theirs.close()
+            os.close(held)
+        self._channel = Connection(ours.detach())
+        self._limits, self._is_ready, self._is_asked = limits, False, False
+        self._sent = Sent()
+        self._known: set[tuple[str, str]] = set()
+        self.agents: set[str] = set()
+        self._asked_at = 0.0
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    @property
+    def is_dead(self) -> bool:
+        """Whether the process has ended."""
+        return self._process.poll() is not None
+
+    def employ(self, agent: str, make: Any, parameters: Any) -> None:
+        """Have it make the cue of an agent."""
+        self._send(("employ", agent, make, parameters))
+        self.agents.add(agent)
+
+    def dismiss(self, agent: str) -> None:
+        """Have it drop an agent."""
+        self._send(("dismiss", agent))
+        self.agents.discard(agent)
+
+    def ask(
+        self,
+        agent: str,
+        method: str,
+        frames: tuple[Any, Any] | None,
+        region: Any,
+        arguments: tuple[Any, ...],
+        deadline: float | None = None,
+    ) -> Answer:
+        """The agent's answer, references told in it understood.
+
+        Raises:
+            WorkerLost: it gives none, and never will.
+            Late: it gives none by `deadline`, seconds of the monotonic clock.
+        """
+        self._wait_ready(deadline)
+        if self._is_asked:  # by a question whose answer nobody waited for
+            self._receive(self._asked_at + self._limits.first_s, deadline)
+        sent = self._sent
+        told = tuple(sent.tell(part) if isinstance(part, Mapping) else part for part in arguments)
+        forget = sent.forgotten()
+        self._is_asked, self._asked_at = True, time.monotonic()
+        self._send(("ask", Question(agent, method, frames, region, told, sent.next_number, forget)))
+        is_first = (agent, method) not in self._known
+        limit = max(self._limits.first_s, self._limits.answer_s) if is_first else self._limits.answer_s
+        answer = self._receive(self._asked_at + limit, deadline)
+        self._known.add((agent, method))
+        return answer
+
+    def close(self) -> None:
+        """Let it go: a worker that waits ends by itself, another is killed."""
+        self.let_go()
+        self.reap(time.monotonic() + END_S)
+
+    def let_go(self) -> None:
+        """Close what it is connected by, which ends it."""
+        self._channel.close()
+        if self._lifeline >= 0:
+            os.close(self._lifeline)
+            self._lifeline = -1
+
+    def reap(self, until: float) -> None:
+        """Wait for its end, and make it end then."""
+        try:
+            self._process.wait(max(until - time.monotonic(), 0.0))
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _wait_ready(self, deadline: float | None) -> None:
+        if not self._is_ready:
+            self._received(time.monotonic() + START_S, deadline)
+            self._is_ready = True
+
+    def _receive(self, until: float, deadline: float | None) -> Answer:
+        answer: Answer = pickle.loads(self._received(until, deadline))
+        self._is_asked = False
+        if answer.out_of_memory:
+            reason = f"needs more than {self._limits.memory_mb} MB above what its process starts with"
+            self.close()
+            raise WorkerLost(reason)
+        if isinstance(answer.value, Told):
+            return Answer(self._sent.heard(answer.value), seconds=answer.seconds)
+        return answer
+
+    def _received(self, until: float, deadline: float | None) -> bytes:
+        end = until if deadline is None else min(until, deadline)
+        started = time.monotonic()
+        try:
+            while not self._channel.poll(max(end - time.monotonic(), 0.0)):
+                if time.monotonic() >= until:
+                    self._process.kill()
+                    self.close()
+                    raise WorkerLost(f"gave no answer in {until - started:.3g} s, and was killed")
+                if deadline is not None and time.monotonic() >= deadline:
+                    raise Late("gave no answer by the deadline")
+            return self._channel.recv_bytes()
+        except (EOFError, OSError):
+            raise WorkerLost(self._death()) from None
+
+    def _send(self, message: Any) -> None:
+        try:
+            self._channel.send_bytes(pickle.dumps(message, protocol=5))
+        except OSError:
+            raise WorkerLost(self._death()) from None
+
+    def _death(self) -> str:
+        self.close()
+        code = self._process.returncode
+        if code < 0:
+            try:
+                name = f" ({signal.Signals(-code).name})"
+            except ValueError:
+                name = ""
+            return f"its process was killed by signal {-code}{name}"
+        return f"its process ended with exit code {code}"
