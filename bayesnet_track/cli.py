@@ -13,6 +13,7 @@ from bayesnet_track.arguments import cells, gradient, metres, share, whole_numbe
 from bayesnet_track.parsers.compare import add_compare
 from bayesnet_track.parsers.completion import add_completion
 from bayesnet_track.parsers.doctor import add_doctor
+from bayesnet_track.parsers.outside import add_outside_options
 from bayesnet_track.runtime.stop import StopRequest, Terminated
 
 EXIT_CODES = """\
@@ -72,6 +73,7 @@ def make_parser() -> argparse.ArgumentParser:
         "--detections", metavar="FILE", help="detections (MOT, JSON Lines) for a graph with births by them"
     )
     run.add_argument("--video", action="store_true", help="write the annotated video too (video.mkv)")
+    add_outside_options(run)
     _add_window_options(run)
     _add_run_options(run)
 

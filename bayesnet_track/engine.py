@@ -1,13 +1,13 @@
 """The engine: one step of every live net for one frame.
 
-`step` reads as: weigh every target's belief by its own agents, weigh those of joined targets together, then
-measure, decide and learn for each. It is a function of the engine (graph and seed), the state and the frame;
-time is read for the timings only.
+`step` reads as: sort out what came from outside, weigh every target's belief by its own agents, weigh those
+of joined targets together, then measure, decide and learn for each. It is a function of the engine (graph and
+seed), the state, the frame and what came from outside; time is read for the timings only.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,9 +17,11 @@ from bayesnet_track.adapt.joins import JoinMemory, decide_joins
 from bayesnet_track.adapt.lifecycle import Life
 from bayesnet_track.graph.net import Net
 from bayesnet_track.journal.events import Event, FrameMetrics
+from bayesnet_track.journal.inputs import Input
 from bayesnet_track.machinery import Engine, Machinery, make_engine
 from bayesnet_track.nets.claiming import Looked, look_first
 from bayesnet_track.nets.joining import Together, join_all, reach_of, weigh_all
+from bayesnet_track.nets.outside import Outside, sorted_out
 from bayesnet_track.nets.people import Population
 from bayesnet_track.nets.population import live
 from bayesnet_track.nets.target import TargetState, Weighed, applied, conclude, recompiled, start
@@ -69,6 +71,7 @@ class Outcome:
         events: decisions and faults, in order.
         covariances: target id -> covariance (D, D) of its belief.
         seconds: agent (or planes, belief, measure, learn) -> seconds, summed over targets.
+        outside: what came from outside: given again with this frame, it repeats.
     """
 
     state: State
@@ -76,6 +79,7 @@ class Outcome:
     events: tuple[Event, ...]
     covariances: Mapping[str, Floats] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
+    outside: tuple[Input, ...] = ()
 
 
 def start_target(
@@ -100,14 +104,16 @@ def first_look(engine: Engine, started: Outcome, frame: Frame) -> Outcome:
     return _joined(engine, _lived(engine, started, frame, None, PlaneCache(FramePair(frame, None))), frame)
 
 
-def step(engine: Engine, state: State, frame: Frame) -> Outcome:
-    """One frame for every live target.
+def step(engine: Engine, state: State, frame: Frame, outside: Iterable[Input] = ()) -> Outcome:
+    """One frame for every live target, given what came from `outside`.
 
     Raises:
         ValueError: the frame is not later than the last one.
     """
     if state.previous is not None and not frame.time > state.previous.time:
         raise ValueError(f"frame {frame.index} at time {frame.time} is not later than {state.previous.time}")
+    given = sorted_out(engine, state.net, frame.index, outside)
+    engine = replace(engine, absent=given.absent)
     cache = PlaneCache(FramePair(frame, state.previous))
     seconds: dict[str, float] = {}
     started = engine.clock()
@@ -123,7 +129,8 @@ def step(engine: Engine, state: State, frame: Frame) -> Outcome:
     covariances: dict[str, Floats] = {}
     for one in together.weighed:
         join = together.metrics.get(one.target)
-        done = conclude(engine, state.net, one, frame, cache, seconds, join)
+        by_hand = given.by_hand.get(one.target, ())
+        done = conclude(engine, state.net, one, frame, cache, seconds, join, by_hand)
         net = applied(net, done.decisions)
         targets[one.target] = recompiled(engine, net, one.target, done.state)
         metrics.append(done.metrics)
@@ -131,7 +138,14 @@ def step(engine: Engine, state: State, frame: Frame) -> Outcome:
         events += [*done.told, *done.decisions]
     after = State(net, targets, frame, life, together.memory)
     outcome = Outcome(after, tuple(metrics), tuple(events), covariances, seconds)
-    return _joined(engine, _lived(engine, outcome, frame, state.previous, cache, looked), frame)
+    outcome = _joined(engine, _lived(engine, outcome, frame, state.previous, cache, looked), frame)
+    return with_outside(outcome, given)
+
+
+def with_outside(outcome: Outcome, given: Outside) -> Outcome:
+    """The outcome with what came from outside, its notices first."""
+    told = (*given.absent.events, *given.refused)
+    return replace(outcome, events=(*told, *outcome.events), outside=given.taken)
 
 
 def _lived(

@@ -32,6 +32,7 @@ from bayesnet_track.graph.life_settings import LifeRules, life_rules
 from bayesnet_track.graph.motion_settings import Moving
 from bayesnet_track.graph.spec import Guard, Join, Learn
 from bayesnet_track.graph.write import as_plain, flow_text
+from bayesnet_track.inference.absent import Absent
 from bayesnet_track.inference.parts import part_of_agents
 from bayesnet_track.numerics.streams import Streams
 
@@ -88,6 +89,7 @@ class Engine:
         clock: seconds, for timings only.
         joins: how targets depend on each other.
         executor: how the agents of a frame are asked; changes no result.
+        absent: agents that give no answer in the frame that is worked on.
     """
 
     machinery: Mapping[str, Machinery]
@@ -96,6 +98,7 @@ class Engine:
     detectors: Mapping[str, Detector] = field(default_factory=dict)
     joins: tuple[Join, ...] = ()
     executor: Executor = field(default_factory=Serial)
+    absent: Absent = field(default_factory=Absent)
 
 
 def make_engine(

@@ -105,7 +105,7 @@ def _check_selves(now: Situation, memory: Memory, decisions: list[Decision]) -> 
     for agent, ud in now.measures.agent_ud_px2.items():
         check = now.plate.agent(agent).self_check
         reading = None if check is None else read_level(check.above, ud, now.measures.area_px2, quiet)
-        if check is None or reading is None or agent not in active:
+        if check is None or reading is None or agent not in active or agent in now.net.by_hand:
             continue
         before = memory.self_check.get(agent, Streak())
         streak = before.then(reading.value > reading.level, reading.value, check.frames)
@@ -149,7 +149,8 @@ def _govern(now: Situation, memory: Memory, node: str, rules: Adapt, decisions: 
             down = memory.deactivate.get(node, down).then(found.below, found.value, frames)
         if found is not None and down.count >= frames and not fired:
             index = _drop_index(now, memory, node, rules.deactivate.drop, decisions)
-            agent = _dropped(now, memory, node, rules, index) if len(index) > rules.keep else None
+            left = len(index) + _held_on(now, node)
+            agent = _dropped(now, memory, node, rules, index) if index and left > rules.keep else None
             if agent is not None:
                 cause = found.cause_below(frames, down.values)
                 decisions.append(
@@ -170,6 +171,7 @@ def _eligible(now: Situation) -> list[str]:
         for agent in now.plate.agents
         if agent not in now.net.active
         and agent not in now.net.quarantined
+        and agent not in now.net.by_hand
         and now.net.rests_until.get(agent, 0) <= now.frame + 1
     ]
 
@@ -206,12 +208,18 @@ def _choose_to_activate(now: Situation, memory: Memory, node: str, rules: Adapt)
 def _drop_index(
     now: Situation, memory: Memory, node: str, drop: str, decisions: list[Decision]
 ) -> dict[str, float]:
-    """Governed agent -> the index by which one is dropped; those that just stopped themselves are out."""
+    """Governed agent -> the index by which one is dropped.
+
+    Those that just stopped themselves are out, and those that a person switched on.
+    """
     stopped = {d.node for d in decisions if isinstance(d, SelfStopped)}
     agents = [
         agent
         for agent in now.measures.kl
-        if now.plate.governor[agent] == node and agent in now.net.active and agent not in stopped
+        if now.plate.governor[agent] == node
+        and agent in now.net.active
+        and agent not in stopped
+        and agent not in now.net.by_hand
     ]
     if drop == "largest_kl":
         return {agent: now.measures.kl[agent] for agent in agents}
@@ -220,6 +228,11 @@ def _drop_index(
     if drop == "least_information_per_ms":
         return remembered_per_ms(memory.worth.get(node, Worth()), agents, now.costs_ms)
     return {agent: now.measures.contribution[agent] / now.costs_ms[agent] for agent in agents}
+
+
+def _held_on(now: Situation, node: str) -> int:
+    """How many governed agents work because a person switched them on."""
+    return sum(now.plate.governor[agent] == node and agent in now.net.active for agent in now.net.by_hand)
 
 
 def _dropped(

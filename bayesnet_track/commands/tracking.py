@@ -175,6 +175,7 @@ def _track(
 ) -> int:
     from bayesnet_track.detector import DetectorError
     from bayesnet_track.runtime.detection_files import file_detector
+    from bayesnet_track.runtime.inputs import replayed
     from bayesnet_track.runtime.progress import Progress
     from bayesnet_track.runtime.run import Summary
     from bayesnet_track.runtime.session import track
@@ -184,6 +185,10 @@ def _track(
     if detections is not None:
         with users_mistake():
             file_detector(detections)
+    inputs = getattr(options, "inputs", None)
+    if inputs is not None:
+        with users_mistake():
+            replayed(Path(inputs))
     progress = Progress(sys.stderr, source.expected_frames, sys.stderr.isatty(), options.log_json)
     summary = Summary()
     stop: StopRequest = options.stop
@@ -200,6 +205,7 @@ def _track(
             video=video,
             summary=summary,
             detections=detections,
+            inputs=inputs,
         )
         stack.callback(results.close)
         try:

@@ -19,6 +19,7 @@ from functools import cache
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from bayesnet_track.journal.events import Event, FrameMetrics
+from bayesnet_track.journal.inputs import Input
 
 FLOAT_DIGITS = 9
 _NON_FINITE = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
@@ -41,10 +42,11 @@ def event_name(kind: type) -> str:
 @cache
 def event_classes() -> Mapping[str, type]:
     """Every class that a line may hold, by its name in the file."""
-    return types.MappingProxyType({event_name(kind): kind for kind in (*get_args(Event), FrameMetrics)})
+    kinds = (*get_args(Event), *get_args(Input), FrameMetrics)
+    return types.MappingProxyType({event_name(kind): kind for kind in kinds})
 
 
-def to_json(event: Event | FrameMetrics) -> str:
+def to_json(event: Event | Input | FrameMetrics) -> str:
     """The line of an event, without its newline.
 
     Raises:
@@ -56,7 +58,7 @@ def to_json(event: Event | FrameMetrics) -> str:
     return json.dumps({"event": name, **_encoded_fields(event, type(event), name)}, allow_nan=False)
 
 
-def from_json(line: str) -> Event | FrameMetrics:
+def from_json(line: str) -> Event | Input | FrameMetrics:
     """The event of a line: the inverse of `to_json`, up to the rounding of floats.
 
     Raises:
@@ -74,7 +76,7 @@ def from_json(line: str) -> Event | FrameMetrics:
         raise JournalError(
             f"unknown event {name!r}; known: {', '.join(sorted(event_classes()))}: {_short(line)}"
         )
-    decoded: Event | FrameMetrics = _decode_object(values, kind, name)
+    decoded: Event | Input | FrameMetrics = _decode_object(values, kind, name)
     return decoded
 
 

@@ -11,8 +11,9 @@ from typing import Any, get_args
 
 from bayesnet_track.graph.life_decisions import Recognition
 from bayesnet_track.graph.net import Cause, Concentration
-from bayesnet_track.journal.codec import FLOAT_DIGITS, event_classes, event_name, type_hints
-from bayesnet_track.journal.events import JOURNAL_VERSION, FrameMetrics
+from bayesnet_track.journal.codec import FLOAT_DIGITS, event_name, type_hints
+from bayesnet_track.journal.events import JOURNAL_VERSION, Event, FrameMetrics
+from bayesnet_track.journal.inputs import Input
 from bayesnet_track.journal.join_events import JoinMetrics
 from bayesnet_track.journal.part_metrics import PartMetrics
 
@@ -40,13 +41,18 @@ def parts_of(kind: type) -> tuple[str, Mapping[str, str]]:
 
 def document_events() -> str:
     """Markdown that describes every line of ``journal.jsonl`` and ``frames.jsonl``, field by field."""
-    kinds = [kind for kind in event_classes().values() if kind is not FrameMetrics]
+    kinds = get_args(Event)
+    outside = [kind for kind in get_args(Input) if kind not in kinds]
+    both = ", ".join(f"`{event_name(kind)}`" for kind in get_args(Input) if kind in kinds)
     sections = [
         _HEAD.format(version=JOURNAL_VERSION, digits=FLOAT_DIGITS),
         "## Lines of `journal.jsonl`",
         *(_section(kind, f"`{event_name(kind)}`") for kind in kinds),
         "## Lines of `frames.jsonl`",
         _section(FrameMetrics, f"`{event_name(FrameMetrics)}`"),
+        "## Lines of `inputs.jsonl`",
+        f"What came from outside, there only when something did. {both} stand in the journal, too.",
+        *(_section(kind, f"`{event_name(kind)}`") for kind in outside),
         "## Objects inside lines",
         _section(PartMetrics, "`part_metrics`"),
         _section(Cause, "`cause`"),

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from bayesnet_track.graph.net import Decision
+from bayesnet_track.journal.inputs import AgentMissed, InputRefused
 from bayesnet_track.journal.join_events import (
     AttachmentChanged,
     JoinMetrics,
@@ -300,6 +301,8 @@ Event = (
     | CandidateConfirmed
     | BirthsRefused
     | DetectorFailed
+    | AgentMissed
+    | InputRefused
     | OcclusionChanged
     | AttachmentChanged
     | RingChanged

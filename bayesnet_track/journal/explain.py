@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import get_args
 
 from bayesnet_track.graph.net import (
     Activated,
     Cause,
     Concentration,
     Deactivated,
-    Quarantined,
     ScoreCause,
     SelfStopped,
     StatusChanged,
+    Switch,
     TargetStarted,
 )
-from bayesnet_track.journal.codec import event_classes, event_name
+from bayesnet_track.journal.codec import event_name
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.journal.sentences import explain
 from bayesnet_track.journal.wording import UNIT
@@ -47,7 +48,7 @@ class Filter:
     frames: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
-        kinds = [name for name in event_classes() if name != event_name(FrameMetrics)]
+        kinds = [event_name(kind) for kind in get_args(Event)]
         if self.kind is not None and self.kind not in kinds:
             raise ValueError(f"no event is called {self.kind!r}; there are {', '.join(kinds)}")
 
@@ -124,11 +125,7 @@ def _is_start(event: Event, line: FrameMetrics) -> bool:
 def _agents(events: Sequence[Event], line: FrameMetrics) -> list[str]:
     """The agents heard of in the run, those of the start first."""
     started = [name for event in events if isinstance(event, TargetStarted) for name in event.active]
-    later = [
-        event.node
-        for event in events
-        if isinstance(event, Activated | Deactivated | SelfStopped | Quarantined)
-    ]
+    later = [event.node for event in events if isinstance(event, Switch)]
     return list(dict.fromkeys([*started, *later, *line.active]))
 
 
@@ -151,7 +148,7 @@ def _set_by(agent: str, before: Sequence[Event]) -> str:
             return (
                 f"on since frame {event.frame}, the start" if agent in event.active else "off since the start"
             )
-        if isinstance(event, Activated | Deactivated | SelfStopped | Quarantined) and event.node == agent:
+        if isinstance(event, Switch) and event.node == agent:
             return explain(event)
     return "not switched by any event"
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from bayesnet_track.journal.codec import JournalError, from_json
+from bayesnet_track.journal.codec import JournalError, event_name, from_json
 from bayesnet_track.journal.events import Event, FrameMetrics
+from bayesnet_track.journal.inputs import Input
 
 Notice = Callable[[str], None]
 
@@ -24,6 +25,8 @@ def read_events(path: Path, notice: Notice | None = None) -> Iterator[Event]:
     for where, event in _read(path, notice):
         if isinstance(event, FrameMetrics):
             raise JournalError(f"{where}: frame_metrics belong into frames.jsonl")
+        if not isinstance(event, Event):
+            raise JournalError(f"{where}: {event_name(type(event))} belongs into inputs.jsonl")
         yield event
 
 
@@ -35,7 +38,15 @@ def read_metrics(path: Path, notice: Notice | None = None) -> Iterator[FrameMetr
         yield event
 
 
-def _read(path: Path, notice: Notice | None) -> Iterator[tuple[str, Event | FrameMetrics]]:
+def read_inputs(path: Path, notice: Notice | None = None) -> Iterator[Input]:
+    """The lines of ``inputs.jsonl``, in order; torn lines and errors as in `read_events`."""
+    for where, event in _read(path, notice):
+        if not isinstance(event, Input):
+            raise JournalError(f"{where}: {event_name(type(event))} is nothing that comes from outside")
+        yield event
+
+
+def _read(path: Path, notice: Notice | None) -> Iterator[tuple[str, Event | Input | FrameMetrics]]:
     with path.open("rb") as file:
         for number, line in enumerate(file, start=1):
             where = f"{path}:{number}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from bayesnet_track.graph.hand_decisions import Released, Toggled
 from bayesnet_track.graph.join_decisions import Joined, Parted
 from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
 from bayesnet_track.graph.net import (
@@ -31,6 +32,8 @@ from bayesnet_track.journal.events import (
     SecondPass,
     SourceDamaged,
 )
+from bayesnet_track.journal.fault_sentences import by_hand, missed
+from bayesnet_track.journal.inputs import AgentMissed, InputRefused
 from bayesnet_track.journal.join_events import AttachmentChanged, OcclusionChanged, RingChanged
 from bayesnet_track.journal.join_sentences import (
     attachment_changed,
@@ -78,6 +81,8 @@ def explain(event: Event, name_target: bool = False) -> str:
             return f"frame {event.frame}: the pictures change to {event.width}x{event.height}; {then}"
         case SourceDamaged():
             return f"frame {event.frame}: the source is damaged: {event.reason}"
+        case InputRefused():
+            return f"frame {event.frame}: what was asked of {event.node} is refused: {event.reason}"
         case BirthsRefused():
             return f"frame {event.frame}: {births_refused(event)}"
         case DetectorFailed():
@@ -108,6 +113,7 @@ def _run_ended(event: RunEnded) -> str:
 
 def happened(
     event: Decision
+    | AgentMissed
     | CandidateConfirmed
     | DegenerateBelief
     | MeasurementGated
@@ -143,6 +149,10 @@ def happened(
             )
         case Quarantined():
             return f"{event.node} failed: {event.reason} → out for the rest of the run"
+        case AgentMissed():
+            return missed(event)
+        case Toggled() | Released():
+            return by_hand(event)
         case StatusChanged():
             return _status(event)
         case MeasurementGated():

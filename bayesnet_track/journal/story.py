@@ -10,10 +10,11 @@ from bayesnet_track.graph.net import (
     Activated,
     Deactivated,
     LocallyAdapted,
-    Quarantined,
     SelfStopped,
     StatusChanged,
+    Switch,
     TargetStarted,
+    Toggled,
 )
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.journal.life_events import CandidateConfirmed
@@ -30,8 +31,6 @@ CHAPTERS = (
     DuplicateEnded,
 )
 """What is told in full; everything between two of them is condensed."""
-
-SWITCHES = (Activated, Deactivated, SelfStopped, Quarantined)
 
 
 def tell_life(events: Sequence[Event], metrics: Iterable[FrameMetrics], target: str) -> str:
@@ -61,7 +60,7 @@ def tell_life(events: Sequence[Event], metrics: Iterable[FrameMetrics], target: 
 
 def _condensed(events: Iterable[Event]) -> list[str]:
     """What the net did between two chapters, in one line."""
-    switches = [event for event in events if isinstance(event, SWITCHES)]
+    switches = [event for event in events if isinstance(event, Switch)]
     tuned = Counter(event.node for event in events if isinstance(event, LocallyAdapted))
     frames = [event.frame for event in [*switches, *(e for e in events if isinstance(e, LocallyAdapted))]]
     if not frames:
@@ -85,6 +84,8 @@ def _what(event: Event) -> str:
             return "off"
         case SelfStopped():
             return "stopped itself"
+        case Toggled():
+            return f"{'on' if event.on else 'off'} by hand"
         case _:
             return "failed"
 

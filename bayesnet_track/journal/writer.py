@@ -9,6 +9,7 @@ from typing import Self
 
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events import Event, FrameMetrics
+from bayesnet_track.journal.inputs import Input
 
 
 class OutputError(OSError):
@@ -70,9 +71,9 @@ class LineFile:
 
 
 class JournalWriter(LineFile):
-    """A new file of events, one a line: ``journal.jsonl`` and ``frames.jsonl``."""
+    """A new file of events, one a line: ``journal.jsonl``, ``frames.jsonl`` and ``inputs.jsonl``."""
 
-    def write(self, event: Event | FrameMetrics) -> None:
+    def write(self, event: Event | Input | FrameMetrics) -> None:
         """Add an event to the next flush.
 
         Raises:

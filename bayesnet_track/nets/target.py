@@ -240,11 +240,13 @@ def conclude(
     cache: PlaneCache,
     seconds: dict[str, float],
     join: JoinMetrics | None = None,
+    by_hand: tuple[Decision, ...] = (),
 ) -> Concluded:
     """Measure the belief, decide what changes, learn the references; `seconds` is added to.
 
     `join` is what a joint belief says of it: the less of it is visible the less is learnt, and nothing when
-    half of it is hidden, since the box shows what hides it.
+    half of it is hidden, since the box shows what hides it. `by_hand` is what a person switched, of which the
+    rules know.
     """
     hidden = 0.0 if join is None else join.hidden
     target, before, stepped = weighed.target, weighed.before, weighed.step
@@ -258,7 +260,7 @@ def conclude(
     box = _inside(state[:4], frame)
     started = _charge(engine, seconds, "belief", started)
 
-    working = applied(net, weighed.faults).targets[target]
+    working = applied(net, (*weighed.faults, *by_hand)).targets[target]
     measures = measure(machine.plate, before.plan, stepped, float(box[2] * box[3]))
     scored, score = before.scored, None
     if root.score is not None:
@@ -323,7 +325,7 @@ def conclude(
         None if score is None else (score, scored.smooth),
         _angle(at),
     )
-    return Concluded(after, metrics, (*weighed.faults, *decisions), tuple(told), spread)
+    return Concluded(after, metrics, (*weighed.faults, *by_hand, *decisions), tuple(told), spread)
 
 
 def applied(net: Net, decisions: Iterable[Decision]) -> Net:

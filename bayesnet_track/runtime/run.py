@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.engine import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.net import Activated, Deactivated, Decision, Quarantined, SelfStopped
+from bayesnet_track.graph.net import Decision, Switch
 from bayesnet_track.journal.events import (
     JOURNAL_VERSION,
     Event,
@@ -21,16 +21,16 @@ from bayesnet_track.journal.events import (
     RunEnded,
     RunStarted,
 )
+from bayesnet_track.journal.inputs import Input
 from bayesnet_track.planes import Frame
 from bayesnet_track.runtime.frames import EndReason, SourceItem
+from bayesnet_track.runtime.inputs import Asked, nothing
 from bayesnet_track.runtime.starts import Start, StartError, check_starts, start_targets
 from bayesnet_track.runtime.versions import versions
 
 __all__ = ["FrameSource", "Result", "Sink", "Start", "StartError", "Summary", "run"]
 
 Floats = NDArray[np.float64]
-
-SWITCHES = (Activated, Deactivated, SelfStopped, Quarantined)
 
 
 class FrameSource(Protocol):
@@ -80,6 +80,7 @@ class Result:
         decisions: what was decided in this frame, working from the next on.
         seconds: seconds per agent and stage.
         total_seconds: seconds of the whole step, without decoding and writing.
+        outside: what came from outside, such as a person's switches.
     """
 
     frame: Frame
@@ -88,6 +89,7 @@ class Result:
     decisions: tuple[Decision, ...]
     seconds: dict[str, float]
     total_seconds: float = 0.0
+    outside: tuple[Input, ...] = ()
 
 
 class Sink(Protocol):
@@ -99,6 +101,41 @@ class Sink(Protocol):
 
     def frame(self, result: Result) -> None:
         """What one frame gave, after its events."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """How far a run is, between two frames.
+
+    Attributes:
+        frame: the last frame.
+        state: the engine's state after it.
+        frames: frames that were tracked.
+        reconfigurations: how many times an agent was switched on or off.
+        lost_frames: frames in which a target was lost.
+    """
+
+    frame: Frame
+    state: State
+    frames: int
+    reconfigurations: int
+    lost_frames: int
+
+
+class Keeper(Protocol):
+    """Who keeps how far a run is, so that it can go on from there."""
+
+    def reached(self, now: Reached) -> None:
+        """A frame is done, and every sink was told of it."""
+        ...
+
+    def stopped(self) -> None:
+        """The caller stops between two frames; the journal's last line is still to come."""
+        ...
+
+    def ended(self) -> None:
+        """The source was read to its end, and the journal is closed."""
         ...
 
 
@@ -135,6 +172,9 @@ def run(
     summary: Summary | None = None,
     engine: Engine | None = None,
     inputs: Mapping[str, str] = MappingProxyType({}),
+    outside: Asked = nothing,
+    keeper: Keeper | None = None,
+    after: Reached | None = None,
 ) -> Generator[Result, None, None]:
     """Track through `source`, yielding a result per frame.
 
@@ -148,6 +188,10 @@ def run(
         summary: filled in as the run goes on.
         engine: an engine made from `graph`, to share between runs; made here when None.
         inputs: files from outside that the engine reads, besides the source -> their SHA-256, to be told.
+        outside: asked before each frame for what came from outside, by the frame's index: a
+            `runtime.inputs.Switchboard` of a live view, or `runtime.inputs.replayed` of an earlier run.
+        keeper: told after each frame how far the run is.
+        after: go on from there; `source` gives the frames after it. Sinks know already what was before.
 
     The journal is closed in order also when the caller stops iterating or an error passes through.
 
@@ -164,6 +208,10 @@ def run(
 
     state: State | None = None
     has_started = False
+    if after is not None:
+        state, has_started = after.state, True
+        told.frames, told.reconfigurations = after.frames, after.reconfigurations
+        told.lost_frames = after.lost_frames
     opened = time.perf_counter()
     try:
         for item in source:
@@ -178,20 +226,28 @@ def run(
                 # What was found wrong before the first frame comes after the journal's first line.
                 for event in (_run_started(graph, engine, source, item, seed, inputs), *told.notices):
                     tell(event)
-                outcome = start_targets(graph, engine, item, starts)
+                outcome = start_targets(graph, engine, item, starts, outside(item.index))
             else:
-                outcome = step(engine, state, item)
+                outcome = step(engine, state, item, outside(item.index))
             state = outcome.state
             spent = time.perf_counter() - began
             told.frames += 1
             for event in outcome.events:
                 tell(event)
             result = _result(item, outcome, spent)
-            told.reconfigurations += sum(isinstance(event, SWITCHES) for event in result.decisions)
+            told.reconfigurations += sum(isinstance(event, Switch) for event in result.decisions)
             told.lost_frames += any(metrics.status == "lost" for metrics in result.targets)
             for sink in sinks:
                 sink.frame(result)
-            yield result
+            if keeper is not None:
+                now = Reached(item, state, told.frames, told.reconfigurations, told.lost_frames)
+                keeper.reached(now)
+            try:
+                yield result
+            except GeneratorExit:
+                if keeper is not None:
+                    keeper.stopped()
+                raise
         told.reason = source.end_reason
         told.complete = told.reason == "end_of_source"
     except (KeyboardInterrupt, GeneratorExit):
@@ -201,11 +257,21 @@ def run(
         told.seconds = time.perf_counter() - opened
         if has_started:
             tell(RunEnded(told.frames, source.expected_frames, told.complete, told.reason))
+    if keeper is not None and has_started:
+        keeper.ended()
 
 
 def _result(frame: Frame, outcome: Outcome, spent: float) -> Result:
     decisions = tuple(event for event in outcome.events if isinstance(event, Decision))
-    return Result(frame, outcome.metrics, dict(outcome.covariances), decisions, dict(outcome.seconds), spent)
+    return Result(
+        frame,
+        outcome.metrics,
+        dict(outcome.covariances),
+        decisions,
+        dict(outcome.seconds),
+        spent,
+        outcome.outside,
+    )
 
 
 def _run_started(

@@ -16,6 +16,7 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.runtime.detection_files import file_detector
+from bayesnet_track.runtime.inputs import Asked, as_asked
 from bayesnet_track.runtime.recipe import make_recipe
 from bayesnet_track.runtime.record import Recorder
 from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
@@ -40,6 +41,7 @@ def track(
     video: bool = False,
     sinks: Sequence[Sink] = (),
     summary: Summary | None = None,
+    inputs: str | PathLike[str] | Asked | None = None,
 ) -> Generator[Result, None, None]:
     """Track through `source` with `graph`, yielding one result per frame.
 
@@ -56,13 +58,15 @@ def track(
         video: write the annotated video into `out` too.
         sinks: further observers.
         summary: filled in as the run goes on.
+        inputs: what comes from outside: the inputs.jsonl of an earlier run, to repeat it, or a function that
+            is asked before each frame, such as a `runtime.inputs.Switchboard`.
 
     Raises (when the first result is asked for; nothing is written then):
         GraphError: every error of the graph.
         SourceError: nothing can be read from the source, or it has no depth where the graph needs it.
         StartError: no target can start from the box.
         DetectorError: a detector cannot be made, or the graph and the file of detections do not go together.
-        OSError: the file of detections cannot be read.
+        OSError: the file of detections or of inputs cannot be read.
         ValueError: it is malformed; says file and line.
         RunDirectoryError: `out` holds something else.
         OutputError: an output cannot be written (later, too).
@@ -75,7 +79,8 @@ def track(
     """
     checked = load_graph(graph)
     starts = _starts(box)
-    inputs = {} if detections is None else {str(detections): file_sha256(detections)}
+    read = {} if detections is None else {str(detections): file_sha256(detections)}
+    outside = as_asked(inputs)
     with ExitStack() as stack:
         if isinstance(source, str | PathLike):
             opened: FrameSource = stack.enter_context(open_source(str(source)))
@@ -100,7 +105,15 @@ def track(
             ).write(directory)
             told.append(stack.enter_context(Recorder(directory, checked, opened.frame_interval_s, video)))
         yield from run(
-            checked, opened, starts, seed=seed, sinks=told, summary=summary, engine=engine, inputs=inputs
+            checked,
+            opened,
+            starts,
+            seed=seed,
+            sinks=told,
+            summary=summary,
+            engine=engine,
+            inputs=read,
+            outside=outside,
         )
 
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.engine import Engine, Outcome, State, first_look, start_target
+from bayesnet_track.engine import Engine, Outcome, State, first_look, start_target, with_outside
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.messages import nearest
+from bayesnet_track.journal.inputs import Input
+from bayesnet_track.nets.outside import sorted_out
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.planes import Frame
 
@@ -76,15 +78,23 @@ def check_box(box: object, width: int, height: int) -> Floats:
     return corner
 
 
-def start_targets(graph: CheckedGraph, engine: Engine, frame: Frame, starts: Sequence[Start]) -> Outcome:
+def start_targets(
+    graph: CheckedGraph,
+    engine: Engine,
+    frame: Frame,
+    starts: Sequence[Start],
+    outside: Iterable[Input] = (),
+) -> Outcome:
     """The first frame: one net per start, ids "1", "2", ... in their order; then what detectors find."""
+    given = sorted_out(engine, State().net, frame.index, outside)
+    engine = replace(engine, absent=given.absent)
     outcome = Outcome(State(), (), ())
     for number, start in enumerate(starts, 1):
         plate = start.plate or next(iter(graph.targets))
         box = centre_from_corner(start.box)
         born = start_target(engine, outcome.state, frame, str(number), plate, box)
         outcome = Outcome(born.state, outcome.metrics + born.metrics, outcome.events + born.events)
-    return first_look(engine, outcome, frame)
+    return with_outside(first_look(engine, outcome, frame), given)
 
 
 def has_births(graph: CheckedGraph) -> bool:

@@ -10,10 +10,10 @@ from bayesnet_track.graph.net import (
     Activated,
     Cause,
     Deactivated,
-    Quarantined,
-    SelfStopped,
     StatusChanged,
+    Switch,
     TargetStarted,
+    Toggled,
 )
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.journal.explain import explain
@@ -25,8 +25,6 @@ FONT = "system-ui, -apple-system, 'Segoe UI', 'DejaVu Sans', sans-serif"
 INK, SOFT, GRID = "#1f2933", "#66727f", "#e4e7eb"
 UD_LINE, UP, DOWN, QUIET, LOST = "#2457a7", "#c43d2f", "#1e8a53", "#8a5fbf", "#f1b4ab"
 BAR_COLOURS = ("#2f7ab8", "#d9822b", "#3a9d74", "#9a6cc4", "#c2548b", "#7c8a2e", "#4aa3a8", "#a0654a")
-
-Switch = Activated | Deactivated | SelfStopped | Quarantined
 
 
 @dataclass(frozen=True)
@@ -227,7 +225,7 @@ def _marks(
     drawn, free = [], -math.inf
     for event in sorted(switches, key=lambda event: event.frame):
         x, y = axes.x(event.frame), axes.y(ud.get(event.frame, axes.low))
-        on = isinstance(event, Activated)
+        on = isinstance(event, Activated) or (isinstance(event, Toggled) and event.on)
         colour, tip = (UP, -6.0) if on else (DOWN if isinstance(event, Deactivated) else INK, 6.0)
         bar = top + agents.index(event.node) * (BAR + BAR_GAP)
         stem = element(

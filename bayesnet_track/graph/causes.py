@@ -1,0 +1,78 @@
+"""The numbers that made a rule fire, as decisions carry them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Cause:
+    """The numbers that made a threshold rule fire.
+
+    Attributes:
+        unit: the level's unit: ud_px2, ud_box or ud_quiet.
+        level: the level in that unit.
+        value: UD at this frame in that unit.
+        frames: how many consecutive frames it had to hold.
+        turning: the level, in that unit, at which the rule would not have fired.
+        ud_px2: UD at this frame in px^2.
+        scale_px2: px^2 per unit (1, the estimate's area, or the quiet level).
+    """
+
+    unit: str
+    level: float
+    value: float
+    frames: int
+    turning: float
+    ud_px2: float
+    scale_px2: float
+
+
+@dataclass(frozen=True)
+class ScoreCause:
+    """The numbers that made a level of the score fire.
+
+    Attributes:
+        level: the level, a probability of being on target.
+        score: the score at this frame.
+        frames: how many consecutive frames it had to be below, or not to be below.
+        turning: the level at which the status would have stayed: at or below it when the score fell, above it
+            when it rose.
+        fell: whether the score fell below the level.
+    """
+
+    level: float
+    score: float
+    frames: int
+    turning: float
+    fell: bool
+
+
+@dataclass(frozen=True)
+class Concentration:
+    """The numbers of the test whether a belief lies around one mode: a one-sided binomial test.
+
+    Attributes:
+        share: share of the belief that has to lie inside the window.
+        within_box: radius of the window, in sqrt(w h) of the most probable state.
+        confidence: confidence of the test.
+        inside: share that lies inside at this frame.
+        trials: effective hypotheses that know it; infinite when it is exact.
+        vouched: largest `share` at which the test would say at this frame that the belief is concentrated.
+        frames: how many consecutive frames it had to say so, or not to say so.
+        turning: the `share` at which the rule would not have fired: at or below it for one that switches on,
+            above it for one that switches off.
+        radius_px: radius of the window.
+        ud_px2: UD at this frame.
+    """
+
+    share: float
+    within_box: float
+    confidence: float
+    inside: float
+    trials: float
+    vouched: float
+    frames: int
+    turning: float
+    radius_px: float
+    ud_px2: float

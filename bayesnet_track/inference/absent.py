@@ -1,0 +1,59 @@
+"""Agents that give no answer in a frame for reasons outside of them: those known before, those found out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from bayesnet_track.journal.inputs import AgentMissed
+
+Key = tuple[str, str, str]
+
+
+@dataclass(frozen=True)
+class Missing:
+    """No answer, and why."""
+
+    reason: str
+
+
+@dataclass(eq=False)
+class Absent:
+    """Who gives no answer in one frame.
+
+    An agent that was known to be missing is not asked, so that a run with the same inputs repeats.
+
+    Attributes:
+        frame: frame index.
+        known: (target, agent, what it was asked for) -> why it gives none.
+        told: those of them that were to be asked, or were found out.
+    """
+
+    frame: int = 0
+    known: dict[Key, str] = field(default_factory=dict)
+    told: dict[Key, str] = field(default_factory=dict)
+
+    @staticmethod
+    def of(frame: int, missed: Iterable[AgentMissed]) -> Absent:
+        """Those that are known to be missing in `frame`."""
+        return Absent(frame, {(one.target, one.node, one.during): one.reason for one in missed})
+
+    def misses(self, target: str, agent: str, during: str) -> Missing | None:
+        """Why the agent cannot be asked; None when it can."""
+        key = (target, agent, during)
+        if key not in self.known:
+            return None
+        self.told[key] = self.known[key]
+        return Missing(self.known[key])
+
+    def note(self, target: str, agent: str, during: str, reason: str) -> None:
+        """The agent was asked and gave no answer."""
+        self.known[target, agent, during] = self.told[target, agent, during] = reason
+
+    @property
+    def events(self) -> tuple[AgentMissed, ...]:
+        """Those that were missed, in an order that does not depend on when they were found out."""
+        return tuple(
+            AgentMissed(self.frame, target, agent, reason, during)
+            for (target, agent, during), reason in sorted(self.told.items())
+        )
