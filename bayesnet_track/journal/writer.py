@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
@@ -16,24 +18,85 @@ class OutputError(OSError):
     """An output file that cannot be written (disk full, no permission, ...)."""
 
 
+@dataclass(frozen=True)
+class Position:
+    """How far a file is written.
+
+    Attributes:
+        size: its bytes.
+        sha256: of these, in hexadecimal.
+    """
+
+    size: int
+    sha256: str
+
+
+def read_position(path: Path, size: int | None = None) -> Position:
+    """The position at the end of a file, or after its first `size` bytes (fewer where it has no more).
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    digest, done = hashlib.sha256(), 0
+    with path.open("rb") as file:
+        while part := file.read(1 << 20 if size is None else min(1 << 20, size - done)):
+            digest.update(part)
+            done += len(part)
+    return Position(done, digest.hexdigest())
+
+
 class LineFile:
-    """A new UTF-8 text file of lines that end in a plain newline.
+    """A UTF-8 text file of lines that end in a plain newline: a new one, or one that is continued.
 
     Lines are gathered until `flush`, which hands them to the operating system at once, so that a killed
     process leaves whole flushes. Where writing fails, the file is cut back to its last whole flush.
 
+    Args:
+        path: the file.
+        after: continue after so many bytes; what follows them is cut off. None begins anew.
+
     Raises:
-        OutputError: the file cannot be created, or, at `flush`, written.
+        OutputError: the file cannot be created, is shorter than `after`, or, at `flush`, cannot be written.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, after: int | None = None) -> None:
         self.path = path
         self._lines: list[str] = []
         self._size = 0
+        self._digest = hashlib.sha256()
         try:
-            self._file = path.open("wb", buffering=0)
+            self._file = path.open("wb" if after is None else "r+b", buffering=0)
         except OSError as error:
             raise output_error(path, error) from error
+        if after is not None:
+            try:
+                self._continue(after)
+            except OSError as error:
+                self._file.close()
+                raise output_error(path, error) from error
+
+    def _continue(self, after: int) -> None:
+        while self._size < after:
+            part = self._file.read(min(1 << 20, after - self._size))
+            if not part:
+                raise OutputError(
+                    f"{self.path}: it has {self._size} bytes, not the {after} to continue after"
+                )
+            self._digest.update(part)
+            self._size += len(part)
+        self._file.truncate(after)
+
+    @property
+    def position(self) -> Position:
+        """How far the system has the file: after the last flush."""
+        return Position(self._size, self._digest.hexdigest())
+
+    def sync(self) -> None:
+        """Let the disk have what was flushed."""
+        try:
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise output_error(self.path, error) from error
 
     def append(self, line: str) -> None:
         """Add a line (without its newline) to the next flush."""
@@ -52,8 +115,10 @@ class LineFile:
         except OSError as error:
             with suppress(OSError):
                 self._file.truncate(self._size)
+                self._file.seek(self._size)
             raise output_error(self.path, error) from error
         self._size += done
+        self._digest.update(data)
 
     def close(self) -> None:
         """Flush and close; safe to call twice."""
@@ -84,6 +149,8 @@ class JournalWriter(LineFile):
 
 def output_error(path: Path, error: OSError) -> OutputError:
     """What the system said of a file that cannot be written."""
+    if isinstance(error, OutputError):
+        return error
     return OutputError(
         error.errno, f"cannot write: {error.strerror or os.strerror(error.errno or 0)}", str(path)
     )

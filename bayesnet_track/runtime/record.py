@@ -3,19 +3,37 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.journal.events import Event
+from bayesnet_track.journal.codec import from_json, to_json
+from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.journal.inputs import Input
-from bayesnet_track.journal.writer import JournalWriter, LineFile
+from bayesnet_track.journal.reader import read_metrics
+from bayesnet_track.journal.writer import JournalWriter, LineFile, Position
+from bayesnet_track.planes import Frame
 from bayesnet_track.runtime.run import Result
 from bayesnet_track.runtime.rundir import RunDirectory
 from bayesnet_track.runtime.starts import has_births
-from bayesnet_track.runtime.tracks import CsvWriter, MotWriter
+from bayesnet_track.runtime.tracks import NO_IDS, CsvWriter, MotWriter
 from bayesnet_track.runtime.videowriter import VideoWriter
+
+
+@dataclass(frozen=True)
+class Written:
+    """How far a run is written down.
+
+    Attributes:
+        positions: file, by its key in `rundir.FILES` -> how far.
+        ids: target -> its number in tracks.txt.
+    """
+
+    positions: Mapping[str, Position]
+    ids: Mapping[str, int] = field(default_factory=dict)
 
 
 class Recorder:
@@ -29,26 +47,64 @@ class Recorder:
         graph: what is tracked with; its canonical text is stored.
         frame_interval_s: nominal seconds between frames, for the video.
         with_video: write the annotated video.
+        after: how far the files of a run are written that goes on here; what follows is cut off. The video
+            begins anew: see `redraw`.
 
     Raises:
         OutputError: a file cannot be created or written.
     """
 
     def __init__(
-        self, directory: RunDirectory, graph: CheckedGraph, frame_interval_s: float, with_video: bool = False
+        self,
+        directory: RunDirectory,
+        graph: CheckedGraph,
+        frame_interval_s: float,
+        with_video: bool = False,
+        after: Written | None = None,
     ) -> None:
         self._directory, self._interval, self._with_video = directory, frame_interval_s, with_video
+        at = {} if after is None else {name: place.size for name, place in after.positions.items()}
+        ids = NO_IDS if after is None else after.ids
         with ExitStack() as files:
             # The journal comes first: what holds one counts as a run, which may be overwritten.
-            self._journal = files.enter_context(JournalWriter(directory.journal))
-            directory.write_text(directory.graph, graph.text)
-            self._frames = files.enter_context(JournalWriter(directory.frames))
-            self._mot = files.enter_context(MotWriter(directory.mot, lost=not has_births(graph)))
-            self._csv = files.enter_context(CsvWriter(directory.csv))
-            self._timings = files.enter_context(LineFile(directory.timings))
+            self._journal = files.enter_context(JournalWriter(directory.journal, at.get("journal")))
+            if after is None:
+                directory.write_text(directory.graph, graph.text)
+            self._frames = files.enter_context(JournalWriter(directory.frames, at.get("frames")))
+            mot = MotWriter(directory.mot, not has_births(graph), at.get("mot"), ids)
+            self._mot = files.enter_context(mot)
+            self._csv = files.enter_context(CsvWriter(directory.csv, at.get("csv")))
+            self._timings = files.enter_context(LineFile(directory.timings, at.get("timings")))
+            self._inputs: JournalWriter | None = None
+            if "inputs" in at:
+                self._inputs = files.enter_context(JournalWriter(directory.inputs, at["inputs"]))
             self._files = files.pop_all()
         self._video: VideoWriter | None = None
-        self._inputs: JournalWriter | None = None
+
+    @property
+    def written(self) -> Written:
+        """How far the files are written, but for the video."""
+        return Written({name: file.position for name, file in self._lines().items()}, dict(self._mot.ids))
+
+    def sync(self) -> None:
+        """Let the disk have all that is written, but for the video."""
+        for file in self._lines().values():
+            file.sync()
+
+    def redraw(self, frames: Iterable[Frame], until: int) -> None:
+        """Write the video of the frames up to number `until`, as frames.jsonl has them."""
+        measured: dict[int, list[FrameMetrics]] = {}
+        for one in read_metrics(self._directory.frames):
+            measured.setdefault(one.frame, []).append(one)
+        for frame in frames:
+            self._draw(frame, measured.get(frame.index, []))
+            if frame.index >= until:
+                break
+
+    def _lines(self) -> dict[str, LineFile]:
+        files: dict[str, LineFile] = {"journal": self._journal, "frames": self._frames, "mot": self._mot}
+        files |= {"csv": self._csv, "timings": self._timings}
+        return files if self._inputs is None else {**files, "inputs": self._inputs}
 
     def event(self, event: Event) -> None:
         """Append to the journal."""
@@ -70,7 +126,9 @@ class Recorder:
         for file in (self._timings, self._frames, self._mot, self._csv):
             file.flush()
         if self._with_video:
-            self._draw(result)
+            # As the file has them, so that a run that goes on can draw the same again.
+            lines = [from_json(to_json(metrics)) for metrics in result.targets]
+            self._draw(result.frame, [one for one in lines if isinstance(one, FrameMetrics)])
 
     def _take(self, outside: tuple[Input, ...]) -> None:
         if self._inputs is None:
@@ -79,16 +137,16 @@ class Recorder:
             self._inputs.write(one)
         self._inputs.flush()
 
-    def _draw(self, result: Result) -> None:
+    def _draw(self, frame: Frame, measured: Sequence[FrameMetrics]) -> None:
         from bayesnet_track.view.overlay import draw_overlay
 
         if self._video is None:
-            height, width = result.frame.image.shape[:2]
+            height, width = frame.image.shape[:2]
             self._video = self._files.enter_context(
                 VideoWriter(self._directory.video, width, height, self._interval)
             )
-        image = result.frame.image
-        for metrics in result.targets:
+        image = frame.image
+        for metrics in measured:
             image = draw_overlay(image, metrics)
         self._video.write(image)
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from bayesnet_track.journal.events import FrameMetrics
 from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.numerics.boxes import corner_from_centre
 
+NO_IDS: Mapping[str, int] = MappingProxyType({})
 CSV_COLUMNS = ("frame", "time_s", "target", "x", "y", "w", "h", "status", "score", "ud_px2", "active")
 
 
@@ -20,17 +23,20 @@ class MotWriter(LineFile):
 
     Frames count from 1, ids from 1 in the order in which targets appear. Pixels count from 0, as everywhere
     here; 3 decimals, the score 6. Without `lost`, a target has no line in frames in which it is lost: a box
-    that nothing speaks for counts as false where several targets are scored. `CsvWriter` has them all.
+    that nothing speaks for counts as false where several targets are scored. `CsvWriter` has them all. A file
+    that is continued goes on with its `ids`.
     """
 
-    def __init__(self, path: Path, lost: bool = True) -> None:
-        super().__init__(path)
-        self._ids: dict[str, int] = {}
+    def __init__(
+        self, path: Path, lost: bool = True, after: int | None = None, ids: Mapping[str, int] = NO_IDS
+    ) -> None:
+        super().__init__(path, after)
+        self.ids: dict[str, int] = dict(ids)
         self._lost = lost
 
     def write(self, metrics: FrameMetrics) -> None:
         """Add the line of one target in one frame to the next flush."""
-        number = self._ids.setdefault(metrics.target, len(self._ids) + 1)
+        number = self.ids.setdefault(metrics.target, len(self.ids) + 1)
         if metrics.status == "lost" and not self._lost:
             return
         box = ",".join(_corner(metrics))
@@ -44,10 +50,11 @@ class CsvWriter(LineFile):
     ud_px2, active (agents that gave evidence, separated by spaces).
     """
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self.append(",".join(CSV_COLUMNS))
-        self.flush()
+    def __init__(self, path: Path, after: int | None = None) -> None:
+        super().__init__(path, after)
+        if after is None:
+            self.append(",".join(CSV_COLUMNS))
+            self.flush()
 
     def write(self, metrics: FrameMetrics) -> None:
         """Add the line of one target in one frame to the next flush."""

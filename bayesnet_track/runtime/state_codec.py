@@ -1,0 +1,241 @@
+"""The engine's state as bytes and back, bit for bit, without running anything that the bytes say.
+
+A line of JSON holds the structure, the arrays follow it. Only the classes of `CLASSES` are ever made. What is
+the same object twice is the same object again afterwards: the engine asks it of beliefs. Compiled plans are
+left out and compiled again; the last frame is left out and read again from the source.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.guard import Watched
+from bayesnet_track.adapt.information import Worth
+from bayesnet_track.adapt.joins import Carried, JoinMemory, Level, PairMemory
+from bayesnet_track.adapt.lifecycle import Candidate, Identity, Life, Lifeline
+from bayesnet_track.adapt.memory import Memory, Quiet, Streak
+from bayesnet_track.belief.gaussian import GaussianPosterior
+from bayesnet_track.belief.grid_cells import GridBelief, Lattice
+from bayesnet_track.belief.need import Need, Sized
+from bayesnet_track.belief.particle_set import ParticleSet
+from bayesnet_track.engine import Engine, State, TargetState
+from bayesnet_track.graph.join_decisions import Joined
+from bayesnet_track.graph.net import Net, TargetNet
+from bayesnet_track.inference.compile import Plan, compile_plan
+from bayesnet_track.nets.predicting import Outlook
+from bayesnet_track.nets.score import Scored
+from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.planes import Frame
+
+Array = NDArray[Any]
+
+CLASSES: tuple[type, ...] = (
+    State,
+    TargetState,
+    Net,
+    TargetNet,
+    Joined,
+    ParticleSet,
+    LogWeights,
+    Sized,
+    Need,
+    GaussianPosterior,
+    GridBelief,
+    Lattice,
+    Memory,
+    Streak,
+    Quiet,
+    Worth,
+    Watched,
+    Outlook,
+    Scored,
+    Life,
+    Candidate,
+    Identity,
+    Lifeline,
+    JoinMemory,
+    PairMemory,
+    Level,
+    Carried,
+)
+"""Every class of which the state between frames is made."""
+
+PLAIN = (bool, int, float, str, type(None))
+DTYPES = "biufc"
+
+
+class StateError(ValueError):
+    """A state that cannot be stored, or bytes that are no state."""
+
+
+@cache
+def _known() -> Mapping[str, type]:
+    return {kind.__name__: kind for kind in CLASSES}
+
+
+@cache
+def _names(kind: Any) -> tuple[str, ...]:
+    return tuple(item.name for item in fields(kind))
+
+
+@cache
+def state_format() -> str:
+    """A hash of the classes and their fields: bytes of another format are of another version."""
+    text = json.dumps([[kind.__name__, *_names(kind)] for kind in CLASSES])
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def encode_state(state: State) -> bytes:
+    """The state as bytes.
+
+    Raises:
+        StateError: it holds something of a class that is not known here.
+    """
+    encoder = _Encoder(state.previous)
+    structure = json.dumps(encoder.node(state), separators=(",", ":")).encode("ascii")
+    line = json.dumps([len(structure), encoder.places], separators=(",", ":")).encode("ascii")
+    return b"".join((line, b"\n", structure, *encoder.blobs))
+
+
+def decode_state(data: bytes, engine: Engine, frame: Frame | None) -> State:
+    """The state of these bytes, to go on with `engine`; `frame` is the last frame that it saw.
+
+    Raises:
+        StateError: they are no state of this version, or none of this engine's graph.
+    """
+    try:
+        line, rest = data.split(b"\n", 1)
+        length, places = json.loads(line)
+        decoder = _Decoder(engine, frame, _arrays(places, memoryview(rest)[length:]))
+        state = decoder.value(json.loads(rest[:length]))
+    except StateError:
+        raise
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError) as error:
+        raise StateError(f"damaged: {type(error).__name__}: {error}") from error
+    if not isinstance(state, State):
+        raise StateError(f"damaged: a {type(state).__name__} in place of the state")
+    return state
+
+
+class _Encoder:
+    """Values as JSON: plain ones as they are, others as a list that begins with a letter."""
+
+    def __init__(self, previous: Frame | None) -> None:
+        self.blobs: list[bytes] = []
+        self.places: list[list[Any]] = []
+        self._previous = previous
+        self._seen: dict[int, int] = {}
+
+    def node(self, value: Any) -> Any:
+        if type(value) in PLAIN:
+            return value
+        if type(value) is tuple:
+            return ["t", *[self.node(item) for item in value]]
+        if type(value) is frozenset:
+            return ["f", *[self.node(item) for item in sorted(value)]]
+        known = self._seen.get(id(value))
+        if known is not None:
+            return ["=", known]
+        made = self._made(value)
+        self._seen[id(value)] = len(self._seen)
+        return made
+
+    def _made(self, value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return ["m", *[[self.node(key), self.node(item)] for key, item in value.items()]]
+        if isinstance(value, np.ndarray | np.generic):
+            return ["a", self._array(value)]
+        if value is self._previous:
+            return ["p"]
+        if isinstance(value, Plan):
+            return ["c", value.target, sorted(value.active)]
+        if is_dataclass(value) and _known().get(type(value).__name__) is type(value):
+            return ["o", type(value).__name__, *[self.node(getattr(value, n)) for n in _names(type(value))]]
+        raise StateError(f"a {type(value).__module__}.{type(value).__qualname__} cannot be stored")
+
+    def _array(self, value: Array | np.generic) -> int:
+        array = np.asarray(value)
+        if array.dtype.kind not in DTYPES or type(array) is not np.ndarray:
+            raise StateError(f"an array of {array.dtype} cannot be stored")
+        # Sums go along memory: another order of it gives other last bits.
+        order = "C" if array.flags.c_contiguous else list(array.strides)
+        self.places.append(
+            [array.dtype.str, array.shape, order, array.flags.writeable, isinstance(value, np.generic)]
+        )
+        self.blobs.append(array.tobytes())
+        return len(self.places) - 1
+
+
+def _arrays(places: list[list[Any]], data: memoryview) -> list[Any]:
+    found, at = [], 0
+    for name, shape, order, is_writeable, is_scalar in places:
+        kind = np.dtype(name)
+        if kind.kind not in DTYPES:
+            raise StateError(f"damaged: an array of {name}")
+        count = int(np.prod(shape, dtype=np.int64))
+        array: Array = np.frombuffer(data, kind, count, at).reshape(shape)
+        at += count * kind.itemsize
+        array = array.copy() if order == "C" else _laid_out(array, order)
+        array.setflags(write=is_writeable)
+        found.append(array[()] if is_scalar else array)
+    if at != len(data):
+        raise StateError(f"damaged: {len(data) - at} bytes too many")
+    return found
+
+
+def _laid_out(values: Array, strides: list[int]) -> Array:
+    """The values in memory as they were: with the same strides."""
+    steps = [(size - 1) * stride for size, stride in zip(values.shape, strides, strict=True)]
+    first = -sum(step for step in steps if step < 0)
+    room = np.zeros(first + sum(step for step in steps if step > 0) + values.itemsize, dtype=np.uint8)
+    array: Array = np.ndarray(values.shape, values.dtype, room, first, strides)
+    array[...] = values
+    return array
+
+
+class _Decoder:
+    """The inverse of `_Encoder`."""
+
+    def __init__(self, engine: Engine, frame: Frame | None, arrays: list[Any]) -> None:
+        self._engine, self._frame, self._arrays = engine, frame, arrays
+        self._made: list[Any] = []
+
+    def value(self, node: Any) -> Any:
+        if not isinstance(node, list):
+            return node
+        letter = node[0]
+        if letter == "t":
+            return tuple(self.value(item) for item in node[1:])
+        if letter == "f":
+            return frozenset(self.value(item) for item in node[1:])
+        if letter == "=":
+            return self._made[node[1]]
+        made = self._new(letter, node)
+        self._made.append(made)
+        return made
+
+    def _new(self, letter: str, node: list[Any]) -> Any:
+        if letter == "m":
+            return {self.value(key): self.value(item) for key, item in node[1:]}
+        if letter == "a":
+            return self._arrays[node[1]]
+        if letter == "p":
+            return self._frame
+        if letter == "c":
+            machine = self._engine.machinery[node[1]]
+            return compile_plan(machine.plate, node[2], machine.cues)
+        if letter == "o":
+            kind = _known()[node[1]]
+            names = _names(kind)
+            if len(node) != len(names) + 2:
+                raise StateError(f"damaged: {node[1]} has {len(names)} fields, not {len(node) - 2}")
+            return kind(**dict(zip(names, map(self.value, node[2:]), strict=True)))
+        raise StateError(f"damaged: {letter!r}")
