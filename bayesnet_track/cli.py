@@ -14,6 +14,7 @@ from bayesnet_track.parsers.compare import add_compare
 from bayesnet_track.parsers.completion import add_completion
 from bayesnet_track.parsers.doctor import add_doctor
 from bayesnet_track.parsers.outside import add_outside_options
+from bayesnet_track.parsers.executors import add_executor_options
 from bayesnet_track.runtime.stop import StopRequest, Terminated
 
 EXIT_CODES = """\
@@ -277,6 +278,7 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--quiet", action="store_true", help="no progress line")
     parser.add_argument("--log-json", action="store_true", help="progress as JSON lines")
+    add_executor_options(parser)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

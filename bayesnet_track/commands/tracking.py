@@ -16,6 +16,7 @@ from bayesnet_track.commands.answer import INCOMPLETE, OK, UsageError, complain,
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
+    from bayesnet_track.runtime.executors import Executing
     from bayesnet_track.runtime.frames import Source
     from bayesnet_track.runtime.progress import Progress
     from bayesnet_track.runtime.run import FrameSource, Result, Start, Summary
@@ -175,6 +176,7 @@ def _track(
 ) -> int:
     from bayesnet_track.detector import DetectorError
     from bayesnet_track.runtime.detection_files import file_detector
+    from bayesnet_track.runtime.executors.placing import PlacingError
     from bayesnet_track.runtime.inputs import replayed
     from bayesnet_track.runtime.progress import Progress
     from bayesnet_track.runtime.run import Summary
@@ -203,6 +205,7 @@ def _track(
             seed=options.seed,
             overwrite=options.overwrite,
             video=video,
+            executor=_executor(options),
             summary=summary,
             detections=detections,
             inputs=inputs,
@@ -215,13 +218,31 @@ def _track(
                 # Before the first frame is done there is nothing to finish: until then, signals act at once.
                 if stop.between_frames():
                     break
-        except (StartError, DetectorError) as error:
+        except (StartError, DetectorError, PlacingError) as error:
             raise UsageError(str(error)) from error
     _say_end(out, summary)
     if stop.signal is not None:
         return stop.exit_code
     stop.is_patient = False
     return OK if summary.complete else INCOMPLETE
+
+
+def _executor(options: argparse.Namespace) -> Executing:
+    from bayesnet_track.runtime.executors import make_executor
+    from bayesnet_track.runtime.executors.placing import PlacingError, parse_places
+    from bayesnet_track.runtime.executors.workers import Limits
+
+    patience, least = options.agent_timeout, Limits()
+    limits = Limits(
+        least.answer_s if patience is None else patience,
+        max(least.first_s, patience or 0.0),
+        options.agent_memory or 0,
+    )
+    try:
+        places = parse_places(options.place)
+    except PlacingError as error:
+        raise UsageError(str(error)) from error
+    return make_executor(options.executor, workers=options.workers, places=places, limits=limits)
 
 
 def _show(progress: Progress, summary: Summary, result: Result) -> None:

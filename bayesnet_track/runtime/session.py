@@ -16,6 +16,7 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.runtime.detection_files import file_detector
+from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.inputs import Asked, as_asked
 from bayesnet_track.runtime.recipe import make_recipe
 from bayesnet_track.runtime.record import Recorder
@@ -39,6 +40,8 @@ def track(
     detections: str | PathLike[str] | None = None,
     overwrite: bool = False,
     video: bool = False,
+    executor: str | Executing = "serial",
+    workers: int | None = None,
     sinks: Sequence[Sink] = (),
     summary: Summary | None = None,
     inputs: str | PathLike[str] | Asked | None = None,
@@ -56,6 +59,9 @@ def track(
         detections: a file of detections, MOT or JSON Lines, for births by `detections`.
         overwrite: replace an earlier run in `out`.
         video: write the annotated video into `out` too.
+        executor: how agents are asked, which changes no result: serial, threads, processes, or what
+            `make_executor` made.
+        workers: threads or processes at work at a time; as many as there are processors when None.
         sinks: further observers.
         summary: filled in as the run goes on.
         inputs: what comes from outside: the inputs.jsonl of an earlier run, to repeat it, or a function that
@@ -91,6 +97,8 @@ def track(
         given = {} if detections is None else {GIVEN: file_detector(Path(detections))}
         engine = make_engine(checked, seed, motion=own, detectors=given)
         check_depth(engine, opened)
+        executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
+        engine = stack.enter_context(executing).engine(engine)
         told: list[Sink] = list(sinks)
         if out is not None:
             directory = RunDirectory.create(str(out), overwrite)
