@@ -9,9 +9,8 @@ Cues are found through the entry-point group ``bayesnet_track.cues``; the built-
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from bayesnet_track.planes import Plane, Planes
-from bayesnet_track.plugins import declared
+from bayesnet_track.plugins import installed
 
 ENTRY_POINT_GROUP = "bayesnet_track.cues"
 
@@ -297,11 +296,9 @@ def blend_arrays(old: Reference, new: Reference, rate: float) -> dict[str, NDArr
     return {name: np.asarray(rate * new[name] + (1.0 - rate) * old[name]) for name in old}
 
 
-@cache
-def installed_cues() -> Mapping[str, CueDeclaration]:
-    """Every cue installed in this environment, by name, sorted.
+def installed_cues(named: Iterable[str] = ()) -> Mapping[str, CueDeclaration]:
+    """The built-in cues, and those of `named` that other packages bring and that are allowed; by name, sorted.
 
-    A package whose cue cannot be loaded, or has the name of another, is left out with a warning: it must not
-    keep graphs that do not use it from running.
+    A package whose cue cannot be loaded is left out with a warning; see `plugins`.
     """
-    return declared(ENTRY_POINT_GROUP, CueDeclaration, "cue")
+    return installed(ENTRY_POINT_GROUP, CueDeclaration, "cue", named)

@@ -8,9 +8,8 @@ use it too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from bayesnet_track.planes import FramePair
-from bayesnet_track.plugins import declared
+from bayesnet_track.plugins import installed
 
 ENTRY_POINT_GROUP = "bayesnet_track.detectors"
 
@@ -142,17 +141,16 @@ class DetectorDeclaration:
             raise DetectorError(f"{self.name} needs depth, and the source is one eye")
 
 
-@cache
-def installed_detectors() -> Mapping[str, DetectorDeclaration]:
-    """Every detector installed in this environment, by name, sorted.
+def installed_detectors(named: Iterable[str] = ()) -> Mapping[str, DetectorDeclaration]:
+    """The built-in detectors, and the allowed ones of `named` that other packages bring; by name, sorted.
 
-    One that cannot be loaded, or has the name of another, is left out with a warning.
+    One that cannot be loaded is left out with a warning; see `plugins`.
     """
-    return declared(ENTRY_POINT_GROUP, DetectorDeclaration, "detector")
+    return installed(ENTRY_POINT_GROUP, DetectorDeclaration, "detector", named)
 
 
-def detectors_of_graphs() -> Mapping[str, DetectorDeclaration]:
-    """What a graph may name: the installed detectors, and `GIVEN`."""
+def detectors_of_graphs(named: Iterable[str] = ()) -> Mapping[str, DetectorDeclaration]:
+    """What a graph may name: the detectors as `installed_detectors` gives them, and `GIVEN`."""
     given = DetectorDeclaration(
         name=GIVEN,
         summary="What a file of detections holds.",
@@ -160,7 +158,7 @@ def detectors_of_graphs() -> Mapping[str, DetectorDeclaration]:
         make=_not_given,
         cost_ms=0.0,
     )
-    return {**installed_detectors(), GIVEN: given}
+    return {**installed_detectors(named), GIVEN: given}
 
 
 def _not_given(parameters: DetectorParameters) -> Detector:

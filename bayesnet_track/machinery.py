@@ -28,6 +28,7 @@ from bayesnet_track.executor import Executor, Serial
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.cue_laws import plugin_parameters
+from bayesnet_track.graph.laws import cues_named
 from bayesnet_track.graph.life_settings import LifeRules, life_rules
 from bayesnet_track.graph.motion_settings import Moving
 from bayesnet_track.graph.spec import Guard, Join, Learn
@@ -119,7 +120,7 @@ def make_engine(
         DetectorError: a detector cannot be made, the graph asks for `detections` and none are given, or no
             plate asks for one that is given.
     """
-    declarations = installed_cues() if cues is None else cues
+    declarations = installed_cues(cues_named(graph.spec)) if cues is None else cues
     own = {} if motion is None else motion
     unknown = [name for name in own if name not in graph.targets]
     if unknown:
@@ -140,7 +141,7 @@ def _make_detectors(machinery: Sequence[Machinery], given: Mapping[str, Detector
         asked.add(chosen.detector)
         if machine.detector in made:
             continue
-        declaration = detectors_of_graphs()[chosen.detector]
+        declaration = detectors_of_graphs([chosen.detector])[chosen.detector]
         parameters = plugin_parameters(chosen, declaration.parameters)
         if chosen.detector in given:
             made[machine.detector] = Selected(given[chosen.detector], parameters)
@@ -194,7 +195,7 @@ def _finder(moving: Moving) -> Detector | None:
     chosen = None if moving.recover is None else moving.recover.by.detector
     if chosen is None:
         return None
-    declaration = installed_detectors()[chosen.detector]
+    declaration = installed_detectors([chosen.detector])[chosen.detector]
     return declaration.make(plugin_parameters(chosen, declaration.parameters))
 
 

@@ -38,8 +38,9 @@ def validate(options: argparse.Namespace) -> int:
 
 def _opaque(graph: CheckedGraph) -> list[str]:
     from bayesnet_track.cue import installed_cues
+    from bayesnet_track.graph.laws import cues_named
 
-    cues = installed_cues()
+    cues = installed_cues(cues_named(graph.spec))
     return [
         f"{agent} ({cue})"
         for plate in graph.targets.values()
@@ -84,8 +85,8 @@ def _plan(plate: CheckedTarget, active: frozenset[str], as_latex: bool) -> str:
     from bayesnet_track.cue import installed_cues
     from bayesnet_track.inference.compile import compile_plan, describe_plan
 
-    cues = installed_cues()
     agents = {agent: plate.agent(agent) for agent in plate.agents}
+    cues = installed_cues(agent.agent.cue for agent in agents.values())
     made = {name: cues[agent.agent.cue].make(plate.parameters[name]) for name, agent in agents.items()}
     return describe_plan(compile_plan(plate, active, made), agents)
 
@@ -122,17 +123,26 @@ def schema(options: argparse.Namespace) -> int:
 
 def list_installed(options: argparse.Namespace) -> int:
     """List graphs, cues, detectors and scenes."""
+    from bayesnet_track.cue import ENTRY_POINT_GROUP as CUES
     from bayesnet_track.cue import installed_cues
+    from bayesnet_track.detector import ENTRY_POINT_GROUP as DETECTORS
     from bayesnet_track.detector import installed_detectors
     from bayesnet_track.graphs import graph_names
+    from bayesnet_track.plugins import allowed, others
     from bayesnet_track.scenes import scene_names
 
     say("graphs:  " + ", ".join(graph_names()))
     say("scenes:  " + ", ".join(scene_names()))
     say("cues:")
-    for cue in installed_cues().values():
+    for cue in installed_cues(allowed()).values():
         say(f"  {cue.name:18} {cue.summary}")
     say("detectors:")
-    for detector in installed_detectors().values():
+    for detector in installed_detectors(allowed()).values():
         say(f"  {detector.name:21} {detector.summary}")
+    for group, word in ((CUES, "cues"), (DETECTORS, "detectors")):
+        found = {name: package for name, package in others(group).items() if name not in allowed()}
+        if found:
+            say(f"{word} of other packages, not loaded (--allow-plugins NAME lets a graph use one):")
+        for name, package in found.items():
+            say(f"  {name:21} {package}")
     return OK

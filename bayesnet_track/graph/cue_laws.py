@@ -9,21 +9,26 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from bayesnet_track.cue import CueDeclaration, CueParameters
+from bayesnet_track.cue import ENTRY_POINT_GROUP, CueDeclaration, CueParameters
 from bayesnet_track.graph.explain import explain
 from bayesnet_track.graph.messages import GraphMessage
 from bayesnet_track.graph.model import PluginChoice
 from bayesnet_track.graph.plate import Law, Plate
 from bayesnet_track.graph.spec import AgentChoice
+from bayesnet_track.plugins import why_absent
 
 Parameters = TypeVar("Parameters", bound=BaseModel)
 
 
 def cues_are_installed(plate: Plate) -> Iterator[GraphMessage]:
-    """Every agent names an installed cue."""
+    """Every agent names an installed cue; one of another package must be allowed."""
     for name, node in plate.agents.items():
         cue = node.agent.cue
         if cue not in plate.cues:
+            absent = why_absent(ENTRY_POINT_GROUP, cue)
+            if absent is not None:
+                yield plate.message(name, f"cue {absent[0]}", absent[1], key=("agent", cue), on_key=True)
+                continue
             allowed = list(plate.cues) or "no cue is installed"
             key = ("agent", cue)
             yield plate.message(name, f"unknown cue {cue!r}", allowed, key=key, word=cue, on_key=True)

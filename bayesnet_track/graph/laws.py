@@ -18,7 +18,7 @@ from bayesnet_track.graph.join_laws import JOIN_LAWS
 from bayesnet_track.graph.life_laws import LIFE_LAWS
 from bayesnet_track.graph.messages import MAX_MESSAGES, GraphError, GraphMessage, Positions
 from bayesnet_track.graph.plate import Law, Plate
-from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.spec import AgentNode, GraphSpec
 from bayesnet_track.graph.tree_laws import TREE_LAWS
 from bayesnet_track.graph.value_laws import RULE_LAWS, VALUE_LAWS
 from bayesnet_track.graph.write import write_graph
@@ -37,7 +37,7 @@ def check(spec: GraphSpec, at: Positions | None = None, cues: Cues | None = None
         GraphError: every violation of every law in every target.
     """
     at = Positions() if at is None else at
-    cues = installed_cues() if cues is None else cues
+    cues = installed_cues(cues_named(spec)) if cues is None else cues
     plates = [Plate(name, target, at, cues) for name, target in spec.targets.items()]
     errors = [message for plate in plates for message in _violations(plate)]
     errors += [message for law in JOIN_LAWS for message in islice(law(spec, at), MAX_MESSAGES + 1)]
@@ -64,6 +64,12 @@ def check_graph(graph: GraphSpec | Mapping[str, Any], cues: Cues | None = None) 
         except ValidationError as error:
             raise GraphError(explain(error, GraphSpec, graph, at)) from None
     return check(graph, at, cues)
+
+
+def cues_named(spec: GraphSpec) -> frozenset[str]:
+    """The cues of all agents of a graph."""
+    nodes = [node for target in spec.targets.values() for node in target.nodes.values()]
+    return frozenset(node.agent.cue for node in nodes if isinstance(node, AgentNode))
 
 
 def _violations(plate: Plate) -> list[GraphMessage]:

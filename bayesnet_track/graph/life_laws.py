@@ -6,29 +6,36 @@ from collections.abc import Iterator
 
 from pydantic import ValidationError
 
-from bayesnet_track.detector import detectors_of_graphs
+from bayesnet_track.detector import ENTRY_POINT_GROUP, detectors_of_graphs
 from bayesnet_track.graph.cue_laws import plugin_parameters
 from bayesnet_track.graph.explain import explain
 from bayesnet_track.graph.messages import GraphMessage, Path
 from bayesnet_track.graph.plate import Law, Plate
+from bayesnet_track.plugins import why_absent
 
 DETECTOR = ("birth", "detector")
 
 
 def detectors_are_installed(plate: Plate) -> Iterator[GraphMessage]:
-    """Every `birth` names an installed detector, or `detections`."""
+    """Every `birth` names an installed detector, or `detections`; one of another package must be allowed."""
     birth = plate.spec.birth
-    known = {} if birth is None else detectors_of_graphs()
+    known = {} if birth is None else detectors_of_graphs([birth.detector.detector])
     if birth is not None and birth.detector.detector not in known:
         word = birth.detector.detector
+        if (absent := why_absent(ENTRY_POINT_GROUP, word)) is not None:
+            yield _message(plate, (*DETECTOR, word), f"detector {absent[0]}", absent[1], on_key=True)
+            return
         yield _message(plate, (*DETECTOR, word), f"unknown detector {word!r}", list(known), word)
 
 
 def parameters_fit_the_detector(plate: Plate) -> Iterator[GraphMessage]:
     """Every parameter is one that the detector declares, of its type and within its range."""
     birth = plate.spec.birth
-    declaration = None if birth is None else detectors_of_graphs().get(birth.detector.detector)
-    if birth is None or declaration is None:
+    if birth is None:
+        return
+    word = birth.detector.detector
+    declaration = detectors_of_graphs([word]).get(word)
+    if declaration is None:
         return
     try:
         plugin_parameters(birth.detector, declaration.parameters)

@@ -6,12 +6,13 @@ from collections.abc import Iterator
 
 from pydantic import ValidationError
 
-from bayesnet_track.detector import installed_detectors
+from bayesnet_track.detector import ENTRY_POINT_GROUP, installed_detectors
 from bayesnet_track.graph.cue_laws import plugin_parameters
 from bayesnet_track.graph.explain import explain
 from bayesnet_track.graph.messages import GraphMessage, Path
 from bayesnet_track.graph.motion_settings import Moving
 from bayesnet_track.graph.plate import Law, Plate
+from bayesnet_track.plugins import why_absent
 
 _DETECTOR = ("recover", "by", "detector")
 
@@ -104,8 +105,11 @@ def jumps_have_places(plate: Plate) -> Iterator[GraphMessage]:
         chosen = settings.recover.by.detector
         if chosen is None:
             continue
-        known, path = installed_detectors(), (*key, *_DETECTOR, chosen.detector)
+        known, path = installed_detectors([chosen.detector]), (*key, *_DETECTOR, chosen.detector)
         if chosen.detector not in known:
+            if (absent := why_absent(ENTRY_POINT_GROUP, chosen.detector)) is not None:
+                yield plate.message(name, f"detector {absent[0]}", absent[1], key=path, on_key=True)
+                continue
             found = f"unknown detector {chosen.detector!r}"
             yield plate.message(name, found, list(known), key=path, word=chosen.detector, on_key=True)
             continue

@@ -16,6 +16,7 @@ from bayesnet_track.detector import DetectorDeclaration, detectors_of_graphs
 from bayesnet_track.graph.life_settings import DetectorChoice
 from bayesnet_track.graph.model import Choice, Model
 from bayesnet_track.graph.spec import AgentChoice, GraphSpec
+from bayesnet_track.plugins import allowed
 
 Schema = dict[str, Any]
 
@@ -24,8 +25,8 @@ _REFERENCE = "#/definitions/{model}"
 
 
 def graph_schema(cues: Mapping[str, CueDeclaration] | None = None) -> Schema:
-    """The schema of a graph file; `cues` are the installed ones unless given."""
-    cues = installed_cues() if cues is None else cues
+    """The schema of a graph file; `cues` are the built-in and the allowed ones unless given."""
+    cues = installed_cues(allowed()) if cues is None else cues
     raw = GraphSpec.model_json_schema(ref_template=_REFERENCE)
     definitions: Schema = {name: _draft7(part) for name, part in raw.pop("$defs").items()}
     models = {model.__name__: model for model in _models(Model)}
@@ -34,7 +35,7 @@ def graph_schema(cues: Mapping[str, CueDeclaration] | None = None) -> Schema:
             definitions[name] = _choice(definitions[name], models[name])
     definitions[AgentChoice.__name__] = _plugin("cue", "The cue of an agent", cues, definitions)
     definitions[DetectorChoice.__name__] = _plugin(
-        "detector", "What finds targets", detectors_of_graphs(), definitions
+        "detector", "What finds targets", detectors_of_graphs(allowed()), definitions
     )
     top = {"$schema": DRAFT, "title": "A graph of bayesnet_track", **_draft7(raw)}
     return {**top, "definitions": dict(sorted(definitions.items()))}
