@@ -128,22 +128,26 @@ def _opened(options: argparse.Namespace) -> Source:
     if options.right is None and options.stereo is None and options.depth is None:
         if options.calibration is not None:
             raise UsageError("--calibration is of a pair: give --right, --stereo or --depth, too")
-        return open_source(*window)
+        return open_source(*window, isolate_decoder=options.isolate_decoder)
     return open_stereo_source(
         *window,
         right=options.right,
         depth=options.depth,
         side_by_side=options.stereo is not None,
         calibration=options.calibration,
+        isolate_decoder=options.isolate_decoder,
     )
 
 
 def _declaration(name: str) -> DetectorDeclaration:
-    from bayesnet_track.detector import installed_detectors
+    from bayesnet_track.detector import ENTRY_POINT_GROUP, installed_detectors
     from bayesnet_track.graph.messages import nearest
+    from bayesnet_track.plugins import why_absent
 
-    known = installed_detectors()
+    known = installed_detectors([name])
     if name not in known:
+        if (absent := why_absent(ENTRY_POINT_GROUP, name)) is not None:
+            raise UsageError(f"detector {absent[0]}; {absent[1]}")
         near = nearest(name, known)
         hint = f"; did you mean {near}?" if near else ""
         raise UsageError(f"no detector is called {name!r}; there are {', '.join(known)}{hint}")

@@ -120,7 +120,7 @@ def _opened(options: argparse.Namespace) -> Source:
     if options.right is None and options.stereo is None and options.depth is None:
         if options.calibration is not None:
             raise UsageError("--calibration is of a pair: give --right, --stereo or --depth, too")
-        return open_source(options.source, *window)
+        return open_source(options.source, *window, isolate_decoder=options.isolate_decoder)
     return open_stereo_source(
         options.source,
         *window,
@@ -128,6 +128,7 @@ def _opened(options: argparse.Namespace) -> Source:
         depth=options.depth,
         side_by_side=options.stereo is not None,
         calibration=options.calibration,
+        isolate_decoder=options.isolate_decoder,
     )
 
 

@@ -28,19 +28,23 @@ def open_source(
     end: int | None = None,
     allow_network: bool = False,
     on_resize: OnResize = "stop",
+    isolate_decoder: bool = False,
 ) -> Source:
     """The source that `text` names.
 
     `start` and `end` are frame indices, from 0, `end` exclusive. URLs are opened only with `allow_network`;
     every other protocol (`concat:`, `subfile,`, `file:`, `pipe:`, ...) is refused. `on_resize` says what a
     change of frame size does: "stop" ends the source, "rescale" brings the picture to the first one's size.
+    `isolate_decoder` decodes in a process of its own, held down by limits (`isolated.IsolatedReader`): the
+    same frames, and a decoder that crashes, hangs or takes too much memory ends the source, not the program.
 
     Raises:
         SourceError: nothing can be read there; says what was found, what is allowed and how to mend it.
     """
     check_range(text, start, end)
+    reader = make_reader(text, allow_network, isolate_decoder, start or 0)
     origin = Origin("plain", text, text, start, end, on_resize, allow_network)
-    return Source(text, make_reader(text, allow_network), start, end, on_resize, origin)
+    return Source(text, reader, start, end, on_resize, origin)
 
 
 def check_range(text: str, start: int | None, end: int | None) -> None:
@@ -55,11 +59,16 @@ def check_range(text: str, start: int | None, end: int | None) -> None:
         )
 
 
-def make_reader(text: str, allow_network: bool) -> Reader:
-    """The reader of what `text` names, as `open_source` takes it; raises SourceError."""
+def make_reader(text: str, allow_network: bool, isolate: bool = False, start: int = 0) -> Reader:
+    """The reader of what `text` names, as `open_source` takes it; raises SourceError.
+
+    Pixels of pictures before `start` are not asked for.
+    """
     if not text or "\0" in text:
         raise SourceError(text, "it is empty or holds a NUL", KINDS, "name a source")
     if text.isascii() and text.isdigit():
+        if isolate:
+            raise SourceError(text, "a camera decodes no file", "isolation of files and URLs", "leave it out")
         from bayesnet_track.runtime.camera import CameraReader
 
         return CameraReader(text)
@@ -67,20 +76,16 @@ def make_reader(text: str, allow_network: bool) -> Reader:
     scheme = _SCHEME.match(text)
     if scheme:
         _check_scheme(text, scheme.group(1).lower(), allow_network)
-        from bayesnet_track.runtime.video import VideoReader
-
-        return VideoReader(text, network=True)
+        return _video(text, True, isolate, start)
     try:
         if path.is_dir():
-            return _images(text, _in_folder(text, path))
+            return _images(text, _in_folder(text, path), isolate, start)
         if path.is_file():
             if not os.access(path, os.R_OK):
                 raise SourceError(text, "permission denied", KINDS, "make the file readable")
             if path.suffix.lower() in IMAGE_SUFFIXES:
-                return _images(text, [path])
-            from bayesnet_track.runtime.video import VideoReader
-
-            return VideoReader(text)
+                return _images(text, [path], isolate, start)
+            return _video(text, False, isolate, start)
         if path.exists():
             raise SourceError(text, "it is neither a regular file nor a folder", KINDS, "give one of these")
     except PermissionError as error:
@@ -88,7 +93,7 @@ def make_reader(text: str, allow_network: bool) -> Reader:
     except OSError as error:
         raise SourceError(text, f"{error.strerror}", KINDS, "check the name") from error
     if glob.has_magic(text):
-        return _images(text, _matching(text))
+        return _images(text, _matching(text), isolate, start)
     raise SourceError(text, "no such file or folder", KINDS, _nearest(path))
 
 
@@ -155,10 +160,25 @@ def _in_folder(text: str, folder: Path) -> list[Path]:
     )
 
 
-def _images(text: str, paths: list[Path]) -> Reader:
+def _images(text: str, paths: list[Path], isolate: bool, start: int) -> Reader:
     from bayesnet_track.runtime.images import ImageReader
 
-    return ImageReader(text, paths)
+    reader = ImageReader(text, paths)
+    if not isolate:
+        return reader
+    from bayesnet_track.runtime.isolated import IsolatedReader
+
+    return IsolatedReader(text, reader, start=start)
+
+
+def _video(text: str, network: bool, isolate: bool, start: int) -> Reader:
+    if isolate:
+        from bayesnet_track.runtime.isolated import IsolatedReader
+
+        return IsolatedReader(text, network=network, start=start)
+    from bayesnet_track.runtime.video import VideoReader
+
+    return VideoReader(text, network)
 
 
 def _nearest(path: Path) -> str:

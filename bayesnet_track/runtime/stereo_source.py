@@ -55,6 +55,7 @@ def open_stereo_source(
     depth: str | None = None,
     side_by_side: bool = False,
     calibration: str | Path | None = None,
+    isolate_decoder: bool = False,
 ) -> Source:
     """A source whose frames carry a second eye or points.
 
@@ -64,7 +65,8 @@ def open_stereo_source(
         depth: instead of a right eye, depth images (16 bit, 0 for unknown) or ``.npy`` arrays, (H, W) depths
             or (H, W, 3) points in m, one per picture: a folder or a glob.
         calibration: OpenCV YAML file; only ``.npy`` points do without.
-        start, end, allow_network, on_resize: as for `open_source`.
+        start, end, allow_network, on_resize, isolate_decoder: as for `open_source`; depth images are read
+            in this process.
 
     Raises:
         SourceError: nothing can be read, or the eyes do not belong together.
@@ -82,7 +84,7 @@ def open_stereo_source(
             "a pair with --calibration FILE (OpenCV YAML)",
             "make one from chessboard pictures with `bayesnet-track calibrate`",
         )
-    first = make_reader(left, allow_network)
+    first = make_reader(left, allow_network, isolate_decoder, start or 0)
     try:
         if side_by_side and rectifier is not None:
             description, reader = f"{left} (side by side)", Joined(left, first, partial(halves, rectifier))
@@ -93,9 +95,10 @@ def open_stereo_source(
             reader = Joined(left, first, partial(measured, paths, rectified))
         else:
             assert right is not None and rectifier is not None
-            description, second = f"{left} + {right}", make_reader(right, allow_network)
-            if isinstance(second, ImageReader):
-                _check_alike(first, second.paths, left, right)
+            description = f"{left} + {right}"
+            second = make_reader(right, allow_network, isolate_decoder, start or 0)
+            if (files := _files(second)) is not None:
+                _check_alike(first, files.paths, left, right)
             reader = Joined(left, first, partial(two_eyes, rectifier), second)
     except BaseException:
         first.close()
@@ -279,19 +282,26 @@ def _size(image: NDArray[np.generic]) -> str:
 
 def _check_alike(first: Reader, paths: Sequence[Path], left: str, right: str) -> None:
     """Refuse image files of which one has no partner."""
-    if not isinstance(first, ImageReader):
+    own = _files(first)
+    if own is None:
         return
     times = times_of(paths)
-    matched: Callable[[int], bool] = lambda n: abs(first.times[n] - times[n]) <= OUT_OF_STEP  # noqa: E731
-    shorter = min(len(times), len(first.times))
+    matched: Callable[[int], bool] = lambda n: abs(own.times[n] - times[n]) <= OUT_OF_STEP  # noqa: E731
+    shorter = min(len(times), len(own.times))
     lone = next((n for n in range(shorter) if not matched(n)), shorter)
-    if lone == shorter and len(times) == len(first.times):
+    if lone == shorter and len(times) == len(own.times):
         return
-    names = [str(files[lone].name) if lone < len(files) else "none" for files in (first.paths, paths)]
+    names = [str(files[lone].name) if lone < len(files) else "none" for files in (own.paths, paths)]
     raise SourceError(
         f"{left} + {right}",
-        f"{len(first.paths)} and {len(paths)} files, and frame {lone} has no partner "
+        f"{len(own.paths)} and {len(paths)} files, and frame {lone} has no partner "
         f"(left {names[0]}, right {names[1]})",
         "as many files on either side, with the same numbers",
         "take out what has no partner",
     )
+
+
+def _files(reader: Reader) -> ImageReader | None:
+    """The image files of a reader; None when it reads a video or a camera."""
+    files = getattr(reader, "files", reader)
+    return files if isinstance(files, ImageReader) else None
