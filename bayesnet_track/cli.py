@@ -15,6 +15,7 @@ from bayesnet_track.parsers.completion import add_completion
 from bayesnet_track.parsers.doctor import add_doctor
 from bayesnet_track.parsers.outside import add_outside_options
 from bayesnet_track.parsers.executors import add_executor_options
+from bayesnet_track.parsers.what_if import add_what_if
 from bayesnet_track.runtime.stop import StopRequest, Terminated
 
 EXIT_CODES = """\
@@ -240,6 +241,7 @@ def make_parser() -> argparse.ArgumentParser:
     add_doctor(commands)
     add_completion(commands)
     add_compare(commands)
+    add_what_if(commands)
     return parser
 
 

@@ -24,6 +24,7 @@ from bayesnet_track.commands.learn_shape import learn_shape
 from bayesnet_track.commands.learn_stereo import learn_stereo
 from bayesnet_track.commands.review import log, score
 from bayesnet_track.commands.tracking import demo, run
+from bayesnet_track.commands.what_if import what_if
 from bayesnet_track.graph.messages import GraphError
 
 COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
@@ -42,6 +43,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "score": score,
     "learn-shape": learn_shape,
     "learn-stereo": learn_stereo,
+    "what-if": what_if,
 }
 
 

@@ -114,7 +114,8 @@ class Comparison:
         moments: where they part, in the order of frames.
         distances: pair -> distance in each frame that both have.
         first_apart: first frame in which an estimate differs at all; None when none does.
-        totals: figures of both.
+        totals: figures of both, over the frames that are compared.
+        last_frames: last frame of each; what is beyond the earlier one is not compared.
     """
 
     pairs: tuple[tuple[str, str], ...]
@@ -124,6 +125,7 @@ class Comparison:
     distances: Mapping[tuple[str, str], tuple[Distance, ...]]
     first_apart: int | None
     totals: tuple[Total, ...]
+    last_frames: tuple[int, int]
 
 
 def compare(first: RunRecord, second: RunRecord) -> Comparison:
@@ -131,6 +133,8 @@ def compare(first: RunRecord, second: RunRecord) -> Comparison:
 
     Given targets are paired by id; those that were born by detection by where they are.
     """
+    last_frames = (_last_frame(first), _last_frame(second))
+    first, second = _Cut(first, min(last_frames)), _Cut(second, min(last_frames))
     pairs = pair_targets(first, second)
     partner = {b: a for a, b in pairs}
     agreed, moments = _moments(
@@ -152,7 +156,22 @@ def compare(first: RunRecord, second: RunRecord) -> Comparison:
         distances=distances,
         first_apart=min(apart, default=None),
         totals=_totals(first, second),
+        last_frames=last_frames,
     )
+
+
+class _Cut:
+    """A run up to a frame."""
+
+    def __init__(self, run: RunRecord, last: int) -> None:
+        self.name, self.costs_ms = run.name, run.costs_ms
+        self.events = [event for event in run.events if getattr(event, "frame", 0) <= last]
+        self.metrics = [line for line in run.metrics if line.frame <= last]
+        self.seconds = {frame: seconds for frame, seconds in run.seconds.items() if frame <= last}
+
+
+def _last_frame(run: RunRecord) -> int:
+    return max((*(line.frame for line in run.metrics), *run.seconds), default=-1)
 
 
 # ------------------------------------------------------------------------------------ which target is which

@@ -66,6 +66,9 @@ def parting_lines(first: RunRecord, second: RunRecord, comparison: Comparison) -
     agreed = f"{plural(comparison.agreed, 'decision')} taken by both in the same frame"
     apart = comparison.first_apart
     numbers = "the estimates never differ" if apart is None else f"the estimates differ from frame {apart} on"
+    a, b = comparison.last_frames
+    if a != b:
+        numbers += f"; {'A' if a > b else 'B'} goes on after frame {min(a, b)}, which is not compared"
     if not comparison.moments:
         return [f"they never part: {agreed}; {numbers}"]
     moment = comparison.moments[0]

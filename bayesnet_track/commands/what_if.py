@@ -1,0 +1,97 @@
+"""The command `what-if`: an earlier run again with something changed, and the comparison of the two."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bayesnet_track.commands.answer import BAD_OUTPUT, INCOMPLETE, OK, UsageError, complain, unheard
+
+if TYPE_CHECKING:
+    from bayesnet_track.graph.checked import CheckedGraph
+    from bayesnet_track.runtime.opened import Run
+    from bayesnet_track.runtime.recipe import Recipe
+
+
+def what_if(options: argparse.Namespace) -> int:
+    """Run again, then compare."""
+    from bayesnet_track.commands.compare import tell_comparison
+    from bayesnet_track.graph.change import ChangeError, change_graph
+    from bayesnet_track.runtime.opened import open_run
+    from bayesnet_track.runtime.recipe import Recipe, RecipeError
+    from bayesnet_track.runtime.rundir import RunDirectory
+
+    first = open_run(options.run, complain)
+    try:
+        recipe = Recipe.read(first.directory)
+    except RecipeError as error:
+        raise UsageError(str(error)) from error
+    if recipe.only_once is not None:
+        raise UsageError(f"{options.run}: it cannot be run again: {recipe.only_once}")
+    changes = recipe.origin.changes()
+    if changes and not options.force:
+        raise UsageError(
+            f"{options.run}: the source has changed: {'; '.join(changes)} (--force goes on all the same)"
+        )
+    try:
+        graph = change_graph(first.graph_text, options.set, not options.no_adaptation)
+    except ChangeError as error:
+        raise UsageError(f"--set {error}") from error
+    out = Path(options.out or f"{str(options.run).rstrip('/')}-what-if")
+    if out.resolve() == first.directory.path.resolve():
+        raise UsageError(f"--out {out}: that is the run itself; give another folder")
+    code = _track_again(options, first, recipe, graph, out)
+    if code not in (OK, INCOMPLETE):
+        return code
+    second = RunDirectory.open(out)
+    if first.directory.truth.is_file():
+        try:
+            shutil.copyfile(first.directory.truth, second.truth)
+        except OSError as error:
+            complain(f"{second.truth}: cannot write: {error.strerror}")
+            return BAD_OUTPUT
+    return tell_comparison(first, open_run(out, complain), options) or code
+
+
+def _track_again(
+    options: argparse.Namespace, first: Run, recipe: Recipe, graph: CheckedGraph, out: Path
+) -> int:
+    """The run of a recipe with another graph or seed; what came from outside then comes again."""
+    from bayesnet_track.commands.tracking import _say_end as say_end
+    from bayesnet_track.commands.tracking import _show as show
+    from bayesnet_track.runtime.progress import Progress
+    from bayesnet_track.runtime.run import Summary
+    from bayesnet_track.runtime.session import track
+
+    summary = Summary()
+    with ExitStack() as stack:
+        source = stack.enter_context(recipe.opened())
+        progress = Progress(sys.stderr, source.expected_frames, sys.stderr.isatty(), options.log_json)
+        if not options.quiet:
+            stack.callback(unheard, progress.finish)
+        results = track(
+            graph,
+            source,
+            recipe.starts or None,
+            out=out,
+            seed=recipe.seed if options.seed is None else options.seed,
+            detections=None if recipe.detections is None else recipe.detections.place,
+            inputs=first.directory.inputs if first.directory.inputs.is_file() else None,
+            overwrite=options.overwrite,
+            summary=summary,
+        )
+        stack.callback(results.close)
+        for result in results:
+            if not options.quiet:
+                show(progress, summary, result)
+            if options.stop.between_frames():
+                break
+    say_end(out, summary)
+    if options.stop.signal is not None:
+        return int(options.stop.exit_code)
+    options.stop.is_patient = False
+    return OK if summary.complete else INCOMPLETE
