@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from threading import Lock
@@ -13,9 +12,10 @@ from bayesnet_track.cue import AnyCue
 from bayesnet_track.executor import AgentUnavailable
 from bayesnet_track.planes import Frame, Region
 from bayesnet_track.runtime.executors.frames import FrameStore, SharedFrame
+from bayesnet_track.runtime.executors.nursery import Nursery
 from bayesnet_track.runtime.executors.packing import packed, repacked
 from bayesnet_track.runtime.executors.questions import Foreign
-from bayesnet_track.runtime.executors.workers import END_S, Limits, Worker, WorkerLost
+from bayesnet_track.runtime.executors.workers import Limits, Worker, WorkerLost
 
 IDLE_FRAMES = 30
 """After so many frames without a question an agent leaves its worker, and a worker without agents ends."""
@@ -69,6 +69,7 @@ class Processes:
         self._agents, self._limits = agents, limits
         self._slots = [_Slot() for _ in range(max(1, min(workers, len(agents))))]
         self._store = FrameStore()
+        self._nursery = Nursery(self._store.descriptor, limits.memory_mb)
         self._assigning = Lock()
         self._costs = {agent: employed.cost_s for agent, employed in agents.items()}
         self._spent = dict.fromkeys(agents, 0.0)
@@ -129,9 +130,7 @@ class Processes:
         workers = [slot.worker for slot in self._slots if slot.worker is not None]
         for worker in workers:
             worker.let_go()
-        until = time.monotonic() + END_S
-        for worker in workers:
-            worker.reap(until)
+        self._nursery.close()
         self._store.close()
 
     def _slot(self, agent: str) -> _Slot:
@@ -163,7 +162,7 @@ class Processes:
     def _restart(self, slot: _Slot) -> None:
         if self._is_closed:
             raise AgentUnavailable("the run is over")
-        slot.worker = Worker(self._store.descriptor, self._limits)
+        slot.worker = Worker(self._nursery, self._limits)
 
     def _look_after(self) -> None:
         """Once a frame: costs, workers with nothing to do, and now and then another packing."""

@@ -1,7 +1,10 @@
-"""The main program of a worker process: answer questions about agents until the engine goes.
+"""The program of the nursery and of the worker processes that it forks, which answer questions about agents.
 
-``python -m bayesnet_track.runtime.executors.worker CHANNEL LIFELINE FRAMES MEMORY_MB``, open files;
-it is started by `workers.Worker` only.
+``python -m bayesnet_track.runtime.executors.worker CONTROL FRAMES MEMORY_MB``, open files and a number;
+`nursery.Nursery` starts it.
+
+The nursery imports once what cues need. A worker forked from it is ready within milliseconds, and shares that
+memory. It has one thread, so that forking is safe.
 """
 
 from __future__ import annotations
@@ -10,19 +13,91 @@ import fcntl
 import os
 import pickle
 import signal
+import socket
 import sys
+import time
 from multiprocessing.connection import Connection
+
+from bayesnet_track.runtime.executors.nursery import END_S, NUMBER, WORKER
+
+POLL_S = 0.002
 
 
 def main(arguments: list[str]) -> None:
-    """Serve until the channel closes."""
-    channel, lifeline, frames, memory_mb = (int(argument) for argument in arguments)
-    for descriptor in (channel, lifeline, frames):
+    """Fork workers, and see them off, until the control channel closes."""
+    control_number, frames, memory_mb = (int(argument) for argument in arguments)
+    for descriptor in (control_number, frames):
         os.set_inheritable(descriptor, False)
-    _die_with(lifeline)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
+    control = socket.socket(fileno=control_number)
     _load()
-    _limit(memory_mb)
-    _serve(Connection(channel), frames, memory_mb > 0)
+    children: set[int] = set()
+    while True:
+        try:
+            request, files, _, _ = socket.recv_fds(control, 1 + NUMBER.size, 2)
+        except ConnectionError:
+            request, files = b"", []
+        if not request:
+            break
+        if request[:1] == WORKER:
+            child = os.fork()
+            if child == 0:
+                control.close()
+                _work(files[0], files[1], frames, memory_mb)
+            children.add(child)
+            for file in files:
+                os.close(file)
+            control.sendall(NUMBER.pack(child))
+        else:
+            (child,) = NUMBER.unpack(request[1:])
+            children.discard(child)
+            control.sendall(NUMBER.pack(_ended(child, time.monotonic() + END_S)))
+    until = time.monotonic() + END_S
+    for child in children:
+        _ended(child, until)
+
+
+def _load() -> None:
+    """Import what cues need, so that a worker answers at once."""
+    import cv2
+    import numba  # noqa: F401
+
+    import bayesnet_track.inference.compile
+    import bayesnet_track.numerics.kinematic_kernels
+    import bayesnet_track.runtime.executors.frames
+    import bayesnet_track.runtime.executors.host  # noqa: F401
+
+    cv2.setNumThreads(1)
+
+
+def _ended(child: int, until: float) -> int:
+    """The exit code of a child, minus the signal that killed it; after `until` it is killed."""
+    while True:
+        try:
+            found, status = os.waitpid(child, os.WNOHANG)
+        except ChildProcessError:
+            return 0
+        if found:
+            return os.waitstatus_to_exitcode(status)
+        if time.monotonic() >= until:
+            os.kill(child, signal.SIGKILL)
+            return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        time.sleep(POLL_S)
+
+
+def _work(channel: int, lifeline: int, frames: int, memory_mb: int) -> None:
+    """Be a worker; does not return."""
+    code = 1
+    try:
+        _die_with(lifeline)
+        _limit(memory_mb)
+        _serve(Connection(channel), frames, memory_mb > 0)
+        code = 0
+    except BaseException:
+        sys.excepthook(*sys.exc_info())
+    finally:
+        os._exit(code)
 
 
 def _die_with(lifeline: int) -> None:
@@ -42,16 +117,6 @@ def _die_with(lifeline: int) -> None:
         os._exit(1)
 
 
-def _load() -> None:
-    """Import what cues need, so that a ready worker answers at once."""
-    import cv2
-    import numba  # noqa: F401
-
-    import bayesnet_track.runtime.executors.host  # noqa: F401
-
-    cv2.setNumThreads(1)
-
-
 def _limit(memory_mb: int) -> None:
     """Let the process have `memory_mb` above what it has now; 0 does not limit it."""
     if memory_mb > 0:
@@ -68,7 +133,6 @@ def _serve(channel: Connection, frames: int, is_limited: bool) -> None:
     from bayesnet_track.runtime.executors.host import AgentHost
 
     host = AgentHost(FrameView(frames).get, is_limited)
-    channel.send_bytes(b"ready")
     while True:
         try:
             kind, *message = pickle.loads(channel.recv_bytes())

@@ -6,28 +6,15 @@ import os
 import pickle
 import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from types import MappingProxyType
 from typing import Any
 
 from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.runtime.executors.nursery import Nursery
 from bayesnet_track.runtime.executors.questions import Answer, Question, Sent, Told
-
-ONE_THREAD: Mapping[str, str] = MappingProxyType(
-    {
-        name: "1"
-        for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-    }
-)
-START_S = 60.0
-"""Seconds in which a worker is ready, on the slowest machine."""
-END_S = 0.5
-"""Seconds in which a worker that is let go has ended; then it is killed."""
 
 
 class WorkerLost(Exception):
@@ -57,43 +44,24 @@ class Limits:
 class Worker:
     """One process with some agents. Not for several threads at a time."""
 
-    def __init__(self, frames: int, limits: Limits) -> None:
-        """Start it; it becomes ready while the engine goes on. `frames` is the descriptor of their memory."""
-        ours, theirs = socket.socketpair()
-        held, self._lifeline = os.pipe()
-        try:
-            self._process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-m",
-                    "bayesnet_track.runtime.executors.worker",
-                    *map(str, (theirs.fileno(), held, frames, limits.memory_mb)),
-                ],
-                stdin=subprocess.DEVNULL,
-                pass_fds=(theirs.fileno(), held, frames),
-                env={**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-                # Ctrl-C in a terminal reaches the engine only, which then ends its workers.
-                start_new_session=True,
-            )
-        finally:
-            theirs.close()
-            os.close(held)
-        self._channel = Connection(ours.detach())
-        self._limits, self._is_ready, self._is_asked = limits, False, False
+    def __init__(self, nursery: Nursery, limits: Limits) -> None:
+        self._nursery = nursery
+        self._socket, self._lifeline, self.pid = nursery.worker()
+        self._channel = Connection(os.dup(self._socket.fileno()))
+        self._limits, self._is_asked, self._asked_at = limits, False, 0.0
         self._sent = Sent()
         self._known: set[tuple[str, str]] = set()
         self.agents: set[str] = set()
-        self._asked_at = 0.0
-
-    @property
-    def pid(self) -> int:
-        """Its process id."""
-        return self._process.pid
 
     @property
     def is_dead(self) -> bool:
-        """Whether the process has ended."""
-        return self._process.poll() is not None
+        """Whether its end of the channel is closed."""
+        try:
+            return self._socket.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT) == b""
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
 
     def employ(self, agent: str, make: Any, parameters: Any) -> None:
         """Have it make the cue of an agent."""
@@ -120,7 +88,6 @@ class Worker:
             WorkerLost: it gives none, and never will.
             Late: it gives none by `deadline`, seconds of the monotonic clock.
         """
-        self._wait_ready(deadline)
         if self._is_asked:  # by a question whose answer nobody waited for
             self._receive(self._asked_at + self._limits.first_s, deadline)
         sent = self._sent
@@ -134,30 +101,18 @@ class Worker:
         self._known.add((agent, method))
         return answer
 
-    def close(self) -> None:
-        """Let it go: a worker that waits ends by itself, another is killed."""
+    def close(self) -> int | None:
+        """Let it go, and see it off: its exit code, None when nobody knows."""
         self.let_go()
-        self.reap(time.monotonic() + END_S)
+        return self._nursery.ended(self.pid)
 
     def let_go(self) -> None:
-        """Close what it is connected by, which ends it."""
+        """Close what it is connected by, which ends it, whatever it does."""
         self._channel.close()
+        self._socket.close()
         if self._lifeline >= 0:
             os.close(self._lifeline)
             self._lifeline = -1
-
-    def reap(self, until: float) -> None:
-        """Wait for its end, and make it end then."""
-        try:
-            self._process.wait(max(until - time.monotonic(), 0.0))
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-
-    def _wait_ready(self, deadline: float | None) -> None:
-        if not self._is_ready:
-            self._received(time.monotonic() + START_S, deadline)
-            self._is_ready = True
 
     def _receive(self, until: float, deadline: float | None) -> Answer:
         answer: Answer = pickle.loads(self._received(until, deadline))
@@ -176,7 +131,6 @@ class Worker:
         try:
             while not self._channel.poll(max(end - time.monotonic(), 0.0)):
                 if time.monotonic() >= until:
-                    self._process.kill()
                     self.close()
                     raise WorkerLost(f"gave no answer in {until - started:.3g} s, and was killed")
                 if deadline is not None and time.monotonic() >= deadline:
@@ -192,12 +146,12 @@ class Worker:
             raise WorkerLost(self._death()) from None
 
     def _death(self) -> str:
-        self.close()
-        code = self._process.returncode
-        if code < 0:
-            try:
-                name = f" ({signal.Signals(-code).name})"
-            except ValueError:
-                name = ""
-            return f"its process was killed by signal {-code}{name}"
-        return f"its process ended with exit code {code}"
+        code = self.close()
+        if code is None:
+            return "its process ended"
+        if code >= 0:
+            return f"its process ended with exit code {code}"
+        try:
+            return f"its process was killed by {signal.Signals(-code).name}"
+        except ValueError:
+            return f"its process was killed by signal {-code}"
