@@ -56,6 +56,7 @@ class Origin:
         depth: folder or glob of depth files.
         calibration: the pair's file.
         seed: of a scene.
+        isolate_decoder: whether it is decoded in a process of its own.
         absolute: a path as given -> the same from the root.
         fingerprint: source, right, depth, calibration -> what it held.
     """
@@ -71,6 +72,7 @@ class Origin:
     depth: str | None = None
     calibration: str | None = None
     seed: int = 0
+    isolate_decoder: bool = False
     absolute: Mapping[str, str] = field(default_factory=dict)
     fingerprint: Mapping[str, Fingerprint] = field(default_factory=dict)
 
@@ -138,7 +140,7 @@ class Origin:
         at = self._places()
         window = (self.start, self.end, self.allow_network, self.on_resize)
         if self.kind == "plain":
-            source = open_source(at[self.text], *window)
+            source = open_source(at[self.text], *window, self.isolate_decoder)
         else:
             source = open_stereo_source(
                 at[self.text],
@@ -147,6 +149,7 @@ class Origin:
                 depth=None if self.depth is None else at[self.depth],
                 side_by_side=self.kind == "side_by_side",
                 calibration=None if self.calibration is None else at[self.calibration],
+                isolate_decoder=self.isolate_decoder,
             )
         source.description, source.origin = self.description, self
         return source

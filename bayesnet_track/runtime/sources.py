@@ -43,7 +43,9 @@ def open_source(
     """
     check_range(text, start, end)
     reader = make_reader(text, allow_network, isolate_decoder, start or 0)
-    origin = Origin("plain", text, text, start, end, on_resize, allow_network)
+    origin = Origin(
+        "plain", text, text, start, end, on_resize, allow_network, isolate_decoder=isolate_decoder
+    )
     return Source(text, reader, start, end, on_resize, origin)
 
 

@@ -106,7 +106,17 @@ def open_stereo_source(
     kind: Kind = "side_by_side" if side_by_side else "right" if depth is None else "depth"
     pair = None if calibration is None else str(calibration)
     origin = Origin(
-        kind, left, description, start, end, on_resize, allow_network, right, depth, calibration=pair
+        kind,
+        left,
+        description,
+        start,
+        end,
+        on_resize,
+        allow_network,
+        right,
+        depth,
+        calibration=pair,
+        isolate_decoder=isolate_decoder,
     )
     return Source(description, reader, start, end, on_resize, origin)
 
