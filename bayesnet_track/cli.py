@@ -15,6 +15,7 @@ from bayesnet_track.parsers.completion import add_completion
 from bayesnet_track.parsers.doctor import add_doctor
 from bayesnet_track.parsers.outside import add_outside_options
 from bayesnet_track.parsers.executors import add_executor_options
+from bayesnet_track.parsers.plugins import add_plugins
 from bayesnet_track.parsers.what_if import add_what_if
 from bayesnet_track.runtime.stop import StopRequest, Terminated
 
@@ -91,6 +92,8 @@ def make_parser() -> argparse.ArgumentParser:
     graph.add_argument("--latex", action="store_true", help="print it as LaTeX")
     graph.add_argument("--svg", metavar="FILE", help="draw the net")
     graph.add_argument("--png", metavar="FILE", help="draw the net")
+    for one in (demo, run, validate, graph):
+        add_plugins(one)
 
     detect = commands.add_parser("detect", help="find targets in every frame with a detector")
     detect.add_argument("name", metavar="DETECTOR", help="see `list`")
@@ -114,6 +117,7 @@ def make_parser() -> argparse.ArgumentParser:
     detect.add_argument("--video", metavar="FILE", help="write the video with the boxes too (.mkv or .mp4)")
     _add_window_options(detect)
     detect.add_argument("--overwrite", action="store_true", help="replace files that are there")
+    add_plugins(detect)
 
     calibrate = commands.add_parser("calibrate", help="calibrate a pair of cameras from chessboard pictures")
     calibrate.add_argument("left", metavar="LEFT", help="pictures of the left eye: folder, glob or video")
@@ -125,8 +129,8 @@ def make_parser() -> argparse.ArgumentParser:
     calibrate.add_argument("--out", required=True, metavar="FILE", help="calibration file to write")
     calibrate.add_argument("--overwrite", action="store_true", help="replace the file if it is there")
 
-    commands.add_parser("schema", help="print the JSON Schema of graph files, for editors")
-    commands.add_parser("list", help="list the installed graphs, cues, detectors and scenes")
+    add_plugins(commands.add_parser("schema", help="print the JSON Schema of graph files, for editors"))
+    add_plugins(commands.add_parser("list", help="list the installed graphs, cues, detectors and scenes"))
 
     log = commands.add_parser("log", help="tell a run's reconfigurations as sentences")
     log.add_argument("run", metavar="RUN", help="run directory")
@@ -213,6 +217,7 @@ def make_parser() -> argparse.ArgumentParser:
         action="store_true",
         help="print how calibrated each video is by what is fitted to the others, and write nothing",
     )
+    add_plugins(fit)
 
     stereo = commands.add_parser("learn-stereo", help="learn how much a target's depth features vary")
     stereo.add_argument("--source", required=True, help="video file, folder of images, or glob")
