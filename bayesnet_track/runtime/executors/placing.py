@@ -48,7 +48,7 @@ def places_of(
     Raises:
         PlacingError: `wanted` names no agent, or an opaque agent is put into a process.
     """
-    declarations = installed_cues() if cues is None else cues
+    declarations = _declarations(engine, cues)
     found: dict[tuple[str, str], Place] = {}
     unused = set(wanted)
     for plate, machine in engine.machinery.items():
@@ -76,7 +76,7 @@ def employed_of(
     cues: Mapping[str, CueDeclaration] | None = None,
 ) -> dict[str, Employed]:
     """Name of every agent that works in a process -> how its cue is made there."""
-    declarations = installed_cues() if cues is None else cues
+    declarations = _declarations(engine, cues)
     found = {}
     for (plate, agent), place in places.items():
         if place == "process":
@@ -102,3 +102,10 @@ def with_proxies(engine: Engine, places: Mapping[tuple[str, str], Place], desk: 
 
 def _name(plate: str, agent: str) -> str:
     return f"{plate}.{agent}"
+
+
+def _declarations(engine: Engine, cues: Mapping[str, CueDeclaration] | None) -> Mapping[str, CueDeclaration]:
+    if cues is not None:
+        return cues
+    plates = [machine.plate for machine in engine.machinery.values()]
+    return installed_cues(plate.agent(agent).agent.cue for plate in plates for agent in plate.agents)
