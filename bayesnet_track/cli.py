@@ -15,6 +15,7 @@ from bayesnet_track.parsers.completion import add_completion
 from bayesnet_track.parsers.doctor import add_doctor
 from bayesnet_track.parsers.outside import add_outside_options
 from bayesnet_track.parsers.executors import add_executor_options
+from bayesnet_track.parsers.init import add_init
 from bayesnet_track.parsers.plugins import add_plugins
 from bayesnet_track.parsers.what_if import add_what_if
 from bayesnet_track.runtime.stop import StopRequest, Terminated
@@ -243,6 +244,7 @@ def make_parser() -> argparse.ArgumentParser:
         "--set", action="append", default=[], metavar="KEY=VALUE", help="a parameter of the cue, as YAML"
     )
     _add_window_options(stereo)
+    add_init(commands)
     add_doctor(commands)
     add_completion(commands)
     add_compare(commands)

@@ -203,6 +203,15 @@ def test_a_damaged_cache_is_named(monkeypatch, tmp_path):
     assert only(selftest.check_tracking()).level == "ok"
 
 
+def test_plug_ins_that_cannot_be_loaded_are_told_package_by_package(site, tmp_path):
+    points = "[bayesnet_track.cues]\na = no_such_module:CUE\nb = no_such_module:CUE\n"
+    points += "[bayesnet_track.detectors]\nc = json:dumps\n"
+    distribution(site, "glow-cue", "1", entry_points__txt=points)
+    found = only(selftest.check_plugins())
+    assert found.level == "broken" and "glow-cue cannot load the cue 'a': ModuleNotFoundError" in found.text
+    assert found.text.endswith("; and 2 more") and "--upgrade glow-cue" in found.cure
+
+
 # ------------------------------------------------------------------------------------ the command
 
 

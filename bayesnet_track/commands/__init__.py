@@ -20,6 +20,7 @@ from bayesnet_track.commands.completion import completion
 from bayesnet_track.commands.detect import detect
 from bayesnet_track.commands.fit import fit
 from bayesnet_track.commands.graphs import graph, list_installed, schema, validate
+from bayesnet_track.commands.init import init
 from bayesnet_track.commands.learn_shape import learn_shape
 from bayesnet_track.commands.learn_stereo import learn_stereo
 from bayesnet_track.commands.review import log, score
@@ -40,6 +41,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "completion": completion,
     "detect": detect,
     "fit": fit,
+    "init": init,
     "score": score,
     "learn-shape": learn_shape,
     "learn-stereo": learn_stereo,

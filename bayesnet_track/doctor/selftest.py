@@ -57,11 +57,15 @@ def check_plugins() -> Iterator[Finding]:
         yield Finding("plug-ins", "broken", trial.error, "mend what is above first")
         return
     wrong = json.loads(trial.out)
+    of_package: dict[str, list[str]] = {}
     for group, name, package, error in wrong:
-        text = f"the {GROUPS[group]} {name!r} of {package} cannot be loaded: {error}"
+        of_package.setdefault(package, []).append(f"the {GROUPS[group]} {name!r}: {error}")
+    for package, errors in of_package.items():
+        more = f"; and {len(errors) - 1} more" if len(errors) > 1 else ""
         ours = package == "bayesnet-track"
-        cure = "mend what is above, or reinstall" if ours else f"python -m pip install --upgrade {package}"
-        yield Finding("plug-ins", "broken", text, f"{cure}   (or uninstall it)" if not ours else cure)
+        cure = f"python -m pip install --upgrade {package}   (or uninstall it)"
+        cure = "mend what is above first" if ours else cure
+        yield Finding("plug-ins", "broken", f"{package} cannot load {errors[0]}{more}", cure)
     if not wrong:
         counts = [f"{len(found)} {GROUPS[group]}s" for group, found in points.items()]
         yield Finding("plug-ins", "ok", " and ".join(counts))
