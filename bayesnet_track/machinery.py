@@ -59,6 +59,7 @@ class Machinery:
         moving: what a frame's motion depends on besides its states; None when on nothing.
         finder: the detector that looks for a target which may reappear.
         claimers: agent that measures by the detection that the target is given -> which one that is.
+        opaque: agents that keep something which cannot be stored.
     """
 
     plate: CheckedTarget
@@ -77,6 +78,7 @@ class Machinery:
     moving: Moving | None = None
     finder: Detector | None = None
     claimers: Mapping[str, ClaimRule] = field(default_factory=dict)
+    opaque: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +185,7 @@ def _make_machinery(
         moving=moving,
         finder=None if moving is None else _finder(moving),
         claimers={agent: cue.rule for agent, cue in made.items() if isinstance(cue, ClaimingCue)},
+        opaque=frozenset(agent for agent in plate.agents if of[agent].opaque),
     )
 
 

@@ -38,8 +38,8 @@ class RecipeError(ValueError):
 
 
 @dataclass(frozen=True)
-class DetectionsFile:
-    """A file of detections from outside: its path as given and from the root, and its content."""
+class GivenFile:
+    """A file from outside: its path as given and from the root, and its content."""
 
     path: str
     absolute: str
@@ -49,6 +49,11 @@ class DetectionsFile:
     def place(self) -> Path:
         """Where it is now: where it was, or as given where that is gone."""
         return Path(self.absolute) if Path(self.absolute).exists() else Path(self.path)
+
+    def changes(self) -> tuple[str, ...]:
+        """What is not as it was, in words; raises OSError when it cannot be read."""
+        now = _sha256(self.place)
+        return () if now == self.sha256 else (f"{self.path}: {self.sha256[:12]}, now {now[:12]}",)
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,7 @@ class Recipe:
         starts: start boxes; empty where the graph has births.
         seed: seed of all randomness.
         detections: the file of detections for births by them, or None.
+        inputs: the file of what came from outside in a run that was repeated, or None.
         has_video: whether the annotated video was asked for.
         own_motion: whether a motion model of one's own stood in for the graph's.
         options: what else was asked for that changes results, by name.
@@ -74,7 +80,8 @@ class Recipe:
     origin: Origin
     starts: tuple[Start, ...] = ()
     seed: int = 0
-    detections: DetectionsFile | None = None
+    detections: GivenFile | None = None
+    inputs: GivenFile | None = None
     has_video: bool = False
     own_motion: bool = False
     options: Mapping[str, bool | int | float | str] = field(default_factory=dict)
@@ -175,6 +182,7 @@ def make_recipe(
     seed: int = 0,
     *,
     detections: str | PathLike[str] | None = None,
+    inputs: str | PathLike[str] | None = None,
     has_video: bool = False,
     own_motion: bool = False,
     options: Mapping[str, bool | int | float | str] = MappingProxyType({}),
@@ -185,21 +193,26 @@ def make_recipe(
         OSError: a file cannot be read.
     """
     origin: Origin | None = getattr(source, "origin", None)
-    given = None
-    if detections is not None:
-        digest = hashlib.sha256(Path(detections).read_bytes()).hexdigest()
-        given = DetectionsFile(str(detections), str(Path(detections).absolute()), digest)
     return Recipe(
         graph=graph.spec.name,
         graph_sha256=graph_sha256(graph.text),
         origin=(Origin("own", "", source.description) if origin is None else origin.marked()),
         starts=tuple(Start(tuple(float(v) for v in one.box), one.plate) for one in starts),  # type: ignore[arg-type]
         seed=seed,
-        detections=given,
+        detections=None if detections is None else _given(detections),
+        inputs=None if inputs is None else _given(inputs),
         has_video=has_video,
         own_motion=own_motion,
         options=dict(sorted(options.items())),
     )
+
+
+def _given(path: str | PathLike[str]) -> GivenFile:
+    return GivenFile(str(path), str(Path(path).absolute()), _sha256(Path(path)))
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _directory(given: RunDirectory | str | PathLike[str]) -> RunDirectory:

@@ -44,7 +44,7 @@ class Recorder:
 
     Args:
         directory: where the files go.
-        graph: what is tracked with; its canonical text is stored.
+        graph: what is tracked with.
         frame_interval_s: nominal seconds between frames, for the video.
         with_video: write the annotated video.
         after: how far the files of a run are written that goes on here; what follows is cut off. The video
@@ -66,10 +66,7 @@ class Recorder:
         at = {} if after is None else {name: place.size for name, place in after.positions.items()}
         ids = NO_IDS if after is None else after.ids
         with ExitStack() as files:
-            # The journal comes first: what holds one counts as a run, which may be overwritten.
             self._journal = files.enter_context(JournalWriter(directory.journal, at.get("journal")))
-            if after is None:
-                directory.write_text(directory.graph, graph.text)
             self._frames = files.enter_context(JournalWriter(directory.frames, at.get("frames")))
             mot = MotWriter(directory.mot, not has_births(graph), at.get("mot"), ids)
             self._mot = files.enter_context(mot)

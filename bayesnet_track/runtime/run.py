@@ -24,6 +24,7 @@ from bayesnet_track.journal.events import (
 from bayesnet_track.journal.inputs import Input
 from bayesnet_track.planes import Frame
 from bayesnet_track.runtime.frames import EndReason, SourceItem
+from bayesnet_track.runtime.interchange import Detections
 from bayesnet_track.runtime.inputs import Asked, nothing
 from bayesnet_track.runtime.starts import Start, StartError, check_starts, start_targets
 from bayesnet_track.runtime.versions import versions
@@ -81,6 +82,7 @@ class Result:
         seconds: seconds per agent and stage.
         total_seconds: seconds of the whole step, without decoding and writing.
         outside: what came from outside, such as a person's switches.
+        kinds: target id -> name of its plate, for all in `targets`.
     """
 
     frame: Frame
@@ -90,6 +92,11 @@ class Result:
     seconds: dict[str, float]
     total_seconds: float = 0.0
     outside: tuple[Input, ...] = ()
+    kinds: dict[str, str] = field(default_factory=dict)
+
+    def detections(self, lost: bool = False) -> Detections:
+        """The targets' boxes in the shape of supervision's; `lost` for those of lost targets, too."""
+        return Detections.of(self.targets, self.kinds, lost=lost)
 
 
 class Sink(Protocol):
@@ -121,6 +128,19 @@ class Reached:
     frames: int
     reconfigurations: int
     lost_frames: int
+
+
+@dataclass(frozen=True, eq=False)
+class Resumed:
+    """Where a run goes on.
+
+    Attributes:
+        reached: how far it was.
+        items: what the source gives after that.
+    """
+
+    reached: Reached
+    items: Iterator[SourceItem]
 
 
 class Keeper(Protocol):
@@ -174,7 +194,7 @@ def run(
     inputs: Mapping[str, str] = MappingProxyType({}),
     outside: Asked = nothing,
     keeper: Keeper | None = None,
-    after: Reached | None = None,
+    after: Resumed | None = None,
 ) -> Generator[Result, None, None]:
     """Track through `source`, yielding a result per frame.
 
@@ -191,7 +211,7 @@ def run(
         outside: asked before each frame for what came from outside, by the frame's index: a
             `runtime.inputs.Switchboard` of a live view, or `runtime.inputs.replayed` of an earlier run.
         keeper: told after each frame how far the run is.
-        after: go on from there; `source` gives the frames after it. Sinks know already what was before.
+        after: go on from there: `source` was read so far, and sinks know already what was before.
 
     The journal is closed in order also when the caller stops iterating or an error passes through.
 
@@ -209,12 +229,12 @@ def run(
     state: State | None = None
     has_started = False
     if after is not None:
-        state, has_started = after.state, True
-        told.frames, told.reconfigurations = after.frames, after.reconfigurations
-        told.lost_frames = after.lost_frames
+        state, has_started = after.reached.state, True
+        told.frames, told.reconfigurations = after.reached.frames, after.reached.reconfigurations
+        told.lost_frames = after.reached.lost_frames
     opened = time.perf_counter()
     try:
-        for item in source:
+        for item in source if after is None else after.items:
             if not isinstance(item, Frame):
                 told.notices.append(item)
                 if has_started:
@@ -229,12 +249,12 @@ def run(
                 outcome = start_targets(graph, engine, item, starts, outside(item.index))
             else:
                 outcome = step(engine, state, item, outside(item.index))
-            state = outcome.state
+            before, state = state, outcome.state
             spent = time.perf_counter() - began
             told.frames += 1
             for event in outcome.events:
                 tell(event)
-            result = _result(item, outcome, spent)
+            result = _result(item, outcome, spent, before)
             told.reconfigurations += sum(isinstance(event, Switch) for event in result.decisions)
             told.lost_frames += any(metrics.status == "lost" for metrics in result.targets)
             for sink in sinks:
@@ -261,7 +281,9 @@ def run(
         keeper.ended()
 
 
-def _result(frame: Frame, outcome: Outcome, spent: float) -> Result:
+def _result(frame: Frame, outcome: Outcome, spent: float, before: State | None) -> Result:
+    # Who ended in this frame was live in it.
+    nets = {**(before.net.targets if before is not None else {}), **outcome.state.net.targets}
     decisions = tuple(event for event in outcome.events if isinstance(event, Decision))
     return Result(
         frame,
@@ -271,6 +293,7 @@ def _result(frame: Frame, outcome: Outcome, spent: float) -> Result:
         dict(outcome.seconds),
         spent,
         outcome.outside,
+        {line.target: nets[line.target].template for line in outcome.metrics if line.target in nets},
     )
 
 

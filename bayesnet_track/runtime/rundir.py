@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
+
+from bayesnet_track.runtime.atomic import PART
 
 FILES = {
     "recipe": "run.json",
@@ -17,7 +21,10 @@ FILES = {
     "video": "video.mkv",
     "truth": "truth.txt",
     "inputs": "inputs.jsonl",
+    "checkpoint": "checkpoint",
 }
+MARKS = (FILES["recipe"], FILES["journal"])
+"""A folder that holds one of them is a run."""
 
 
 class RunDirectoryError(OSError):
@@ -49,6 +56,9 @@ class RunDirectory:
                 raise RunDirectoryError(f"{run.path}: it is a file; give a folder for the run")
             run.path.mkdir(parents=True, exist_ok=True)
             held = {entry.name for entry in run.path.iterdir()}
+            for name in held & {name + PART for name in FILES.values()}:
+                (run.path / name).unlink()
+                held.remove(name)
             if held:
                 run._clear(held, overwrite)
             probe = run.path / FILES["journal"]
@@ -74,7 +84,7 @@ class RunDirectory:
         return run
 
     def _clear(self, held: set[str], overwrite: bool) -> None:
-        if FILES["journal"] not in held:
+        if held.isdisjoint(MARKS):
             raise RunDirectoryError(
                 f"{self.path}: the folder is not empty and not a run; give a new or an empty folder"
             )
@@ -83,9 +93,13 @@ class RunDirectory:
                 f"{self.path}: a run is there already; give another folder, or overwrite it "
                 "(--overwrite, overwrite=True)"
             )
-        # The journal goes last: a half-cleared folder still counts as a run.
-        for name in sorted(held & set(FILES.values()), key=lambda name: name == FILES["journal"]):
-            (self.path / name).unlink()
+        # The checkpoint goes first: it must not outlive what it stands for. The journal goes last: a
+        # half-cleared folder still counts as a run.
+        order = [FILES["checkpoint"], FILES["recipe"]]
+        order += [name for name in FILES.values() if name not in (*order, FILES["journal"])]
+        for name in (*order, FILES["journal"]):
+            if name in held:
+                (self.path / name).unlink()
 
     def write_text(self, path: Path, text: str) -> None:
         """Write one of the run's small files as UTF-8 with plain newlines.
@@ -94,7 +108,11 @@ class RunDirectory:
             RunDirectoryError: it cannot be written.
         """
         try:
-            path.write_text(text, encoding="utf-8", newline="\n")
+            with path.open("w", encoding="utf-8", newline="\n") as file:
+                file.write(text)
+                file.flush()
+                with suppress(OSError):  # what is no file on a disk
+                    os.fsync(file.fileno())
         except OSError as error:
             raise RunDirectoryError(f"{path}: cannot write: {error.strerror}") from error
 
@@ -142,6 +160,11 @@ class RunDirectory:
     def truth(self) -> Path:
         """Ground truth of a synthetic scene: a corner box a line."""
         return self.path / FILES["truth"]
+
+    @property
+    def checkpoint(self) -> Path:
+        """Where the run can go on from, while it is not at its end."""
+        return self.path / FILES["checkpoint"]
 
     @property
     def inputs(self) -> Path:

@@ -11,16 +11,19 @@ from typing import cast
 
 from bayesnet_track.belief.contract import Motion
 from bayesnet_track.detector import GIVEN
-from bayesnet_track.engine import make_engine
+from bayesnet_track.engine import Engine, make_engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.journal.writer import LineFile
+from bayesnet_track.runtime.checkpoint import EVERY_S, Checkpoints
 from bayesnet_track.runtime.detection_files import file_detector
 from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.inputs import Asked, as_asked
-from bayesnet_track.runtime.recipe import make_recipe
+from bayesnet_track.runtime.lock import locked
+from bayesnet_track.runtime.recipe import Recipe, make_recipe
 from bayesnet_track.runtime.record import Recorder
-from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
+from bayesnet_track.runtime.run import FrameSource, Keeper, Result, Sink, Summary, run
 from bayesnet_track.runtime.rundir import RunDirectory
 from bayesnet_track.runtime.sources import open_source
 from bayesnet_track.runtime.starts import Start, StartError, check_starts
@@ -45,6 +48,7 @@ def track(
     sinks: Sequence[Sink] = (),
     summary: Summary | None = None,
     inputs: str | PathLike[str] | Asked | None = None,
+    checkpoint_every: float = EVERY_S,
 ) -> Generator[Result, None, None]:
     """Track through `source` with `graph`, yielding one result per frame.
 
@@ -66,6 +70,8 @@ def track(
         summary: filled in as the run goes on.
         inputs: what comes from outside: the inputs.jsonl of an earlier run, to repeat it, or a function that
             is asked before each frame, such as a `runtime.inputs.Switchboard`.
+        checkpoint_every: seconds after which it is kept in `out` how far the run is, for
+            `runtime.resume.resume` to go on from there; 0 keeps nothing.
 
     Raises (when the first result is asked for; nothing is written then):
         GraphError: every error of the graph.
@@ -93,16 +99,15 @@ def track(
         else:
             opened = source
         check_starts(checked, starts, opened.width, opened.height)
-        own = None if motion is None else dict.fromkeys(checked.targets, motion)
-        given = {} if detections is None else {GIVEN: file_detector(Path(detections))}
-        engine = make_engine(checked, seed, motion=own, detectors=given)
+        engine = prepared(checked, seed, motion, detections)
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
         engine = stack.enter_context(executing).engine(engine)
         told: list[Sink] = list(sinks)
+        keeper: Keeper | None = None
         if out is not None:
             directory = RunDirectory.create(str(out), overwrite)
-            make_recipe(
+            recipe = make_recipe(
                 checked,
                 opened,
                 starts,
@@ -110,8 +115,13 @@ def track(
                 detections=detections,
                 has_video=video,
                 own_motion=motion is not None,
-            ).write(directory)
-            told.append(stack.enter_context(Recorder(directory, checked, opened.frame_interval_s, video)))
+                inputs=None if callable(inputs) else inputs,
+            )
+            begin(directory, checked, recipe)
+            stack.enter_context(locked(directory))
+            recorder = stack.enter_context(Recorder(directory, checked, opened.frame_interval_s, video))
+            told.append(recorder)
+            keeper = kept(directory, engine, recorder, recipe, checkpoint_every)
         yield from run(
             checked,
             opened,
@@ -122,7 +132,43 @@ def track(
             engine=engine,
             inputs=read,
             outside=outside,
+            keeper=keeper,
         )
+
+
+def prepared(
+    graph: CheckedGraph, seed: int, motion: Motion | None, detections: str | PathLike[str] | None
+) -> Engine:
+    """The engine of a run; raises as `track`."""
+    own = None if motion is None else dict.fromkeys(graph.targets, motion)
+    given = {} if detections is None else {GIVEN: file_detector(Path(detections))}
+    return make_engine(graph, seed, motion=own, detectors=given)
+
+
+def begin(directory: RunDirectory, graph: CheckedGraph, recipe: Recipe) -> None:
+    """Write down what is asked for, before anything is done; the recipe comes last: with it all is there.
+
+    Raises:
+        OutputError, RunDirectoryError: it cannot be written.
+    """
+    # What holds a journal counts as a run, which may be overwritten.
+    LineFile(directory.journal).close()
+    directory.write_text(directory.graph, graph.text)
+    recipe.write(directory)
+
+
+def kept(
+    directory: RunDirectory, engine: Engine, recorder: Recorder, recipe: Recipe, every_s: float
+) -> Keeper | None:
+    """Who makes checkpoints of a run; None where nobody does, or nothing could go on from them."""
+    if every_s <= 0 or recipe.origin.only_once is not None or opaque_agents(engine):
+        return None
+    return Checkpoints(directory, recorder, recipe.sha256, every_s)
+
+
+def opaque_agents(engine: Engine) -> tuple[str, ...]:
+    """Agents that keep something which cannot be stored."""
+    return tuple(agent for machine in engine.machinery.values() for agent in sorted(machine.opaque))
 
 
 def file_sha256(path: str | PathLike[str]) -> str:

@@ -158,7 +158,8 @@ class _Encoder:
         if isinstance(value, Plan):
             return ["c", value.target, sorted(value.active)]
         if is_dataclass(value) and _known().get(type(value).__name__) is type(value):
-            return ["o", type(value).__name__, *[self.node(getattr(value, n)) for n in _names(type(value))]]
+            kind: Any = type(value)
+            return ["o", kind.__name__, *[self.node(getattr(value, name)) for name in _names(kind)]]
         raise StateError(f"a {type(value).__module__}.{type(value).__qualname__} cannot be stored")
 
     def _array(self, value: Array | np.generic) -> int:

@@ -41,6 +41,8 @@ class VideoWriter:
         options = {"cluster_time_limit": str(1000 * _CLUSTER_S), "flush_packets": "1"}
         if path.suffix.lower() == ".mp4":
             options = {"movflags": "frag_keyframe+empty_moov+default_base_moof", "flush_packets": "1"}
+        # Without random identifiers, equal pictures make equal files.
+        options["fflags"] = "+bitexact"
         # Without reordering and look-ahead a frame is in the file as soon as its cluster is.
         tuning = {"preset": "veryfast", "crf": "23", "tune": "zerolatency"} if codec == "libx264" else {}
         self._count = 0

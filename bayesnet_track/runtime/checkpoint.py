@@ -1,0 +1,242 @@
+"""Checkpoints: where a run can go on from, kept in the run directory while it goes on.
+
+A checkpoint says how far every output file is written, which bytes are in it, and what the engine's state is.
+It is written whole or not at all, after the outputs have reached the disk, and it is gone when the run ends.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+import zlib
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.depth import PointMap, RightEye
+from bayesnet_track.engine import Engine, State
+from bayesnet_track.journal.writer import OutputError, Position
+from bayesnet_track.planes import Frame
+from bayesnet_track.runtime.atomic import sync_directory, write_atomically
+from bayesnet_track.runtime.record import Recorder, Written
+from bayesnet_track.runtime.run import Reached
+from bayesnet_track.runtime.rundir import RunDirectory
+from bayesnet_track.runtime.state_codec import StateError, decode_state, encode_state, state_format
+
+MAGIC = b"bayesnet_track checkpoint 1"
+
+EVERY_S = 1.0
+"""Seconds between checkpoints, unless they take more than a hundredth of the time."""
+
+SHARE, MOST_S = 0.01, 2.0
+"""Checkpoints that take a larger share of the time are made less often, but every two seconds at least."""
+
+
+class CheckpointError(ValueError):
+    """A checkpoint that is damaged, of another version, or does not go with what lies beside it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """Where a run can go on from.
+
+    Attributes:
+        recipe: SHA-256 of ``run.json``.
+        frame: index of the last frame.
+        pixels: checksum of its pixels.
+        frames: frames that were tracked.
+        reconfigurations: how many times an agent was switched on or off.
+        lost_frames: frames in which a target was lost.
+        written: how far the outputs are written.
+        state: the engine's state, as `encode_state` has it.
+    """
+
+    recipe: str
+    frame: int
+    pixels: int
+    frames: int
+    reconfigurations: int
+    lost_frames: int
+    written: Written
+    state: bytes
+
+    def reached(self, engine: Engine, frame: Frame) -> Reached:
+        """What it stands for, given its last frame, read again.
+
+        Raises:
+            CheckpointError: the frame has other pixels, or the state is of another version or graph.
+        """
+        if pixels_of(frame) != self.pixels:
+            raise CheckpointError(f"frame {frame.index} of the source has other pixels than it had")
+        try:
+            state: State = decode_state(self.state, engine, frame)
+        except StateError as error:
+            raise CheckpointError(f"the checkpoint's state: {error}") from error
+        return Reached(frame, state, self.frames, self.reconfigurations, self.lost_frames)
+
+
+def checkpoint_of(now: Reached, written: Written, recipe: str) -> Checkpoint:
+    """The checkpoint of a run that is so far.
+
+    Raises:
+        StateError: the state holds something that cannot be stored.
+    """
+    return Checkpoint(
+        recipe,
+        now.frame.index,
+        pixels_of(now.frame),
+        now.frames,
+        now.reconfigurations,
+        now.lost_frames,
+        written,
+        encode_state(now.state),
+    )
+
+
+def pixels_of(frame: Frame) -> int:
+    """A checksum of all that a frame shows."""
+    shown: list[NDArray[Any]] = [frame.image]
+    match frame.depth:
+        case RightEye():
+            shown.append(frame.depth.image)
+        case PointMap():
+            shown.append(frame.depth.points)
+    checksum = 0
+    for pixels in shown:
+        checksum = zlib.crc32(np.ascontiguousarray(pixels), checksum)  # type: ignore[arg-type]
+    return checksum
+
+
+def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
+    """Write it whole or not at all.
+
+    Raises:
+        OutputError: it cannot be written; the one before it is as it was.
+    """
+    at = checkpoint.written.positions
+    header = {
+        "format": state_format(),
+        **{name: getattr(checkpoint, name) for name in _NUMBERS},
+        "outputs": {name: [place.size, place.sha256] for name, place in at.items()},
+        "ids": dict(checkpoint.written.ids),
+    }
+    body = json.dumps(header).encode("ascii") + b"\n" + checkpoint.state
+    seal = hashlib.sha256(body).hexdigest().encode("ascii")
+    write_atomically(path, b"\n".join((MAGIC, seal, body)))
+
+
+def read_checkpoint(path: Path) -> Checkpoint:
+    """The checkpoint in a file.
+
+    Raises:
+        CheckpointError: it is damaged or of another version.
+        OSError: it cannot be read.
+    """
+    magic, _, rest = path.read_bytes().partition(b"\n")
+    seal, _, body = rest.partition(b"\n")
+    if magic != MAGIC:
+        raise CheckpointError(f"{path}: not a checkpoint of this version")
+    if hashlib.sha256(body).hexdigest().encode("ascii") != seal:
+        raise CheckpointError(f"{path}: it is damaged")
+    line, _, state = body.partition(b"\n")
+    header = json.loads(line)
+    if header["format"] != state_format():
+        raise CheckpointError(f"{path}: its state is of another version of bayesnet-track")
+    positions = {name: Position(size, sha256) for name, (size, sha256) in header["outputs"].items()}
+    return Checkpoint(
+        **{name: header[name] for name in _NUMBERS},
+        written=Written(positions, header["ids"]),
+        state=state,
+    )
+
+
+_NUMBERS = ("recipe", "frame", "pixels", "frames", "reconfigurations", "lost_frames")
+
+
+class Checkpoints:
+    """Makes checkpoints of a run as it goes on: a keeper of `run`.
+
+    Args:
+        directory: of the run.
+        recorder: who writes its outputs.
+        recipe: SHA-256 of its ``run.json``.
+        every_s: seconds between checkpoints.
+        notice: told once when the state cannot be stored; the run goes on without checkpoints.
+        clock: seconds, any origin.
+    """
+
+    def __init__(
+        self,
+        directory: RunDirectory,
+        recorder: Recorder,
+        recipe: str,
+        every_s: float = EVERY_S,
+        notice: Callable[[str], None] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._directory, self._recorder, self._recipe = directory, recorder, recipe
+        self._every_s, self._notice, self._clock = every_s, notice, clock
+        self._due: float | None = clock() + every_s
+        self._last: Reached | None = None
+        self.made, self.seconds = 0, 0.0
+
+    def reached(self, now: Reached) -> None:
+        """Make a checkpoint when one is due.
+
+        Raises:
+            OutputError: it, or an output before it, cannot be written.
+        """
+        self._last = now
+        if self._due is not None and self._clock() >= self._due:
+            self._make(now)
+
+    def stopped(self) -> None:
+        """Make one of the last frame; where that fails, the one before it is good enough."""
+        if self._due is not None and self._last is not None:
+            with suppress(OutputError):
+                self._make(self._last)
+
+    def ended(self) -> None:
+        """Let the disk have the outputs, and remove the checkpoint.
+
+        Raises:
+            OutputError: an output cannot be written.
+        """
+        if self.made or self._directory.checkpoint.exists():
+            self._recorder.sync()
+            remove(self._directory.checkpoint)
+
+    def _make(self, now: Reached) -> None:
+        began = self._clock()
+        try:
+            made = checkpoint_of(now, self._recorder.written, self._recipe)
+        except StateError as error:
+            self._due = None
+            if self._notice is not None:
+                self._notice(f"no checkpoints: {error}; if it is broken off, this run repeats from its start")
+            return
+        self._recorder.sync()
+        write_checkpoint(self._directory.checkpoint, made)
+        ended = self._clock()
+        spent = ended - began
+        self.made, self.seconds = self.made + 1, self.seconds + spent
+        self._due = ended + max(self._every_s, min(spent / SHARE, MOST_S))
+
+
+def remove(path: Path) -> None:
+    """Remove a checkpoint for good.
+
+    Raises:
+        OutputError: it cannot be removed.
+    """
+    try:
+        path.unlink(missing_ok=True)
+        sync_directory(path.parent)
+    except OSError as error:
+        raise OutputError(error.errno, f"cannot remove: {error.strerror}", str(path)) from error

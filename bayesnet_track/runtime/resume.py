@@ -1,0 +1,304 @@
+"""Go on with a run that was broken off: what is there in the end is that of an unbroken run, byte for byte."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+from bayesnet_track.belief.contract import Motion
+from bayesnet_track.engine import Engine
+from bayesnet_track.journal.codec import JournalError, from_json
+from bayesnet_track.journal.events import Event, RunEnded
+from bayesnet_track.journal.inputs import Input
+from bayesnet_track.journal.reader import read_inputs
+from bayesnet_track.journal.writer import OutputError, read_position
+from bayesnet_track.planes import Frame
+from bayesnet_track.runtime.atomic import PART
+from bayesnet_track.runtime.checkpoint import (
+    EVERY_S,
+    Checkpoint,
+    CheckpointError,
+    read_checkpoint,
+    remove,
+)
+from bayesnet_track.runtime.executors import Executing, make_executor
+from bayesnet_track.runtime.inputs import Asked, as_asked
+from bayesnet_track.runtime.lock import locked
+from bayesnet_track.runtime.recipe import Recipe
+from bayesnet_track.runtime.record import Recorder
+from bayesnet_track.runtime.run import FrameSource, Result, Resumed, Sink, Summary, run
+from bayesnet_track.runtime.rundir import FILES, RunDirectory
+from bayesnet_track.runtime.session import kept, opaque_agents, prepared
+from bayesnet_track.runtime.stereo_source import check_depth
+from bayesnet_track.runtime.versions import versions
+
+Notice = Callable[[str], None]
+
+BROKEN_OFF = ("interrupted", "error")
+"""Reasons in the journal's last line after which there is something left to do."""
+
+TAIL_BYTES = 1 << 16
+
+
+class ResumeError(ValueError):
+    """A run that cannot go on: it, its source or this program is another than it was."""
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How a run stands.
+
+    Attributes:
+        is_finished: whether its source was read to its end.
+        frame: last frame of the checkpoint, from which it can go on; None where it begins anew.
+        reason: why it ended, in the words of `RunEnded.reason`; None when nothing in the journal says so.
+    """
+
+    is_finished: bool
+    frame: int | None = None
+    reason: str | None = None
+
+
+def standing(path: str | PathLike[str]) -> Standing:
+    """How the run in a directory stands, by its files alone.
+
+    Raises:
+        RecipeError: it is no run that can be done again.
+        CheckpointError: the checkpoint is damaged or of another version.
+    """
+    directory = RunDirectory(Path(path))
+    Recipe.read(directory)
+    reason = _ending(directory.journal)
+    if directory.checkpoint.exists():
+        return Standing(False, read_checkpoint(directory.checkpoint).frame, reason)
+    return Standing(reason is not None and reason not in BROKEN_OFF, None, reason)
+
+
+def resume(
+    path: str | PathLike[str],
+    *,
+    source: FrameSource | None = None,
+    motion: Motion | None = None,
+    sinks: Sequence[Sink] = (),
+    summary: Summary | None = None,
+    inputs: str | PathLike[str] | Asked | None = None,
+    checkpoint_every: float = EVERY_S,
+    executor: str | Executing = "serial",
+    workers: int | None = None,
+    notice: Notice | None = None,
+) -> Generator[Result, None, None]:
+    """Go on with the run in a run directory, yielding one result per frame from its checkpoint on.
+
+    It goes on after the last checkpoint, or begins anew where there is none; where it is finished there is
+    nothing to do. What came from outside after the checkpoint (``inputs.jsonl``) comes again.
+
+    Args:
+        path: the run directory.
+        source: in place of the recipe's source, from its first frame: one of one's own.
+        motion: the motion model of one's own, where the run had one.
+        sinks: further observers, of the frames that are tracked now.
+        summary: filled in, with what was before.
+        inputs: what comes from outside after that; see `track`.
+        checkpoint_every: as for `track`.
+        executor: as for `track`; changes no result.
+        workers: as for `track`.
+        notice: told of what is worth knowing: a torn line, a run that begins anew and why.
+
+    Raises (when the first result is asked for; nothing is changed then):
+        RecipeError: it is no run that can be done again.
+        CheckpointError: the checkpoint is damaged, or not of this run.
+        ResumeError: an output, the source or a version is not as it was.
+        RunDirectoryError: another process is writing the run.
+        SourceError: the source is gone.
+        OutputError: an output cannot be written (later, too).
+    """
+    directory = RunDirectory(Path(path))
+    recipe = Recipe.read(directory)
+    say: Notice = notice if notice is not None else lambda text: None
+    with ExitStack() as stack:
+        stack.enter_context(locked(directory))
+        told = summary if summary is not None else Summary()
+        if standing(path).is_finished:
+            return
+        graph = recipe.load_graph(directory)
+        _check_same(recipe, source, motion)
+        opened = stack.enter_context(recipe.opened()) if source is None else source
+        detections = None if recipe.detections is None else recipe.detections.place
+        engine = prepared(graph, recipe.seed, motion, detections)
+        check_depth(engine, opened)
+        executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
+        engine = stack.enter_context(executing).engine(engine)
+        asked = recipe.inputs.place if inputs is None and recipe.inputs is not None else inputs
+        outside = _outside(directory, as_asked(asked))
+        checkpoint = _checkpoint(directory, recipe, engine, say)
+        after: Resumed | None = None
+        if checkpoint is not None:
+            _check_outputs(directory, checkpoint, say)
+            after = _skipped(opened, checkpoint, engine, told, say)
+        # From here on files are changed.
+        _clear(directory, checkpoint)
+        recorder = stack.enter_context(
+            Recorder(
+                directory,
+                graph,
+                opened.frame_interval_s,
+                recipe.has_video,
+                None if checkpoint is None else checkpoint.written,
+            )
+        )
+        if checkpoint is not None and recipe.has_video:
+            with recipe.opened() as again:
+                recorder.redraw((item for item in again if isinstance(item, Frame)), checkpoint.frame)
+        yield from run(
+            graph,
+            opened,
+            recipe.starts,
+            seed=recipe.seed,
+            sinks=[*sinks, recorder],
+            summary=told,
+            engine=engine,
+            inputs={} if recipe.detections is None else {recipe.detections.path: recipe.detections.sha256},
+            outside=outside,
+            keeper=kept(directory, engine, recorder, recipe, checkpoint_every),
+            after=after,
+        )
+
+
+# ------------------------------------------------------------------------------------ what must be the same
+
+
+def _check_same(recipe: Recipe, source: FrameSource | None, motion: Motion | None) -> None:
+    """Refuse another version, another source, other files; raises ResumeError, OSError, SourceError."""
+    if recipe.own_motion and motion is None:
+        raise ResumeError("it was tracked with a motion model of one's own: give it again, in Python")
+    if recipe.origin.only_once is not None:
+        if source is None:
+            raise ResumeError(f"it cannot go on: {recipe.origin.only_once}")
+        if recipe.has_video:
+            raise ResumeError(f"its video cannot be drawn again: {recipe.origin.only_once}")
+    here = versions()
+    names = {**recipe.versions, **here}
+    others = [
+        f"{name} {recipe.versions.get(name, 'none')}, now {here.get(name, 'none')}"
+        for name in names
+        if recipe.versions.get(name) != here.get(name)
+    ]
+    if others:
+        raise ResumeError(f"it began with other versions, which give other numbers: {'; '.join(others)}")
+    changes = [*recipe.origin.changes()] if source is None else []
+    for given in (recipe.detections, recipe.inputs):
+        changes += () if given is None else given.changes()
+    if changes:
+        raise ResumeError(f"what it reads is not what it was: {'; '.join(changes)}")
+
+
+def _checkpoint(directory: RunDirectory, recipe: Recipe, engine: Engine, say: Notice) -> Checkpoint | None:
+    opaque = opaque_agents(engine)
+    if opaque:
+        say(f"it begins anew: what {', '.join(opaque)} keeps cannot be stored")
+        return None
+    if not directory.checkpoint.exists():
+        say("it begins anew: there is no checkpoint")
+        return None
+    checkpoint = read_checkpoint(directory.checkpoint)
+    if checkpoint.recipe != recipe.sha256:
+        raise CheckpointError(f"{directory.recipe}: another recipe than that of the checkpoint beside it")
+    return checkpoint
+
+
+def _check_outputs(directory: RunDirectory, checkpoint: Checkpoint, say: Notice) -> None:
+    """Refuse outputs whose bytes up to the checkpoint are not those that were written.
+
+    Raises:
+        ResumeError: names the file.
+    """
+    for key, place in checkpoint.written.positions.items():
+        path = directory.path / FILES[key]
+        try:
+            found = read_position(path, place.size)
+            size = path.stat().st_size
+        except OSError as error:
+            raise ResumeError(f"{path}: {error.strerror}") from error
+        if found.size < place.size:
+            raise ResumeError(f"{path}: cut off: {found.size} bytes of {place.size} are left")
+        if found != place:
+            raise ResumeError(
+                f"{path}: changed since it was written: its first {place.size} bytes are others"
+            )
+        if size > place.size and not _ends_with_newline(path):
+            say(f"{path}: the last line is torn and was dropped")
+
+
+def _ends_with_newline(path: Path) -> bool:
+    with path.open("rb") as file:
+        file.seek(-1, 2)
+        return file.read(1) == b"\n"
+
+
+# ------------------------------------------------------------------------------------ going on
+
+
+def _skipped(
+    source: FrameSource, checkpoint: Checkpoint, engine: Engine, summary: Summary, say: Notice
+) -> Resumed:
+    """Read the source up to the checkpoint's frame, and take up the state after it.
+
+    Raises:
+        ResumeError: there is no such frame, or the checkpoint does not go with it.
+    """
+    items = iter(source)
+    for item in items:
+        if not isinstance(item, Frame):
+            summary.notices.append(item)
+        elif item.index == checkpoint.frame:
+            say(f"it goes on after frame {item.index}")
+            return Resumed(checkpoint.reached(engine, item), items)
+        elif item.index > checkpoint.frame:
+            break
+    raise ResumeError(f"the source has no frame {checkpoint.frame} any more, after which the run was")
+
+
+def _outside(directory: RunDirectory, later: Asked) -> Asked:
+    """What came from outside for the frames that had it, then what comes `later`."""
+    if not directory.inputs.exists():
+        return later
+    by_frame: dict[int, list[Input]] = {}
+    for one in read_inputs(directory.inputs):
+        by_frame.setdefault(one.frame, []).append(one)
+    return lambda frame: by_frame[frame] if frame in by_frame else later(frame)
+
+
+def _clear(directory: RunDirectory, checkpoint: Checkpoint | None) -> None:
+    """Remove what no part of the run up to the checkpoint is; raises OutputError.
+
+    The checkpoint goes first where there is no going on from it: it must not outlive its outputs.
+    """
+    kept_files = {"recipe", "graph", "truth"}
+    if checkpoint is not None:
+        kept_files |= {"checkpoint", *checkpoint.written.positions}
+    elif directory.checkpoint.exists():
+        remove(directory.checkpoint)
+    try:
+        for key, name in FILES.items():
+            (directory.path / (name + PART)).unlink(missing_ok=True)
+            # An empty journal says that here is a run.
+            if key not in (*kept_files, "journal"):
+                (directory.path / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(error.errno, f"cannot remove: {error.strerror}", str(error.filename)) from error
+
+
+def _ending(journal: Path) -> str | None:
+    """The reason in the journal's last whole line, where that is its end."""
+    try:
+        with journal.open("rb") as file:
+            file.seek(0, 2)
+            file.seek(max(0, file.tell() - TAIL_BYTES))
+            lines = file.read().split(b"\n")
+        last: Event | object = from_json(lines[-2].decode("utf-8")) if len(lines) > 1 else None
+    except (OSError, JournalError, UnicodeDecodeError):
+        return None
+    return last.reason if isinstance(last, RunEnded) else None
