@@ -13,6 +13,7 @@ from bayesnet_track.arguments import cells, gradient, metres, share, whole_numbe
 from bayesnet_track.parsers.compare import add_compare
 from bayesnet_track.parsers.completion import add_completion
 from bayesnet_track.parsers.doctor import add_doctor
+from bayesnet_track.parsers.export import add_export
 from bayesnet_track.parsers.outside import add_outside_options
 from bayesnet_track.parsers.executors import add_executor_options
 from bayesnet_track.parsers.init import add_init
@@ -249,6 +250,7 @@ def make_parser() -> argparse.ArgumentParser:
     add_completion(commands)
     add_compare(commands)
     add_what_if(commands)
+    add_export(commands)
     return parser
 
 

@@ -18,6 +18,7 @@ from bayesnet_track.commands.calibrate import calibrate
 from bayesnet_track.commands.compare import compare
 from bayesnet_track.commands.completion import completion
 from bayesnet_track.commands.detect import detect
+from bayesnet_track.commands.export import export
 from bayesnet_track.commands.fit import fit
 from bayesnet_track.commands.graphs import graph, list_installed, schema, validate
 from bayesnet_track.commands.init import init
@@ -40,6 +41,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "compare": compare,
     "completion": completion,
     "detect": detect,
+    "export": export,
     "fit": fit,
     "init": init,
     "score": score,
@@ -95,5 +97,5 @@ def _code_of(error: Exception, command: str) -> int | None:
     if isinstance(error, SourceError | JournalError | CalibrationError):
         return BAD_SOURCE
     if isinstance(error, RunDirectoryError):
-        return BAD_SOURCE if command in ("log", "score") else BAD_OUTPUT
+        return BAD_SOURCE if command in ("log", "score", "compare", "export") else BAD_OUTPUT
     return BAD_OUTPUT if isinstance(error, OutputError) else None

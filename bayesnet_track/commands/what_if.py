@@ -23,9 +23,12 @@ def what_if(options: argparse.Namespace) -> int:
     from bayesnet_track.graph.change import ChangeError, change_graph
     from bayesnet_track.runtime.opened import open_run
     from bayesnet_track.runtime.recipe import Recipe, RecipeError
-    from bayesnet_track.runtime.rundir import RunDirectory
+    from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
 
-    first = open_run(options.run, complain)
+    try:
+        first = open_run(options.run, complain)
+    except RunDirectoryError as error:
+        raise UsageError(str(error)) from error
     try:
         recipe = Recipe.read(first.directory)
     except RecipeError as error:

@@ -8,13 +8,18 @@ from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
+from bayesnet_track.graph.life_decisions import Returned
+from bayesnet_track.graph.net import TargetStarted
 from bayesnet_track.graph.read import read_graph
 from bayesnet_track.graph.spec import AgentNode, GraphSpec
 from bayesnet_track.journal.codec import JournalError
 from bayesnet_track.journal.events import Event, FrameMetrics, RunStarted
 from bayesnet_track.journal.reader import Notice, read_events, read_metrics
+from bayesnet_track.runtime.interchange import Detections
 from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
+from bayesnet_track.runtime.tables import AGENT_COLUMNS, TRACK_COLUMNS, Row, agent_rows, columns, track_rows
 
 
 def open_run(path: str | PathLike[str], notice: Notice | None = None) -> Run:
@@ -88,9 +93,6 @@ class Run:
     @cached_property
     def kinds(self) -> Mapping[str, str]:
         """Target id -> name of its plate, in the order in which targets appear."""
-        from bayesnet_track.graph.life_decisions import Returned
-        from bayesnet_track.graph.net import TargetStarted
-
         started = TargetStarted | Returned
         return {event.target: event.template for event in self.events if isinstance(event, started)}
 
@@ -118,6 +120,23 @@ class Run:
     def targets(self) -> tuple[str, ...]:
         """Ids of all targets, in the order in which they appear."""
         return tuple(self.kinds)
+
+    def to_rows(self) -> list[Row]:
+        """One row per live target and frame, with the columns of `tables.TRACK_COLUMNS`."""
+        return track_rows(self.metrics, self.kinds)
+
+    def to_dict(self) -> dict[str, list[Any]]:
+        """The same as columns: ``pandas.DataFrame(run.to_dict())``."""
+        return columns(self.to_rows(), TRACK_COLUMNS)
+
+    def agents_to_dict(self) -> dict[str, list[Any]]:
+        """One row per active agent, target and frame, as columns: its KL, contribution, UD, strength."""
+        return columns(agent_rows(self.metrics), AGENT_COLUMNS)
+
+    def detections(self, frame: int | None = None, lost: bool = False) -> Detections:
+        """The boxes of a frame, or of all, in the shape of supervision's; `lost` for lost targets, too."""
+        chosen = (line for line in self.metrics if frame is None or line.frame == frame)
+        return Detections.of(chosen, self.kinds, tuple(self.spec.targets), lost)
 
     def of_target(self, target: str | None = None) -> tuple[FrameMetrics, ...]:
         """The measurements of one target; of the first when None.

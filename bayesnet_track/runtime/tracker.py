@@ -17,6 +17,7 @@ from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.planes import Frame
 from bayesnet_track.runtime.images import to_bgr
+from bayesnet_track.runtime.interchange import Detections
 from bayesnet_track.runtime.starts import Start, check_starts, start_targets
 
 CornerBox = tuple[float, float, float, float]
@@ -29,6 +30,7 @@ class Tracker:
         graph: name of a graph that is installed ("general"), path of a YAML file, or a graph in Python.
         seed: seed of all random streams.
         motion: a motion model of one's own in place of the graph's, such as `FunctionMotion`.
+        whole_px: `update` gives whole pixels, as OpenCV's trackers do; `cv2.rectangle` takes nothing else.
 
     Example::
 
@@ -43,7 +45,9 @@ class Tracker:
         graph: str | PathLike[str] | GraphSpec | CheckedGraph = "general",
         seed: int = 0,
         motion: Motion | None = None,
+        whole_px: bool = False,
     ) -> None:
+        self._whole_px = whole_px
         self._graph = load_graph(graph)
         plate = next(iter(self._graph.targets))
         own = None if motion is None else {plate: motion}
@@ -89,11 +93,32 @@ class Tracker:
         _check_alike(now, self._state.previous)
         self._last = step(self._engine, self._state, now)
         self._state, self._next_index = self._last.state, self._next_index + 1
+        box = self.box
+        if self._whole_px:
+            x, y, w, h = (round(v) for v in box)
+            return self.status != "lost", (x, y, w, h)
+        return self.status != "lost", box
+
+    @property
+    def box(self) -> CornerBox:
+        """The estimate as a top-left corner box in parts of a pixel, of the first target; zeros without any.
+
+        Raises:
+            RuntimeError: `init` was not called.
+        """
+        if self._state is None:
+            raise RuntimeError("call init(frame, box) first")
         live = [line for line in self.targets if line.target in self._state.net.targets]
         if not live:
-            return False, (0.0, 0.0, 0.0, 0.0)
+            return (0.0, 0.0, 0.0, 0.0)
         x, y, w, h = (float(v) for v in corner_from_centre(live[0].box))
-        return self.status != "lost", (x, y, w, h)
+        return (x, y, w, h)
+
+    def detections(self, lost: bool = False) -> Detections:
+        """The targets of the last frame in the shape of supervision's; `lost` for lost ones, too."""
+        live = {} if self._state is None else self._state.net.targets
+        kinds = {target: net.template for target, net in live.items()}
+        return Detections.of(self.targets, kinds, tuple(self._graph.targets), lost)
 
     @property
     def targets(self) -> tuple[FrameMetrics, ...]:
@@ -120,6 +145,10 @@ class Tracker:
         Elsewhere an index in 0..1 from UD and evidence: high is sure, but it is no probability.
         """
         return self.metrics.score if self.targets else 0.0
+
+    def getTrackingScore(self) -> float:
+        """`score`, by the name that OpenCV's trackers have for it."""
+        return self.score
 
     @property
     def status(self) -> str:

@@ -161,8 +161,8 @@ def _charts(first: RunRecord, second: RunRecord, compared: Comparison) -> list[s
     drawn = [
         "<h2>Over each other</h2>",
         '<p class="soft"><b class="side a">A</b>solid, <b class="side b">B</b>dashed. Red lines: decisions '
-        "that only one took, or that came later in one; they lead to the reasons below. Blocks along the edge "
-        "of UD: lost (A above, B below).</p>",
+        "that only one took, or that came later in one; they lead to the reasons below. Blocks along the "
+        "edge of UD: lost (A above, B below).</p>",
     ]
     for number, pair in enumerate(ordered):
         name = f"Target {pair[0]}" if pair[0] == pair[1] else f"Target {pair[0]} of A, {pair[1]} of B"

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 
+import cv2
 import numpy as np
 import pytest
 
@@ -340,3 +341,19 @@ def test_a_host_process_is_left_as_it_was():
     done = subprocess.run([sys.executable, "-c", HOST], capture_output=True, text=True, check=True)
     assert json.loads(done.stdout.splitlines()[-1]) == {}
     assert done.stderr == ""
+
+
+# ------------------------------------------------------------------------------------ in OpenCV's harness
+
+
+def test_with_whole_pixels_opencv_draws_what_update_gives():
+    start = tuple(np.int32(value) for value in BOX)
+    tracker, exact = Tracker("two_squares", whole_px=True), started(box=start)
+    assert tracker.init(SCENE.frames[0], start) is None
+    for picture in frames(3):
+        ok, box = tracker.update(picture)
+        exact.update(picture)
+        assert type(ok) is bool and type(box) is tuple and [type(value) for value in box] == [int] * 4
+        assert np.abs(np.array(box) - exact.box).max() <= 0.5
+        assert cv2.rectangle(picture.copy(), box, (0, 0, 255)).shape == picture.shape
+    assert tracker.getTrackingScore() == tracker.score == exact.score

@@ -1,0 +1,35 @@
+"""The command `export`: a run's tracks in another tool's format."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from bayesnet_track.commands.answer import OK, complain
+
+WITH_LOST = ("csv", "jsonl")
+"""Formats that say of a box that its target is lost."""
+
+
+def export(options: argparse.Namespace) -> int:
+    """Write the file."""
+    from bayesnet_track.journal.writer import OutputError
+    from bayesnet_track.runtime.exports import FORMATS
+    from bayesnet_track.runtime.opened import open_run
+
+    run = open_run(options.run, complain)
+    lost = options.lost or (options.format in WITH_LOST and not options.no_lost)
+    text = FORMATS[options.format](run, lost)
+    if options.out is None:
+        sys.stdout.write(text)
+        return OK
+    out = Path(options.out)
+    if out.exists() and not options.overwrite:
+        raise OutputError(f"{out}: it is there already; --overwrite replaces it")
+    try:
+        out.write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise OutputError(f"{out}: cannot write: {error.strerror}") from error
+    complain(f"wrote {out}")
+    return OK

@@ -1,0 +1,131 @@
+"""A run in other tools' formats: MOT, COCO, CSV, JSON Lines."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from bayesnet_track.runtime.tables import TRACK_COLUMNS, Row, track_rows
+
+if TYPE_CHECKING:
+    from bayesnet_track.runtime.opened import Run
+
+
+def as_mot(run: Run, lost: bool = False) -> str:
+    """MOT text: ``frame, id, left, top, width, height, score, -1, -1, -1``, frames and ids from 1."""
+    numbers = _numbers(run)
+    return "".join(
+        f"{_whole(row['frame']) + 1},{numbers[str(row['target'])]},"
+        + ",".join(_fixed(row[name], 3) for name in "xywh")
+        + f",{_fixed(row['score'], 6)},-1,-1,-1\n"
+        for row in _rows(run, lost)
+    )
+
+
+def as_csv(run: Run, lost: bool = True) -> str:
+    """CSV with a header, the columns of `tables.TRACK_COLUMNS`; an empty cell where there is no value."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(TRACK_COLUMNS), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(_rows(run, lost))
+    return text.getvalue()
+
+
+def as_jsonl(run: Run, lost: bool = True) -> str:
+    """JSON Lines: an object a row with the columns of `tables.TRACK_COLUMNS`; `active` is a list."""
+    lines = []
+    for row in _rows(run, lost):
+        shown: dict[str, Any] = {**row, "active": str(row["active"]).split()}
+        lines.append(json.dumps({name: _finite(value) for name, value in shown.items()}, allow_nan=False))
+    return "".join(f"{line}\n" for line in lines)
+
+
+def as_coco(run: Run, lost: bool = False) -> str:
+    """COCO JSON with tracks: images (one per frame), annotations with `track_id` and `score`, categories.
+
+    Categories are the graph's plates, from 1; images are numbered by frame + 1 and named ``000000.jpg`` by
+    frame, in px from the top-left corner.
+    """
+    started = run.started
+    numbers = _numbers(run)
+    plates = {name: number for number, name in enumerate(run.spec.targets, 1)}
+    frames = sorted({line.frame for line in run.metrics} | run.seconds.keys())
+    annotations = [
+        {
+            "id": number,
+            "image_id": _whole(row["frame"]) + 1,
+            "category_id": plates[str(row["kind"])],
+            "track_id": numbers[str(row["target"])],
+            "bbox": [_rounded(row[name]) for name in "xywh"],
+            "area": _rounded(_number(row["w"]) * _number(row["h"])),
+            "iscrowd": 0,
+            "score": _rounded(row["score"], 6),
+            "status": row["status"],
+        }
+        for number, row in enumerate(_rows(run, lost), 1)
+    ]
+    content = {
+        "info": {"description": f"tracks of {started.graph} on {started.source}", "version": "1"},
+        "licenses": [],
+        "videos": [{"id": 1, "name": started.source, "width": started.width, "height": started.height}],
+        "images": [
+            {
+                "id": frame + 1,
+                "file_name": f"{frame:06d}.jpg",
+                "width": started.width,
+                "height": started.height,
+                "video_id": 1,
+                "frame_id": frame,
+            }
+            for frame in frames
+        ],
+        "annotations": annotations,
+        "categories": [
+            {"id": number, "name": name, "supercategory": "target"} for name, number in plates.items()
+        ],
+    }
+    return json.dumps(content, allow_nan=False) + "\n"
+
+
+FORMATS: Mapping[str, Callable[[Run, bool], str]] = {
+    "mot": as_mot,
+    "coco": as_coco,
+    "csv": as_csv,
+    "jsonl": as_jsonl,
+}
+
+
+def _rows(run: Run, lost: bool) -> list[Row]:
+    return track_rows((line for line in run.metrics if lost or line.status != "lost"), run.kinds)
+
+
+def _numbers(run: Run) -> dict[str, int]:
+    """Target id -> number, from 1 in the order in which targets appear."""
+    return {target: number for number, target in enumerate(run.targets, 1)}
+
+
+def _number(value: object) -> float:
+    assert isinstance(value, int | float)
+    return float(value)
+
+
+def _whole(value: object) -> int:
+    assert isinstance(value, int)
+    return value
+
+
+def _rounded(value: object, digits: int = 3) -> float:
+    return round(_number(value), digits) + 0.0
+
+
+def _fixed(value: object, digits: int) -> str:
+    return f"{_rounded(value, digits):.{digits}f}"
+
+
+def _finite(value: object) -> object:
+    """JSON has no NaN and no infinity."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value

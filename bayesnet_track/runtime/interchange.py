@@ -1,0 +1,115 @@
+"""Tracks in the shape that other tools take: corners, confidence, class, identity, and the rest by name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.journal.events import FrameMetrics
+from bayesnet_track.numerics.boxes import corner_from_centre
+
+DATA = ("target", "class_name", "status", "ud_px2", "frame", "time_s")
+"""What `Detections.data` has for each box."""
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """n boxes of targets, as arrays side by side; the fields are those of supervision's `Detections`.
+
+    Attributes:
+        xyxy: (n, 4) float64, left, top, right, bottom in px.
+        confidence: (n,) float64, the score: a probability of being on target where the graph is calibrated.
+        class_id: (n,) int64, number of the target's plate in the graph, from 0.
+        tracker_id: (n,) int64, the target.
+        data: name -> (n,) array: target (its id), class_name (its plate), status, ud_px2, frame, time_s.
+    """
+
+    xyxy: NDArray[np.float64]
+    confidence: NDArray[np.float64]
+    class_id: NDArray[np.int64]
+    tracker_id: NDArray[np.int64]
+    data: Mapping[str, NDArray[Any]] = field(default_factory=lambda: MappingProxyType({}))
+
+    @classmethod
+    def of(
+        cls,
+        metrics: Iterable[FrameMetrics],
+        kinds: Mapping[str, str] | None = None,
+        classes: Sequence[str] | None = None,
+        lost: bool = False,
+    ) -> Detections:
+        """The boxes of measured targets, as `track` yields them or a run keeps them.
+
+        Args:
+            metrics: lines of any targets and frames.
+            kinds: target id -> plate; `Result.kinds`, `Run.kinds`. All of one class when None.
+            classes: plates in the order of their numbers; those of `kinds` as they come when None.
+            lost: True for the boxes of lost targets, too.
+        """
+        lines = [line for line in metrics if lost or line.status != "lost"]
+        plates = ["" if kinds is None else kinds.get(line.target, "") for line in lines]
+        known = list(dict.fromkeys((kinds or {}).values())) if classes is None else list(classes)
+        numbers = {name: number for number, name in enumerate(known)}
+        corner = corner_from_centre(np.array([line.box for line in lines], dtype=np.float64).reshape(-1, 4))
+        columns: Mapping[str, tuple[list[Any], Any]] = {
+            "target": ([line.target for line in lines], np.str_),
+            "class_name": (plates, np.str_),
+            "status": ([line.status for line in lines], np.str_),
+            "ud_px2": ([line.ud_px2 for line in lines], np.float64),
+            "frame": ([line.frame for line in lines], np.int64),
+            "time_s": ([line.time_s for line in lines], np.float64),
+        }
+        return cls(
+            xyxy=np.hstack([corner[:, :2], corner[:, :2] + corner[:, 2:]]),
+            confidence=np.array([line.score for line in lines], dtype=np.float64),
+            class_id=np.array([numbers.get(plate, 0) for plate in plates], dtype=np.int64),
+            tracker_id=np.array([_number(line.target) for line in lines], dtype=np.int64),
+            data={name: np.array(column, dtype=kind) for name, (column, kind) in columns.items()},
+        )
+
+    def to_supervision(self) -> Any:
+        """The same as `supervision.Detections`.
+
+        Raises:
+            ImportError: supervision is not installed.
+        """
+        try:
+            import supervision
+        except ImportError as error:
+            raise ImportError("supervision is not installed; pip install supervision") from error
+        return supervision.Detections(
+            xyxy=self.xyxy,
+            confidence=self.confidence,
+            class_id=self.class_id,
+            tracker_id=self.tracker_id,
+            data=dict(self.data),
+        )
+
+    def __len__(self) -> int:
+        return len(self.xyxy)
+
+    def __iter__(self) -> Iterator[tuple[NDArray[np.float64], float, int, int, dict[str, Any]]]:
+        """Box by box: (4,) corners, confidence, class_id, tracker_id, data."""
+        for k in range(len(self)):
+            data = {name: column[k] for name, column in self.data.items()}
+            yield (
+                self.xyxy[k],
+                float(self.confidence[k]),
+                int(self.class_id[k]),
+                int(self.tracker_id[k]),
+                data,
+            )
+
+
+def _number(target: str) -> int:
+    """Ids are counted: "1", "2", ...
+
+    >>> _number("12")
+    12
+    """
+    return int(target)
