@@ -19,6 +19,7 @@ from bayesnet_track.parsers.executors import add_executor_options
 from bayesnet_track.parsers.init import add_init
 from bayesnet_track.parsers.plugins import add_plugins
 from bayesnet_track.parsers.what_if import add_what_if
+from bayesnet_track.parsers.report import add_report
 from bayesnet_track.runtime.stop import StopRequest, Terminated
 
 EXIT_CODES = """\
@@ -251,6 +252,7 @@ def make_parser() -> argparse.ArgumentParser:
     add_compare(commands)
     add_what_if(commands)
     add_export(commands)
+    add_report(commands)
     return parser
 
 

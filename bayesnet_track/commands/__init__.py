@@ -24,6 +24,7 @@ from bayesnet_track.commands.graphs import graph, list_installed, schema, valida
 from bayesnet_track.commands.init import init
 from bayesnet_track.commands.learn_shape import learn_shape
 from bayesnet_track.commands.learn_stereo import learn_stereo
+from bayesnet_track.commands.report import report
 from bayesnet_track.commands.review import log, score
 from bayesnet_track.commands.tracking import demo, run
 from bayesnet_track.commands.what_if import what_if
@@ -44,6 +45,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "export": export,
     "fit": fit,
     "init": init,
+    "report": report,
     "score": score,
     "learn-shape": learn_shape,
     "learn-stereo": learn_stereo,

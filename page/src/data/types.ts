@@ -1,0 +1,117 @@
+/** What the page is told of a run: its header, its events, and the lines that a run in progress adds. */
+
+export type Sort = "switch" | "status" | "life" | "note";
+
+export interface EventRow {
+  frame: number;
+  kind: string;
+  sort: Sort;
+  what: string;
+  why: string;
+  unless: string;
+  target?: string;
+  other?: string;
+  node?: string;
+  on?: boolean;
+  status?: string;
+}
+
+export interface Rule {
+  node: string;
+  rule: "activate" | "deactivate" | "learn" | "lost" | "self_check" | "score_below" | "uncertain_below";
+  unit: "ud_px2" | "ud_box" | "ud_quiet" | "score";
+  level: number;
+  frames: number;
+}
+
+export interface NetNode {
+  name: string;
+  note: string;
+  agent: boolean;
+  x: number;
+  y: number;
+  w: number;
+  h: number;
+  parent: string | null;
+}
+
+export interface Net {
+  width: number;
+  height: number;
+  nodes: NetNode[];
+  edges: { child: string; from: [number, number]; to: [number, number] }[];
+  forks: { text: string; x: number; y: number; w: number; h: number }[];
+}
+
+export interface Plate {
+  root: string;
+  agents: { name: string; cue: string; cost_ms: number | null }[];
+  rules: Rule[];
+  net: Net;
+}
+
+export interface About {
+  graph: string;
+  graph_sha256: string;
+  source: string;
+  seed: number;
+  width: number;
+  height: number;
+  declared_frames: number | null;
+  frame_interval_s: number | null;
+  versions: Record<string, string>;
+  ended: { complete: boolean; reason: string } | null;
+}
+
+export interface Header {
+  version: number;
+  run: About;
+  plates: Record<string, Plate>;
+  targets: { id: string; plate: string; agents: string[]; nodes: string[]; parts: string[]; calibrated: boolean }[];
+  events: EventRow[];
+  stages: string[];
+  truth_target?: string | null;
+  pictures?: { where: "file" | "folder"; step: number; annotated: boolean; without: string };
+}
+
+/** A number as the journal writes it: JSON has neither NaN nor infinity. */
+export type Written = number | "NaN" | "Infinity" | "-Infinity" | null;
+
+/** A line of frames.jsonl. */
+export interface FrameLine {
+  frame: number;
+  time_s: Written;
+  target: string;
+  box: Written[];
+  map: Written[];
+  sd: Written[];
+  ud_px2: Written;
+  ud_nodes: Record<string, Written>;
+  quiet_px2: Written;
+  status: string;
+  score: Written;
+  log_evidence: Written;
+  surprise: Written;
+  ess: Written;
+  particles: Written;
+  active: string[];
+  kl: Record<string, Written>;
+  contribution: Record<string, Written>;
+  agent_ud_px2: Record<string, Written>;
+  strength: Record<string, Written>;
+  learn_rate: Written;
+  region50: Written[];
+  region90: Written[];
+  cloud: number[][];
+  silent?: string[];
+  features?: Record<string, Written>;
+  parts?: Record<string, { box: Written[]; status: string }>;
+  angle?: Written;
+}
+
+/** A line of timings.jsonl. */
+export interface TimingLine {
+  frame: number;
+  seconds: number;
+  parts: Record<string, number>;
+}

@@ -1,0 +1,70 @@
+/** Opens the page's own data and shows it. */
+
+import { render } from "preact";
+import { bytesOf, open } from "./data/packed";
+import { listen } from "./keys";
+import { none, picturesOf } from "./pictures";
+import { State } from "./state";
+import { App } from "./view/app";
+import "uplot/dist/uPlot.min.css";
+import "./style.css";
+
+async function start(root: HTMLElement): Promise<void> {
+  const opened = await open(bytesOf(document.getElementById("run-data")?.textContent ?? ""));
+  const state = new State(opened.run);
+  fromAddress(state);
+  root.replaceChildren();
+  render(<App state={state} />, root);
+  root.dataset.ready = String(Math.round(performance.now()));
+  listen(state);
+  toAddress(state);
+  redraw(state);
+  state.pictures.value = await picturesOf(opened).catch((error: unknown) => none(String(error)));
+}
+
+/** `#frame=120&target=2` leads to a frame of a target. */
+function fromAddress(state: State): void {
+  const asked = new URLSearchParams(location.hash.slice(1));
+  const [frame, target] = [asked.get("frame"), asked.get("target")];
+  if (target !== null && state.run.tracks.has(target)) state.target.value = target;
+  if (frame !== null && Number.isFinite(Number(frame))) state.go(Number(frame));
+}
+
+function toAddress(state: State): void {
+  let due = 0;
+  const write = () => {
+    const asked = new URLSearchParams({ frame: String(state.frame.value) });
+    if (state.run.tracks.size > 1) asked.set("target", state.target.value);
+    try {
+      history.replaceState(null, "", `#${asked}`);
+    } catch {
+      // Some browsers refuse this for files, or when it comes too often.
+    }
+  };
+  const later = () => {
+    window.clearTimeout(due);
+    due = window.setTimeout(write, 300);
+  };
+  state.frame.subscribe(later);
+  state.target.subscribe(later);
+  window.addEventListener("hashchange", () => fromAddress(state));
+}
+
+/** Canvases know nothing of style sheets: they are drawn again when the colours change. */
+function redraw(state: State): void {
+  const again = () => (state.look.value += 1);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
+  matchMedia("print").addEventListener("change", again);
+  window.addEventListener("beforeprint", again);
+  window.addEventListener("afterprint", again);
+}
+
+const root = document.getElementById("page");
+if (root !== null) {
+  start(root).catch((error: unknown) => {
+    const words = document.createElement("p");
+    words.className = "nothing";
+    words.textContent = `This page cannot be shown: ${error instanceof Error ? error.message : String(error)}. It needs a browser of 2023 or later.`;
+    root.replaceChildren(words);
+  });
+}

@@ -1,0 +1,94 @@
+/** Pictures of frames, wherever they are: in the file, in a folder beside it, or from a run in progress. */
+
+import type { Column } from "./data/column";
+import { bytesOf, type Opened } from "./data/packed";
+
+export interface Picture {
+  image: CanvasImageSource;
+  /** The frame that it is of: not every frame has one. */
+  frame: number;
+}
+
+export interface Pictures {
+  /** Why there are none, in words; empty where there are some. */
+  readonly without: string;
+  readonly annotated: boolean;
+  /** The picture of a frame, or of the nearest earlier one that has one. */
+  of(frame: number): Promise<Picture | null>;
+}
+
+export function none(without: string): Pictures {
+  return { without, annotated: false, of: async () => null };
+}
+
+/** Keeps the last few pictures that were made. */
+class Shelf {
+  private readonly kept = new Map<number, Promise<CanvasImageSource | null>>();
+
+  constructor(
+    private readonly make: (row: number) => Promise<CanvasImageSource>,
+    private readonly most = 240,
+  ) {}
+
+  get(row: number): Promise<CanvasImageSource | null> {
+    let found = this.kept.get(row);
+    if (found === undefined) {
+      found = this.make(row).catch(() => null);
+      this.kept.set(row, found);
+      for (const old of this.kept.keys()) {
+        if (this.kept.size <= this.most) break;
+        this.kept.delete(old);
+      }
+    }
+    return found;
+  }
+}
+
+export async function picturesOf({ header, columns }: Opened): Promise<Pictures> {
+  const about = header.pictures;
+  const frames = columns.get("pictures/frame");
+  if (about === undefined || frames === undefined || frames.length === 0) return none(about?.without ?? "");
+  const make = about.where === "folder" ? fromFolder(frames) : await fromFile(columns.get("pictures/end")!);
+  const shelf = new Shelf(make);
+  return {
+    without: "",
+    annotated: about.annotated,
+    async of(frame) {
+      let row = lastAtMost(frames, frame);
+      if (row < 0) row = 0;
+      const image = await shelf.get(row);
+      return image === null ? null : { image, frame: frames.at(row) };
+    },
+  };
+}
+
+async function fromFile(ends: Column): Promise<(row: number) => Promise<CanvasImageSource>> {
+  // They stand behind the script, so that the page is there before they are read.
+  if (document.readyState === "loading") {
+    await new Promise((done) => document.addEventListener("DOMContentLoaded", done, { once: true }));
+  }
+  const bytes = bytesOf(document.getElementById("run-pictures")?.textContent ?? "");
+  return (row) => {
+    const picture = bytes.subarray(row > 0 ? ends.at(row - 1) : 0, ends.at(row));
+    return createImageBitmap(new Blob([picture], { type: "image/webp" }));
+  };
+}
+
+function fromFolder(frames: Column): (row: number) => Promise<CanvasImageSource> {
+  return async (row) => {
+    const image = new Image();
+    image.src = `frames/${String(frames.at(row)).padStart(6, "0")}.jpg`;
+    await image.decode();
+    return image;
+  };
+}
+
+function lastAtMost(frames: Column, frame: number): number {
+  let [low, high] = [0, frames.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (frames.at(middle) <= frame) low = middle + 1;
+    else high = middle;
+  }
+  return low - 1;
+}

@@ -1,0 +1,137 @@
+/** The page. */
+
+import type { State } from "../state";
+import { KEYS } from "../keys";
+import { Charts } from "./charts";
+import { Events } from "./events";
+import { Moment } from "./moment";
+import { Agents, Net } from "./net";
+import { Stage } from "./stage";
+import { Headline, TotalsTable } from "./totals";
+import { Transport } from "./transport";
+
+export function App({ state }: { state: State }) {
+  const { about } = state.run;
+  const ended = about.ended;
+  return (
+    <>
+      <header class="top">
+        <div>
+          <h1>{about.graph}</h1>
+          <p>
+            on <span class="source">{about.source}</span> · {about.width} × {about.height} px · seed {about.seed}
+            {ended === null && " · the run has no end: it was stopped, or goes on"}
+            {ended !== null && !ended.complete && ` · ended early: ${ended.reason.replaceAll("_", " ")}`}
+          </p>
+        </div>
+        <Headline state={state} />
+      </header>
+      {state.run.tracks.size === 0 ? (
+        <p class="nothing">No target was tracked in this run.</p>
+      ) : (
+        <main>
+          <Targets state={state} />
+          <div class="desk">
+            <div class="left">
+              <Stage state={state} />
+              <Transport state={state} />
+            </div>
+            <div class="right">
+              <Moment state={state} />
+              <Net state={state} />
+              <Agents state={state} />
+            </div>
+          </div>
+          <Charts state={state} />
+          <div class="foot">
+            <Events state={state} />
+            <TotalsTable state={state} />
+          </div>
+        </main>
+      )}
+      <footer>
+        bayesnet_track · graph {about.graph_sha256.slice(0, 12)} ·{" "}
+        {Object.entries(about.versions).map(([name, version]) => `${name} ${version}`).join(", ")}
+      </footer>
+      {state.help.value && <Help state={state} />}
+    </>
+  );
+}
+
+function Targets({ state }: { state: State }) {
+  const tracks = [...state.run.tracks.values()];
+  if (tracks.length < 2) return null;
+  if (tracks.length > 30) {
+    return (
+      <label class="targets">
+        Target{" "}
+        <select value={state.target.value} onChange={(e) => (state.target.value = e.currentTarget.value)}>
+          {tracks.map((track) => (
+            <option key={track.id} value={track.id}>
+              {track.id} ({track.plate})
+            </option>
+          ))}
+        </select>
+      </label>
+    );
+  }
+  return (
+    <nav class="targets" aria-label="Targets">
+      {tracks.map((track) => {
+        const row = track.rowOf(state.frame.value);
+        const status = row < 0 ? "not-there" : track.status(row);
+        return (
+          <button
+            key={track.id}
+            type="button"
+            aria-pressed={track.id === state.target.value}
+            title={`target ${track.id}, ${track.plate}: ${status.replace("-", " ")}`}
+            onClick={() => (state.target.value = track.id)}
+          >
+            <i class={`dot ${status}`} aria-hidden="true" />
+            {track.id}
+            {Object.keys(state.run.plates).length > 1 && <small> {track.plate}</small>}
+          </button>
+        );
+      })}
+    </nav>
+  );
+}
+
+function Help({ state }: { state: State }) {
+  return (
+    <div class="veil" onClick={() => (state.help.value = false)}>
+      <div
+        class="help"
+        role="dialog"
+        aria-modal="true"
+        aria-label="Help"
+        onClick={(event) => event.stopPropagation()}
+      >
+        <h2>Keys</h2>
+        <dl>
+          {KEYS.map(([key, what]) => (
+            <div key={key}>
+              <dt>{key.split(" ").map((one) => <kbd key={one}>{one}</kbd>)}</dt>
+              <dd>{what}</dd>
+            </div>
+          ))}
+        </dl>
+        <h2>On the picture</h2>
+        <p>
+          The box is the estimate: a solid line while it is tracked, dashed while uncertain, dotted while lost. Dots are
+          hypotheses drawn from the belief; the two rounded frames hold its centre with 50 and 90 %; the cross is the
+          most probable centre.
+        </p>
+        <h2>On the timelines</h2>
+        <p>
+          ▲ an agent was switched on, ▼ off, ◆ the status changed. Click one to see why. Shaded: the target was lost or
+          uncertain.
+        </p>
+        <button type="button" autofocus ref={(button) => button?.focus()} onClick={() => (state.help.value = false)}>
+          Close
+        </button>
+      </div>
+    </div>
+  );
+}

@@ -1,0 +1,171 @@
+/** The frame in words and numbers: what was decided, why, what would have prevented it, and what came of it. */
+
+import type { Track } from "../data/run";
+import type { EventRow } from "../data/types";
+import type { State } from "../state";
+import { plural, short } from "./words";
+
+const AFTER = 10;
+
+export function Moment({ state }: { state: State }) {
+  const [track, row, frame] = [state.track.value, state.row.value, state.frame.value];
+  const here = state.events.value.filter((event) => event.frame === frame);
+  const told = here.filter((event) => event.sort !== "note" || state.notes.value);
+  const rest = here.filter((event) => !told.includes(event));
+  return (
+    <section class="moment" aria-label="This frame" aria-live={state.playing.value ? "off" : "polite"}>
+      <Status state={state} />
+      {told.map((event, index) => (
+        <Told key={index} state={state} event={event} />
+      ))}
+      {told.length === 0 && <Last state={state} />}
+      {rest.map((event, index) => (
+        <p key={index} class="aside">
+          {event.why !== "" && `${event.why} → `}
+          {event.what}
+        </p>
+      ))}
+      {track !== undefined && row >= 0 && <Numbers state={state} track={track} row={row} />}
+    </section>
+  );
+}
+
+function Status({ state }: { state: State }) {
+  const [track, row] = [state.track.value, state.row.value];
+  const seconds = track?.value("time_s", row) ?? NaN;
+  const status = track !== undefined && row >= 0 ? track.status(row) : "not there";
+  const score = track?.value("score", row) ?? NaN;
+  return (
+    <p class="status">
+      <b>Frame {state.frame.value}</b>
+      {Number.isFinite(seconds) && <span class="time">{seconds.toFixed(2)} s</span>}
+      <span class={`chip ${status.replace(" ", "-")}`}>{status}</span>
+      {Number.isFinite(score) && (
+        <span title={track?.calibrated ? "probability of being on target" : "index of certainty, not calibrated"}>
+          {track?.calibrated ? "on target" : "score"} <b>{score.toFixed(2)}</b>
+        </span>
+      )}
+    </p>
+  );
+}
+
+function Told({ state, event }: { state: State; event: EventRow }) {
+  const look = event.sort === "switch" ? (event.on ? "on" : "off") : event.status === "lost" ? "lost" : event.sort;
+  return (
+    <article class={`told ${look}`}>
+      <h3>
+        <Mark event={event} /> <What text={event.what} />
+        {event.sort === "switch" && <small> from frame {event.frame + 1} on</small>}
+      </h3>
+      <dl>
+        {event.why !== "" && (
+          <>
+            <dt>Why</dt>
+            <dd>{event.why}</dd>
+          </>
+        )}
+        {event.unless !== "" && (
+          <>
+            <dt>Unless</dt>
+            <dd>{event.unless}</dd>
+          </>
+        )}
+        <Afterwards state={state} event={event} />
+      </dl>
+    </article>
+  );
+}
+
+/** How UD, and the overlap with the truth, went on. */
+function Afterwards({ state, event }: { state: State; event: EventRow }) {
+  const track = state.track.value;
+  if (track === undefined || (event.sort !== "switch" && event.sort !== "status")) return null;
+  const row = track.rowOf(event.frame);
+  const end = Math.min(row + AFTER, track.length - 1);
+  if (row < 0 || end <= row) return null;
+  const [before, after] = [track.value("ud_px2", row), track.value("ud_px2", end)];
+  const [was, is] = [state.run.overlap(track, row), state.run.overlap(track, end)];
+  return (
+    <>
+      <dt>Then</dt>
+      <dd>
+        UD {short(before)} → {short(after)} px² in {plural(end - row, "frame")}
+        {Number.isFinite(was + is) && `; overlap with the truth ${was.toFixed(2)} → ${is.toFixed(2)}`}
+      </dd>
+    </>
+  );
+}
+
+function Last({ state }: { state: State }) {
+  const frame = state.frame.value;
+  const events = state.events.value.filter((event) => event.sort !== "note");
+  const last = events.filter((event) => event.frame < frame).at(-1);
+  const next = events.find((event) => event.frame > frame);
+  return (
+    <p class="between">
+      {last !== undefined && (
+        <button type="button" onClick={() => state.show(last)}>
+          <Mark event={last} /> {plural(frame - last.frame, "frame")} after <b>{brief(last)}</b>
+        </button>
+      )}
+      {next !== undefined && (
+        <button type="button" onClick={() => state.show(next)}>
+          <Mark event={next} /> {plural(next.frame - frame, "frame")} before <b>{brief(next)}</b>
+        </button>
+      )}
+    </p>
+  );
+}
+
+function Numbers({ state, track, row }: { state: State; track: Track; row: number }) {
+  const value = (name: string, place = 0) => short(track.value(name, row, place));
+  const overlap = state.run.overlap(track, row);
+  const items: [string, string, string][] = [
+    ["UD", `${value("ud_px2")} px²`, "uncertainty deviation"],
+    ["quiet level", `${value("quiet_px2")} px²`, "UD where nothing is wrong, as measured"],
+    ["sd of centre", `${value("sd", 0)}, ${value("sd", 1)} px`, "posterior standard deviation of x and y"],
+    ["box", `${value("box", 2)} × ${value("box", 3)} px`, "size of the estimate"],
+    ["log evidence", value("log_evidence"), "how well the frame was foreseen"],
+    ["surprise", `${value("surprise")} nats`, "KL(posterior ‖ prior): how far the frame moved the belief"],
+    ["hypotheses", `${value("particles")}, ${value("ess")} effective`, "how many, and as how many they count"],
+    ["learning rate", value("learn_rate"), "0 while UD is above the level"],
+    ["time", `${short(state.run.ms("ms", state.frame.value))} ms`, "of the whole step"],
+  ];
+  if (Number.isFinite(overlap)) items.splice(2, 0, ["true overlap", overlap.toFixed(2), "IoU with the true box"]);
+  return (
+    <dl class="numbers">
+      {items.map(([name, text, title]) => (
+        <div key={name} title={title}>
+          <dt>{name}</dt>
+          <dd>{text}</dd>
+        </div>
+      ))}
+    </dl>
+  );
+}
+
+export function Mark({ event }: { event: EventRow }) {
+  const on = event.sort === "switch" && event.on;
+  const look = event.sort === "switch" ? (on ? "on" : "off") : event.status === "lost" ? "lost" : event.sort;
+  const d = event.sort === "switch" ? (on ? "M1 9h10L6 1z" : "M1 3h10L6 11z") : "M6 1l5 5-5 5-5-5z";
+  return (
+    <svg class={`mark ${look}`} viewBox="0 0 12 12" width="12" height="12" aria-hidden="true">
+      <path d={d} />
+    </svg>
+  );
+}
+
+/** What happened; how it was chosen stands behind it in brackets, and is said more quietly. */
+export function What({ text }: { text: string }) {
+  const cut = text.indexOf(" (");
+  if (cut < 0 || !text.endsWith(")")) return <b>{text}</b>;
+  return (
+    <>
+      <b>{text.slice(0, cut)}</b> <span class="choice">{text.slice(cut + 2, -1)}</span>
+    </>
+  );
+}
+
+export function brief(event: EventRow): string {
+  return event.what.split(/ \(| → |, centre/)[0]!;
+}

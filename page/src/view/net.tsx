@@ -1,0 +1,153 @@
+/** The net: agents are lit while they are on, edges are as wide as the last message was strong. */
+
+import type { State } from "../state";
+import type { NetNode } from "../data/types";
+import { agentsOf } from "../data/totals";
+import { agentVariable } from "./theme";
+import { short } from "./words";
+
+export function Net({ state }: { state: State }) {
+  const track = state.track.value;
+  const row = state.row.value;
+  const plate = state.run.plates[track?.plate ?? ""];
+  if (track === undefined || plate === undefined) return null;
+  const { net } = plate;
+  const agents = agentsOf(state.run, track);
+  const lit = (name: string): boolean => {
+    const node = net.nodes.find((one) => one.name === name)!;
+    if (node.agent) return track.isActive(name, row);
+    return net.nodes.some((one) => one.parent === name && lit(one.name));
+  };
+  const strength = (name: string) => track.value(`nodes/${name}/strength`, row);
+  const told = agents.map((name) => `${name} ${track.isActive(name, row) ? "on" : "off"}`).join(", ");
+  return (
+    <section class="net" aria-label="Net">
+      <h2>Net{Object.keys(state.run.plates).length > 1 ? ` of ${track.plate}` : ""}</h2>
+      <svg
+        viewBox={`0 0 ${net.width} ${net.height}`}
+        role="img"
+        aria-label={`Bayes net: ${plate.root} above ${told}`}
+        style={{ maxWidth: `${Math.round(net.width)}px` }}
+      >
+        {net.edges.map((edge) => {
+          const on = lit(edge.child);
+          const nats = strength(edge.child);
+          const [ax, ay] = edge.from;
+          const [bx, by] = edge.to;
+          const middle = (ay + by) / 2;
+          const index = agents.indexOf(edge.child);
+          return (
+            <g key={edge.child} class={on ? "edge on" : "edge"}>
+              <path
+                d={`M${ax} ${ay}C${ax} ${middle} ${bx} ${middle} ${bx} ${by}`}
+                stroke={on && index >= 0 ? agentVariable(index) : undefined}
+                stroke-width={on ? thickness(nats) : 1.4}
+              />
+              {on && Number.isFinite(nats) && (
+                <text x={ax + (bx - ax) * 0.72} y={ay + (by - ay) * 0.6 + 4} class="nats">
+                  {short(nats)}
+                </text>
+              )}
+            </g>
+          );
+        })}
+        {net.forks.map((fork) => (
+          <g key={`${fork.x},${fork.y}`} class="fork">
+            <rect x={fork.x - fork.w / 2} y={fork.y - fork.h / 2} width={fork.w} height={fork.h} rx={fork.h / 2} />
+            <text x={fork.x} y={fork.y + 4}>
+              {fork.text}
+            </text>
+          </g>
+        ))}
+        {net.nodes.map((node) => (
+          <Node
+            key={node.name}
+            node={node}
+            on={lit(node.name)}
+            silent={node.agent && track.isSilent(node.name, row)}
+            index={agents.indexOf(node.name)}
+          />
+        ))}
+      </svg>
+      <p class="hint">Filled: on. Edges as wide as the message is strong, in nats.</p>
+    </section>
+  );
+}
+
+/** Nats to px: a message of 0.1 nats is a line, one of 5 a ribbon. */
+function thickness(nats: number): number {
+  return Number.isFinite(nats) ? 1.6 + 3.4 * Math.min(2.6, Math.log1p(Math.max(nats, 0) * 2)) : 1.6;
+}
+
+function Node({ node, on, silent, index }: { node: NetNode; on: boolean; silent: boolean; index: number }) {
+  const { x, y, w, h } = node;
+  const look = `node ${node.agent ? "agent" : "belief"}${on ? " on" : ""}`;
+  const tint = node.agent ? { "--tint": agentVariable(index) } : {};
+  return (
+    <g class={look} style={tint}>
+      {node.agent ? (
+        <rect x={x - w / 2} y={y - h / 2} width={w} height={h} rx={9} />
+      ) : (
+        <ellipse cx={x} cy={y} rx={w / 2} ry={h / 2} />
+      )}
+      <text x={x} y={node.note || silent ? y - 4 : y + 5} class="name">
+        {node.name}
+      </text>
+      {(node.note || silent) && (
+        <text x={x} y={y + 14} class="note">
+          {silent ? "sees nothing" : node.note}
+        </text>
+      )}
+    </g>
+  );
+}
+
+/** What each agent said in the frame. */
+export function Agents({ state }: { state: State }) {
+  const track = state.track.value;
+  const row = state.row.value;
+  if (track === undefined) return null;
+  const agents = agentsOf(state.run, track);
+  const value = (agent: string, name: string) => short(track.value(`agents/${agent}/${name}`, row));
+  return (
+    <table class="agents">
+      <caption class="hidden">Agents in this frame</caption>
+      <thead>
+        <tr>
+          <th scope="col">agent</th>
+          <th scope="col" />
+          <th scope="col" title="KL(belief ‖ agent), nats: how far the belief is from what the agent alone says">
+            KL
+          </th>
+          <th scope="col" title="KL(belief ‖ belief without it), nats: what the agent adds">
+            adds
+          </th>
+          <th scope="col" title="its own UD, px²">
+            own UD
+          </th>
+          <th scope="col" title="milliseconds in this frame">
+            ms
+          </th>
+        </tr>
+      </thead>
+      <tbody>
+        {agents.map((agent, index) => {
+          const on = track.isActive(agent, row);
+          return (
+            <tr key={agent} class={on ? "on" : "off"}>
+              <th scope="row">
+                <i class="dot" style={{ background: on ? agentVariable(index) : "transparent", borderColor: agentVariable(index) }} />
+                {agent}
+              </th>
+              <td>{on ? (track.isSilent(agent, row) ? "blind" : "on") : "off"}</td>
+              <td>{on ? value(agent, "kl") : ""}</td>
+              <td>{on ? value(agent, "contribution") : ""}</td>
+              <td>{on ? value(agent, "agent_ud_px2") : ""}</td>
+              <td>{on ? short(state.run.ms(`stages/${agent}`, state.frame.value)) : ""}</td>
+            </tr>
+          );
+        })}
+      </tbody>
+    </table>
+  );
+}

@@ -1,0 +1,121 @@
+/** The table of totals, and the few of them that stand at the head of the page. */
+
+import { useComputed } from "@preact/signals";
+import { costs, sum, totals, type Totals } from "../data/totals";
+import type { State } from "../state";
+import { duration, percent, plural, short } from "./words";
+
+export function Headline({ state }: { state: State }) {
+  const all = useComputed(() => {
+    void state.version.value;
+    return sum(totals(state.run));
+  }).value;
+  const frames = state.run.last - state.run.first + 1;
+  return (
+    <dl class="headline">
+      <Figure name="frames" value={frames.toLocaleString("en")} />
+      <Figure
+        name="lost"
+        value={percent(all.lost / Math.max(1, all.frames), all.lost > 0 ? 1 : 0)}
+        title={`${plural(all.lost, "frame")} of ${all.frames} in which a target was lost`}
+      />
+      <Figure
+        name="agents a frame"
+        value={`${short(all.agentsPerFrame)}`}
+        of={`of ${short(all.agents)}`}
+        title="agents that were on, in the mean"
+      />
+      <Figure name="reconfigurations" value={String(all.switches)} title="agents switched on or off" />
+      <Figure
+        name="of agents' time saved"
+        value={percent(all.savedMs / Math.max(1e-9, all.savedMs + all.spentMs))}
+        title={`${duration(all.savedMs)} of ${duration(all.savedMs + all.spentMs)} that all agents would have taken if always on`}
+      />
+    </dl>
+  );
+}
+
+function Figure({ name, value, of, title }: { name: string; value: string; of?: string; title?: string }) {
+  return (
+    <div title={title}>
+      <dt>{name}</dt>
+      <dd>
+        {value}
+        {of !== undefined && <small> {of}</small>}
+      </dd>
+    </div>
+  );
+}
+
+export function TotalsTable({ state }: { state: State }) {
+  const found = useComputed(() => {
+    void state.version.value;
+    return { rows: totals(state.run), costs: costs(state.run) };
+  }).value;
+  const { rows } = found;
+  const several = rows.length > 1;
+  const hasTruth = rows.some((row) => Number.isFinite(row.overlap));
+  const measured = [...found.costs].map(([agent, cost]) => `${agent} ${short(cost.ms)} ms${cost.measured ? "" : " (declared)"}`);
+  return (
+    <section class="totals" aria-label="Totals">
+      <h2>In all</h2>
+      <div class="wide">
+        <table>
+          <thead>
+            <tr>
+              {["target", "frames", "lost", "uncertain", "agents a frame", "switches", "agents' time", "saved"].map((name) => (
+                <th key={name} scope="col">
+                  {name}
+                </th>
+              ))}
+              {hasTruth && <th scope="col">mean overlap</th>}
+            </tr>
+          </thead>
+          <tbody>
+            {rows.map((row) => (
+              <Row key={row.target} state={state} row={row} hasTruth={hasTruth} />
+            ))}
+          </tbody>
+          {several && (
+            <tfoot>
+              <Row row={sum(rows)} hasTruth={hasTruth} />
+            </tfoot>
+          )}
+        </table>
+      </div>
+      <p class="hint">
+        Saved is what the agents that were off would have taken, at the median cost of a frame: {measured.join(", ") || "no cost is known"}. What they
+        would have added to the planes that cues share is not counted.
+      </p>
+    </section>
+  );
+}
+
+function Row({ state, row, hasTruth }: { state?: State; row: Totals; hasTruth: boolean }) {
+  const chosen = state?.target.value === row.target;
+  return (
+    <tr class={chosen ? "chosen" : undefined}>
+      <th scope="row">
+        {state === undefined || state.run.tracks.size === 1 ? (
+          row.target
+        ) : (
+          <button type="button" aria-pressed={chosen} onClick={() => (state.target.value = row.target)}>
+            {row.target}
+          </button>
+        )}
+      </th>
+      <td>{row.frames}</td>
+      <td>{row.lost}</td>
+      <td>{row.uncertain}</td>
+      <td>
+        {short(row.agentsPerFrame)} <small>of {short(row.agents)}</small>
+      </td>
+      <td>{row.switches}</td>
+      <td>{duration(row.spentMs)}</td>
+      <td>
+        {duration(row.savedMs)} <small>{percent(row.savedMs / Math.max(1e-9, row.savedMs + row.spentMs))}</small>
+      </td>
+      {hasTruth && <td>{Number.isFinite(row.overlap) ? row.overlap.toFixed(2) : ""}</td>}
+    </tr>
+  );
+}
