@@ -1,0 +1,102 @@
+"""The pictures that a run was tracked in, read again: from its source, or from the video that it wrote."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.journal.events import RunStarted
+from bayesnet_track.planes import Frame
+from bayesnet_track.runtime.frames import SourceError
+from bayesnet_track.runtime.rundir import RunDirectory
+
+if TYPE_CHECKING:
+    from bayesnet_track.runtime.run import FrameSource
+
+SCENE = "scene:"
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Pictures of a run.
+
+    Attributes:
+        images: frame, and (H, W, 3) uint8 BGR, in order; of a damaged source as far as it can be read.
+        annotated: whether what was believed is drawn into them.
+    """
+
+    images: Iterator[tuple[int, NDArray[np.uint8]]]
+    annotated: bool = False
+
+
+@contextmanager
+def pictures_of(
+    directory: RunDirectory, started: RunStarted, first: int, last: int
+) -> Iterator[tuple[Found | None, str]]:
+    """The pictures of frames `first` to `last`, with why they are not those of the source, or not there.
+
+    The source is opened as it was for the run, but never over the network; where it is gone, or its pictures
+    have another size now, the run's own annotated video takes its place.
+    """
+    reasons = []
+    for open_one in (_source, _video):
+        try:
+            source = open_one(directory, started)
+        except (SourceError, OSError, ValueError) as error:
+            reasons.append(str(error))
+            continue
+        try:
+            if (source.width, source.height) == (started.width, started.height):
+                annotated = open_one is _video
+                yield Found(_between(source, first, last, first if annotated else 0), annotated), ""
+                return
+            was = f"{started.width}x{started.height}"
+            reasons.append(f"{source.description} is {source.width}x{source.height} px now, and was {was}")
+        finally:
+            close = getattr(source, "close", None)
+            if close is not None:
+                close()
+    yield None, "; ".join(reasons)
+
+
+def _between(
+    source: FrameSource, first: int, last: int, shift: int
+) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    for item in source:
+        if not isinstance(item, Frame) or item.index + shift < first:
+            continue
+        if item.index + shift > last:
+            return
+        yield item.index + shift, item.image
+
+
+def _source(directory: RunDirectory, started: RunStarted) -> FrameSource:
+    """The run's source: as its recipe says, or, of a run without one, as its journal names it."""
+    from bayesnet_track.runtime.recipe import Recipe
+    from bayesnet_track.runtime.scene_source import SceneSource
+    from bayesnet_track.runtime.sources import open_source
+    from bayesnet_track.scenes import make_scene
+
+    if directory.recipe.is_file():
+        origin = Recipe.read(directory).origin
+        if origin.only_once is not None:
+            raise SourceError(started.source, origin.only_once, "a source of files", "keep the video")
+        return replace(origin, allow_network=False).open()
+    if started.source.startswith(SCENE):
+        return SceneSource(make_scene(started.source[len(SCENE) :], seed=started.seed), started.source)
+    if started.source.isdigit():
+        raise SourceError(started.source, "it was a camera", "a source of files", "keep the video")
+    return open_source(started.source)
+
+
+def _video(directory: RunDirectory, started: RunStarted) -> FrameSource:
+    from bayesnet_track.runtime.sources import open_source
+
+    if not directory.video.is_file():
+        raise FileNotFoundError(f"and the run wrote no {directory.video.name}")
+    return open_source(str(directory.video))

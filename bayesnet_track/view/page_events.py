@@ -1,0 +1,71 @@
+"""The journal's events as the run page shows them: what happened, why, and what would have prevented it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Any
+
+from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
+from bayesnet_track.graph.net import (
+    Activated,
+    Deactivated,
+    Quarantined,
+    SelfStopped,
+    StatusChanged,
+    TargetStarted,
+)
+from bayesnet_track.journal.codec import event_name
+from bayesnet_track.journal.events import Event, RunEnded, RunStarted
+from bayesnet_track.journal.sentences import explain
+
+SWITCHES = (Activated, Deactivated, SelfStopped, Quarantined)
+LIVES = (TargetStarted, Returned, Reacquired, TargetDied, DuplicateEnded)
+ARROW = " → "
+_PREVENTED = re.compile(r"; (?=would have |not at )")
+_FRAME = re.compile(r"^frame \d+(?:, target [^:]*)?: ")
+
+
+def event_rows(events: Iterable[Event]) -> list[dict[str, Any]]:
+    """`event_row` of every event that happened in a frame, in order."""
+    return [event_row(event) for event in events if not isinstance(event, RunStarted | RunEnded)]
+
+
+def event_row(event: Event) -> dict[str, Any]:
+    """One event of a frame as plain data.
+
+    Keys: `frame`; `target`, `other` and `node` where it has them; `kind`, its name in the journal; `sort`:
+    switch (an agent on or off), life (of a target), status, or note (everything else); `on`: whether a switch
+    turned the agent on; `what` happened, `why`, and what would have prevented it (`unless`), the pieces of
+    its sentence; the last two may be empty.
+    """
+    sentence = _FRAME.sub("", explain(event))
+    told, *prevented = _PREVENTED.split(sentence, maxsplit=1)
+    why, arrow, what = told.partition(ARROW)
+    row: dict[str, Any] = {
+        "frame": getattr(event, "frame", 0),
+        "kind": event_name(type(event)),
+        "sort": _sort(event),
+        "what": what if arrow else told,
+        "why": why if arrow else "",
+        "unless": prevented[0] if prevented else "",
+    }
+    if isinstance(event, TargetStarted):
+        # Nothing caused it: the piece before the arrow is what happened.
+        row |= {"what": f"{why} → {what}", "why": ""}
+    row |= {key: getattr(event, key) for key in ("target", "other", "node") if hasattr(event, key)}
+    if isinstance(event, SWITCHES):
+        row["on"] = isinstance(event, Activated)
+    if isinstance(event, StatusChanged):
+        row["status"] = event.status
+    return row
+
+
+def _sort(event: Event) -> str:
+    if isinstance(event, SWITCHES):
+        return "switch"
+    if isinstance(event, LIVES):
+        return "life"
+    if isinstance(event, StatusChanged):
+        return "status"
+    return "note"

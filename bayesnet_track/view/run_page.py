@@ -1,0 +1,98 @@
+"""The page of a run: one HTML file that needs no network, or a folder with every frame beside it."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Iterator, Mapping
+from functools import cache
+from html import escape
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from bayesnet_track.view.page_columns import pack
+from bayesnet_track.view.page_data import Columns
+from bayesnet_track.view.page_pictures import Pictures
+
+FRAMES_FOLDER = "frames"
+LARGEST = 10_000_000
+"""Bytes of a page, unless what was measured alone takes more."""
+LEAST_ROOM = 500_000
+
+
+def one_file(
+    header: Mapping[str, Any], columns: Columns, pictures: Pictures, without: str = ""
+) -> Iterator[str]:
+    """The HTML text, in pieces, with everything in it.
+
+    Args:
+        header: from `run_data`.
+        columns: from `run_data`.
+        pictures: of some or all frames.
+        without: why there are none, in words for the reader.
+    """
+    ends = np.cumsum([len(data) for data in pictures.data], dtype=np.int64).astype(np.int32)
+    about = {"where": "file", "step": pictures.step, "annotated": pictures.annotated, "without": without}
+    columns = {
+        **columns,
+        "pictures/frame": np.array(pictures.frames, dtype=np.int32),
+        "pictures/end": ends,
+    }
+    yield from _page({**header, "pictures": about}, columns, "blob:")
+    yield '<script type="text/plain" id="run-pictures">'
+    yield base64.b64encode(b"".join(pictures.data)).decode()
+    yield "</script>\n</body>\n</html>\n"
+
+
+def with_folder(
+    header: Mapping[str, Any], columns: Columns, frames: tuple[int, ...], annotated: bool = False
+) -> Iterator[str]:
+    """The HTML text of a page whose pictures lie beside it, as `picture_name` names them."""
+    about = {"where": "folder", "step": 1, "annotated": annotated, "without": ""}
+    columns = {**columns, "pictures/frame": np.array(frames, dtype=np.int32)}
+    yield from _page({**header, "pictures": about}, columns, "'self' file: blob:")
+    yield "</body>\n</html>\n"
+
+
+def room_for_pictures(header: Mapping[str, Any], columns: Columns) -> int:
+    """Bytes that pictures may take so that the page of `one_file` stays below `LARGEST`."""
+    rest = len(pack(header, columns)) * 4 // 3 + len(_built("run_page.js")) + len(_built("run_page.css"))
+    return max((LARGEST - rest - 100_000) * 3 // 4, LEAST_ROOM)
+
+
+def picture_name(frame: int) -> str:
+    """Where the picture of a frame lies, from the page's folder."""
+    return f"{FRAMES_FOLDER}/{frame:06d}.jpg"
+
+
+def _page(header: Mapping[str, Any], columns: Columns, images: str) -> Iterator[str]:
+    script, style = _built("run_page.js"), _built("run_page.css")
+    # Nothing may be loaded or sent: no address is allowed, and script and style only as they were built.
+    policy = (
+        f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src {images}; "
+        "base-uri 'none'; form-action 'none'"
+    )
+    run = header["run"]
+    yield '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+    yield f'<meta http-equiv="Content-Security-Policy" content="{escape(policy, quote=True)}">\n'
+    yield '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+    yield '<meta name="color-scheme" content="light dark">\n<meta name="referrer" content="no-referrer">\n'
+    yield f"<title>{escape(run['graph'])} on {escape(run['source'])}</title>\n"
+    yield f"<style>{style}</style>\n</head>\n<body>\n"
+    yield '<div id="page"><noscript>This page needs JavaScript, which is switched off.</noscript></div>\n'
+    yield '<script type="text/plain" id="run-data">'
+    yield base64.b64encode(pack(header, columns)).decode()
+    yield "</script>\n"
+    # The pictures come behind the script, so that the page stands before they are read.
+    yield f"<script>{script}</script>\n"
+
+
+@cache
+def _built(name: str) -> str:
+    return (files("bayesnet_track.view") / "page" / name).read_text(encoding="utf-8")
+
+
+def _hash(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
