@@ -49,13 +49,17 @@ class Executing:
         self._open = ExitStack()
 
     def __enter__(self) -> Self:
-        self._open.enter_context(one_thread_inside())
+        self._open.enter_context(one_thread_inside(opencv=not self._is_serial))
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._open.close()
+
+    @property
+    def _is_serial(self) -> bool:
+        return self.kind == "serial" or (self.kind == "threads" and self.workers == 1)
 
     def engine(self, engine: Engine) -> Engine:
         """`engine` with its agents placed, to be run while this is entered; once.
@@ -73,7 +77,7 @@ class Executing:
 
     def _pool(self, waiting: int) -> Executor:
         """Serial asks agents in processes one after the other; else a thread waits for each of them."""
-        if self.kind == "serial" or (self.kind == "threads" and self.workers == 1):
+        if self._is_serial:
             return Serial()
         threads = self.workers if self.kind == "threads" else min(1 + waiting, MOST_WAITING)
         pool = Threads(threads)

@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from threading import Lock
 from types import MappingProxyType
 
@@ -73,8 +74,10 @@ class Nursery:
 
     def close(self) -> None:
         """End it, and the workers that are left."""
+        self._is_closed = True
+        with suppress(OSError):  # wakes a thread that waits for a worker
+            self._control.shutdown(socket.SHUT_RDWR)
         with self._lock:
-            self._is_closed = True
             self._end()
 
     def _start(self) -> None:

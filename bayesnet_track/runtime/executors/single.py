@@ -16,23 +16,25 @@ NAMES = ("scipy_openblas_{}64_", "scipy_openblas_{}", "openblas_{}64_", "openbla
 
 
 @contextmanager
-def one_thread_inside() -> Iterator[None]:
-    """While entered, NumPy's matrix products and OpenCV's functions use one thread each.
+def one_thread_inside(opencv: bool) -> Iterator[None]:
+    """While entered, NumPy's matrix products use one thread each, and so do, with `opencv`, its functions.
 
     The last bits of a matrix product depend on the number of its threads. Workers have one, and so the engine
-    must, for the same bytes.
+    must, for the same bytes; none of OpenCV's functions that are used here depends on it.
     """
     import cv2
 
     blas = _blas()
     before = cv2.getNumThreads(), [get() for get, _ in blas]
-    cv2.setNumThreads(1)
+    if opencv:
+        cv2.setNumThreads(1)
     for _, set_threads in blas:
         set_threads(1)
     try:
         yield
     finally:
-        cv2.setNumThreads(before[0])
+        if opencv:
+            cv2.setNumThreads(before[0])
         for (_, set_threads), threads in zip(blas, before[1], strict=True):
             set_threads(threads)
 

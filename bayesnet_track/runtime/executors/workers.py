@@ -110,9 +110,9 @@ class Worker:
         """Close what it is connected by, which ends it, whatever it does."""
         self._channel.close()
         self._socket.close()
-        if self._lifeline >= 0:
-            os.close(self._lifeline)
-            self._lifeline = -1
+        lifeline, self._lifeline = self._lifeline, -1
+        if lifeline >= 0:
+            os.close(lifeline)
 
     def _receive(self, until: float, deadline: float | None) -> Answer:
         answer: Answer = pickle.loads(self._received(until, deadline))
