@@ -13,13 +13,15 @@ from bayesnet_track.arguments import cells, gradient, metres, share, whole_numbe
 from bayesnet_track.parsers.compare import add_compare
 from bayesnet_track.parsers.completion import add_completion
 from bayesnet_track.parsers.doctor import add_doctor
+from bayesnet_track.parsers.report import add_report
+from bayesnet_track.parsers.rerun import add_rerun_option
 from bayesnet_track.parsers.export import add_export
-from bayesnet_track.parsers.outside import add_outside_options
 from bayesnet_track.parsers.executors import add_executor_options
 from bayesnet_track.parsers.init import add_init
+from bayesnet_track.parsers.outside import add_outside_options
 from bayesnet_track.parsers.plugins import add_plugins
+from bayesnet_track.parsers.resume import add_checkpoints, add_resume
 from bayesnet_track.parsers.what_if import add_what_if
-from bayesnet_track.parsers.report import add_report
 from bayesnet_track.runtime.stop import StopRequest, Terminated
 
 EXIT_CODES = """\
@@ -80,6 +82,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--video", action="store_true", help="write the annotated video too (video.mkv)")
     add_outside_options(run)
+    add_rerun_option(run)
     _add_window_options(run)
     _add_run_options(run)
 
@@ -249,10 +252,11 @@ def make_parser() -> argparse.ArgumentParser:
     add_init(commands)
     add_doctor(commands)
     add_completion(commands)
+    add_resume(commands)
+    add_report(commands)
     add_compare(commands)
     add_what_if(commands)
     add_export(commands)
-    add_report(commands)
     return parser
 
 
@@ -291,6 +295,7 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--quiet", action="store_true", help="no progress line")
     parser.add_argument("--log-json", action="store_true", help="progress as JSON lines")
+    add_checkpoints(parser)
     add_executor_options(parser)
 
 

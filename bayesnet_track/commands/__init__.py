@@ -25,6 +25,7 @@ from bayesnet_track.commands.init import init
 from bayesnet_track.commands.learn_shape import learn_shape
 from bayesnet_track.commands.learn_stereo import learn_stereo
 from bayesnet_track.commands.report import report
+from bayesnet_track.commands.resume import resume
 from bayesnet_track.commands.review import log, score
 from bayesnet_track.commands.tracking import demo, run
 from bayesnet_track.commands.what_if import what_if
@@ -44,8 +45,9 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "detect": detect,
     "export": export,
     "fit": fit,
-    "init": init,
     "report": report,
+    "resume": resume,
+    "init": init,
     "score": score,
     "learn-shape": learn_shape,
     "learn-stereo": learn_stereo,
@@ -90,7 +92,10 @@ def _allow(options: argparse.Namespace) -> None:
 def _code_of(error: Exception, command: str) -> int | None:
     from bayesnet_track.journal.codec import JournalError
     from bayesnet_track.journal.writer import OutputError
+    from bayesnet_track.runtime.checkpoint import CheckpointError
     from bayesnet_track.runtime.frames import SourceError
+    from bayesnet_track.runtime.recipe import RecipeError
+    from bayesnet_track.runtime.resume import ResumeError
     from bayesnet_track.runtime.rundir import RunDirectoryError
     from bayesnet_track.vision.stereo import CalibrationError
 
@@ -98,6 +103,8 @@ def _code_of(error: Exception, command: str) -> int | None:
         return USAGE
     if isinstance(error, SourceError | JournalError | CalibrationError):
         return BAD_SOURCE
+    if isinstance(error, RecipeError | CheckpointError | ResumeError):
+        return BAD_SOURCE
     if isinstance(error, RunDirectoryError):
-        return BAD_SOURCE if command in ("log", "score", "compare", "export") else BAD_OUTPUT
+        return BAD_SOURCE if command in ("log", "score", "report", "compare", "export") else BAD_OUTPUT
     return BAD_OUTPUT if isinstance(error, OutputError) else None

@@ -6,7 +6,7 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -175,14 +175,11 @@ def _track(
     out: Path,
     video: bool,
 ) -> int:
-    from bayesnet_track.detector import DetectorError
     from bayesnet_track.runtime.detection_files import file_detector
-    from bayesnet_track.runtime.executors.placing import PlacingError
     from bayesnet_track.runtime.inputs import replayed
-    from bayesnet_track.runtime.progress import Progress
+    from bayesnet_track.runtime.rerun_sink import rerun_sinks
     from bayesnet_track.runtime.run import Summary
     from bayesnet_track.runtime.session import track
-    from bayesnet_track.runtime.starts import StartError
 
     detections = getattr(options, "detections", None)
     if detections is not None:
@@ -192,12 +189,8 @@ def _track(
     if inputs is not None:
         with users_mistake():
             replayed(Path(inputs))
-    progress = Progress(sys.stderr, source.expected_frames, sys.stderr.isatty(), options.log_json)
     summary = Summary()
-    stop: StopRequest = options.stop
-    with ExitStack() as stack:
-        if not options.quiet:
-            stack.callback(unheard, progress.finish)
+    with rerun_sinks(getattr(options, "rerun", None), graph.spec.name, options.overwrite) as sinks:
         results = track(
             graph,
             source,
@@ -206,11 +199,34 @@ def _track(
             seed=options.seed,
             overwrite=options.overwrite,
             video=video,
-            executor=_executor(options),
+            executor=executor_of(options),
+            sinks=sinks,
             summary=summary,
             detections=detections,
             inputs=inputs,
+            checkpoint_every=options.checkpoint_every,
         )
+        return follow(options, results, summary, source.expected_frames, out)
+
+
+def follow(
+    options: argparse.Namespace,
+    results: Generator[Result, None, None],
+    summary: Summary,
+    expected: int | None,
+    out: Path,
+) -> int:
+    """Track to the end or until a signal, showing how far it is of the frames `expected`; the exit code."""
+    from bayesnet_track.detector import DetectorError
+    from bayesnet_track.runtime.executors.placing import PlacingError
+    from bayesnet_track.runtime.progress import Progress
+    from bayesnet_track.runtime.starts import StartError
+
+    progress = Progress(sys.stderr, expected, sys.stderr.isatty(), options.log_json)
+    stop: StopRequest = options.stop
+    with ExitStack() as stack:
+        if not options.quiet:
+            stack.callback(unheard, progress.finish)
         stack.callback(results.close)
         try:
             for result in results:
@@ -228,7 +244,8 @@ def _track(
     return OK if summary.complete else INCOMPLETE
 
 
-def _executor(options: argparse.Namespace) -> Executing:
+def executor_of(options: argparse.Namespace) -> Executing:
+    """How agents are asked, by the options of `add_executor_options`; raises UsageError."""
     from bayesnet_track.runtime.executors import make_executor
     from bayesnet_track.runtime.executors.placing import PlacingError, parse_places
     from bayesnet_track.runtime.executors.workers import Limits
@@ -243,7 +260,13 @@ def _executor(options: argparse.Namespace) -> Executing:
         places = parse_places(options.place)
     except PlacingError as error:
         raise UsageError(str(error)) from error
-    return make_executor(options.executor, workers=options.workers, places=places, limits=limits)
+    return make_executor(
+        options.executor,
+        workers=options.workers,
+        places=places,
+        limits=limits,
+        ray_address=options.ray_address,
+    )
 
 
 def _show(progress: Progress, summary: Summary, result: Result) -> None:

@@ -1,0 +1,65 @@
+"""The command that goes on with a run that was broken off: `resume`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bayesnet_track.commands.answer import OK, complain, say
+from bayesnet_track.commands.tracking import executor_of, follow
+
+if TYPE_CHECKING:
+    from bayesnet_track.runtime.recipe import Recipe
+    from bayesnet_track.runtime.rundir import RunDirectory
+
+
+def resume(options: argparse.Namespace) -> int:
+    """Go on with a run."""
+    from bayesnet_track.runtime.recipe import Recipe
+    from bayesnet_track.runtime.resume import resume, standing
+    from bayesnet_track.runtime.run import Summary
+    from bayesnet_track.runtime.rundir import RunDirectory
+
+    directory = RunDirectory(Path(options.run))
+    if standing(directory.path).is_finished:
+        _write_truth(directory, Recipe.read(directory))
+        say(f"{directory.path}: it is finished; there is nothing to do")
+        return OK
+    summary = Summary()
+    results = resume(
+        directory.path,
+        summary=summary,
+        checkpoint_every=options.checkpoint_every,
+        executor=executor_of(options),
+        notice=lambda text: complain(f"{directory.path}: {text}"),
+    )
+    code = follow(options, results, summary, _expected(directory), directory.path)
+    if summary.complete:
+        _write_truth(directory, Recipe.read(directory))
+    return code
+
+
+def _expected(directory: RunDirectory) -> int | None:
+    """How many frames the journal says are to be tracked."""
+    from bayesnet_track.journal.codec import JournalError
+    from bayesnet_track.journal.events import RunStarted
+    from bayesnet_track.journal.reader import read_events
+
+    try:
+        first = next(read_events(directory.journal), None)
+    except (OSError, JournalError):
+        return None
+    return first.declared_frames if isinstance(first, RunStarted) else None
+
+
+def _write_truth(directory: RunDirectory, recipe: Recipe) -> None:
+    """The truth of a built-in scene, as `demo` writes it in the end."""
+    from bayesnet_track.evaluate.truth import format_truth
+    from bayesnet_track.runtime.scene_source import SceneSource
+
+    if recipe.origin.kind != "scene" or directory.truth.exists():
+        return
+    source = recipe.open_source()
+    assert isinstance(source, SceneSource)
+    directory.write_text(directory.truth, format_truth(source.scene.truth[: source.expected_frames]))
