@@ -91,7 +91,8 @@ class Cue(Protocol):
         """The reference for the target inside the centre box (4,).
 
         `planes` covers the box grown by its own size on every side, cut to the frame. All numbers in it are
-        finite; a cue that breaks this, as one that raises, is out for the rest of the run.
+        finite; an agent whose cue breaks this, as one that raises, is out: for the rest of the run when this
+        is its first reference, else for a while.
         """
         ...
 
@@ -104,8 +105,9 @@ class Cue(Protocol):
 
         At most 0, the value of a perfect match, and at least ``log(floor)``. `planes` covers every
         hypothesis' box as far as it lies inside the frame. The part of a box outside the frame counts
-        as not matching. A cue that raises, or returns NaN, anything above 0 or no value above -inf, is out
-        for the rest of the run.
+        as not matching. A cue that raises, or returns NaN, anything above 0 or no value above -inf, is left
+        out of the frame, and its agent is out for a while: it is tried again after 10 frames, and after twice
+        as many with each failure in a row.
         """
         ...
 

@@ -24,7 +24,9 @@ from bayesnet_track.nets.joining import Together, join_all, reach_of, weigh_all
 from bayesnet_track.nets.outside import Outside, sorted_out
 from bayesnet_track.nets.people import Population
 from bayesnet_track.nets.population import live
-from bayesnet_track.nets.target import TargetState, Weighed, applied, conclude, recompiled, start
+from bayesnet_track.nets.starting import start
+from bayesnet_track.nets.state import TargetState, applied, recompiled
+from bayesnet_track.nets.target import Weighed, conclude
 from bayesnet_track.planes import Frame, FramePair, PlaneCache
 
 __all__ = [

@@ -440,7 +440,7 @@ def test_an_agent_that_fails_to_learn_is_out(fakes, value, reason, active):
         sees = {"a": following(fakes), "b": fakes.Oracle(fakes.flat(), reference=bad_reference(when, value))}
         outcomes = fakes.play(fakes.engine(nodes, sees)[0], 5)
         assert [d for d in decisions_of(outcomes) if isinstance(d, Quarantined)] == [
-            Quarantined(when, "1", "b", reason)
+            Quarantined(when, "1", "b", reason, when + 10 if when else None)
         ]
         # Its evidence of that frame was good; from the next on it is out.
         assert ["b" in o.metrics[0].active for o in outcomes] == [
@@ -490,7 +490,7 @@ def test_a_local_action_that_fails(fakes, failure):
         if isinstance(failure, Exception)
         else "made a reference whose 'box' is not finite"
     )
-    assert decisions_of(outcomes)[1:] == [Quarantined(1, "1", "b", reason)]
+    assert decisions_of(outcomes)[1:] == [Quarantined(1, "1", "b", reason, 11)]
 
 
 # ------------------------------------------------------------------------------------ adaptation in the loop

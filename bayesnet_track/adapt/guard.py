@@ -13,7 +13,9 @@ from dataclasses import dataclass, field
 
 from bayesnet_track.adapt.learn import NO_PARTS, blended
 from bayesnet_track.cue import AnyCue, Cue, Floats, Hypotheses, Reference, context_of
+from bayesnet_track.executor import AgentUnavailable
 from bayesnet_track.graph.spec import Guard
+from bayesnet_track.inference.absent import Missing, Roll
 from bayesnet_track.journal.events import Event, ReferenceGuarded
 from bayesnet_track.planes import PlaneCache, region_of_boxes
 
@@ -68,12 +70,15 @@ def judge(
     estimate: Hypotheses,
     rule: Guard | None,
     own_boxes: Mapping[str, Floats] = NO_PARTS,
+    roll: Roll | None = None,
 ) -> Judged:
     """In every `rule.every`-th learning frame, compare what both references of an agent say of the estimate.
 
     They have parted where the slow one gives it a likelihood lower by more than `rule.apart_nats`; that holds
     until they are compared again. An agent that looks at a part is asked about the box (4,) in `own_boxes`.
+    One that gives no answer for a reason outside of it is not compared; `roll` has it.
     """
+    roll = roll or Roll()
     learning = any(rate > 0.0 for rate in rates.values())
     if rule is None or not learning or (watched.frames + 1) % rule.every:
         return Judged(held=frozenset(watched.parted))
@@ -81,13 +86,15 @@ def judge(
     faults: dict[str, str] = {}
     for agent, slow in watched.slow.items():
         cue = cues[agent]
-        if rates.get(agent, 0.0) <= 0.0 or not isinstance(cue, Cue):
+        if rates.get(agent, 0.0) <= 0.0 or not isinstance(cue, Cue) or roll.misses(agent) is not None:
             continue
         at = Hypotheses(own_boxes[agent][None], estimate.fields) if agent in own_boxes else estimate
         try:
             planes = cache.planes(cue.needs, region_of_boxes(at.boxes, grow=context_of(cue)))
             own, other = (float(cue.log_likelihood(planes, at, one)[0]) for one in (references[agent], slow))
             gaps[agent] = own, other
+        except AgentUnavailable as error:
+            roll.note(agent, Missing(str(error)))
         except Exception as error:  # as in evaluation: a cue's fault must not end the run
             faults[agent] = f"raised {type(error).__name__} while guarded: {error}"
     parted = {agent for agent, (own, slow) in gaps.items() if own - slow > rule.apart_nats}
@@ -102,27 +109,30 @@ def guard(
     cues: Mapping[str, AnyCue],
     rates: Mapping[str, float],
     rule: Guard | None,
+    roll: Roll | None = None,
 ) -> tuple[dict[str, Reference], Watched, dict[str, str]]:
     """Pull back what has parted; let the slow references follow the others.
 
     `references` are those after learning, in which agents that were held are as before. Rates per frame are
     made up for the frames since the last comparison. The last mapping says what was wrong with agents that
-    failed.
+    failed. The references of one that gives no answer stay; `roll` has it.
     """
+    roll = roll or Roll()
     guarded, slow, faults = dict(references), dict(watched.slow), dict(judged.faults)
     if rule is None or not any(rate > 0.0 for rate in rates.values()):
         return guarded, watched, faults
     parted = {agent: frames + 1 for agent, frames in watched.parted.items()}
     for agent in judged.gaps:
         if agent in judged.held:
-            share = 1.0 - (1.0 - rule.pull) ** rule.every
-            mixed = blended(cues[agent], references[agent], slow[agent], share)
             parted.setdefault(agent, 0)
+            share, old, new = 1.0 - (1.0 - rule.pull) ** rule.every, references[agent], slow[agent]
         else:
-            share = 1.0 - (1.0 - rule.rate) ** rule.every
-            mixed = blended(cues[agent], slow[agent], references[agent], share)
             parted.pop(agent, None)
-        if isinstance(mixed, str):
+            share, old, new = 1.0 - (1.0 - rule.rate) ** rule.every, slow[agent], references[agent]
+        mixed = roll.misses(agent) or blended(cues[agent], old, new, share)
+        if isinstance(mixed, Missing):
+            roll.note(agent, mixed)
+        elif isinstance(mixed, str):
             faults[agent] = mixed
         else:
             (guarded if agent in judged.held else slow)[agent] = mixed

@@ -9,8 +9,9 @@ import numpy as np
 
 from bayesnet_track.adapt.conditions import read_level
 from bayesnet_track.cue import AnyCue, Floats, LocallyAdaptable, Reference, Turnable, context_of
-from bayesnet_track.executor import Executor, Serial
+from bayesnet_track.executor import AgentUnavailable, Executor, Serial
 from bayesnet_track.graph.spec import Learn
+from bayesnet_track.inference.absent import Missing, Roll
 from bayesnet_track.planes import PlaneCache, region_of_boxes
 
 NO_PARTS: Mapping[str, Floats] = {}
@@ -40,13 +41,17 @@ def learn_first(
     box: Floats,
     own: Mapping[str, Floats] = NO_PARTS,
     executor: Executor = SERIAL,
+    roll: Roll | None = None,
 ) -> tuple[dict[str, Reference], dict[str, str]]:
     """Every agent's first reference, and what was wrong with those that failed.
 
-    It is learnt from the centre box (4,) in `own`, of the part that the agent looks at, else from `box`.
+    Agents that give no answer for a reason outside of them are in neither; `roll` has them. A reference is
+    learnt from the centre box (4,) in `own`, of the part that the agent looks at, else from `box`.
     """
-    outcomes = executor.each(lambda agent: _learnt(cues[agent], cache, own.get(agent, box)), list(cues))
-    return _sorted_out(dict(zip(cues, outcomes, strict=True)))
+    roll = roll or Roll()
+    learning = [agent for agent in cues if roll.misses(agent) is None]
+    outcomes = executor.each(lambda agent: _learnt(cues[agent], cache, own.get(agent, box)), learning)
+    return _sorted_out(dict(zip(learning, outcomes, strict=True)), roll)
 
 
 def learn_references(
@@ -58,6 +63,7 @@ def learn_references(
     own: Mapping[str, Floats] = NO_PARTS,
     angle: float = 0.0,
     executor: Executor = SERIAL,
+    roll: Roll | None = None,
 ) -> tuple[dict[str, Reference], dict[str, str]]:
     """The references of all agents, active or not, each moved by its rate toward what its box holds now.
 
@@ -65,32 +71,47 @@ def learn_references(
     `angle` degrees.
 
     Planes are computed on the estimate and as much around it as the agent asks for, unless the hypotheses'
-    own region holds that. An agent that fails keeps its reference; the second mapping says what was wrong.
+    own region holds that. An agent that fails keeps its reference; the second mapping says what was wrong. So
+    does one that gives no answer for a reason outside of it, which `roll` has.
     """
-    learning = [agent for agent, rate in rates.items() if rate > 0.0]
+    roll = roll or Roll()
+    learning = [agent for agent, rate in rates.items() if rate > 0.0 and roll.misses(agent) is None]
     outcomes = executor.each(
         lambda agent: _learnt(
             cues[agent], cache, own.get(agent, box), references[agent], rates[agent], angle
         ),
         learning,
     )
-    moved, faults = _sorted_out(dict(zip(learning, outcomes, strict=True)))
+    moved, faults = _sorted_out(dict(zip(learning, outcomes, strict=True)), roll)
     return {**references, **moved}, faults
 
 
-def blended(cue: AnyCue, old: Reference, new: Reference, rate: float) -> Reference | str:
+def blended(cue: AnyCue, old: Reference, new: Reference, rate: float) -> Reference | str | Missing:
     """A reference between `old` (rate 0) and `new` (rate 1), or what went wrong."""
     try:
         return _checked(cue.blend(old, new, rate))
+    except AgentUnavailable as error:
+        return Missing(str(error))
     except Exception as error:  # as in evaluation: a cue's fault must not end the run
         return f"raised {type(error).__name__} while blending: {error}"
 
 
-def adapt_reference(cue: LocallyAdaptable, reference: Reference, attempt: int) -> Reference | str | None:
-    """The reference as an agent tunes it itself, None when nothing is left to try, or what went wrong."""
+def adapt_reference(
+    cue: LocallyAdaptable, reference: Reference, attempt: int, agent: str = "", roll: Roll | None = None
+) -> Reference | str | None:
+    """The reference as an agent tunes it itself, or what went wrong.
+
+    None when nothing is left to try, or the agent gives no answer, which `roll` has then.
+    """
+    roll = roll or Roll()
+    if roll.misses(agent) is not None:
+        return None
     try:
         tuned = cue.adapt(reference, attempt)
         return None if tuned is None else _checked(tuned)
+    except AgentUnavailable as error:
+        roll.note(agent, Missing(str(error)))
+        return None
     except Exception as error:  # as in evaluation: a cue's fault must not end the run
         return f"raised {type(error).__name__} while adapting: {error}"
 
@@ -102,7 +123,7 @@ def _learnt(
     old: Reference | None = None,
     rate: float = 1.0,
     angle: float = 0.0,
-) -> Reference | str:
+) -> Reference | str | Missing:
     """What the cue sees in the box, blended into the old reference; or what went wrong."""
     try:
         region = region_of_boxes(box[None, :], grow=context_of(cue))
@@ -112,6 +133,8 @@ def _learnt(
         else:
             seen = cue.learn(planes, box.copy())
         return _checked(seen if old is None else cue.blend(old, seen, rate))
+    except AgentUnavailable as error:
+        return Missing(str(error))
     except Exception as error:  # as in evaluation: a cue's fault must not end the run
         return f"raised {type(error).__name__} while learning: {error}"
 
@@ -124,11 +147,15 @@ def _checked(reference: Reference) -> Reference | str:
     return reference
 
 
-def _sorted_out(outcomes: Mapping[str, Reference | str]) -> tuple[dict[str, Reference], dict[str, str]]:
+def _sorted_out(
+    outcomes: Mapping[str, Reference | str | Missing], roll: Roll
+) -> tuple[dict[str, Reference], dict[str, str]]:
     references: dict[str, Reference] = {}
     faults: dict[str, str] = {}
     for agent, outcome in outcomes.items():
-        if isinstance(outcome, str):
+        if isinstance(outcome, Missing):
+            roll.note(agent, outcome)
+        elif isinstance(outcome, str):
             faults[agent] = outcome
         else:
             references[agent] = outcome

@@ -84,6 +84,7 @@ class Memory:
         unsure: streak of frames that look uncertain or lost, where the score says so.
         quiet: governor (and root) -> quiet level.
         helpful: agent -> (sum of contributions while active, frames).
+        missed: agent -> frames in a row in which it gave no answer.
         worth: governor whose rules go by it -> what its agents contributed, the past fading.
     """
 
@@ -97,6 +98,7 @@ class Memory:
     quiet: Mapping[str, Quiet] = field(default_factory=dict)
     helpful: Mapping[str, tuple[float, int]] = field(default_factory=dict)
     worth: Mapping[str, Worth] = field(default_factory=dict)
+    missed: Mapping[str, int] = field(default_factory=dict)
 
     def with_contributions(self, contribution: Mapping[str, float]) -> Memory:
         """With this frame's contributions of the active agents counted."""

@@ -1,7 +1,8 @@
 """The rules that reconfigure a net: pure functions of measures and memory to decisions.
 
-Order within a frame: agents check themselves; then each inference node with `adapt` rules activates, or else
-deactivates one agent; then the target's status. Decisions take effect on the next frame.
+Order within a frame: agents that failed are tried again when their time is over; agents check themselves;
+then each inference node with `adapt` rules activates, or else deactivates one agent; then the target's
+status. Decisions take effect on the next frame.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+from bayesnet_track.adapt.backoff import give_up_on_missing, readmitted
 from bayesnet_track.adapt.conditions import Reading, Tested, apply_test, read_level
 from bayesnet_track.adapt.information import Worth, expected_per_ms, remembered_per_ms
 from bayesnet_track.adapt.memory import Memory, Quiet, Streak
@@ -19,6 +21,7 @@ from bayesnet_track.graph.net import (
     Deactivated,
     Decision,
     LocallyAdapted,
+    Readmitted,
     SelfStopped,
 )
 from bayesnet_track.graph.spec import Adapt, Condition, Level
@@ -28,7 +31,8 @@ def decide(now: Situation, memory: Memory) -> tuple[tuple[Decision, ...], Memory
     """The decisions of one frame for one target, and what the rules remember of it."""
     memory = _note_worth(now, memory.with_contributions(now.measures.contribution))
     memory = _note_quiet(now, memory)
-    decisions: list[Decision] = []
+    decisions = readmitted(now)
+    memory = give_up_on_missing(now, memory, decisions)
     memory = _check_selves(now, memory, decisions)
     for node in now.plate.children:
         rules = now.plate.inference(node).adapt
@@ -172,6 +176,7 @@ def _eligible(now: Situation) -> list[str]:
         if agent not in now.net.active
         and agent not in now.net.quarantined
         and agent not in now.net.by_hand
+        and agent not in now.missed
         and now.net.rests_until.get(agent, 0) <= now.frame + 1
     ]
 
@@ -258,7 +263,7 @@ def _dropped(
 def _wake(now: Situation, decisions: list[Decision]) -> None:
     """With no agent active, switch on all that may be: nothing else could bring the net back."""
     stopped = {d.node for d in decisions if isinstance(d, SelfStopped | Deactivated)}
-    started = any(isinstance(d, Activated) for d in decisions)
+    started = any(isinstance(d, Activated) or (isinstance(d, Readmitted) and d.on) for d in decisions)
     if now.net.active - stopped or started:
         return
     for agent in _eligible(now):

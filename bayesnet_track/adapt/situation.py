@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from bayesnet_track.adapt.conditions import Reading, read_level
 from bayesnet_track.adapt.measure import Measures
@@ -21,12 +21,13 @@ class Situation:
         frame: frame index.
         target: target id.
         plate: the checked plate.
-        net: the live net, faults of this frame already taken out.
+        net: the live net, agents that failed or gave no answer in this frame already taken out.
         measures: what was measured.
         costs_ms: agent -> declared cost.
         adaptable: agents that can act locally before they stop.
         hidden: expected share of it that a target it is joined with hides.
         score: probability of being on target, or None where the graph does not say how it comes about.
+        missed: agent that gave no answer for a reason outside of it -> that reason.
     """
 
     frame: int
@@ -38,6 +39,7 @@ class Situation:
     adaptable: frozenset[str]
     hidden: float = 0.0
     score: float | None = None
+    missed: Mapping[str, str] = field(default_factory=dict)
 
 
 def quiet_level(plate: CheckedTarget, net: TargetNet, memory: Memory, node: str) -> float | None:

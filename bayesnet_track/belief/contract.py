@@ -33,7 +33,7 @@ class Evidence:
         log_likelihood: (N,) of the whole net, finite or -inf; zeros when no agent is active.
         messages: node -> (N,) log-likelihood that it sent to its parent (agents and inference nodes).
         latent: latent node -> its own hypotheses, index-aligned with the root's.
-        faults: agent -> what it raised or returned; it has no message then.
+        faults: agent that had a message in an earlier evaluation of the frame, and has none here -> why.
         gaussians: agent that measured, or latent node with a Gaussian belief -> its message as it reaches the
             root: its covariance divided by its weight in the pools on the way. Only where every node on the
             way multiplies messages.

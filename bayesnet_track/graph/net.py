@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 from bayesnet_track.graph.causes import Cause, Concentration, ScoreCause
+from bayesnet_track.graph.fault_decisions import Quarantined, Readmitted
 from bayesnet_track.graph.hand_decisions import Released, Toggled
 from bayesnet_track.graph.join_decisions import Joined, Parted
 from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
@@ -21,9 +22,11 @@ __all__ = [
     "Concentration",
     "Deactivated",
     "Decision",
+    "Fault",
     "LocallyAdapted",
     "Net",
     "Quarantined",
+    "Readmitted",
     "Released",
     "ScoreCause",
     "SelfStopped",
@@ -144,23 +147,6 @@ class SelfStopped:
 
 
 @dataclass(frozen=True)
-class Quarantined:
-    """An agent failed and is out for the rest of the run.
-
-    Attributes:
-        frame: frame at which it failed (its evidence is not used in this frame either).
-        target: target id.
-        node: the agent.
-        reason: what it returned or raised.
-    """
-
-    frame: int
-    target: str
-    node: str
-    reason: str
-
-
-@dataclass(frozen=True)
 class StatusChanged:
     """A target was lost or found again, or is held uncertainly (the net stays as it is).
 
@@ -186,6 +172,7 @@ Decision = (
     | LocallyAdapted
     | SelfStopped
     | Quarantined
+    | Readmitted
     | Toggled
     | Released
     | StatusChanged
@@ -198,8 +185,25 @@ Decision = (
 )
 
 
-Switch = Activated | Deactivated | SelfStopped | Quarantined | Toggled
+Switch = Activated | Deactivated | SelfStopped | Quarantined | Readmitted | Toggled
 """A decision that switches an agent."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """An agent's last failure.
+
+    Attributes:
+        times: how many times in a row it had failed then.
+        frame: when it failed.
+        until: first frame in which it may work again; None when it never may.
+        was_on: whether it was switched on.
+    """
+
+    times: int
+    frame: int
+    until: int | None
+    was_on: bool
 
 
 @dataclass(frozen=True)
@@ -211,9 +215,10 @@ class TargetNet:
         active: agents that are switched on.
         rests_until: self-stopped agent -> first frame at which it may be switched on again.
         rest_count: agent -> how many times it stopped itself.
-        quarantined: agents that failed.
-        status: tracking, uncertain or lost.
+        quarantined: agents that failed and are out.
         by_hand: agent that a person switched -> whether on; no rule switches it until it is released.
+        faults: agent that failed, whether it is still out or not -> its last failure.
+        status: tracking, uncertain or lost.
     """
 
     template: str
@@ -223,6 +228,7 @@ class TargetNet:
     quarantined: frozenset[str] = frozenset()
     status: str = "tracking"
     by_hand: Mapping[str, bool] = field(default_factory=dict)
+    faults: Mapping[str, Fault] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -303,8 +309,18 @@ def _change(net: TargetNet, decision: Decision) -> TargetNet:
                 rest_count={**net.rest_count, decision.node: net.rest_count.get(decision.node, 0) + 1},
             )
         case Quarantined():
+            fault = Fault(decision.times, decision.frame, decision.until, decision.node in net.active)
             return replace(
-                net, active=net.active - {decision.node}, quarantined=net.quarantined | {decision.node}
+                net,
+                active=net.active - {decision.node},
+                quarantined=net.quarantined | {decision.node},
+                faults={**net.faults, decision.node: fault},
+            )
+        case Readmitted():
+            return replace(
+                net,
+                active=net.active | {decision.node} if decision.on else net.active,
+                quarantined=net.quarantined - {decision.node},
             )
         case Toggled():
             active = net.active | {decision.node} if decision.on else net.active - {decision.node}

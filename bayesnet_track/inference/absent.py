@@ -50,6 +50,10 @@ class Absent:
         """The agent was asked and gave no answer."""
         self.known[target, agent, during] = self.told[target, agent, during] = reason
 
+    def roll(self, target: str, during: str) -> Roll:
+        """Those of one target, asked for one thing."""
+        return Roll(self, target, during)
+
     @property
     def events(self) -> tuple[AgentMissed, ...]:
         """Those that were missed, in an order that does not depend on when they were found out."""
@@ -57,3 +61,30 @@ class Absent:
             AgentMissed(self.frame, target, agent, reason, during)
             for (target, agent, during), reason in sorted(self.told.items())
         )
+
+
+@dataclass(frozen=True)
+class Roll:
+    """Who of one target's agents gives no answer, asked for one thing."""
+
+    absent: Absent = field(default_factory=Absent)
+    target: str = ""
+    during: str = ""
+
+    def misses(self, agent: str) -> Missing | None:
+        """Why the agent cannot be asked; None when it can."""
+        return self.absent.misses(self.target, agent, self.during)
+
+    @property
+    def missed(self) -> dict[str, str]:
+        """Those that were to be asked, or were found out -> the reason."""
+        asked = (self.target, self.during)
+        return {
+            agent: reason
+            for (target, agent, during), reason in self.absent.told.items()
+            if (target, during) == asked
+        }
+
+    def note(self, agent: str, missing: Missing) -> None:
+        """The agent was asked and gave no answer."""
+        self.absent.note(self.target, agent, self.during, missing.reason)

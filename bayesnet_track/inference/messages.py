@@ -12,6 +12,7 @@ from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.noise import sample_noise
 from bayesnet_track.cue import Hypotheses, Measurement
 from bayesnet_track.graph.spec import Noise
+from bayesnet_track.inference.absent import Missing
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.gaussian_messages import latent_gaussian, measurement_message, to_power
 from bayesnet_track.inference.latent_messages import grid_message, kernel_message
@@ -35,10 +36,11 @@ INTEGRALS: Mapping[str, Integral] = {
 def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: Floats) -> Evidence:
     """The evidence of the whole net for (N,) hypotheses with normalised prior log-weights.
 
-    An agent that fails is left out as if it were switched off, and named in `faults`: its planes or it raise,
-    or it returns anything but N log-likelihoods of at most 0, one of them above -inf (for an agent that
-    measures: anything but a Gaussian over fields of the hypotheses). One that measures nothing is left out of
-    every product and pool, too; its own message is zeros.
+    An agent that fails is left out as if it were switched off, and named by the observer: its planes or it
+    raise, or it returns anything but N log-likelihoods of at most 0, one of them above -inf (for an agent
+    that measures: anything but a Gaussian over fields of the hypotheses). So is one that gives no answer for
+    a reason outside of it. `faults` of the evidence names those of them that had answered earlier in the
+    frame. One that measures nothing is left out of every product and pool, too; its own message is zeros.
     """
     latent = _draw_latent(plan, observer, hypotheses)
     at = {plan.root: hypotheses, **latent}
@@ -51,8 +53,9 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
     )
     for step, answer in zip(plan.observations, answers, strict=True):
         remember(step, answer, observer)
-        if isinstance(answer, str):
-            faults[step.agent] = answer
+        if isinstance(answer, str | Missing):
+            if step.agent in observer.broke_off:
+                faults[step.agent] = answer if isinstance(answer, str) else answer.reason
         elif isinstance(answer, Measurement):
             answer = to_power(answer, 1.0 / step.temperature)
             measured[step.agent] = answer

@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Stream
 from bayesnet_track.cue import AnyCue, Hypotheses, Measurement, Reference
-from bayesnet_track.executor import Executor, Serial
+from bayesnet_track.executor import AgentUnavailable, Executor, Serial
+from bayesnet_track.inference.absent import Missing, Roll
 from bayesnet_track.inference.compile import Observe
 from bayesnet_track.planes import PlaneCache, Region
 
 Floats = NDArray[np.float64]
 Clock = Callable[[], float]
-Answer = Floats | Measurement | str | None
-"""(N,) log-likelihood, a measurement, None for nothing seen, or what is wrong with the agent."""
+Answer = Floats | Measurement | str | Missing | None
+"""(N,) log-likelihood, a measurement, None for nothing seen, what is wrong with it, or why it is missing."""
 
 ROUNDING = 1e-6
 """How far above 0, the value of a perfect match, a log-likelihood may end by rounding."""
@@ -49,6 +50,11 @@ class Observer:
             asked once a frame, however often the net is evaluated.
         faults: agent -> what was wrong with it in any evaluation of the frame; it is not asked again.
         executor: how the agents are asked, which do not depend on each other.
+        roll: agents that give no answer for a reason outside of them.
+        missed: those of them that were to be asked -> the reason; they are not asked again.
+        answered: agents that gave an answer in an evaluation of the frame.
+        broke_off: agents that gave an answer and later failed or gave none: what was made of their answers is
+            of another net than what follows.
     """
 
     cache: PlaneCache
@@ -61,6 +67,10 @@ class Observer:
     measured: MutableMapping[tuple[str, str], Answer] = field(default_factory=dict)
     faults: MutableMapping[str, str] = field(default_factory=dict)
     executor: Executor = field(default_factory=Serial)
+    roll: Roll = field(default_factory=Roll)
+    missed: MutableMapping[str, str] = field(default_factory=dict)
+    answered: set[str] = field(default_factory=set)
+    broke_off: set[str] = field(default_factory=set)
 
 
 def observe(
@@ -70,10 +80,13 @@ def observe(
 
     A message to the caller instead of an exception: the cue raised, or returned anything but N
     log-likelihoods of at most 0, one of them above -inf, or a Gaussian over fields of the hypotheses.
+    `Missing` when it cannot be asked.
     """
     key = (step.agent, step.at)
     if step.agent in observer.faults:
         return observer.faults[step.agent]
+    if step.agent in observer.missed:
+        return Missing(observer.missed[step.agent])
     if key in observer.measured:
         return observer.measured[key]
     return _asked(step, hypotheses, prior_log, region, observer)
@@ -81,9 +94,17 @@ def observe(
 
 def remember(step: Observe, answer: Answer, observer: Observer) -> None:
     """Keep what is asked once a frame only. It is called in the order of the plan, whoever answered first."""
-    if isinstance(answer, str):
-        observer.faults.setdefault(step.agent, answer)
-    elif step.measures:
+    if isinstance(answer, str | Missing):
+        if step.agent in observer.answered:
+            observer.broke_off.add(step.agent)
+        if isinstance(answer, str):
+            observer.faults.setdefault(step.agent, answer)
+        elif step.agent not in observer.missed:
+            observer.missed[step.agent] = answer.reason
+            observer.roll.note(step.agent, answer)
+        return
+    observer.answered.add(step.agent)
+    if step.measures:
         observer.measured.setdefault((step.agent, step.at), answer)
 
 
@@ -91,6 +112,9 @@ def _asked(
     step: Observe, hypotheses: Hypotheses, prior_log: Floats, region: Region, observer: Observer
 ) -> Answer:
     agent, part = step.agent, "planes"
+    missing = observer.roll.misses(agent)
+    if missing is not None:
+        return missing
     cue: Any = observer.cues[agent]
     # A copy of its own: what it writes there reaches no other agent.
     own = Hypotheses(hypotheses.boxes.copy(), {name: v.copy() for name, v in hypotheses.fields.items()})
@@ -103,6 +127,8 @@ def _asked(
             return _checked_measurement(cue.measure(planes, own, np.exp(prior_log), reference), own)
         result = cue.log_likelihood(planes, own, reference)
         return _checked(np.array(result, dtype=np.float64), len(own))
+    except AgentUnavailable as error:
+        return Missing(str(error))
     except Exception as error:  # a cue is a guest's code: whatever it raises must not end the run
         return f"raised {type(error).__name__}: {error}"
     finally:

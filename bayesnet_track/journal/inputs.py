@@ -24,8 +24,9 @@ class AgentMissed:
         target: target id.
         node: the agent.
         reason: what happened to it.
-        during: what it was asked for: observing, learning, guarding (its reference), starting (a target),
-            joining, claiming or recalling. Before, it had answered.
+        during: what it was asked for, which is left out: observing (and then all that follows in the frame),
+            guarding, learning, blending or adapting its reference, starting a target, joining, claiming or
+            recalling.
     """
 
     frame: int

@@ -13,6 +13,7 @@ from bayesnet_track.graph.net import (
     Decision,
     LocallyAdapted,
     Quarantined,
+    Readmitted,
     ScoreCause,
     SelfStopped,
     StatusChanged,
@@ -32,7 +33,7 @@ from bayesnet_track.journal.events import (
     SecondPass,
     SourceDamaged,
 )
-from bayesnet_track.journal.fault_sentences import by_hand, missed
+from bayesnet_track.journal.fault_sentences import by_hand, missed, quarantined, readmitted
 from bayesnet_track.journal.inputs import AgentMissed, InputRefused
 from bayesnet_track.journal.join_events import AttachmentChanged, OcclusionChanged, RingChanged
 from bayesnet_track.journal.join_sentences import (
@@ -148,7 +149,9 @@ def happened(
                 f"{turned_at(event.cause, up=True)}"
             )
         case Quarantined():
-            return f"{event.node} failed: {event.reason} → out for the rest of the run"
+            return quarantined(event)
+        case Readmitted():
+            return readmitted(event)
         case AgentMissed():
             return missed(event)
         case Toggled() | Released():

@@ -10,6 +10,7 @@ from bayesnet_track.graph.net import (
     Activated,
     Deactivated,
     LocallyAdapted,
+    Readmitted,
     SelfStopped,
     StatusChanged,
     Switch,
@@ -84,6 +85,8 @@ def _what(event: Event) -> str:
             return "off"
         case SelfStopped():
             return "stopped itself"
+        case Readmitted():
+            return "on again" if event.on else "let in again"
         case Toggled():
             return f"{'on' if event.on else 'off'} by hand"
         case _:

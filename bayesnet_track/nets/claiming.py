@@ -27,7 +27,7 @@ from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.journal.life_events import DetectorFailed
 from bayesnet_track.machinery import Engine
 from bayesnet_track.nets.detecting import Found, look
-from bayesnet_track.nets.target import TargetState
+from bayesnet_track.nets.state import TargetState
 from bayesnet_track.planes import Frame, PlaneCache
 
 Floats = NDArray[np.float64]
@@ -137,7 +137,13 @@ def _looks(
     if not agents:
         return np.zeros(len(boxes))
     stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
-    observer = Observer(cache, machine.cues, state.references, lambda what: stream(f"claim {what}"))
+    observer = Observer(
+        cache,
+        machine.cues,
+        state.references,
+        lambda what: stream(f"claim {what}"),
+        roll=engine.absent.roll(target, "claiming"),
+    )
     prior = np.full(len(boxes), -np.log(len(boxes)))
     plan = compile_plan(machine.plate, agents, machine.cues)
     return np.clip(evaluate(plan, observer, Hypotheses(boxes), prior).log_likelihood, LEAST_LOG, 0.0)

@@ -40,7 +40,8 @@ from bayesnet_track.journal.join_events import (
     RingChanged,
 )
 from bayesnet_track.machinery import Engine
-from bayesnet_track.nets.target import TargetState, Weighed, weigh
+from bayesnet_track.nets.state import TargetState
+from bayesnet_track.nets.target import Weighed, weigh
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import resample
 from bayesnet_track.planes import Frame, PlaneCache
@@ -147,7 +148,7 @@ def join_all(
             one.step.evidence.log_likelihood,
             levels[name].log,
             _logs_on(engine, net, one, [of[other] for other in others], frame, cache),
-            max(len(one.before.plan.observations), 1),
+            max(len(one.plan.observations), 1),
             levels[name].best,
         )
         for name, others in _neighbours((*edges, *closing)).items()
@@ -269,9 +270,17 @@ def _logs_on(
     boxes = np.concatenate(drawn)
     room = np.clip(boxes[:, 2:] - states[:, 2:4], 0.0, None)
     states[:, :2] = boxes[:, :2] + room * (rng.random((size, 2)) - 0.5)
-    observer = Observer(cache, machine.cues, one.before.references, stream, engine.clock, {})
+    observer = Observer(
+        cache,
+        machine.cues,
+        one.before.references,
+        stream,
+        engine.clock,
+        {},
+        roll=engine.absent.roll(one.target, "joining"),
+    )
     seen = hypotheses_of(states, _particles(one.step.posterior).fields)
-    log = evaluate(one.before.plan, observer, seen, LogWeights.uniform(size).log).log_likelihood
+    log = evaluate(one.plan, observer, seen, LogWeights.uniform(size).log).log_likelihood
     means = np.maximum(log, -1e3).reshape(len(others), ON_SIZE).mean(axis=1)
     return {other.target: float(mean) for other, mean in zip(others, means, strict=True)}
 
@@ -294,9 +303,9 @@ def _reweighted(step: Step[Posterior], marginal: Marginal | None) -> Step[Poster
 
 def _level(known: Level | None, one: Weighed) -> Level:
     """The level with the agents that are active: as measured, else that of this very frame."""
-    if known is not None and known.active == one.before.plan.active:
+    if known is not None and known.active == one.plan.active:
         return known
-    return Level(one.before.plan.active, *_half_way(one.step), 0)
+    return Level(one.plan.active, *_half_way(one.step), 0)
 
 
 def _half_way(step: Step[Posterior]) -> tuple[float, float]:
@@ -317,7 +326,7 @@ def _levels_after(
     for name, one in of.items():
         hidden = metrics[name].hidden if name in metrics else 0.0
         if hidden <= LEVEL_HIDDEN and one.step.degenerate is None:
-            after[name] = levels[name].then(one.before.plan.active, *_half_way(one.step))
+            after[name] = levels[name].then(one.plan.active, *_half_way(one.step))
     return after
 
 

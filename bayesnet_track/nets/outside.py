@@ -75,5 +75,6 @@ def _impossible(engine: Engine, net: Net, asked: ByHand) -> str:
     if asked.node not in engine.machinery[live.template].plate.agents:
         return f"{live.template} has no agent {asked.node}"
     if isinstance(asked, Toggled) and asked.on and asked.node in live.quarantined:
-        return f"{asked.node} failed and is out"
+        until = live.faults[asked.node].until
+        return f"{asked.node} failed and is out {'for good' if until is None else f'until frame {until}'}"
     return ""

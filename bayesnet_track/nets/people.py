@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.lifecycle import Life
 from bayesnet_track.graph.net import Decision, Net
 from bayesnet_track.journal.events import Event, FrameMetrics
-from bayesnet_track.nets.target import TargetState, applied
+from bayesnet_track.nets.state import TargetState, applied
 
 Floats = NDArray[np.float64]
 

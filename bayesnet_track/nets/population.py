@@ -36,7 +36,8 @@ from bayesnet_track.nets.claiming import Looked
 from bayesnet_track.nets.detecting import Found, look
 from bayesnet_track.nets.people import Population
 from bayesnet_track.nets.recalling import compare
-from bayesnet_track.nets.target import TargetState, restart, start
+from bayesnet_track.nets.starting import restart, start
+from bayesnet_track.nets.state import TargetState
 from bayesnet_track.planes import Frame, PlaneCache
 
 Floats = NDArray[np.float64]

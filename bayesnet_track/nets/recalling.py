@@ -44,14 +44,20 @@ def compare(
     stream = partial(engine.streams.of, known.target, machine.plate.root, frame.index)
     random = elsewhere(boxes, frame.width, frame.height, stream("elsewhere"))
     if agents:
-        observer = Observer(cache, machine.cues, known.references, lambda what: stream(f"recall {what}"))
+        observer = Observer(
+            cache,
+            machine.cues,
+            known.references,
+            lambda what: stream(f"recall {what}"),
+            roll=engine.absent.roll(known.target, "recalling"),
+        )
         states = np.concatenate([boxes, random, others])
         prior = np.full(len(states), -np.log(len(states)))
         evidence = evaluate(
             compile_plan(machine.plate, agents, machine.cues), observer, Hypotheses(states), prior
         )
         values = np.clip(evidence.log_likelihood, LEAST_LOG, None)
-        agents = tuple(agent for agent in agents if agent not in evidence.faults)
+        agents = tuple(agent for agent in agents if agent in observer.answered)
     else:
         values = np.zeros(len(boxes) + len(random) + len(others))
     own, there, theirs = np.split(values, [len(boxes), len(boxes) + len(random)])

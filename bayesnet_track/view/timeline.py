@@ -10,6 +10,7 @@ from bayesnet_track.graph.net import (
     Activated,
     Cause,
     Deactivated,
+    Readmitted,
     StatusChanged,
     Switch,
     TargetStarted,
@@ -225,7 +226,7 @@ def _marks(
     drawn, free = [], -math.inf
     for event in sorted(switches, key=lambda event: event.frame):
         x, y = axes.x(event.frame), axes.y(ud.get(event.frame, axes.low))
-        on = isinstance(event, Activated) or (isinstance(event, Toggled) and event.on)
+        on = isinstance(event, Activated) or (isinstance(event, Toggled | Readmitted) and event.on)
         colour, tip = (UP, -6.0) if on else (DOWN if isinstance(event, Deactivated) else INK, 6.0)
         bar = top + agents.index(event.node) * (BAR + BAR_GAP)
         stem = element(

@@ -12,13 +12,17 @@ from bayesnet_track.graph.net import (
     Activated,
     Cause,
     Deactivated,
+    Fault,
     LocallyAdapted,
     Net,
     Quarantined,
+    Readmitted,
+    Released,
     SelfStopped,
     StatusChanged,
     TargetNet,
     TargetStarted,
+    Toggled,
     apply,
     replay,
 )
@@ -40,8 +44,17 @@ CHANGES = [
         SelfStopped(3, "1", "a", CAUSE, 12),
         {"active": frozenset("b"), "rests_until": {"a": 12}, "rest_count": {"a": 1}},
     ),
-    (Quarantined(3, "1", "a", "raised"), {"active": frozenset("b"), "quarantined": frozenset("a")}),
-    (Quarantined(3, "1", "z", "raised"), {"quarantined": frozenset("z")}),
+    (
+        Quarantined(3, "1", "a", "raised", 13),
+        {"active": frozenset("b"), "quarantined": frozenset("a"), "faults": {"a": Fault(1, 3, 13, True)}},
+    ),
+    (
+        Quarantined(3, "1", "z", "raised", None, 2),
+        {"quarantined": frozenset("z"), "faults": {"z": Fault(2, 3, None, False)}},
+    ),
+    (Readmitted(9, "1", "z", True, 1, 10), {"active": frozenset("abz")}),
+    (Toggled(3, "1", "a", False), {"active": frozenset("b"), "by_hand": {"a": False}}),
+    (Released(3, "1", "a"), {}),
     (StatusChanged(3, "1", "lost", CAUSE), {"status": "lost"}),
     (LocallyAdapted(3, "1", "a", 1, CAUSE), {}),
 ]
@@ -49,7 +62,10 @@ CHANGES = [
 
 def as_dict(net):
     return {
-        name: (n.template, n.active, dict(n.rests_until), dict(n.rest_count), n.quarantined, n.status)
+        name: (
+            *(n.template, n.active, dict(n.rests_until), dict(n.rest_count), n.quarantined, n.status),
+            *(dict(n.by_hand), dict(n.faults)),
+        )
         for name, n in net.targets.items()
     }
 

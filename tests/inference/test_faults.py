@@ -1,11 +1,11 @@
-"""Agents that fail: left out without a trace in what the others say, written down once."""
+"""Agents that fail: left out without a trace in what the others say, written down, tried again later."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from bayesnet_track.graph.net import Quarantined
+from bayesnet_track.graph.net import Quarantined, Readmitted
 
 GIVEN = {"sd_px": {"x": 5.0, "y": 5.0}}
 
@@ -104,7 +104,7 @@ def test_a_fault_leaves_no_trace_but_its_quarantine(fakes, shape, fault):
         assert outcomes[k].metrics == expected[k].metrics
         np.testing.assert_array_equal(outcomes[k].covariances["1"], expected[k].covariances["1"])
     events = [event for outcome in outcomes for event in outcome.events[outcome is outcomes[0] :]]
-    assert events == [Quarantined(1, "1", "bad", reason)]
+    assert events == [Quarantined(1, "1", "bad", reason, 11)]
     assert outcomes[-1].state.net.targets["1"].quarantined == {"bad"}
 
 
@@ -132,7 +132,7 @@ def test_a_plane_that_breaks_later(fakes):
     sees = {"a": fakes.gaussian(52, 41, 9), "b": fakes.Oracle(fakes.flat(), (Flaky("lidar"),))}
     outcomes = fakes.play(fakes.engine(small(product()), sees)[0], 4)
     assert [o.metrics[0].active for o in outcomes] == [("a", "b"), ("a", "b"), ("a",), ("a",), ("a",)]
-    assert outcomes[2].events == (Quarantined(2, "1", "b", "raised OSError: gone"),)
+    assert outcomes[2].events == (Quarantined(2, "1", "b", "raised OSError: gone", 12),)
 
 
 def test_a_partly_impossible_likelihood_is_no_fault(fakes):
@@ -243,8 +243,8 @@ LATER = {
 
 
 @pytest.mark.parametrize("belief", LATER)
-def test_an_agent_that_fails_when_asked_again_in_a_frame_is_out(fakes, belief):
-    """Whatever the belief makes of that answer, the fault is written down and the run goes on."""
+def test_an_agent_that_fails_when_asked_again_in_a_frame_is_as_if_off(fakes, belief):
+    """The frame is weighed anew without it, so that nothing of its first answer is left."""
     calls = []
 
     def at_the_second_call(planes, hypotheses, reference):
@@ -253,7 +253,54 @@ def test_an_agent_that_fails_when_asked_again_in_a_frame_is_out(fakes, belief):
 
     nodes = {**product(), "bad": "root"}
     nodes["root"] = {**nodes["root"], "belief": LATER[belief]}
-    sees = {"a": fakes.gaussian(52, 41, 9), "b": fakes.gaussian(49, 37, 14), "bad": at_the_second_call}
-    outcomes = fakes.play(fakes.engine(nodes, sees)[0], 2)
-    assert outcomes[1].events[-1] == Quarantined(1, "1", "bad", HOSTILE["raises"][1])
-    assert len(calls) == 2 and np.isfinite(outcomes[2].metrics[0].log_evidence)
+    sees = {"a": fakes.gaussian(52, 41, 9), "b": fakes.gaussian(49, 37, 14)}
+    outcomes = fakes.play(fakes.engine(nodes, {**sees, "bad": at_the_second_call})[0], 2)
+    del nodes["bad"]
+    without = fakes.play(fakes.engine(nodes, sees)[0], 2)
+    assert Quarantined(1, "1", "bad", HOSTILE["raises"][1], 11) in outcomes[1].events
+    assert len(calls) == 2
+    assert [o.metrics for o in outcomes[1:]] == [o.metrics for o in without[1:]]
+
+
+def test_an_agent_that_failed_is_tried_again_after_longer_and_longer_waits(fakes):
+    """It fails whenever it is asked: 10 frames out, then 20, then 40; all numbers are those without it."""
+    sees = {"a": fakes.gaussian(52, 41, 9), "b": fakes.gaussian(49, 37, 14)}
+    without = fakes.play(fakes.engine(small(product()), sees)[0], 75)
+    outcomes = fakes.play(fakes.engine(small({**product(), "bad": "root"}), {**sees, "bad": raising})[0], 75)
+    told = [e for o in outcomes for e in o.events if isinstance(e, Quarantined | Readmitted)]
+    reason = HOSTILE["raises"][1]
+    assert told == [
+        Quarantined(1, "1", "bad", reason, 11, 1),
+        Readmitted(10, "1", "bad", True, 1, 10),
+        Quarantined(11, "1", "bad", reason, 31, 2),
+        Readmitted(30, "1", "bad", True, 2, 20),
+        Quarantined(31, "1", "bad", reason, 71, 3),
+        Readmitted(70, "1", "bad", True, 3, 40),
+        Quarantined(71, "1", "bad", reason, 151, 4),
+    ]
+    assert [o.metrics for o in outcomes[1:]] == [o.metrics for o in without[1:]]
+
+
+def test_an_agent_that_recovers_is_on_again_and_begins_anew(fakes):
+    """It fails in frame 1, works from 11 on, ten times as long as it was out, and fails in 112."""
+    frames = iter(range(1, 1000))
+
+    def recovering(planes, hypotheses, reference):
+        # Asked in 1, then from 11 on: the 102nd answer is that of frame 112.
+        return raising(planes, hypotheses, reference) if next(frames) in (1, 103) else np.full(60, -0.1)
+
+    nodes = small({**product(), "bad": "root"})
+    sees = {"a": fakes.gaussian(52, 41, 9), "b": fakes.gaussian(49, 37, 14), "bad": recovering}
+    outcomes = fakes.play(fakes.engine(nodes, sees)[0], 113)
+    assert [o.metrics[0].active for o in outcomes[10:12]] == [("a", "b"), ("a", "b", "bad")]
+    told = [(e.frame, e.times) for o in outcomes for e in o.events if isinstance(e, Quarantined)]
+    assert told == [(1, 1), (112, 1)]
+
+
+def test_with_every_agent_failing_the_target_is_lost_and_never_sure(fakes):
+    nodes = {"root": {"fuse": "product", "belief": {"particles": {"size": 200}}}, "a": "root", "b": "root"}
+    outcomes = fakes.play(fakes.engine(nodes, {"a": raising, "b": raising})[0], 9)
+    ud = [o.metrics[0].ud_px2 for o in outcomes[1:]]
+    assert ud == sorted(ud) and ud[-1] > 4 * ud[0]
+    assert all(o.metrics[0].status == "lost" for o in outcomes[4:])
+    assert all(o.metrics[0].score < 0.05 for o in outcomes[4:])

@@ -22,6 +22,7 @@ from bayesnet_track.graph.net import (
     Deactivated,
     LocallyAdapted,
     Quarantined,
+    Readmitted,
     Released,
     SelfStopped,
     StatusChanged,
@@ -121,8 +122,25 @@ GOLDEN = [
         "may be switched on again from frame 160; would have gone on at self_check ≥ 2601",
     ),
     (
-        Quarantined(110, "1", "hue", "3 of 500 values are NaN"),
-        "frame 110: hue failed: 3 of 500 values are NaN → out for the rest of the run",
+        Quarantined(110, "1", "hue", "3 of 500 values are NaN", 120),
+        "frame 110: hue failed: 3 of 500 values are NaN → out for 10 frames, tried again in frame 120",
+    ),
+    (
+        Quarantined(110, "1", "hue", "3 of 500 values are NaN", 150, 3),
+        "frame 110: hue failed, the 3rd time in a row: 3 of 500 values are NaN → out for 40 frames, "
+        "tried again in frame 150",
+    ),
+    (
+        Quarantined(0, "1", "hue", "needs colour, and the source is gray"),
+        "frame 0: hue failed: needs colour, and the source is gray → out for the rest of the run",
+    ),
+    (
+        Readmitted(119, "1", "hue", True, 1, 10),
+        "frame 119: hue was out for 10 frames after failing → on again",
+    ),
+    (
+        Readmitted(149, "1", "hue", False, 3, 40),
+        "frame 149: hue was out for 40 frames after failing 3 times in a row → may be switched on again",
     ),
     (
         Toggled(111, "1", "hue", False),

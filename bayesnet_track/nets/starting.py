@@ -1,0 +1,119 @@
+"""How a target starts, and starts again where it is found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.guard import watch
+from bayesnet_track.adapt.learn import learn_first
+from bayesnet_track.adapt.memory import Memory, Streak
+from bayesnet_track.belief.bounds import Confined
+from bayesnet_track.cue import Reference
+from bayesnet_track.graph.net import Decision, Quarantined, TargetStarted
+from bayesnet_track.inference.compile import compile_plan
+from bayesnet_track.inference.parts import nominal_boxes
+from bayesnet_track.journal.events import FrameMetrics
+from bayesnet_track.machinery import Engine
+from bayesnet_track.nets.frame_metrics import first_frame_metrics
+from bayesnet_track.nets.predicting import outlook
+from bayesnet_track.nets.state import TargetState, inside_frame
+from bayesnet_track.planes import Frame, FramePair, PlaneCache
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Born:
+    """A target that starts in a frame: its state, the decisions, and what is written down of it."""
+
+    state: TargetState
+    decisions: tuple[Decision, ...]
+    metrics: FrameMetrics
+
+
+def start(
+    engine: Engine,
+    frame: Frame,
+    previous: Frame | None,
+    target: str,
+    template: str,
+    box: Floats,
+    known: Mapping[str, Reference] = MappingProxyType({}),
+) -> Born:
+    """A net for the target inside the centre box (4,) of `frame`: references learnt, belief placed.
+
+    The belief of the first frame is the box itself; hypotheses spread with the first prediction. An agent
+    that cannot learn its reference, or that needs colour where the frame has none, is out for the whole run.
+    `known` are references that agents have already and need not learn.
+    """
+    machine = engine.machinery[template]
+    active = tuple(agent for agent in machine.plate.agents if machine.plate.agent(agent).active)
+    stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
+    parts = {part: inside_frame(at, frame) for part, at in nominal_boxes(machine.plate, box).items()}
+    own = {agent: parts[part] for agent, part in machine.part_of.items()}
+    unknown = {agent: cue for agent, cue in machine.cues.items() if agent not in known}
+    cache, roll = PlaneCache(FramePair(frame, previous)), engine.absent.roll(target, "starting")
+    learnt, faults = learn_first(unknown, cache, box, own, engine.executor, roll)
+    faults |= {agent: f"gave no first reference: {reason}" for agent, reason in roll.missed.items()}
+    references = {**learnt, **known}
+    if not frame.has_color:
+        faults |= dict.fromkeys(sorted(machine.color_agents), "needs colour, and the source is gray")
+    x, y, w, h = (float(v) for v in box)
+    decisions: list[Decision] = [
+        TargetStarted(frame.index, target, template, (x, y, w, h), active),
+        # Without a reference there is nothing to try again with.
+        *(Quarantined(frame.index, target, agent, reason) for agent, reason in faults.items()),
+    ]
+    working = tuple(agent for agent in active if agent not in faults)
+    born = TargetState(
+        belief=machine.belief.start(box, Confined(machine.motion, frame.width, frame.height), stream),
+        references=references,
+        memory=Memory(),
+        plan=compile_plan(machine.plate, working, machine.cues),
+        time=frame.time,
+        watched=watch(references, machine.looks, machine.guard),
+        outlook=outlook(machine, box, FramePair(frame, previous)),
+    )
+    metrics = first_frame_metrics(frame, target, len(born.belief), working, box, parts)
+    return Born(born, tuple(decisions), metrics)
+
+
+def restart(
+    engine: Engine,
+    frame: Frame,
+    previous: Frame | None,
+    target: str,
+    template: str,
+    box: Floats,
+    before: TargetState,
+) -> TargetState:
+    """The target as it was, its belief in the centre box (4,): agents that know its looks remember them."""
+    machine = engine.machinery[template]
+    stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
+    placed = {agent: cue for agent, cue in machine.cues.items() if agent not in machine.looks}
+    parts = {part: inside_frame(at, frame) for part, at in nominal_boxes(machine.plate, box).items()}
+    own = {agent: parts[part] for agent, part in machine.part_of.items()}
+    cache, roll = PlaneCache(FramePair(frame, previous)), engine.absent.roll(target, "starting")
+    learnt, _ = learn_first(placed, cache, box, own, engine.executor, roll)
+    return replace(
+        before,
+        belief=machine.belief.start(box, Confined(machine.motion, frame.width, frame.height), stream),
+        references={**before.references, **learnt},
+        memory=replace(
+            before.memory,
+            activate={},
+            deactivate={},
+            lost=Streak(),
+            found=Streak(),
+            seen=Streak(),
+            unsure=Streak(),
+        ),
+        scored=replace(before.scored, smooth={}),
+        time=frame.time,
+    )

@@ -1,0 +1,76 @@
+"""What is known of one live target between frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.guard import Watched
+from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.belief.contract import Posterior
+from bayesnet_track.cue import Reference
+from bayesnet_track.graph.net import Decision, Net, apply
+from bayesnet_track.inference.compile import Plan, compile_plan
+from bayesnet_track.machinery import Engine
+from bayesnet_track.nets.predicting import Outlook
+from bayesnet_track.nets.score import Scored
+from bayesnet_track.planes import Frame
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class TargetState:
+    """What is known of one live target.
+
+    Attributes:
+        belief: the posterior of the last frame.
+        references: agent -> what it remembers.
+        memory: what the rules remember.
+        plan: the compiled net.
+        time: time of the last frame, frame intervals.
+        watched: the slow references that guard the others against drift.
+        outlook: what its motion depends on besides its states; None when on nothing.
+        scored: what its score remembers.
+    """
+
+    belief: Posterior
+    references: Mapping[str, Reference]
+    memory: Memory
+    plan: Plan
+    time: float
+    watched: Watched = field(default_factory=Watched)
+    outlook: Outlook | None = None
+    scored: Scored = field(default_factory=Scored)
+
+
+def applied(net: Net, decisions: Iterable[Decision]) -> Net:
+    """The net after the decisions, in their order."""
+    for decision in decisions:
+        net = apply(net, decision)
+    return net
+
+
+def recompiled(engine: Engine, net: Net, target: str, state: TargetState) -> TargetState:
+    """The state with its plan compiled again when its active agents changed."""
+    live = net.targets[target]
+    if live.active == state.plan.active:
+        return state
+    machine = engine.machinery[live.template]
+    return replace(state, plan=compile_plan(machine.plate, live.active, machine.cues))
+
+
+def inside_frame(box: Floats, frame: Frame) -> Floats:
+    """The box with its centre on the image, so that tracks and references stay meaningful."""
+    x, y, w, h = box.tolist()
+    return np.array(
+        [
+            min(max(x, 0.0), frame.width - 1.0),
+            min(max(y, 0.0), frame.height - 1.0),
+            min(max(w, 1.0), 2.0 * frame.width),
+            min(max(h, 1.0), 2.0 * frame.height),
+        ]
+    )
