@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import argparse
 import shutil
-import sys
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesnet_track.commands.answer import BAD_OUTPUT, INCOMPLETE, OK, UsageError, complain, unheard
+from bayesnet_track.commands.answer import BAD_OUTPUT, INCOMPLETE, OK, UsageError, complain
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
@@ -64,18 +62,12 @@ def _track_again(
     options: argparse.Namespace, first: Run, recipe: Recipe, graph: CheckedGraph, out: Path
 ) -> int:
     """The run of a recipe with another graph or seed; what came from outside then comes again."""
-    from bayesnet_track.commands.tracking import _say_end as say_end
-    from bayesnet_track.commands.tracking import _show as show
-    from bayesnet_track.runtime.progress import Progress
+    from bayesnet_track.commands.tracking import follow
     from bayesnet_track.runtime.run import Summary
     from bayesnet_track.runtime.session import track
 
     summary = Summary()
-    with ExitStack() as stack:
-        source = stack.enter_context(recipe.opened())
-        progress = Progress(sys.stderr, source.expected_frames, sys.stderr.isatty(), options.log_json)
-        if not options.quiet:
-            stack.callback(unheard, progress.finish)
+    with recipe.opened() as source:
         results = track(
             graph,
             source,
@@ -87,14 +79,4 @@ def _track_again(
             overwrite=options.overwrite,
             summary=summary,
         )
-        stack.callback(results.close)
-        for result in results:
-            if not options.quiet:
-                show(progress, summary, result)
-            if options.stop.between_frames():
-                break
-    say_end(out, summary)
-    if options.stop.signal is not None:
-        return int(options.stop.exit_code)
-    options.stop.is_patient = False
-    return OK if summary.complete else INCOMPLETE
+        return follow(options, results, summary, source.expected_frames, out)
