@@ -1,0 +1,96 @@
+"""Graphs of cues that worker processes can import, tracked by any executor."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bayesnet_track.cue import Hypotheses
+from bayesnet_track.engine import State, make_engine, start_target, step
+from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
+from bayesnet_track.runtime.executors import make_executor
+
+
+@pytest.fixture
+def placed(monkeypatch, fakes):
+    """`placed.cues`; `placed.engine(executor, nodes)`; `placed.play(...)`, every frame's outcome."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parent / "cues"))
+    cues = importlib.import_module("placed_cues").CUES
+
+    def nodes(**agents):
+        own = {
+            name: {"parent": "root", "agent": {cue: {"engine": os.getpid(), **more}}}
+            for name, (cue, more) in agents.items()
+        }
+        root = {"fuse": "product", "belief": {"particles": {"size": 50}}, "learn": {"below": {"ud_px2": 1e6}}}
+        return {"root": root, **own}
+
+    def graph(agents):
+        return fakes.graph(nodes(**agents), cues)
+
+    @contextmanager
+    def executing(agents, kind, **settings):
+        with make_executor(kind, cues=cues, **settings) as executor:
+            yield executor.engine(make_engine(graph(agents), 0, cues)), executor
+
+    def frames(count=6):
+        rng = np.random.default_rng(4)
+        return [Frame(n, float(n), rng.integers(0, 255, (100, 120, 3), dtype=np.uint8)) for n in range(count)]
+
+    def play(engine, count=6, before=lambda frame: None):
+        """Every frame's outcome; `before` is called with the number of each but the first."""
+        state, outcomes = State(), []
+        for frame in frames(count):
+            if not outcomes:
+                outcome = start_target(engine, state, frame, "1", "plate", np.array(fakes.START))
+            else:
+                before(frame.index)
+                outcome = step(engine, state, frame)
+            state = outcome.state
+            outcomes.append(outcome)
+        return outcomes
+
+    def run(agents, kind="serial", count=6, **settings):
+        with executing(agents, kind, **settings) as (engine, _):
+            return play(engine, count)
+
+    return SimpleNamespace(
+        cues=cues,
+        graph=graph,
+        executing=executing,
+        frames=frames,
+        play=play,
+        run=run,
+        cache=lambda: PlaneCache(FramePair(frames(1)[0], None)),
+        region=Region(0, 0, 120, 100),
+        box=np.array(fakes.START),
+        hypotheses=Hypotheses(np.array([fakes.START, (60.0, 40.0, 20.0, 20.0)])),
+    )
+
+
+@pytest.fixture
+def told():
+    """What an outcome says, to be compared bit by bit."""
+
+    def of(outcomes):
+        return [
+            (
+                [(m.box, m.ud_px2, m.active) for m in outcome.metrics],
+                outcome.events,
+                {
+                    target: {
+                        agent: {n: v.tobytes() for n, v in ref.items()} for agent, ref in s.references.items()
+                    }
+                    for target, s in outcome.state.targets.items()
+                },
+            )
+            for outcome in outcomes
+        ]
+
+    return of

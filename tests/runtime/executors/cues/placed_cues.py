@@ -1,0 +1,144 @@
+"""Cues for worker processes, which import them by name: well behaved until told otherwise."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Literal
+
+import numpy as np
+
+from bayesnet_track.cue import CueDeclaration, CueParameters, Measurement, blend_arrays
+
+ENGINE = os.getpid()
+"""Where this was first imported: what is done to a worker only is not done there."""
+
+
+class Parameters(CueParameters):
+    how: Literal[
+        "well", "raise", "own error", "die", "exit", "hang", "deaf", "eat", "short", "words", "stranger"
+    ] = "well"
+    at: int = 3
+    engine: int = 0
+    times: str = ""
+    x: float = 55.0
+    work: int = 0
+
+
+@dataclass(frozen=True)
+class Mean:
+    """The gray level of the picture in `WholePicture`'s words: something that depends on both frames."""
+
+    margin: None = None
+    inputs: tuple = ()
+    is_points: bool = True
+
+    def compute(self, frames, inputs, region):
+        before = 0.0 if frames.previous is None else float(frames.previous.image.mean())
+        return np.array([float(frames.current.image.mean()), before])
+
+
+class OwnError(Exception):
+    def __str__(self):
+        return "of my own"
+
+
+def misbehave(p, index):
+    """What is done in frame `at`; with `times`, a file, only as often as it has lines."""
+    if index != p.at or os.getpid() == p.engine:
+        return None
+    if p.times:
+        left = Path(p.times).read_text().splitlines()
+        if not left:
+            return None
+        Path(p.times).write_text("\n".join(left[1:]))
+    match p.how:
+        case "raise":
+            raise ValueError(f"no good in frame {index}")
+        case "own error":
+            raise OwnError
+        case "die":
+            os.kill(os.getpid(), signal.SIGKILL)
+        case "exit":
+            os._exit(7)
+        case "hang":
+            time.sleep(3600)
+        case "deaf":
+            for number in range(1, 64):
+                if number not in (signal.SIGKILL, signal.SIGSTOP):
+                    try:
+                        signal.signal(number, signal.SIG_IGN)
+                    except (OSError, ValueError):
+                        continue
+            time.sleep(3600)
+        case "eat":
+            eaten = [np.ones(1 << 24) for _ in range(64)]
+            raise AssertionError(f"{sys.getsizeof(eaten)} were not refused")
+    return p.how
+
+
+@dataclass(frozen=True)
+class Placed:
+    parameters: Parameters
+    needs: tuple = (Mean(),)
+    context = 0.5
+
+    def learn(self, planes, box):
+        return {"box": np.array(box), "big": np.full(1000, planes[self.needs[0]][0])}
+
+    def blend(self, old, new, rate):
+        return blend_arrays(old, new, rate)
+
+    def log_likelihood(self, planes, hypotheses, reference):
+        p = self.parameters
+        for _ in range(p.work):
+            np.sin(np.arange(200_000.0)).sum()
+        what = misbehave(p, planes.frame.index)
+        if what == "short":
+            return np.zeros(len(hypotheses) - 1)
+        if what == "words":
+            return ["good"] * len(hypotheses)
+        now, before = planes[self.needs[0]]
+        away = hypotheses.boxes[:, 0] - p.x - 0.1 * now + 0.1 * before + 0.001 * reference["big"][7]
+        return np.log(0.02 + 0.98 * np.exp(-0.5 * (away / 15.0) ** 2))
+
+
+@dataclass(frozen=True)
+class PlacedMeasurer:
+    parameters: Parameters
+    needs: tuple = (Mean(),)
+
+    def learn(self, planes, box):
+        return {"box": np.array(box)}
+
+    def blend(self, old, new, rate):
+        return blend_arrays(old, new, rate)
+
+    def measure(self, planes, hypotheses, weights, reference):
+        if misbehave(self.parameters, planes.frame.index) == "stranger":
+            return SimpleNamespace(mean=3)
+        return Measurement(("x", "y"), weights @ hypotheses.boxes[:, :2], np.diag([9.0, 16.0]))
+
+    def adapt(self, reference, attempt):
+        return {"box": reference["box"] + 1.0} if attempt < 2 else None
+
+
+def make(parameters):
+    return Placed(parameters)
+
+
+def make_measurer(parameters):
+    return PlacedMeasurer(parameters)
+
+
+CUES = {
+    "placed": CueDeclaration("placed", "", Parameters, make),
+    "placed_measurer": CueDeclaration("placed_measurer", "", Parameters, make_measurer),
+    "kept": CueDeclaration("kept", "", Parameters, make, opaque=True),
+    "unnamed": CueDeclaration("unnamed", "", Parameters, lambda parameters: Placed(parameters)),
+}

@@ -1,0 +1,70 @@
+"""Agents in worker processes answer as they do in the engine's, whatever happens to the processes."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+
+from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.runtime.executors.workers import Limits
+
+TWO = {"a": ("placed", {}), "b": ("placed_measurer", {})}
+
+
+def test_the_same_to_the_last_bit_though_workers_are_killed_in_every_frame(placed, told):
+    with placed.executing(TWO, "processes", workers=2) as (engine, executor):
+
+        def kill(frame):
+            workers = executor.processes.workers()
+            assert [agents for agents in workers.values()] == [("plate.a",), ("plate.b",)]
+            for pid in workers:
+                os.kill(pid, signal.SIGKILL)
+
+        assert told(placed.play(engine, before=kill)) == told(placed.run(TWO))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["die", "exit"])
+def test_a_worker_that_dies_once_is_asked_again(placed, told, tmp_path, how):
+    left = tmp_path / "left"
+    left.write_text("once\nand again")
+    agents = {**TWO, "c": ("placed", {"how": how, "times": str(left)})}
+    outcomes = placed.run(agents, "processes", workers=2)
+    assert left.read_text() == ""
+    assert told(outcomes) == told(placed.run(agents))
+
+
+UNAVAILABLE = {
+    "die": "its process was killed by SIGKILL, 3 times",
+    "exit": "its process ended with exit code 7, 3 times",
+    "hang": "gave no answer in 0.3 s, and was killed, 3 times",
+    "deaf": "gave no answer in 0.3 s, and was killed, 3 times",
+    "eat": "needs more than 200 MB above what its process starts with, 3 times",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", UNAVAILABLE)
+def test_what_cannot_be_had_is_told_with_the_reason(placed, how):
+    limits = Limits(answer_s=0.3, first_s=0.3, memory_mb=200) if how != "eat" else Limits(memory_mb=200)
+    with placed.executing({"a": ("placed", {"how": how, "at": 0})}, "processes", limits=limits) as made:
+        engine, _ = made
+        cue, cache = next(iter(engine.machinery["plate"].cues.values())), placed.cache()
+        planes = cache.planes(cue.needs, placed.region)
+        learnt = cue.learn(planes, placed.box)
+        with pytest.raises(AgentUnavailable) as raised:
+            cue.log_likelihood(planes, placed.hypotheses, learnt)
+        assert str(raised.value) == UNAVAILABLE[how]
+        assert cue.learn(planes, placed.box)["big"].tobytes() == learnt["big"].tobytes()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["raise", "own error", "short", "words"])
+def test_a_fault_is_told_in_the_same_words(placed, told, how):
+    agents = {"a": ("placed", {"how": how, "engine": 0}), "b": ("placed_measurer", {})}
+    outcomes = placed.run(agents, "processes", workers=1)
+    faults = [event.reason for outcome in outcomes for event in outcome.events if hasattr(event, "reason")]
+    assert len(faults) == 1
+    assert told(outcomes) == told(placed.run(agents))

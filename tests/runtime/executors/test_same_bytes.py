@@ -1,0 +1,62 @@
+"""Every executor writes the same bytes."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+
+from bayesnet_track.commands.tracking import SCENE_GRAPHS
+from bayesnet_track.graph.load import load_graph
+from bayesnet_track.runtime.executors import make_executor
+from bayesnet_track.runtime.scene_source import SceneSource
+from bayesnet_track.runtime.session import track
+from bayesnet_track.runtime.starts import Start, has_births
+from bayesnet_track.scenes import make_scene
+
+FILES = ("journal.jsonl", "frames.jsonl", "tracks.txt", "tracks.csv")
+EXECUTORS = [("threads", 1), ("threads", 2), ("threads", 8), ("processes", 1), ("processes", 2)]
+SCENES = {"two_squares": 45, "person_color_stereo": 25, "crowd": 20, "flying_ball": 30, "person_parts": 10}
+
+
+@pytest.fixture
+def written(tmp_path):
+    """The bytes of a run's files; `each_frame` is called with every result and the executor."""
+
+    def run(name, kind, workers, frames, each_frame=lambda result, executor: None):
+        scene = make_scene(name, seed=3)
+        graph = load_graph(SCENE_GRAPHS.get(name, "two_squares"))
+        starts = [Start(box, plate) for plate, box in scene.starts if plate in graph.targets]
+        starts = [] if has_births(graph) else starts or [Start(scene.start_box)]
+        out = tmp_path / f"{kind} {workers}"
+        executor = make_executor(kind, workers=workers)
+        source = SceneSource(scene, f"scene:{name}", frames)
+        for result in track(graph, source, starts or None, out=out, executor=executor):
+            each_frame(result, executor)
+        return {file: (out / file).read_bytes() for file in FILES}
+
+    return run
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENES)
+def test_the_files_are_the_same(written, name):
+    expected = written(name, "serial", 1, SCENES[name])
+    assert all(expected.values())
+    for kind, workers in EXECUTORS:
+        assert written(name, kind, workers, SCENES[name]) == expected, (kind, workers)
+
+
+@pytest.mark.slow
+def test_the_files_are_the_same_though_workers_are_killed(written):
+    killed = []
+
+    def kill(result, executor):
+        if result.frame.index % 3 == 2:
+            for pid in executor.processes.workers():
+                os.kill(pid, signal.SIGKILL)
+                killed.append(pid)
+
+    assert written("two_squares", "processes", 2, 30, kill) == written("two_squares", "serial", 1, 30)
+    assert len(killed) == 20
