@@ -8,14 +8,19 @@ from bayesnet_track.arguments import whole_number
 
 
 def add_executor_options(parser: argparse.ArgumentParser) -> None:
-    """`--executor`, `--workers`, `--place`, `--agent-timeout`, `--agent-memory`."""
+    """`--executor`, `--ray-address`, `--workers`, `--place`, `--agent-timeout`, `--agent-memory`."""
     group = parser.add_argument_group("how agents are asked (changes no result)")
     group.add_argument(
         "--executor",
-        choices=["serial", "threads", "processes"],
+        choices=["serial", "threads", "processes", "ray"],
         default="serial",
-        help="one after the other, side by side in threads, or in supervised worker processes "
-        "(default serial)",
+        help="one after the other, side by side in threads, in supervised worker processes, or on a Ray "
+        "cluster (default serial)",
+    )
+    group.add_argument(
+        "--ray-address",
+        metavar="ADDRESS",
+        help="of a Ray cluster for --executor ray: auto, HOST:PORT or ray://HOST:PORT (default: start one here)",
     )
     group.add_argument(
         "--workers",

@@ -72,7 +72,7 @@ class FrameStore:
         for held, shared in self._held:
             if held is frame:
                 return shared
-        other = _pixels(frame.depth)
+        other = pixels_of(frame.depth)
         size = _aligned(frame.image.nbytes) + (0 if other is None else _aligned(other.nbytes))
         if size > self._slot_size:
             self._grow(size)
@@ -156,7 +156,8 @@ class FrameView:
         return array
 
 
-def _pixels(depth: Depth | None) -> Array | None:
+def pixels_of(depth: Depth | None) -> Array | None:
+    """The other eye's picture, or the points."""
     if depth is None:
         return None
     return depth.image if isinstance(depth, RightEye) else depth.points

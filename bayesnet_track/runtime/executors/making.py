@@ -13,7 +13,8 @@ from bayesnet_track.cue import CueDeclaration
 from bayesnet_track.engine import Engine
 from bayesnet_track.executor import Executor, Serial
 from bayesnet_track.runtime.executors.placing import Place, employed_of, places_of, with_proxies
-from bayesnet_track.runtime.executors.processes import Processes
+from bayesnet_track.runtime.executors.processes import Employed, Processes
+from bayesnet_track.runtime.executors.ray_actors import RayActors
 from bayesnet_track.runtime.executors.single import one_thread_inside
 from bayesnet_track.runtime.executors.threads import Threads
 from bayesnet_track.runtime.executors.workers import Limits
@@ -29,7 +30,7 @@ class Executing:
     Attributes:
         kind: its name.
         workers: threads or processes at work at a time.
-        processes: the worker processes, when the engine has agents in some.
+        processes: the worker processes, or Ray's actors, when the engine has agents in some.
     """
 
     def __init__(
@@ -41,11 +42,12 @@ class Executing:
         limits: Limits,
         retries: int,
         cues: Mapping[str, CueDeclaration] | None,
+        ray_address: str | None,
     ) -> None:
         self.kind, self.workers = kind, workers
-        self.processes: Processes | None = None
+        self.processes: Processes | RayActors | None = None
         self._default, self._places, self._limits = default, places, limits
-        self._retries, self._cues = retries, cues
+        self._retries, self._cues, self._ray_address = retries, cues, ray_address
         self._open = ExitStack()
 
     def __enter__(self) -> Self:
@@ -70,10 +72,15 @@ class Executing:
         places = places_of(engine, self._default, self._places, self._cues)
         employed = employed_of(engine, places, self._cues)
         if employed:
-            self.processes = Processes(employed, self.workers, self._limits, self._retries)
+            self.processes = self._staff(employed)
             self._open.callback(self.processes.close)
             engine = with_proxies(engine, places, self.processes)
         return replace(engine, executor=self._pool(len(employed)))
+
+    def _staff(self, employed: Mapping[str, Employed]) -> Processes | RayActors:
+        if self.kind == "ray":
+            return RayActors(employed, self._limits, self._retries, self._ray_address)
+        return Processes(employed, self.workers, self._limits, self._retries)
 
     def _pool(self, waiting: int) -> Executor:
         """Serial asks agents in processes one after the other; else a thread waits for each of them."""
@@ -86,7 +93,7 @@ class Executing:
 
 
 EXECUTORS: Mapping[str, Place] = MappingProxyType(
-    {"serial": "engine", "threads": "engine", "processes": "process"}
+    {"serial": "engine", "threads": "engine", "processes": "process", "ray": "process"}
 )
 """Name of an executor -> where agents work that are put nowhere."""
 
@@ -99,6 +106,7 @@ def make_executor(
     limits: Limits = Limits(),  # noqa: B008  (immutable)
     retries: int = 2,
     cues: Mapping[str, CueDeclaration] | None = None,
+    ray_address: str | None = None,
 ) -> Executing:
     """An executor by name, a context manager::
 
@@ -106,12 +114,13 @@ def make_executor(
             engine = executor.engine(make_engine(graph))
 
     Args:
-        kind: serial, threads or processes.
+        kind: serial, threads, processes or ray.
         workers: threads or processes at work at a time; as many as the machine has processors when None.
         places: AGENT or PLATE.AGENT -> "engine" or "process", before what the graph says with `on`.
         limits: what a worker process may take.
         retries: how often an agent whose worker was lost is asked again; 0 where frames do not wait.
         cues: declarations by name, where not the installed ones.
+        ray_address: of the Ray cluster, such as "auto" or "ray://host:10001"; None starts one here.
 
     Raises:
         ValueError: there is no such executor, or `workers` is less than 1.
@@ -121,4 +130,4 @@ def make_executor(
     number = os.cpu_count() or 1 if workers is None else workers
     if number < 1:
         raise ValueError(f"{number} workers: at least 1 is needed")
-    return Executing(kind, number, EXECUTORS[kind], places, limits, retries, cues)
+    return Executing(kind, number, EXECUTORS[kind], places, limits, retries, cues, ray_address)

@@ -1,4 +1,4 @@
-"""How much memory this process has."""
+"""How much memory this process has, and may have."""
 
 from __future__ import annotations
 
@@ -16,3 +16,12 @@ def own_bytes() -> int:
         import resource
 
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
+
+
+def limit_memory(megabytes: int) -> None:
+    """Let this process have so much above what it has now; 0 does not limit it."""
+    if megabytes > 0:
+        import resource
+
+        limit = own_bytes() + (megabytes << 20)
+        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))

@@ -64,7 +64,7 @@ class Processes:
         self, agents: Mapping[str, Employed], workers: int, limits: Limits, retries: int = 2
     ) -> None:
         for agent, employed in agents.items():
-            _check_sendable(agent, employed)
+            check_sendable(agent, employed)
         self.retries, self.deadline = retries, None
         self._agents, self._limits = agents, limits
         self._slots = [_Slot() for _ in range(max(1, min(workers, len(agents))))]
@@ -111,7 +111,7 @@ class Processes:
                     continue
                 self._spent[agent] += answer.seconds
                 if answer.raised is not None:
-                    raise _again(*answer.raised)
+                    raise again(*answer.raised)
                 if isinstance(answer.value, Foreign):
                     return type(answer.value.type_name, (), {})()
                 return answer.value
@@ -204,13 +204,14 @@ class Processes:
             slot.lock.release()
 
 
-def _again(name: str, text: str) -> Exception:
+def again(name: str, text: str) -> Exception:
     """An exception with the type's name and the text of one that a worker told of."""
     kind: type[Exception] = type(name, (Exception,), {})
     return kind(text)
 
 
-def _check_sendable(agent: str, employed: Employed) -> None:
+def check_sendable(agent: str, employed: Employed) -> None:
+    """Refuse an agent whose cue cannot be made elsewhere; raises PlacingError."""
     try:
         pickle.dumps((employed.make, employed.parameters), protocol=5)
     except Exception as error:

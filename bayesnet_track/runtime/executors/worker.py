@@ -18,6 +18,7 @@ import sys
 import time
 from multiprocessing.connection import Connection
 
+from bayesnet_track.runtime.executors.memory import limit_memory
 from bayesnet_track.runtime.executors.nursery import END_S, NUMBER, WORKER
 
 POLL_S = 0.002
@@ -91,7 +92,7 @@ def _work(channel: int, lifeline: int, frames: int, memory_mb: int) -> None:
     code = 1
     try:
         _die_with(lifeline)
-        _limit(memory_mb)
+        limit_memory(memory_mb)
         _serve(Connection(channel), frames, memory_mb > 0)
         code = 0
     except BaseException:
@@ -115,17 +116,6 @@ def _die_with(lifeline: int) -> None:
         gone = False
     if gone:  # before the signal was asked for
         os._exit(1)
-
-
-def _limit(memory_mb: int) -> None:
-    """Let the process have `memory_mb` above what it has now; 0 does not limit it."""
-    if memory_mb > 0:
-        import resource
-
-        from bayesnet_track.runtime.executors.memory import own_bytes
-
-        limit = own_bytes() + (memory_mb << 20)
-        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 
 
 def _serve(channel: Connection, frames: int, is_limited: bool) -> None:
