@@ -203,13 +203,19 @@ def test_a_damaged_cache_is_named(monkeypatch, tmp_path):
     assert only(selftest.check_tracking()).level == "ok"
 
 
-def test_plug_ins_that_cannot_be_loaded_are_told_package_by_package(site, tmp_path):
-    points = "[bayesnet_track.cues]\na = no_such_module:CUE\nb = no_such_module:CUE\n"
-    points += "[bayesnet_track.detectors]\nc = json:dumps\n"
-    distribution(site, "glow-cue", "1", entry_points__txt=points)
-    found = only(selftest.check_plugins())
-    assert found.level == "broken" and "glow-cue cannot load the cue 'a': ModuleNotFoundError" in found.text
-    assert found.text.endswith("; and 2 more") and "--upgrade glow-cue" in found.cure
+def test_plug_ins_that_cannot_be_loaded_and_those_that_are_not_even_there(site):
+    """What other packages declare is not loaded: that would run their code."""
+    points = (
+        "[bayesnet_track.cues]\na = json:NOTHING\nb = json:NOTHING\n[bayesnet_track.detectors]\nc = json:d\n"
+    )
+    distribution(site, "bayesnet-track", "1", entry_points__txt=points)
+    other = "[bayesnet_track.cues]\ngone = no_such_module:CUE\nthere = present:CUE\n"
+    distribution(site, "glow-cue", "1", entry_points__txt=other)
+    (site / "present.py").write_text("raise SystemExit('it ran')")
+    first, second = selftest.check_plugins()
+    assert (first.level, second.level) == ("broken", "broken")
+    assert "cue 'a': AttributeError" in first.text and first.text.endswith("; and 2 more")
+    assert "glow-cue declares the cue 'gone', and no_such_module is not there" in second.text
 
 
 # ------------------------------------------------------------------------------------ the command

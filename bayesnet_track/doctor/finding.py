@@ -45,7 +45,7 @@ class Trial:
 
 def try_code(code: str, *arguments: str, timeout_s: float = 60.0) -> Trial:
     """Run `code` in a process of its own: a library that crashes or hangs there leaves this one alone."""
-    line = [sys.executable, "-c", code, *arguments]
+    line = [sys.executable, "-P", "-c", code, *arguments]
     # The folder that this package came from, so that the other process finds the same one.
     environment = {**os.environ, "PYTHONIOENCODING": "utf-8", "PYTHONPATH": os.pathsep.join(_path())}
     try:
