@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from bayesnet_track.cue import CueParameters
+from bayesnet_track.display import html_of
 from bayesnet_track.graph.spec import AgentNode, GraphSpec, InferenceNode, Target
 
 
@@ -65,3 +66,11 @@ class CheckedGraph:
     spec: GraphSpec
     targets: Mapping[str, CheckedTarget]
     text: str
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the picture of each net."""
+        return html_of(self, "graph_html")
+
+    def _repr_svg_(self) -> str:
+        """For notebooks: the picture of the first plate's net."""
+        return html_of(self, "graph_picture")

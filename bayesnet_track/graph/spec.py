@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
 
+from bayesnet_track.display import html_of
 from bayesnet_track.graph.adapt_settings import (
     Activate,
     Adapt,
@@ -264,3 +265,7 @@ class GraphSpec(Model):
     joins: tuple[Join, ...] = Field(
         default=(), max_length=64, description="how targets depend on each other; default not at all"
     )
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the picture of each net, or what is wrong with the graph."""
+        return html_of(self, "spec_html")

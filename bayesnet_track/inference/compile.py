@@ -97,6 +97,28 @@ class Plan:
     planes: tuple[Plane, ...]
     idle_planes: Mapping[str, tuple[Plane, ...]]
 
+    def _repr_html_(self) -> str:
+        """For notebooks: what is done in which order, as a table."""
+        from bayesnet_track.view.notebook import table
+
+        planes = ", ".join(map(str, self.planes)) or "none"
+        draws = [("prior down", draw.node, f"drawn from {draw.given_from}") for draw in self.draws]
+        asked = [
+            (
+                "observe",
+                one.agent,
+                f"{'measures' if one.measures else 'scores the hypotheses of'} {one.at}"
+                + (f", temperature {one.temperature:g}" if one.temperature != 1.0 else ""),
+            )
+            for one in self.observations
+        ]
+        joined = [
+            ("likelihoods up", one.node, f"{one.kind} of {', '.join(one.children)}") for one in self.joins
+        ]
+        idle = [("off", agent, "") for agent in self.idle_planes]
+        rows = [("planes", self.target, planes), *draws, *asked, *joined, *idle]
+        return table(rows, ("step", "node", "what"))
+
 
 def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str, AnyCue]) -> Plan:
     """The plan of `target` with the agents `active`; `cues` maps every agent to its implementation."""

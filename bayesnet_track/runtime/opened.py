@@ -20,6 +20,8 @@ from bayesnet_track.journal.reader import Notice, read_events, read_metrics
 from bayesnet_track.runtime.interchange import Detections
 from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.tables import AGENT_COLUMNS, TRACK_COLUMNS, Row, agent_rows, columns, track_rows
+from bayesnet_track.view.notebook import run_html
+from bayesnet_track.view.timeline import draw_timeline
 
 
 def open_run(path: str | PathLike[str], notice: Notice | None = None) -> Run:
@@ -120,6 +122,18 @@ class Run:
     def targets(self) -> tuple[str, ...]:
         """Ids of all targets, in the order in which they appear."""
         return tuple(self.kinds)
+
+    def timeline(self, target: str | None = None) -> str:
+        """UD with its thresholds and the active agents of one target (the first when None), as SVG.
+
+        Raises:
+            ValueError: no such target.
+        """
+        return draw_timeline(self.events, self.metrics, target)
+
+    def _repr_html_(self) -> str:
+        """For notebooks: figures, timelines and decisions."""
+        return run_html(self)
 
     def to_rows(self) -> list[Row]:
         """One row per live target and frame, with the columns of `tables.TRACK_COLUMNS`."""

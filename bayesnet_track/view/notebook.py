@@ -1,0 +1,104 @@
+"""Graphs, plans and runs as HTML for notebooks: SVG and plain tables, all text escaped, no script."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.laws import check_graph
+from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.journal.compare import SWITCHES, RunRecord
+from bayesnet_track.journal.events import RunEnded, RunStarted
+from bayesnet_track.journal.explain import explain, has_several_targets
+from bayesnet_track.journal.wording import plural
+from bayesnet_track.view.graph_picture import graph_svg
+from bayesnet_track.view.svg import element, text_of
+from bayesnet_track.view.timeline import draw_timeline
+
+SHOWN_TARGETS, SHOWN_EVENTS = 3, 40
+
+
+def graph_html(graph: CheckedGraph) -> str:
+    """The picture of each plate's net, under the graph's name and what it is for."""
+    head = f"<p><b>{text_of(graph.spec.name)}</b> {text_of(graph.spec.about)}</p>"
+    return head + "".join(_framed(_plate_svg(graph, plate)) for plate in graph.targets)
+
+
+def spec_html(spec: GraphSpec) -> str:
+    """The same of a specification, or all its errors where it breaks a law."""
+    try:
+        return graph_html(check_graph(spec))
+    except GraphError as error:
+        said = "".join(f"<li>{text_of(one)}</li>" for one in error.errors)
+        return f"<p><b>{text_of(spec.name)}</b> cannot be run:</p><ul>{said}</ul>"
+
+
+def graph_picture(graph: CheckedGraph) -> str:
+    """The net of the graph's first plate as SVG."""
+    return _plate_svg(graph, next(iter(graph.targets)))
+
+
+def run_html(run: RunRecord) -> str:
+    """What a run was, its figures, timelines of its first targets, and its decisions as sentences."""
+    started = [event for event in run.events if isinstance(event, RunStarted)]
+    ended = [event for event in run.events if isinstance(event, RunEnded)]
+    frames = len({line.frame for line in run.metrics} | run.seconds.keys())
+    targets = list(dict.fromkeys(line.target for line in run.metrics))
+    seconds = sum(run.seconds.values())
+    rows = [
+        ("run", run.name),
+        *(("graph", f"{one.graph}, seed {one.seed}") for one in started),
+        *(("source", f"{one.source}, {one.width}x{one.height}") for one in started),
+        ("frames", f"{frames}" + "".join(f", {one.reason.replace('_', ' ')}" for one in ended)),
+        ("targets", str(len(targets))),
+        ("reconfigurations", str(sum(isinstance(event, SWITCHES) for event in run.events))),
+        ("frames lost", str(sum(line.status == "lost" for line in run.metrics))),
+        *([("seconds", f"{seconds:.3g} ({frames / seconds:.0f} frames per second)")] if seconds else []),
+    ]
+    drawn = [
+        _framed(_inline(draw_timeline(run.events, run.metrics, target))) for target in targets[:SHOWN_TARGETS]
+    ]
+    if len(targets) > SHOWN_TARGETS:
+        drawn.append(f"<p>and {plural(len(targets) - SHOWN_TARGETS, 'more target')}</p>")
+    named = has_several_targets(run.events)
+    told = [f"<li>{text_of(explain(event, named))}</li>" for event in run.events[:SHOWN_EVENTS]]
+    more = len(run.events) - SHOWN_EVENTS
+    told += [f"<li>and {more} more</li>"] if more > 0 else []
+    summary = f"<summary>{plural(len(run.events), 'line')} of the journal</summary>"
+    return table(rows) + "".join(drawn) + f"<details>{summary}<ul>{''.join(told)}</ul></details>"
+
+
+def table(rows: Iterable[Sequence[object]], head: Sequence[str] = ()) -> str:
+    """Plain rows as an HTML table; the first cell of a row is its heading where there is no `head`."""
+    top = "".join(element("th", text_of(one), scope="col") for one in head)
+    body = [
+        "".join(
+            element("th", text_of(cell), scope="row") if k == 0 and not head else element("td", text_of(cell))
+            for k, cell in enumerate(row)
+        )
+        for row in rows
+    ]
+    lines = "".join(f"<tr>{one}</tr>" for one in body)
+    return f"<table>{f'<thead><tr>{top}</tr></thead>' if head else ''}<tbody>{lines}</tbody></table>"
+
+
+def _plate_svg(graph: CheckedGraph, plate: str) -> str:
+    target = graph.targets[plate]
+    return _inline(graph_svg(target, {agent for agent in target.agents if target.agent(agent).active}))
+
+
+def _framed(svg: str) -> str:
+    return f'<div style="overflow-x:auto">{svg}</div>'
+
+
+def _inline(svg: str) -> str:
+    """The picture with ids of its own, for a page may hold several."""
+    key = hashlib.sha256(svg.encode()).hexdigest()[:12]
+    return (
+        svg.replace('id="title"', f'id="title-{key}"')
+        .replace('id="description"', f'id="description-{key}"')
+        .replace('"title description"', f'"title-{key} description-{key}"')
+        .strip()
+    )

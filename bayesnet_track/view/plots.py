@@ -1,0 +1,163 @@
+"""Plots of a run, each into a matplotlib axis that is given: `plot_uncertainty(ax, run)`; returns the axis.
+
+`run` is what `open_run` gives. matplotlib itself is not imported here: the caller has made the axis.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayesnet_track.graph.net import Activated, Cause, Deactivated
+from bayesnet_track.journal.compare import RunRecord
+from bayesnet_track.journal.events import FrameMetrics
+from bayesnet_track.numerics.boxes import corner_from_centre
+
+UP, DOWN, LOST = "#c43d2f", "#1e8a53", "#f1b4ab"
+
+
+def plot_uncertainty(ax: Any, run: RunRecord, target: str | None = None) -> Any:
+    """UD of one target (the first when None) over frames, px², with switches, their levels, and when lost.
+
+    Raises:
+        ValueError: no such target.
+    """
+    lines = _lines(run, target)
+    target = lines[0].target
+    known = [line for line in lines if math.isfinite(line.ud_px2) and line.ud_px2 > 0]
+    ax.semilogy([line.frame for line in known], [line.ud_px2 for line in known], lw=1.4, label="UD")
+    ud = {line.frame: line.ud_px2 for line in known}
+    for kind, mark, colour, name in ((Activated, "^", UP, "on"), (Deactivated, "v", DOWN, "off")):
+        events = [event for event in run.events if isinstance(event, kind) and event.target == target]
+        at = [event.frame for event in events if event.frame in ud]
+        if at:
+            ax.plot(at, [ud[frame] for frame in at], mark, color=colour, label=f"agent {name}")
+        causes = [event.cause for event in events if isinstance(event.cause, Cause)]
+        levels = sorted({cause.level for cause in causes if cause.unit == "ud_px2"})
+        for level in levels:
+            ax.axhline(level, color=colour, lw=0.9, ls="--")
+    _shade_lost(ax, lines)
+    ax.set(xlabel="frame", ylabel="UD, px²")
+    ax.legend(loc="best", fontsize="small")
+    return ax
+
+
+def plot_kl(ax: Any, run: RunRecord, target: str | None = None, agents: Sequence[str] | None = None) -> Any:
+    """KL(belief || agent) of each agent over frames, nats; gaps where it was off.
+
+    Raises:
+        ValueError: no such target.
+    """
+    lines = _lines(run, target)
+    for agent in agents if agents is not None else _agents(lines):
+        values = [line.kl.get(agent, math.nan) for line in lines]
+        ax.plot([line.frame for line in lines], values, lw=1.2, label=agent)
+    ax.set(xlabel="frame", ylabel="KL(belief ‖ agent), nats")
+    ax.legend(loc="best", fontsize="small")
+    return ax
+
+
+def plot_active(ax: Any, run: RunRecord, target: str | None = None) -> Any:
+    """A bar for each agent over the frames in which it was active.
+
+    Raises:
+        ValueError: no such target.
+    """
+    lines = _lines(run, target)
+    agents = _agents(lines)
+    for row, agent in enumerate(agents):
+        spans = _spans([line.frame for line in lines if agent in line.active])
+        bars = [(first - 0.5, last - first + 1.0) for first, last in spans]
+        ax.broken_barh(bars, (row - 0.35, 0.7), color=f"C{row % 10}")
+    ax.set_yticks(range(len(agents)), agents)
+    ax.set(xlabel="frame", xlim=(lines[0].frame - 0.5, lines[-1].frame + 0.5), ylim=(len(agents) - 0.5, -0.5))
+    return ax
+
+
+def plot_score(ax: Any, run: RunRecord, target: str | None = None) -> Any:
+    """The score of one target over frames, 0..1, with the frames in which it was lost.
+
+    Raises:
+        ValueError: no such target.
+    """
+    lines = _lines(run, target)
+    ax.plot([line.frame for line in lines], [line.score for line in lines], lw=1.4)
+    _shade_lost(ax, lines)
+    what = "probability of being on target" if any(line.features for line in lines) else "score, uncalibrated"
+    ax.set(xlabel="frame", ylabel=what, ylim=(-0.02, 1.02))
+    return ax
+
+
+def plot_tracks(
+    ax: Any, run: RunRecord, image: ArrayLike | None = None, truth: ArrayLike | None = None
+) -> Any:
+    """The paths of all targets' centres in the picture, px, y downwards.
+
+    Args:
+        ax: the axis.
+        run: the run.
+        image: (H, W, 3) uint8 BGR picture to lie under them.
+        truth: (n, 4) true top-left corner boxes; rows of NaN where the target is absent.
+    """
+    if image is not None:
+        picture = np.asarray(image)
+        ax.imshow(picture[..., ::-1] if picture.ndim == 3 else picture, cmap="gray")
+    for target in dict.fromkeys(line.target for line in run.metrics):
+        lines = _lines(run, target)
+        path = np.array([line.box[:2] for line in lines], dtype=np.float64)
+        seen = np.array([line.status != "lost" for line in lines])
+        drawn = ax.plot(*np.where(seen[:, None], path, np.nan).T, lw=1.4, label=f"target {target}")
+        ax.plot(*np.where(seen[:, None], np.nan, path).T, lw=1.0, ls=":", color=drawn[0].get_color())
+        x, y, w, h = corner_from_centre(lines[-1].box)
+        corners = np.array([(x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y)]) - 0.5
+        ax.plot(*corners.T, lw=0.8, color=drawn[0].get_color())
+    if truth is not None:
+        boxes = np.asarray(truth, dtype=np.float64)
+        ax.plot(
+            boxes[:, 0] + (boxes[:, 2] - 1) / 2,
+            boxes[:, 1] + (boxes[:, 3] - 1) / 2,
+            "k--",
+            lw=0.9,
+            label="truth",
+        )
+    if image is None and not ax.yaxis_inverted():
+        ax.invert_yaxis()
+    ax.set_aspect("equal")
+    ax.set(xlabel="x, px", ylabel="y, px")
+    ax.legend(loc="best", fontsize="small")
+    return ax
+
+
+def _lines(run: RunRecord, target: str | None) -> list[FrameMetrics]:
+    wanted = target if target is not None else next((line.target for line in run.metrics), "")
+    lines = [line for line in run.metrics if line.target == wanted]
+    if not lines:
+        there = ", ".join(dict.fromkeys(line.target for line in run.metrics)) or "none"
+        raise ValueError(f"no target {wanted!r} in this run; there are {there}")
+    return lines
+
+
+def _agents(lines: Sequence[FrameMetrics]) -> list[str]:
+    return list(dict.fromkeys(agent for line in lines for agent in line.active))
+
+
+def _spans(frames: Sequence[int]) -> list[tuple[int, int]]:
+    """Stretches of consecutive frames.
+
+    >>> _spans([1, 2, 3, 7])
+    [(1, 3), (7, 7)]
+    """
+    spans: list[tuple[int, int]] = []
+    for frame in frames:
+        joined = bool(spans) and spans[-1][1] == frame - 1
+        spans = [*spans[:-1], (spans[-1][0], frame)] if joined else [*spans, (frame, frame)]
+    return spans
+
+
+def _shade_lost(ax: Any, lines: Sequence[FrameMetrics]) -> None:
+    for first, last in _spans([line.frame for line in lines if line.status == "lost"]):
+        ax.axvspan(first - 0.5, last + 0.5, color=LOST, alpha=0.5, lw=0)

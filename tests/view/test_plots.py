@@ -1,0 +1,98 @@
+"""Plots of a run: what they draw into an axis, asked of a stand-in, for matplotlib is an extra."""
+
+import math
+from collections import defaultdict
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bayesnet_track.graph.net import Activated, Cause, TargetStarted
+from bayesnet_track.view import plots
+
+
+class Axis:
+    """Writes down what is called."""
+
+    def __init__(self):
+        self.called = defaultdict(list)
+        self.yaxis_inverted = lambda: False
+
+    def plot(self, *values, **look):
+        self.called["plot"].append((values, look))
+        return [SimpleNamespace(get_color=lambda: "C0")]
+
+    def __getattr__(self, name):
+        return lambda *values, **look: self.called[name].append((values, look))
+
+
+@pytest.fixture
+def run(metrics):
+    """20 frames: lost in 5 and 6, motion on in 10 to 14."""
+    lines = [
+        replace(
+            metrics,
+            frame=frame,
+            box=(10.0 + frame, 9.0, 4.0, 4.0),
+            status="lost" if frame in (5, 6) else "tracking",
+            active=("color", "motion") if 10 <= frame < 15 else ("color",),
+            kl={"color": 0.1},
+        )
+        for frame in range(20)
+    ]
+    cause = Cause("ud_px2", 200.0, 210.0, 1, 210.0, 210.0, 1.0)
+    events = [
+        TargetStarted(0, "1", "plate", (10.0, 9.0, 4.0, 4.0), ("color",)),
+        Activated(9, "1", "motion", "root", cause),
+    ]
+    return SimpleNamespace(name="a", events=events, metrics=lines, seconds={}, costs_ms={})
+
+
+def test_uncertainty_with_switches_levels_and_loss(run):
+    ax = Axis()
+    assert plots.plot_uncertainty(ax, run) is ax
+    ((frames, uds), _) = ax.called["semilogy"][0]
+    assert frames == list(range(20)) and set(uds) == {212.4}
+    (((at, values, mark), look),) = ax.called["plot"]
+    assert (at, values, mark, look["label"]) == ([9], [212.4], "^", "agent on")
+    assert [values for values, _ in ax.called["axhline"]] == [(200.0,)]
+    assert [values for values, _ in ax.called["axvspan"]] == [(4.5, 6.5)]
+
+
+def test_kl_has_gaps_where_an_agent_said_nothing(run):
+    ax = Axis()
+    plots.plot_kl(ax, run)
+    named = {look["label"]: values[1] for values, look in ax.called["plot"]}
+    assert named["color"] == [0.1] * 20 and all(math.isnan(value) for value in named["motion"])
+
+
+def test_bars_of_active_agents(run):
+    ax = Axis()
+    plots.plot_active(ax, run)
+    bars = [values[0] for values, _ in ax.called["broken_barh"]]
+    assert bars == [[(-0.5, 20.0)], [(9.5, 5.0)]]
+
+
+def test_tracks_go_through_the_centres_with_a_gap_where_lost(run):
+    ax = Axis()
+    truth = np.array([[8.5 + frame, 7.5, 4.0, 4.0] for frame in range(20)])
+    plots.plot_tracks(ax, run, image=np.zeros((20, 30, 3), np.uint8), truth=truth)
+    seen, lost, box, true = [values for values, _ in ax.called["plot"]]
+    assert np.isnan(seen[0][5:7]).all() and seen[0][4] == 14.0
+    assert list(lost[0][5:7]) == [15.0, 16.0] and np.isnan(lost[0][:5]).all()
+    np.testing.assert_allclose(true[0], 10.0 + np.arange(20))  # the same convention as the estimates
+    assert (min(box[0]), max(box[0])) == (27.0, 31.0)
+    assert not ax.called["invert_yaxis"]
+
+
+def test_score(run):
+    ax = Axis()
+    plots.plot_score(ax, run)
+    assert ax.called["set"][0][1]["ylabel"] == "score, uncalibrated"
+
+
+@pytest.mark.parametrize("plot", [plots.plot_uncertainty, plots.plot_kl, plots.plot_active, plots.plot_score])
+def test_a_target_that_is_not_there(plot, run):
+    with pytest.raises(ValueError, match=r"no target '7'.*there are 1"):
+        plot(Axis(), run, "7")
