@@ -13,7 +13,14 @@ import numpy as np
 
 from bayesnet_track.cue import AnyCue, Measurement
 from bayesnet_track.planes import Frame, FramePair, PlaneCache
-from bayesnet_track.runtime.executors.questions import Answer, Foreign, Question, Received, Told
+from bayesnet_track.runtime.executors.questions import (
+    LEARN_AND_BLEND,
+    Answer,
+    Foreign,
+    Question,
+    Received,
+    Told,
+)
 
 CACHES = 2
 """Pairs of frames whose planes are kept."""
@@ -62,8 +69,12 @@ class AgentHost:
         if question.frames is not None:
             assert question.region is not None
             planes = self._cache(question.frames).planes(cue.needs, question.region)
-            arguments.insert(0, planes)
-        returned = getattr(cue, question.method)(*arguments)
+            arguments.insert(1 if question.method == LEARN_AND_BLEND else 0, planes)
+        if question.method == LEARN_AND_BLEND:
+            learn, planes, old, rate, *box = arguments
+            returned = cue.blend(old, getattr(cue, learn)(planes, *box), rate)
+        else:
+            returned = getattr(cue, question.method)(*arguments)
         match question.method:
             case "log_likelihood":
                 return np.array(returned, dtype=np.float64)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.cue import AnyCue, Floats, Hypotheses, Measurement, Reference
 from bayesnet_track.planes import Array, Frame, FramePair, Plane, Planes, Region
+from bayesnet_track.runtime.executors.questions import LEARN_AND_BLEND
 
 
 class Desk(Protocol):
@@ -80,13 +81,38 @@ class Placed:
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """As of a `Cue`."""
-        learnt: Reference = self.ask("learn", planes, box)
-        return learnt
+        return Learnt(self, "learn", planes, (box,))
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
-        """As of a `Cue`."""
+        """As of a `Cue`; what was learnt just now is learnt and blended at once."""
+        if isinstance(new, Learnt) and new.of is self and new.planes is not None:
+            at_once: Reference = self.ask(LEARN_AND_BLEND, new.planes, new.method, old, rate, *new.arguments)
+            return at_once
         blended: Reference = self.desk.ask(self.agent, "blend", None, None, (old, new, rate))
         return blended
+
+
+class Learnt(Mapping[str, NDArray[Any]]):
+    """A reference that is asked for when it is looked into; one that is only blended never crosses."""
+
+    def __init__(self, of: Placed, method: str, planes: Planes, arguments: tuple[Any, ...]) -> None:
+        self.of, self.method, self.arguments = of, method, arguments
+        self.planes: Planes | None = planes
+        self._arrays: Reference = {}
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self._asked()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._asked())
+
+    def __len__(self) -> int:
+        return len(self._asked())
+
+    def _asked(self) -> Reference:
+        if self.planes is not None:
+            self._arrays, self.planes = self.of.ask(self.method, self.planes, *self.arguments), None
+        return self._arrays
 
 
 def _log_likelihood(self: Placed, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
@@ -102,8 +128,7 @@ def _measure(
 
 
 def _learn_turned(self: Placed, planes: Planes, box: Floats, angle: float) -> Reference:
-    learnt: Reference = self.ask("learn_turned", planes, box, angle)
-    return learnt
+    return Learnt(self, "learn_turned", planes, (box, angle))
 
 
 def _adapt(self: Placed, reference: Reference, attempt: int) -> Reference | None:

@@ -14,6 +14,8 @@ from bayesnet_track.planes import Region
 
 Array = NDArray[Any]
 
+LEARN_AND_BLEND = "learn and blend"
+"""A question for a reference: what learns, the old one, the rate, and the arguments of what learns."""
 LEAST_BYTES = 2048
 """Smaller arrays are sent whenever they are needed."""
 MOST_BYTES = 256 << 20

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import select
 import signal
 import socket
 import time
@@ -48,6 +49,8 @@ class Worker:
         self._nursery = nursery
         self._socket, self._lifeline, self.pid = nursery.worker()
         self._channel = Connection(os.dup(self._socket.fileno()))
+        self._readable = select.poll()
+        self._readable.register(self._socket, select.POLLIN)
         self._limits, self._is_asked, self._asked_at = limits, False, 0.0
         self._sent = Sent()
         self._known: set[tuple[str, str]] = set()
@@ -129,7 +132,7 @@ class Worker:
         end = until if deadline is None else min(until, deadline)
         started = time.monotonic()
         try:
-            while not self._channel.poll(max(end - time.monotonic(), 0.0)):
+            while not self._readable.poll(1e3 * max(end - time.monotonic(), 0.0)):
                 if time.monotonic() >= until:
                     self.close()
                     raise WorkerLost(f"gave no answer in {until - started:.3g} s, and was killed")
