@@ -28,6 +28,17 @@ def metres(text: str) -> float:
     return value
 
 
+def milliseconds(text: str) -> float:
+    """Parser of a time."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 1e7:
+        raise argparse.ArgumentTypeError(f"{text!r}: milliseconds above 0 are needed")
+    return value
+
+
 def cells(text: str) -> int:
     """Parser of the cells of a shape grid."""
     if not (text.isascii() and text.isdigit() and 4 <= int(text[:4]) <= 64 and len(text) < 4):

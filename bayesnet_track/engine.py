@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.joins import JoinMemory, decide_joins
 from bayesnet_track.adapt.lifecycle import Life
+from bayesnet_track.adapt.shedding import Load
 from bayesnet_track.graph.net import Net
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.journal.inputs import Input
@@ -24,6 +25,7 @@ from bayesnet_track.nets.joining import Together, join_all, reach_of, weigh_all
 from bayesnet_track.nets.outside import Outside, sorted_out
 from bayesnet_track.nets.people import Population
 from bayesnet_track.nets.population import live
+from bayesnet_track.nets.shedding import balanced
 from bayesnet_track.nets.starting import start
 from bayesnet_track.nets.state import TargetState, applied, recompiled
 from bayesnet_track.nets.target import Weighed, conclude
@@ -54,6 +56,7 @@ class State:
         previous: the last frame.
         life: what is remembered of births and deaths.
         joins: what is remembered of targets that depend on each other.
+        load: what is remembered of late frames.
     """
 
     net: Net = field(default_factory=Net)
@@ -61,6 +64,7 @@ class State:
     previous: Frame | None = None
     life: Life = field(default_factory=Life)
     joins: JoinMemory = field(default_factory=JoinMemory)
+    load: Load = field(default_factory=Load)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,13 +95,8 @@ def start_target(
     # Another target that started in this frame has made it the state's last one.
     previous = state.previous if state.previous is None or state.previous.index < frame.index else None
     born = start(engine, frame, previous, target, template, box)
-    after = State(
-        applied(state.net, born.decisions),
-        {**state.targets, target: born.state},
-        frame,
-        state.life,
-        state.joins,
-    )
+    net, targets = applied(state.net, born.decisions), {**state.targets, target: born.state}
+    after = replace(state, net=net, targets=targets, previous=frame)
     return Outcome(after, (born.metrics,), born.decisions)
 
 
@@ -138,16 +137,28 @@ def step(engine: Engine, state: State, frame: Frame, outside: Iterable[Input] = 
         metrics.append(done.metrics)
         covariances[one.target] = done.covariance
         events += [*done.told, *done.decisions]
-    after = State(net, targets, frame, life, together.memory)
+    after = State(net, targets, frame, life, together.memory, state.load)
     outcome = Outcome(after, tuple(metrics), tuple(events), covariances, seconds)
     outcome = _joined(engine, _lived(engine, outcome, frame, state.previous, cache, looked), frame)
-    return with_outside(outcome, given)
+    return with_outside(_in_time(engine, outcome, given, frame), given)
 
 
 def with_outside(outcome: Outcome, given: Outside) -> Outcome:
     """The outcome with what came from outside, its notices first."""
     told = (*given.absent.events, *given.refused)
     return replace(outcome, events=(*told, *outcome.events), outside=given.taken)
+
+
+def _in_time(engine: Engine, outcome: Outcome, given: Outside, frame: Frame) -> Outcome:
+    """The outcome after what is shed or taken back, where a frame was late or early."""
+    if not given.timing:
+        return outcome
+    state = outcome.state
+    decisions, load = balanced(engine, state.net, state.targets, given.timing, state.load, frame.index)
+    net = applied(state.net, decisions)
+    targets = {target: recompiled(engine, net, target, one) for target, one in state.targets.items()}
+    after = replace(state, net=net, targets=targets, load=load)
+    return replace(outcome, state=after, events=(*outcome.events, *decisions))
 
 
 def _lived(
@@ -166,7 +177,7 @@ def _lived(
     live(engine, people, frame, previous, cache, looked)
     seconds["life"] = seconds.get("life", 0.0) + engine.clock() - started
     return Outcome(
-        State(people.net, people.targets, frame, people.life, state.joins),
+        replace(state, net=people.net, targets=people.targets, previous=frame, life=people.life),
         tuple(people.metrics),
         (*outcome.events, *people.events),
         outcome.covariances,

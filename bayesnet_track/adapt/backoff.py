@@ -56,9 +56,7 @@ def give_up_on_missing(now: Situation, memory: Memory, decisions: list[Decision]
     missed = {agent: memory.missed.get(agent, 0) + 1 for agent in now.missed}
     for agent, count in list(missed.items()):
         if count >= MISSED_FRAMES:
-            reason = (
-                f"gave no answer in {count} frames in a row, the last time: {now.missed[agent]}"
-            )
+            reason = f"gave no answer in {count} frames in a row, the last time: {now.missed[agent]}"
             decisions.append(quarantined(now.net, now.frame, now.target, agent, reason))
             del missed[agent]
     return replace(memory, missed=missed)

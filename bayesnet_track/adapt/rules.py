@@ -169,7 +169,7 @@ def _govern(now: Situation, memory: Memory, node: str, rules: Adapt, decisions: 
 
 
 def _eligible(now: Situation) -> list[str]:
-    """Inactive agents that may be switched on for the next frame."""
+    """Inactive agents that may be switched on for the next frame, those shed for want of time, too."""
     return [
         agent
         for agent in now.plate.agents
@@ -196,7 +196,9 @@ def _choose_to_activate(now: Situation, memory: Memory, node: str, rules: Adapt)
     By expected information all are switched on while the target is lost: what it is worth was learnt while it
     was seen.
     """
-    agents = [agent for agent in _eligible(now) if now.plate.governor[agent] == node]
+    agents = [
+        agent for agent in _eligible(now) if now.plate.governor[agent] == node and agent not in now.net.shed
+    ]
     which = "all" if rules.activate is None else rules.activate.which
     if which == "information_per_ms" and agents and now.net.status != "lost":
         worth = memory.worth.get(node, Worth())

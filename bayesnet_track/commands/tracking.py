@@ -204,9 +204,18 @@ def _track(
             summary=summary,
             detections=detections,
             inputs=inputs,
+            budget_ms=_budget_ms(options, source),
             checkpoint_every=options.checkpoint_every,
         )
         return follow(options, results, summary, source.expected_frames, out)
+
+
+def _budget_ms(options: argparse.Namespace, source: FrameSource) -> float | None:
+    """What a frame may take, where the options say so."""
+    if getattr(options, "realtime", False):
+        return 1000.0 * source.frame_interval_s
+    budget: float | None = getattr(options, "budget_ms", None)
+    return budget
 
 
 def follow(

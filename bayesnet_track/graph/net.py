@@ -15,6 +15,8 @@ from bayesnet_track.graph.fault_decisions import Quarantined, Readmitted
 from bayesnet_track.graph.hand_decisions import Released, Toggled
 from bayesnet_track.graph.join_decisions import Joined, Parted
 from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
+from bayesnet_track.graph.load_decisions import ParticlesLimited, Shed, TakenBack
+from bayesnet_track.graph.self_decisions import LocallyAdapted, SelfStopped
 
 __all__ = [
     "Activated",
@@ -25,13 +27,16 @@ __all__ = [
     "Fault",
     "LocallyAdapted",
     "Net",
+    "ParticlesLimited",
     "Quarantined",
     "Readmitted",
     "Released",
     "ScoreCause",
     "SelfStopped",
+    "Shed",
     "StatusChanged",
     "Switch",
+    "TakenBack",
     "TargetNet",
     "TargetStarted",
     "Toggled",
@@ -109,44 +114,6 @@ class Deactivated:
 
 
 @dataclass(frozen=True)
-class LocallyAdapted:
-    """An agent uncertain of itself tuned its own reference before stopping.
-
-    Attributes:
-        frame: frame whose numbers caused it.
-        target: target id.
-        node: the agent.
-        attempt: how often it has tried in this episode, from 1.
-        cause: the numbers (the agent's own UD).
-    """
-
-    frame: int
-    target: str
-    node: str
-    attempt: int
-    cause: Cause
-
-
-@dataclass(frozen=True)
-class SelfStopped:
-    """An agent that stayed uncertain of itself stopped.
-
-    Attributes:
-        frame: frame whose numbers caused it.
-        target: target id.
-        node: the agent.
-        cause: the numbers (the agent's own UD).
-        rests_until: first frame at which it may be switched on again.
-    """
-
-    frame: int
-    target: str
-    node: str
-    cause: Cause
-    rests_until: int
-
-
-@dataclass(frozen=True)
 class StatusChanged:
     """A target was lost or found again, or is held uncertainly (the net stays as it is).
 
@@ -175,6 +142,9 @@ Decision = (
     | Readmitted
     | Toggled
     | Released
+    | Shed
+    | TakenBack
+    | ParticlesLimited
     | StatusChanged
     | Reacquired
     | Returned
@@ -185,7 +155,7 @@ Decision = (
 )
 
 
-Switch = Activated | Deactivated | SelfStopped | Quarantined | Readmitted | Toggled
+Switch = Activated | Deactivated | SelfStopped | Quarantined | Readmitted | Toggled | Shed | TakenBack
 """A decision that switches an agent."""
 
 
@@ -217,6 +187,8 @@ class TargetNet:
         rest_count: agent -> how many times it stopped itself.
         quarantined: agents that failed and are out.
         by_hand: agent that a person switched -> whether on; no rule switches it until it is released.
+        shed: agents that were switched off for want of time, in this order.
+        most_particles: most hypotheses for want of time; None without such a limit.
         faults: agent that failed, whether it is still out or not -> its last failure.
         status: tracking, uncertain or lost.
     """
@@ -229,6 +201,8 @@ class TargetNet:
     status: str = "tracking"
     by_hand: Mapping[str, bool] = field(default_factory=dict)
     faults: Mapping[str, Fault] = field(default_factory=dict)
+    shed: tuple[str, ...] = ()
+    most_particles: int | None = None
 
 
 @dataclass(frozen=True)
@@ -297,8 +271,13 @@ def _joins_after(net: Net, decision: Joined | Parted) -> dict[tuple[str, str], J
 
 def _change(net: TargetNet, decision: Decision) -> TargetNet:
     match decision:
-        case Activated():
-            return replace(net, active=net.active | {decision.node})
+        case Activated() | TakenBack():
+            return replace(net, active=net.active | {decision.node}, shed=_other(net.shed, decision.node))
+        case Shed():
+            shed = (*_other(net.shed, decision.node), decision.node)
+            return replace(net, active=net.active - {decision.node}, shed=shed)
+        case ParticlesLimited():
+            return replace(net, most_particles=decision.most)
         case Deactivated():
             return replace(net, active=net.active - {decision.node})
         case SelfStopped():
@@ -324,7 +303,8 @@ def _change(net: TargetNet, decision: Decision) -> TargetNet:
             )
         case Toggled():
             active = net.active | {decision.node} if decision.on else net.active - {decision.node}
-            return replace(net, active=active, by_hand={**net.by_hand, decision.node: decision.on})
+            by_hand = {**net.by_hand, decision.node: decision.on}
+            return replace(net, active=active, by_hand=by_hand, shed=_other(net.shed, decision.node))
         case Released():
             held = {agent: on for agent, on in net.by_hand.items() if agent != decision.node}
             return replace(net, by_hand=held)
@@ -334,3 +314,7 @@ def _change(net: TargetNet, decision: Decision) -> TargetNet:
             return replace(net, status="tracking")
         case _:
             return net
+
+
+def _other(agents: tuple[str, ...], agent: str) -> tuple[str, ...]:
+    return tuple(one for one in agents if one != agent)

@@ -1,11 +1,12 @@
-"""Sentences for what comes from outside, and for agents that fail."""
+"""Sentences for what comes from outside, for agents that fail, and for what is shed for want of time."""
 
 from __future__ import annotations
 
 from bayesnet_track.graph.fault_decisions import Quarantined, Readmitted
 from bayesnet_track.graph.hand_decisions import Released, Toggled
+from bayesnet_track.graph.load_decisions import ParticlesLimited, Shed, TakenBack
 from bayesnet_track.journal.inputs import AgentMissed
-from bayesnet_track.journal.wording import plural
+from bayesnet_track.journal.wording import decimals, plural, rounded
 
 
 def by_hand(event: Toggled | Released) -> str:
@@ -38,6 +39,32 @@ def readmitted(event: Readmitted) -> str:
     often = "failing" if event.times == 1 else f"failing {event.times} times in a row"
     waited = f"{event.node} was out for {plural(event.waited, 'frame')} after {often}"
     return f"{waited} → {'on again' if event.on else 'may be switched on again'}"
+
+
+def shed(event: Shed) -> str:
+    """`3 of the last 10 frames were late: ... → motion off; would have stayed on at a budget ≥ ...`."""
+    late = f"{event.late} of the last {event.within} frames were late"
+    late = f"{late}, {event.spent_ms:.3g} ms > {event.budget_ms:g}"
+    others = {name: value for name, value in event.index.items() if name != event.node}
+    least = f"{event.index[event.node]:.2g} nats per ms"
+    if others:
+        second = min(others, key=lambda name: others[name])
+        least = f"{least} against {second} {others[second]:.2g}"
+    turning = rounded(event.turning_ms, decimals(event.turning_ms, event.budget_ms), up=True)
+    return f"{late} → {event.node} off ({least}); would have stayed on at a budget ≥ {turning} ms"
+
+
+def taken_back(event: TakenBack) -> str:
+    """`50 frames took at most ... → motion on again`."""
+    time = f"{plural(event.frames, 'frame')} took at most {event.spent_ms:.3g} ms"
+    expected = f"{event.expected_ms:.3g} expected with it, of {event.budget_ms:g}"
+    return f"{time}, {expected} → {event.node} on again"
+
+
+def particles_limited(event: ParticlesLimited) -> str:
+    """`frames took ... ms, ... allowed → at most 250 hypotheses, 500 before`."""
+    most = "as many hypotheses as asked for" if event.most is None else f"at most {event.most} hypotheses"
+    return f"frames took {event.spent_ms:.3g} ms of {event.budget_ms:g} → {most}, {event.before} before"
 
 
 def _ordinal(number: int) -> str:

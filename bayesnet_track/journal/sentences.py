@@ -12,11 +12,14 @@ from bayesnet_track.graph.net import (
     Deactivated,
     Decision,
     LocallyAdapted,
+    ParticlesLimited,
     Quarantined,
     Readmitted,
     ScoreCause,
     SelfStopped,
+    Shed,
     StatusChanged,
+    TakenBack,
     TargetStarted,
 )
 from bayesnet_track.journal.events import (
@@ -33,7 +36,15 @@ from bayesnet_track.journal.events import (
     SecondPass,
     SourceDamaged,
 )
-from bayesnet_track.journal.fault_sentences import by_hand, missed, quarantined, readmitted
+from bayesnet_track.journal.fault_sentences import (
+    by_hand,
+    missed,
+    particles_limited,
+    quarantined,
+    readmitted,
+    shed,
+    taken_back,
+)
 from bayesnet_track.journal.inputs import AgentMissed, InputRefused
 from bayesnet_track.journal.join_events import AttachmentChanged, OcclusionChanged, RingChanged
 from bayesnet_track.journal.join_sentences import (
@@ -152,6 +163,12 @@ def happened(
             return quarantined(event)
         case Readmitted():
             return readmitted(event)
+        case Shed():
+            return shed(event)
+        case TakenBack():
+            return taken_back(event)
+        case ParticlesLimited():
+            return particles_limited(event)
         case AgentMissed():
             return missed(event)
         case Toggled() | Released():

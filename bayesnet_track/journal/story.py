@@ -12,8 +12,10 @@ from bayesnet_track.graph.net import (
     LocallyAdapted,
     Readmitted,
     SelfStopped,
+    Shed,
     StatusChanged,
     Switch,
+    TakenBack,
     TargetStarted,
     Toggled,
 )
@@ -83,6 +85,10 @@ def _what(event: Event) -> str:
             return "on"
         case Deactivated():
             return "off"
+        case Shed():
+            return "off for want of time"
+        case TakenBack():
+            return "on again"
         case SelfStopped():
             return "stopped itself"
         case Readmitted():

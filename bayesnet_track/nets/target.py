@@ -35,6 +35,7 @@ from bayesnet_track.nets.frame_metrics import frame_metrics
 from bayesnet_track.nets.learning import angle_of, learn
 from bayesnet_track.nets.predicting import Predicted, predicted
 from bayesnet_track.nets.score import probability
+from bayesnet_track.nets.shedding import within
 from bayesnet_track.nets.state import TargetState, applied, inside_frame
 from bayesnet_track.planes import Frame, PlaneCache
 
@@ -105,6 +106,7 @@ def weigh(
     started = engine.clock()
     dt, is_lost = frame.time - before.time, net.targets[target].status == "lost"
     moves = predicted(machine, motion, before.outlook, is_lost, dt, cache)
+    belief = within(machine.belief, net.targets[target].most_particles)
     roll = engine.absent.roll(target, "observing")
     failed: dict[str, str] = {}
     while True:
@@ -119,7 +121,7 @@ def weigh(
             executor=engine.executor,
             roll=roll,
         )
-        stepped = machine.belief.step(
+        stepped = belief.step(
             before.belief,
             Confined(moves.motion, frame.width, frame.height),
             dt,

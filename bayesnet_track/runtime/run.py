@@ -23,9 +23,10 @@ from bayesnet_track.journal.events import (
 )
 from bayesnet_track.journal.inputs import Input
 from bayesnet_track.planes import Frame
+from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.frames import EndReason, SourceItem
-from bayesnet_track.runtime.interchange import Detections
 from bayesnet_track.runtime.inputs import Asked, nothing
+from bayesnet_track.runtime.interchange import Detections
 from bayesnet_track.runtime.starts import Start, StartError, check_starts, start_targets
 from bayesnet_track.runtime.versions import versions
 
@@ -193,6 +194,7 @@ def run(
     engine: Engine | None = None,
     inputs: Mapping[str, str] = MappingProxyType({}),
     outside: Asked = nothing,
+    deadline: Deadline | None = None,
     keeper: Keeper | None = None,
     after: Resumed | None = None,
 ) -> Generator[Result, None, None]:
@@ -210,6 +212,7 @@ def run(
         inputs: files from outside that the engine reads, besides the source -> their SHA-256, to be told.
         outside: asked before each frame for what came from outside, by the frame's index: a
             `runtime.inputs.Switchboard` of a live view, or `runtime.inputs.replayed` of an earlier run.
+        deadline: the time that a frame may take: what is late is told to the engine, which sheds load.
         keeper: told after each frame how far the run is.
         after: go on from there: `source` was read so far, and sinks know already what was before.
 
@@ -248,7 +251,13 @@ def run(
                     tell(event)
                 outcome = start_targets(graph, engine, item, starts, outside(item.index))
             else:
-                outcome = step(engine, state, item, outside(item.index))
+                given = outside(item.index)
+                if deadline is not None:
+                    given = (*given, *deadline.told(item.index, state.net))
+                    deadline.begin()
+                outcome = step(engine, state, item, given)
+                if deadline is not None:
+                    deadline.end()
             before, state = state, outcome.state
             spent = time.perf_counter() - began
             told.frames += 1

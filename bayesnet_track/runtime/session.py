@@ -17,6 +17,7 @@ from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.runtime.checkpoint import EVERY_S, Checkpoints
+from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.detection_files import file_detector
 from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.inputs import Asked, as_asked
@@ -48,6 +49,7 @@ def track(
     sinks: Sequence[Sink] = (),
     summary: Summary | None = None,
     inputs: str | PathLike[str] | Asked | None = None,
+    budget_ms: float | None = None,
     checkpoint_every: float = EVERY_S,
 ) -> Generator[Result, None, None]:
     """Track through `source` with `graph`, yielding one result per frame.
@@ -70,6 +72,8 @@ def track(
         summary: filled in as the run goes on.
         inputs: what comes from outside: the inputs.jsonl of an earlier run, to repeat it, or a function that
             is asked before each frame, such as a `runtime.inputs.Switchboard`.
+        budget_ms: wall-clock milliseconds that a frame may take; where frames take longer, agents that say
+            little and then hypotheses are done without. None for as long as it takes.
         checkpoint_every: seconds after which it is kept in `out` how far the run is, for
             `runtime.resume.resume` to go on from there; 0 keeps nothing.
 
@@ -93,6 +97,8 @@ def track(
     starts = _starts(box)
     read = {} if detections is None else {str(detections): file_sha256(detections)}
     outside = as_asked(inputs)
+    if budget_ms is not None and inputs is not None and not callable(inputs):
+        raise ValueError("a run that is repeated from its inputs has no budget: they say what was late")
     with ExitStack() as stack:
         if isinstance(source, str | PathLike):
             opened: FrameSource = stack.enter_context(open_source(str(source)))
@@ -132,6 +138,7 @@ def track(
             engine=engine,
             inputs=read,
             outside=outside,
+            deadline=None if budget_ms is None else Deadline(budget_ms, executing.processes),
             keeper=keeper,
         )
 

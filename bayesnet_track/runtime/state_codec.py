@@ -22,13 +22,14 @@ from bayesnet_track.adapt.information import Worth
 from bayesnet_track.adapt.joins import Carried, JoinMemory, Level, PairMemory
 from bayesnet_track.adapt.lifecycle import Candidate, Identity, Life, Lifeline
 from bayesnet_track.adapt.memory import Memory, Quiet, Streak
+from bayesnet_track.adapt.shedding import Load
 from bayesnet_track.belief.gaussian import GaussianPosterior
 from bayesnet_track.belief.grid_cells import GridBelief, Lattice
 from bayesnet_track.belief.need import Need, Sized
 from bayesnet_track.belief.particle_set import ParticleSet
 from bayesnet_track.engine import Engine, State, TargetState
 from bayesnet_track.graph.join_decisions import Joined
-from bayesnet_track.graph.net import Net, TargetNet
+from bayesnet_track.graph.net import Fault, Net, TargetNet
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.nets.predicting import Outlook
 from bayesnet_track.nets.score import Scored
@@ -42,6 +43,8 @@ CLASSES: tuple[type, ...] = (
     TargetState,
     Net,
     TargetNet,
+    Fault,
+    Load,
     Joined,
     ParticleSet,
     LogWeights,

@@ -11,8 +11,10 @@ from bayesnet_track.graph.net import (
     Cause,
     Deactivated,
     Readmitted,
+    Shed,
     StatusChanged,
     Switch,
+    TakenBack,
     TargetStarted,
     Toggled,
 )
@@ -226,8 +228,10 @@ def _marks(
     drawn, free = [], -math.inf
     for event in sorted(switches, key=lambda event: event.frame):
         x, y = axes.x(event.frame), axes.y(ud.get(event.frame, axes.low))
-        on = isinstance(event, Activated) or (isinstance(event, Toggled | Readmitted) and event.on)
-        colour, tip = (UP, -6.0) if on else (DOWN if isinstance(event, Deactivated) else INK, 6.0)
+        on = isinstance(event, Activated | TakenBack) or (
+            isinstance(event, Toggled | Readmitted) and event.on
+        )
+        colour, tip = (UP, -6.0) if on else (DOWN if isinstance(event, Deactivated | Shed) else INK, 6.0)
         bar = top + agents.index(event.node) * (BAR + BAR_GAP)
         stem = element(
             "line", x1=x, y1=y, x2=x, y2=bar + BAR / 2, stroke=colour, stroke_width=0.9, opacity=0.55

@@ -21,11 +21,14 @@ from bayesnet_track.graph.net import (
     Cause,
     Deactivated,
     LocallyAdapted,
+    ParticlesLimited,
     Quarantined,
     Readmitted,
     Released,
     SelfStopped,
+    Shed,
     StatusChanged,
+    TakenBack,
     TargetStarted,
     Toggled,
 )
@@ -141,6 +144,23 @@ GOLDEN = [
     (
         Readmitted(149, "1", "hue", False, 3, 40),
         "frame 149: hue was out for 40 frames after failing 3 times in a row → may be switched on again",
+    ),
+    (
+        Shed(115, "1", "hue", 23.04, 20.0, 3, 10, 22.41, {"hue": 0.021, "motion": 0.4}),
+        "frame 115: 3 of the last 10 frames were late, 23 ms > 20 → hue off (0.021 nats per ms against "
+        "motion 0.4); would have stayed on at a budget ≥ 22.5 ms",
+    ),
+    (
+        TakenBack(170, "1", "hue", 9.12, 12.4, 20.0, 50),
+        "frame 170: 50 frames took at most 9.12 ms, 12.4 expected with it, of 20 → hue on again",
+    ),
+    (
+        ParticlesLimited(116, "1", 250, 500, 23.04, 20.0),
+        "frame 116: frames took 23 ms of 20 → at most 250 hypotheses, 500 before",
+    ),
+    (
+        ParticlesLimited(176, "1", None, 250, 5.2, 20.0),
+        "frame 176: frames took 5.2 ms of 20 → as many hypotheses as asked for, 250 before",
     ),
     (
         Toggled(111, "1", "hue", False),

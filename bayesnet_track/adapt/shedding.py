@@ -1,0 +1,197 @@
+"""Keep a run within its time: shed what says least per millisecond, take it back when there is time.
+
+A pure function of what came from outside (which frames were late), of declared costs and of what agents
+contributed. Agents go first, down to those that their rules keep; then hypotheses, down to the least number.
+What was shed last comes back first, after a number of frames in time that doubles when it had to go again
+soon after, so that nothing flaps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from statistics import median
+
+from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.net import Decision, ParticlesLimited, Shed, TakenBack, TargetNet
+from bayesnet_track.journal.inputs import LateFrame, SpareTime
+
+LATE, WITHIN = 3, 10
+"""So many late frames among so many: time to shed."""
+
+CALM = 50
+"""Frames in time before something is taken back, the first time."""
+
+MOST_CALM = 1600
+"""Frames in time beyond which the wait does not double any more."""
+
+SOON = 100
+"""What has to go again within so many frames after something came back went too soon."""
+
+ROOM = 0.9
+"""Share of the budget that the expected time may take when something comes back."""
+
+LEAST_FACTOR = 0.5
+"""Fewer hypotheses at a time: at least this share of them stays."""
+
+
+@dataclass(frozen=True)
+class Load:
+    """What is remembered of late frames.
+
+    Attributes:
+        late: the last late frames: frame and what it took, ms.
+        calm: frames in time in a row, as far as they were told.
+        wait: frames in time before something comes back.
+        back: frame in which something came back last; None before.
+    """
+
+    late: tuple[tuple[int, float], ...] = ()
+    calm: int = 0
+    wait: int = CALM
+    back: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Running:
+    """A live target, as shedding sees it.
+
+    Attributes:
+        plate: its checked plate.
+        net: its live net after the frame's other decisions.
+        memory: what its agents contributed.
+        costs_ms: agent -> declared cost.
+        particles: how many hypotheses it has; None where their number says nothing.
+        least: least number of them.
+        most: largest number that its graph asks for.
+    """
+
+    plate: CheckedTarget
+    net: TargetNet
+    memory: Memory
+    costs_ms: Mapping[str, float]
+    particles: int | None = None
+    least: int = 0
+    most: int = 0
+
+
+def balance(
+    frame: int, timing: Iterable[LateFrame | SpareTime], running: Mapping[str, Running], load: Load
+) -> tuple[tuple[Decision, ...], Load]:
+    """What is shed or taken back in this frame, and what is remembered."""
+    decisions: list[Decision] = []
+    for one in timing:
+        if isinstance(one, LateFrame):
+            load = _late(one, running, load, frame, decisions)
+        else:
+            load = _in_time(one, running, load, frame, decisions)
+    return tuple(decisions), load
+
+
+def _late(
+    told: LateFrame, running: Mapping[str, Running], load: Load, frame: int, decisions: list[Decision]
+) -> Load:
+    late = (*(one for one in load.late if one[0] > frame - WITHIN), (frame, told.spent_ms))
+    load = replace(load, late=late, calm=0)
+    if len(late) < LATE:
+        return load
+    spent = median(ms for _, ms in late)
+    shed = _shed_agents(told, running, late, spent, frame) or _fewer(told, running, spent, frame)
+    decisions += shed
+    if not shed:
+        return load
+    too_soon = load.back is not None and frame - load.back <= SOON
+    return Load(wait=min(load.wait * 2, MOST_CALM) if too_soon else CALM, back=load.back)
+
+
+def _shed_agents(
+    told: LateFrame,
+    running: Mapping[str, Running],
+    late: Sequence[tuple[int, float]],
+    spent: float,
+    frame: int,
+) -> list[Decision]:
+    """Those that say least per ms, until by declared costs enough is saved; at least one if possible."""
+    total = sum(one.costs_ms[agent] for one in running.values() for agent in one.net.active)
+    to_save, saved = total * (1.0 - told.budget_ms / spent), 0.0
+    turning = sorted(ms for _, ms in late)[-LATE]
+    index = {
+        (target, agent): (one.memory.helpfulness(agent) or 0.0) / one.costs_ms[agent]
+        for target, one in running.items()
+        for agent in sorted(one.net.active - one.net.by_hand.keys())
+    }
+    gone: dict[str, set[str]] = {target: set() for target in running}
+    shed: list[Decision] = []
+    for target, agent in sorted(index, key=lambda pair: index[pair]):
+        one = running[target]
+        if (shed and saved >= to_save) or not _can_go(one, agent, gone[target]):
+            continue
+        own = {name: index[target, name] for name in one.net.active - gone[target] if (target, name) in index}
+        gone[target].add(agent)
+        saved += one.costs_ms[agent]
+        numbers = (spent, told.budget_ms, len(late), WITHIN, turning)
+        shed.append(Shed(frame, target, agent, *numbers, own))
+    return shed
+
+
+def _can_go(one: Running, agent: str, gone: set[str]) -> bool:
+    """Whether the node that governs it keeps enough others."""
+    governor = one.plate.governor[agent]
+    rules = None if governor is None else one.plate.inference(governor).adapt
+    left = [name for name in one.net.active - gone if one.plate.governor[name] == governor]
+    everywhere = len(one.net.active - gone)
+    return len(left) > (0 if rules is None else rules.keep) and everywhere > 1
+
+
+def _fewer(told: LateFrame, running: Mapping[str, Running], spent: float, frame: int) -> list[Decision]:
+    factor = max(told.budget_ms / spent, LEAST_FACTOR)
+    limited: list[Decision] = []
+    for target, one in running.items():
+        if one.particles is None:
+            continue
+        before = one.particles if one.net.most_particles is None else one.net.most_particles
+        most = max(int(before * factor), one.least)
+        if most < before:
+            limited.append(ParticlesLimited(frame, target, most, before, spent, told.budget_ms))
+    return limited
+
+
+def _in_time(
+    told: SpareTime, running: Mapping[str, Running], load: Load, frame: int, decisions: list[Decision]
+) -> Load:
+    load = replace(load, calm=load.calm + told.frames)
+    if load.calm < load.wait:
+        return load
+    back = _more(told, running, frame) or _take_back(told, running, load, frame)
+    decisions += back
+    return replace(load, late=(), calm=0, back=frame) if back else load
+
+
+def _more(told: SpareTime, running: Mapping[str, Running], frame: int) -> list[Decision]:
+    """Twice as many hypotheses where they are limited, if that fits."""
+    if 2.0 * told.spent_ms > ROOM * told.budget_ms:
+        return []
+    limited: list[Decision] = []
+    for target, one in running.items():
+        before = one.net.most_particles
+        if before is not None:
+            most = 2 * before if 2 * before < one.most else None
+            limited.append(ParticlesLimited(frame, target, most, before, told.spent_ms, told.budget_ms))
+    return limited
+
+
+def _take_back(told: SpareTime, running: Mapping[str, Running], load: Load, frame: int) -> list[Decision]:
+    """The agent of one target that was shed last, if it fits by declared costs."""
+    if any(one.net.most_particles is not None for one in running.values()):
+        return []
+    total = sum(one.costs_ms[agent] for one in running.values() for agent in one.net.active)
+    for target, one in running.items():
+        for agent in reversed(one.net.shed):
+            if agent in one.net.quarantined:
+                continue
+            expected = told.spent_ms * (1.0 + one.costs_ms[agent] / max(total, 1e-9))
+            if expected <= ROOM * told.budget_ms:
+                numbers = (told.spent_ms, expected, told.budget_ms, load.calm)
+                return [TakenBack(frame, target, agent, *numbers)]
+    return []

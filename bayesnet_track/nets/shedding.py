@@ -1,0 +1,58 @@
+"""What a run that is short of time does without, over all live targets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from bayesnet_track.adapt.shedding import Load, Running, balance
+from bayesnet_track.belief.contract import Belief
+from bayesnet_track.belief.particles import ParticleFilter
+from bayesnet_track.graph.net import Decision, Net
+from bayesnet_track.graph.spec import Particles
+from bayesnet_track.journal.inputs import LateFrame, SpareTime
+from bayesnet_track.machinery import Engine
+from bayesnet_track.nets.state import TargetState
+
+LEAST_SHARE, LEAST = 8, 100
+"""A fixed number of hypotheses is cut to an eighth at most, and never below this."""
+
+
+def balanced(
+    engine: Engine,
+    net: Net,
+    targets: Mapping[str, TargetState],
+    timing: Iterable[LateFrame | SpareTime],
+    load: Load,
+    frame: int,
+) -> tuple[tuple[Decision, ...], Load]:
+    """What is shed or taken back in this frame, and what is remembered."""
+    running = {target: _running(engine, net, target, state) for target, state in targets.items()}
+    return balance(frame, timing, running, load)
+
+
+def within(belief: Belief[Any], most: int | None) -> Belief[Any]:
+    """The belief with at most so many hypotheses."""
+    if most is None or not isinstance(belief, ParticleFilter):
+        return belief
+    settings = belief.settings
+    if isinstance(settings.size, int):
+        return ParticleFilter(settings.model_copy(update={"size": min(settings.size, most)}))
+    limits = {"min": min(settings.least, most), "max": min(settings.most, most)}
+    return ParticleFilter(settings.model_copy(update=limits))
+
+
+def _running(engine: Engine, net: Net, target: str, state: TargetState) -> Running:
+    live = net.targets[target]
+    machine = engine.machinery[live.template]
+    one = (machine.plate, live, state.memory, machine.costs_ms)
+    if not isinstance(machine.belief, ParticleFilter):
+        return Running(*one)
+    least, most = _bounds(machine.belief.settings)
+    return Running(*one, len(state.belief), least, most)
+
+
+def _bounds(settings: Particles) -> tuple[int, int]:
+    if isinstance(settings.size, int):
+        return max(settings.size // LEAST_SHARE, min(LEAST, settings.size)), settings.size
+    return settings.least, settings.most

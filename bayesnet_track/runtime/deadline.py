@@ -1,0 +1,81 @@
+"""Watch how long frames take against a budget, and tell the engine of those that were late."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from bayesnet_track.graph.net import Net
+from bayesnet_track.journal.inputs import Input, LateFrame, SpareTime
+
+FOR_AGENTS = 0.8
+"""Share of the budget by which agents that work elsewhere have to answer: the rest is for what follows."""
+
+WARM_UP = 5
+"""First frames, which load what is compiled: their time says nothing."""
+
+TOLD_EVERY = 50
+"""Frames in time after which they are told of, while something is done without."""
+
+
+class Punctual(Protocol):
+    """Who asks agents elsewhere, and can leave an answer that comes too late.
+
+    Attributes:
+        deadline: seconds of the monotonic clock by which answers are needed; a later one is never used
+            (`AgentUnavailable`). None for no deadline.
+    """
+
+    deadline: float | None
+
+
+class Deadline:
+    """The time that a frame may take.
+
+    Args:
+        budget_ms: milliseconds.
+        asking: who asks agents elsewhere, to be told by when each frame needs their answers.
+        clock: seconds of the monotonic clock.
+    """
+
+    def __init__(
+        self,
+        budget_ms: float,
+        asking: Punctual | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.budget_ms = budget_ms
+        self._asking, self._clock = asking, clock
+        self._began = 0.0
+        self._frames = self._calm = 0
+        self._spent = self._most = 0.0
+
+    def begin(self) -> None:
+        """A frame begins."""
+        self._began = self._clock()
+        if self._asking is not None and self._frames >= WARM_UP:
+            self._asking.deadline = self._began + FOR_AGENTS * self.budget_ms / 1000.0
+
+    def end(self) -> None:
+        """The frame is done."""
+        if self._asking is not None:
+            self._asking.deadline = None
+        self._frames += 1
+        self._spent = 1000.0 * (self._clock() - self._began)
+        if self._frames <= WARM_UP:
+            self._spent = 0.0
+        is_late = self._spent > self.budget_ms
+        self._calm = 0 if is_late else self._calm + 1
+        self._most = 0.0 if is_late else max(self._most, self._spent)
+
+    def told(self, frame: int, net: Net) -> tuple[Input, ...]:
+        """What the engine is given with the next frame: that the last was late, or that there is time."""
+        if self._spent > self.budget_ms:
+            return (LateFrame(frame, self._spent, self.budget_ms),)
+        if self._calm < TOLD_EVERY:
+            return ()
+        spare = SpareTime(frame, self._most, self.budget_ms, self._calm)
+        self._calm, self._most = 0, 0.0
+        is_short = any(one.shed or one.most_particles is not None for one in net.targets.values())
+        return (spare,) if is_short else ()

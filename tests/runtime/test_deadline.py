@@ -1,0 +1,131 @@
+"""A frame's time against its budget: what is late is told, recorded, and repeats; nobody waits for it."""
+
+from __future__ import annotations
+
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.graph.net import Net, ParticlesLimited, TargetNet
+from bayesnet_track.journal.inputs import AgentMissed, LateFrame, SpareTime
+from bayesnet_track.journal.reader import read_inputs
+from bayesnet_track.runtime.deadline import FOR_AGENTS, WARM_UP, Deadline
+from bayesnet_track.runtime.scene_source import SceneSource
+from bayesnet_track.runtime.session import track
+from bayesnet_track.scenes import make_scene
+
+FILES = ("journal.jsonl", "frames.jsonl", "tracks.txt", "tracks.csv", "inputs.jsonl")
+SHORT = Net({"1": TargetNet("plate", frozenset("a"), shed=("b",))})
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+def frames(deadline, clock, times_ms, net=SHORT):
+    told = []
+    for index, spent in enumerate(times_ms):
+        told += deadline.told(index, net)
+        deadline.begin()
+        clock.now += spent / 1000.0
+        deadline.end()
+    return told
+
+
+def test_late_frames_are_told_with_the_next_one_and_the_first_ones_are_not_counted():
+    clock = Clock()
+    told = frames(Deadline(10.0, clock=clock), clock, [90.0] * WARM_UP + [9.0, 12.0, 9.0, 9.0])
+    assert told == [LateFrame(WARM_UP + 2, pytest.approx(12.0), 10.0)]
+
+
+def test_spare_time_is_told_only_while_something_is_done_without():
+    clock = Clock()
+    times = [5.0] * 48 + [7.0] + [5.0] * 60
+    told = frames(Deadline(10.0, clock=clock), clock, times)
+    assert told == [
+        SpareTime(50, pytest.approx(7.0), 10.0, 50),
+        SpareTime(100, pytest.approx(5.0), 10.0, 50),
+    ]
+    assert frames(Deadline(10.0, clock=clock), clock, times, Net()) == []
+
+
+def test_agents_elsewhere_are_told_by_when_to_answer():
+    clock, asking = Clock(), SimpleNamespace(deadline=None)
+    deadline = Deadline(10.0, asking, clock)
+    frames(deadline, clock, [1.0] * WARM_UP)
+    deadline.begin()
+    assert asking.deadline == pytest.approx(clock.now + FOR_AGENTS * 0.010)
+    deadline.end()
+    assert asking.deadline is None
+
+
+def play(out, **settings):
+    scene = make_scene("two_squares", seed=3)
+    return list(track("two_squares", SceneSource(scene, "scene", 14), scene.start_box, out=out, **settings))
+
+
+def test_a_run_that_is_too_slow_sheds_and_repeats_from_its_inputs(tmp_path):
+    """No frame takes a nanosecond: all that can go goes, and the same inputs give the same bytes."""
+    results = play(tmp_path / "live", budget_ms=1e-6)
+    decided = [d for result in results for d in result.decisions]
+    limits = [d.most for d in decided if isinstance(d, ParticlesLimited)]
+    assert limits == [250, 125, 100][: len(limits)] and limits
+    cut = {d.frame: d.most for r in results for d in r.decisions if isinstance(d, ParticlesLimited)}
+    for frame, most in cut.items():
+        assert results[min(frame + 1, 13)].targets[0].particles == most or frame == 13
+    told = list(read_inputs(tmp_path / "live" / "inputs.jsonl"))
+    assert [one.frame for one in told] == list(range(WARM_UP + 2, 14))
+    play(tmp_path / "again", inputs=tmp_path / "live" / "inputs.jsonl")
+    for name in FILES:
+        assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "live" / name).read_bytes(), name
+
+
+def test_a_budget_and_inputs_are_refused_together(tmp_path):
+    play(tmp_path / "live", budget_ms=1e-6)
+    with pytest.raises(ValueError, match="no budget"):
+        play(tmp_path / "again", budget_ms=5.0, inputs=tmp_path / "live" / "inputs.jsonl")
+
+
+class Waiting:
+    """Asks a slow agent in another thread's stead: it waits until the deadline, then gives up."""
+
+    deadline = None
+
+    def each(self, work, pieces):
+        return [work(piece) for piece in pieces]
+
+
+def test_a_frame_comes_in_time_though_an_agent_is_ten_times_slower(fakes):
+    """Within the deadline and 10 %, and what it would have answered late is used in no frame."""
+    budget_ms, waiting, answered = 50.0, Waiting(), []
+
+    def slow(planes, hypotheses, reference):
+        needed = 10.0 * budget_ms / 1000.0
+        left = None if waiting.deadline is None else waiting.deadline - time.monotonic()
+        if left is not None and left < needed:
+            time.sleep(max(left, 0.0))
+            raise AgentUnavailable("gave no answer by the deadline")
+        answered.append(planes.frame.index)
+        return fakes.flat(-0.1)(planes, hypotheses, reference)
+
+    nodes = {"root": {"fuse": "product", "belief": {"particles": {"size": 60}}}, "a": "root", "b": "root"}
+    engine, _ = fakes.engine(nodes, {"a": fakes.gaussian(52, 41, 9), "b": slow})
+    deadline, spent, outcomes = Deadline(budget_ms, waiting), [], fakes.play(engine, 0)
+    from bayesnet_track.engine import step
+
+    for index in range(1, 12):
+        given = deadline.told(index, outcomes[-1].state.net)
+        deadline.begin()
+        began = time.monotonic()
+        outcomes.append(step(engine, outcomes[-1].state, fakes.frame(index), given))
+        deadline.end()
+        spent.append(1000.0 * (time.monotonic() - began))
+    missed = [one.frame for outcome in outcomes for one in outcome.outside if isinstance(one, AgentMissed)]
+    assert answered == list(range(1, WARM_UP + 1)) and missed == [6, 7, 8]
+    assert all(ms < 1.1 * budget_ms for ms in spent[WARM_UP:])
+    assert [outcome.metrics[0].active for outcome in outcomes[6:]] == [("a",)] * 6
