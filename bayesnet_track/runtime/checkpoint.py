@@ -11,10 +11,11 @@ import json
 import time
 import zlib
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +35,9 @@ MAGIC = b"bayesnet_track checkpoint 1"
 EVERY_S = 1.0
 """Seconds between checkpoints, unless they take more than a hundredth of the time."""
 
-SHARE, MOST_S = 0.01, 2.0
-"""Checkpoints that take a larger share of the time are made less often, but every two seconds at least."""
+SHARE, MOST_S = 0.01, 1.6
+"""Checkpoints that take a larger share of the time are made less often, but after so many seconds at least:
+with the time that a frame and the disk take, no more than 2 s of work are lost."""
 
 
 class CheckpointError(ValueError):
@@ -162,6 +164,8 @@ _NUMBERS = ("recipe", "frame", "pixels", "frames", "reconfigurations", "lost_fra
 class Checkpoints:
     """Makes checkpoints of a run as it goes on: a keeper of `run`.
 
+    The state is taken between two frames; a thread waits for the disk, so that no frame does.
+
     Args:
         directory: of the run.
         recorder: who writes its outputs.
@@ -184,6 +188,8 @@ class Checkpoints:
         self._every_s, self._notice, self._clock = every_s, notice, clock
         self._due: float | None = clock() + every_s
         self._last: Reached | None = None
+        self._writer = ThreadPoolExecutor(1, "checkpoints")
+        self._writing: Future[None] | None = None
         self.made, self.seconds = 0, 0.0
 
     def reached(self, now: Reached) -> None:
@@ -193,7 +199,9 @@ class Checkpoints:
             OutputError: it, or an output before it, cannot be written.
         """
         self._last = now
-        if self._due is not None and self._clock() >= self._due:
+        if self._due is None or self._clock() < self._due:
+            return
+        if self._writing is None or self._writing.done():
             self._make(now)
 
     def stopped(self) -> None:
@@ -201,6 +209,7 @@ class Checkpoints:
         if self._due is not None and self._last is not None:
             with suppress(OutputError):
                 self._make(self._last)
+                self._written()
 
     def ended(self) -> None:
         """Let the disk have the outputs, and remove the checkpoint.
@@ -208,11 +217,29 @@ class Checkpoints:
         Raises:
             OutputError: an output cannot be written.
         """
+        self._written()
         if self.made or self._directory.checkpoint.exists():
             self._recorder.sync()
             remove(self._directory.checkpoint)
 
+    def close(self) -> None:
+        """Wait for the disk; safe to call twice."""
+        self._writer.shutdown()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _written(self) -> None:
+        """Wait until the last one is written; raises OutputError when it cannot be."""
+        writing, self._writing = self._writing, None
+        if writing is not None:
+            writing.result()
+
     def _make(self, now: Reached) -> None:
+        self._written()
         began = self._clock()
         try:
             made = checkpoint_of(now, self._recorder.written, self._recipe)
@@ -221,12 +248,15 @@ class Checkpoints:
             if self._notice is not None:
                 self._notice(f"no checkpoints: {error}; if it is broken off, this run repeats from its start")
             return
-        self._recorder.sync()
-        write_checkpoint(self._directory.checkpoint, made)
+        self._writing = self._writer.submit(self._write, made)
         ended = self._clock()
         spent = ended - began
         self.made, self.seconds = self.made + 1, self.seconds + spent
         self._due = ended + max(self._every_s, min(spent / SHARE, MOST_S))
+
+    def _write(self, made: Checkpoint) -> None:
+        self._recorder.sync()
+        write_checkpoint(self._directory.checkpoint, made)
 
 
 def remove(path: Path) -> None:

@@ -152,6 +152,9 @@ def resume(
         if checkpoint is not None and recipe.has_video:
             with recipe.opened() as again:
                 recorder.redraw((item for item in again if isinstance(item, Frame)), checkpoint.frame)
+        keeper = kept(directory, engine, recorder, recipe, checkpoint_every)
+        if keeper is not None:
+            stack.enter_context(keeper)
         yield from run(
             graph,
             opened,
@@ -162,7 +165,7 @@ def resume(
             engine=engine,
             inputs={} if recipe.detections is None else {recipe.detections.path: recipe.detections.sha256},
             outside=outside,
-            keeper=kept(directory, engine, recorder, recipe, checkpoint_every),
+            keeper=keeper,
             after=after,
         )
 

@@ -24,7 +24,7 @@ from bayesnet_track.runtime.inputs import Asked, as_asked
 from bayesnet_track.runtime.lock import locked
 from bayesnet_track.runtime.recipe import Recipe, make_recipe
 from bayesnet_track.runtime.record import Recorder
-from bayesnet_track.runtime.run import FrameSource, Keeper, Result, Sink, Summary, run
+from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
 from bayesnet_track.runtime.rundir import RunDirectory
 from bayesnet_track.runtime.sources import open_source
 from bayesnet_track.runtime.starts import Start, StartError, check_starts
@@ -110,7 +110,7 @@ def track(
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
         engine = stack.enter_context(executing).engine(engine)
         told: list[Sink] = list(sinks)
-        keeper: Keeper | None = None
+        keeper: Checkpoints | None = None
         if out is not None:
             directory = RunDirectory.create(str(out), overwrite)
             recipe = make_recipe(
@@ -128,6 +128,8 @@ def track(
             recorder = stack.enter_context(Recorder(directory, checked, opened.frame_interval_s, video))
             told.append(recorder)
             keeper = kept(directory, engine, recorder, recipe, checkpoint_every)
+            if keeper is not None:
+                stack.enter_context(keeper)
         yield from run(
             checked,
             opened,
@@ -166,7 +168,7 @@ def begin(directory: RunDirectory, graph: CheckedGraph, recipe: Recipe) -> None:
 
 def kept(
     directory: RunDirectory, engine: Engine, recorder: Recorder, recipe: Recipe, every_s: float
-) -> Keeper | None:
+) -> Checkpoints | None:
     """Who makes checkpoints of a run; None where nobody does, or nothing could go on from them."""
     if every_s <= 0 or recipe.origin.only_once is not None or opaque_agents(engine):
         return None

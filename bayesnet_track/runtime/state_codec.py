@@ -71,7 +71,7 @@ CLASSES: tuple[type, ...] = (
 )
 """Every class of which the state between frames is made."""
 
-PLAIN = (bool, int, float, str, type(None))
+PLAIN = frozenset((bool, int, float, str, type(None)))
 DTYPES = "biufc"
 
 
@@ -141,7 +141,8 @@ class _Encoder:
         if type(value) in PLAIN:
             return value
         if type(value) is tuple:
-            return ["t", *[self.node(item) for item in value]]
+            is_plain = PLAIN.issuperset(map(type, value))  # the usual case: many numbers
+            return ["t", *(value if is_plain else map(self.node, value))]
         if type(value) is frozenset:
             return ["f", *[self.node(item) for item in sorted(value)]]
         known = self._seen.get(id(value))
