@@ -227,7 +227,7 @@ def follow(
 ) -> int:
     """Track to the end or until a signal, showing how far it is of the frames `expected`; the exit code."""
     from bayesnet_track.detector import DetectorError
-    from bayesnet_track.runtime.executors.placing import PlacingError
+    from bayesnet_track.runtime.executors import PlacingError
     from bayesnet_track.runtime.progress import Progress
     from bayesnet_track.runtime.starts import StartError
 
@@ -255,9 +255,7 @@ def follow(
 
 def executor_of(options: argparse.Namespace) -> Executing:
     """How agents are asked, by the options of `add_executor_options`; raises UsageError."""
-    from bayesnet_track.runtime.executors import make_executor
-    from bayesnet_track.runtime.executors.placing import PlacingError, parse_places
-    from bayesnet_track.runtime.executors.workers import Limits
+    from bayesnet_track.runtime.executors import Limits, PlacingError, make_executor, parse_places
 
     patience, least = options.agent_timeout, Limits()
     limits = Limits(

@@ -63,7 +63,7 @@ class AgentHost:
         received = self._received
         received.forget(question.forget)
         cue: Any = self._cues[question.agent]
-        arguments = [
+        arguments: list[Any] = [
             received.reference(part) if isinstance(part, Told) else part for part in question.arguments
         ]
         if question.frames is not None:
@@ -71,8 +71,8 @@ class AgentHost:
             planes = self._cache(question.frames).planes(cue.needs, question.region)
             arguments.insert(1 if question.method == LEARN_AND_BLEND else 0, planes)
         if question.method == LEARN_AND_BLEND:
-            learn, planes, old, rate, *box = arguments
-            returned = cue.blend(old, getattr(cue, learn)(planes, *box), rate)
+            learn, seen, old, rate, *box = arguments
+            returned = cue.blend(old, getattr(cue, learn)(seen, *box), rate)
         else:
             returned = getattr(cue, question.method)(*arguments)
         match question.method:
