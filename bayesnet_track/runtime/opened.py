@@ -17,6 +17,7 @@ from bayesnet_track.graph.spec import AgentNode, GraphSpec
 from bayesnet_track.journal.codec import JournalError
 from bayesnet_track.journal.events import Event, FrameMetrics, RunStarted
 from bayesnet_track.journal.reader import Notice, read_events, read_metrics
+from bayesnet_track.journal.wording import plural
 from bayesnet_track.runtime.interchange import Detections
 from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.tables import AGENT_COLUMNS, TRACK_COLUMNS, Row, agent_rows, columns, track_rows
@@ -50,7 +51,7 @@ def open_run(path: str | PathLike[str], notice: Notice | None = None) -> Run:
     return Run(directory, events, metrics, text)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Run:
     """A run as its directory tells it. Made by `open_run`.
 
@@ -65,6 +66,10 @@ class Run:
     events: tuple[Event, ...]
     metrics: tuple[FrameMetrics, ...]
     graph_text: str
+
+    def __repr__(self) -> str:
+        frames = len({line.frame for line in self.metrics})
+        return f"Run({self.name!r}: {plural(frames, 'frame')}, {plural(len(self.targets), 'target')})"
 
     @property
     def name(self) -> str:

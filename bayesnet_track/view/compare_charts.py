@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from bayesnet_track.graph.net import Activated, Deactivated, Quarantined, SelfStopped, TargetStarted
+from bayesnet_track.graph.net import Switch, TargetStarted
 from bayesnet_track.journal.compare import Comparison, Distance, Moment, RunRecord
 from bayesnet_track.journal.events import FrameMetrics
 from bayesnet_track.journal.explain import explain
@@ -76,7 +76,7 @@ def _agents(
         for event in run.events:
             if isinstance(event, TargetStarted) and event.target == target:
                 found |= dict.fromkeys(event.active)
-            if isinstance(event, Activated | Deactivated | SelfStopped | Quarantined):
+            if isinstance(event, Switch):
                 found |= {event.node: None} if event.target == target else {}
     return list(found | dict.fromkeys(name for side in lines for line in side for name in line.active))
 

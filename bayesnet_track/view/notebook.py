@@ -8,8 +8,9 @@ from collections.abc import Iterable, Sequence
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.laws import check_graph
 from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.graph.net import Switch
 from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.journal.compare import SWITCHES, RunRecord
+from bayesnet_track.journal.compare import RunRecord
 from bayesnet_track.journal.events import RunEnded, RunStarted
 from bayesnet_track.journal.explain import explain, has_several_targets
 from bayesnet_track.journal.wording import plural
@@ -53,7 +54,7 @@ def run_html(run: RunRecord) -> str:
         *(("source", f"{one.source}, {one.width}x{one.height}") for one in started),
         ("frames", f"{frames}" + "".join(f", {one.reason.replace('_', ' ')}" for one in ended)),
         ("targets", str(len(targets))),
-        ("reconfigurations", str(sum(isinstance(event, SWITCHES) for event in run.events))),
+        ("reconfigurations", str(sum(isinstance(event, Switch) for event in run.events))),
         ("frames lost", str(sum(line.status == "lost" for line in run.metrics))),
         *([("seconds", f"{seconds:.3g} ({frames / seconds:.0f} frames per second)")] if seconds else []),
     ]

@@ -73,6 +73,7 @@ def test_a_run_shows_figures_timelines_and_reasons(run):
     assert html.count("<svg") == 2 and "seed 0" in text and "target 1 starts as" in text
     assert str(run.directory.path) in text
     parsed(run.timeline("2"))
+    assert repr(run) == f"Run({run.name!r}: 10 frames, 2 targets)"  # what a notebook keeps beside the HTML
 
 
 def test_a_run_that_has_just_begun(run):
