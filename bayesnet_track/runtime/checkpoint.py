@@ -33,11 +33,7 @@ from bayesnet_track.runtime.state_codec import StateError, decode_state, encode_
 MAGIC = b"bayesnet_track checkpoint 1"
 
 EVERY_S = 1.0
-"""Seconds between checkpoints, unless they take more than a hundredth of the time."""
-
-SHARE, MOST_S = 0.01, 1.6
-"""Checkpoints that take a larger share of the time are made less often, but after so many seconds at least:
-with the time that a frame and the disk take, no more than 2 s of work are lost."""
+"""Seconds between checkpoints: with the time of a frame and of the disk, less than 2 s of work are lost."""
 
 
 class CheckpointError(ValueError):
@@ -190,7 +186,7 @@ class Checkpoints:
         self._last: Reached | None = None
         self._writer = ThreadPoolExecutor(1, "checkpoints")
         self._writing: Future[None] | None = None
-        self.made, self.seconds = 0, 0.0
+        self._has_made = False
 
     def reached(self, now: Reached) -> None:
         """Make a checkpoint when one is due.
@@ -218,7 +214,7 @@ class Checkpoints:
             OutputError: an output cannot be written.
         """
         self._written()
-        if self.made or self._directory.checkpoint.exists():
+        if self._has_made or self._directory.checkpoint.exists():
             self._recorder.sync()
             remove(self._directory.checkpoint)
 
@@ -249,10 +245,7 @@ class Checkpoints:
                 self._notice(f"no checkpoints: {error}; if it is broken off, this run repeats from its start")
             return
         self._writing = self._writer.submit(self._write, made)
-        ended = self._clock()
-        spent = ended - began
-        self.made, self.seconds = self.made + 1, self.seconds + spent
-        self._due = ended + max(self._every_s, min(spent / SHARE, MOST_S))
+        self._has_made, self._due = True, began + self._every_s
 
     def _write(self, made: Checkpoint) -> None:
         self._recorder.sync()
