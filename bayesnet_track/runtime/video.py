@@ -66,6 +66,7 @@ class VideoReader:
         self._index = 0
         self._packets = 0
         self._silent = 0
+        self._lost = 0
         self._end_s = 0.0
         # AVI has no presentation times: reordered, the n-th picture has the n-th smallest decoding time.
         self._is_avi = self._container.format.name == "avi"
@@ -101,6 +102,7 @@ class VideoReader:
     def _decode(self, packet: Any) -> Iterator[Picture | Damage]:
         if packet is not None:
             self._packets += 1
+            self._lost = 0
             self._silent += bool(getattr(packet, "is_discard", False))
             if packet.is_corrupt:
                 yield Damage(self._index, "a packet is cut off or damaged")
@@ -111,6 +113,7 @@ class VideoReader:
         except FAULTS as error:
             yield Damage(self._index, f"the decoder refused a frame: {_words(error)}")
             if packet is not None:
+                self._lost = int(packet.is_corrupt)  # the last one is where the file was cut
                 self._index += 1
                 if self._untimed and packet.dts in self._untimed:
                     self._untimed.remove(packet.dts)
@@ -152,7 +155,7 @@ class VideoReader:
             end += float(self._origin * self._timing.tick)
         if frames > 0:
             # AVI counts the frames that were left out, too.
-            read = max(self._packets, round(end / self.frame_interval_s) if self._is_avi else 0)
+            read = max(self._packets - self._lost, round(end / self.frame_interval_s) if self._is_avi else 0)
             if read < frames:
                 yield Damage(self._index, f"the file is truncated: read {read} of {frames} frames", True)
         elif duration is not None and end < duration - self._declared.slack_s:
