@@ -53,7 +53,8 @@ sphinx_gallery_conf = {
 }
 
 # Words of formats and shells that Pygments does not know are shown plain.
-suppress_warnings = ["misc.highlighting_failure", "config.cache"]
+# A group of pages may be empty.
+suppress_warnings = ["misc.highlighting_failure", "config.cache", "toc.empty_glob"]
 
 
 def setup(app: Any) -> None:

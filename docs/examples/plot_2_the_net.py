@@ -2,12 +2,13 @@
 What a graph stands for
 =======================
 
-A graph file is a Bayes net. Draw it, print the density that it stands for, and see what reaches the root.
+A graph file is a Bayes net. Draw it, print the density that it stands for, and see what reaches the
+root.
 """
 
 # %%
-# The graph ``color_fusion``: two agents look at colours, and a distractor of the target's colour fools both. So they
-# hang under a node of their own, which counts colour once.
+# The graph ``color_fusion``: two agents look at colours, and a distractor of the target's colour
+# fools both. So they hang under a node of their own, which counts colour once.
 
 import matplotlib.pyplot as plt
 
@@ -20,8 +21,8 @@ all_on = frozenset(plate.agents)
 print(formula_text(plate, all_on))
 
 # %%
-# Nodes that hold a belief are round, agents have corners; an agent that is switched off is pale. On the right is what
-# is left when only two agents are active.
+# Nodes that hold a belief are round, agents have corners; an agent that is switched off is pale. On
+# the right is what is left when only two agents are active.
 
 figure, axes = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
 for axis, active in zip(axes, (all_on, frozenset({"histogram", "motion"})), strict=True):

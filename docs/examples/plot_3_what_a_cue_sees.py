@@ -2,13 +2,13 @@
 What a cue sees
 ===============
 
-The likelihood of a cue at every place of a picture: where it is high the cue takes a box for the target. Look at it
-before you choose the cues of a graph.
+The likelihood of a cue at every place of a picture: where it is high the cue takes a box for the
+target. Look at it before you choose the cues of a graph.
 """
 
 # %%
-# A cue learns a reference from the first box, and scores hypotheses: boxes, as many at once as you like. Here they
-# stand on a lattice, all of the target's size, in a later frame.
+# A cue learns a reference from the first box, and scores hypotheses: boxes, as many at once as you
+# like. Here they stand on a lattice, all of the target's size, in a later frame.
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -30,8 +30,8 @@ centres = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
 boxes = np.concatenate([centres, np.tile(start[2:], (len(centres), 1))], axis=1).astype(float)
 
 # %%
-# Four cues on the orange square. Colour is sure of its place; the pattern says little, since the square has none;
-# motion sees whatever moves as it does.
+# Four cues on the orange square. Colour is sure of its place; the pattern says little, since the
+# square has none; motion sees whatever moves as it does.
 
 names = ["color_histogram", "foreground_color", "intensity", "motion"]
 figure, axes = plt.subplots(1, 5, figsize=(12, 2.4), layout="constrained")
@@ -42,7 +42,9 @@ for axis, name in zip(axes[1:], names, strict=True):
     cue = declaration.make(declaration.parameters())
     before, now = (PlaneCache(pair).planes(cue.needs, everywhere) for pair in (first, later))
     seen = cue.log_likelihood(now, Hypotheses(boxes), cue.learn(before, start))
-    axis.imshow(np.exp(seen).reshape(len(ys), len(xs)), cmap="magma", vmin=0, extent=(0, scene.width, scene.height, 0))
+    axis.imshow(
+        np.exp(seen).reshape(len(ys), len(xs)), cmap="magma", vmin=0, extent=(0, scene.width, scene.height, 0)
+    )
     axis.set_title(name, fontsize=9)
 for axis in axes:
     axis.set_axis_off()

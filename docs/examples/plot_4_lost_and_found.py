@@ -2,8 +2,8 @@
 Lost, and found again
 =====================
 
-A ball flies behind a pillar. A Kalman filter, fed by mean shift, predicts; its uncertainty grows; the tracker says
-that the ball is lost — and takes it up where it comes out.
+A ball flies behind a pillar. A Kalman filter, fed by mean shift, predicts; its uncertainty grows;
+the tracker says that the ball is lost — and takes it up where it comes out.
 """
 
 # %%

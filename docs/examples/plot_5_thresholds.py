@@ -2,8 +2,8 @@
 Finding thresholds
 ==================
 
-When shall an agent be called? First measure how uncertain the belief is while all is well, with only the agents that
-stay on; then set the levels between that and what trouble looks like.
+When shall an agent be called? First measure how uncertain the belief is while all is well, with
+only the agents that stay on; then set the levels between that and what trouble looks like.
 """
 
 # %%
@@ -32,8 +32,8 @@ results = list(track(load_graph(graph), SceneSource(scene, "two_squares"), [Star
 ud = np.array([result.targets[0].ud_px2 for result in results])
 
 # %%
-# The squares meet in frames 25 to 34 and 174 to 183. Before, UD has its quiet level; the upper level goes at about one
-# and a half times the quiet one, the lower one in between.
+# The squares meet in frames 25 to 34 and 174 to 183. Before, UD has its quiet level; the upper
+# level goes at about one and a half times the quiet one, the lower one in between.
 
 quiet = float(np.median(ud[5:20]))
 print(f"quiet level {quiet:.0f} px²: activate above {1.5 * quiet:.0f}, deactivate below {1.2 * quiet:.0f}")

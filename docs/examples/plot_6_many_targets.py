@@ -2,8 +2,8 @@
 Targets that nobody points at
 =============================
 
-Two detectors find an orange and a gray square; each becomes a target with a net of its own. When one is hidden its
-net calls for help, and a detection gives it back with its identity.
+Two detectors find an orange and a gray square; each becomes a target with a net of its own. When
+one is hidden its net calls for help, and a detection gives it back with its identity.
 """
 
 # %%

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 
 import cv2
@@ -12,6 +13,7 @@ from pydantic import Field, create_model
 from bayesnet_track.cue import Cue, CueDeclaration, Hypotheses, MeasuringCue, Reference, installed_cues
 from bayesnet_track.depth import RightEye, StereoGeometry
 from bayesnet_track.planes import Frame, FramePair, PlaneCache, Planes, Region, region_of_boxes
+from bayesnet_track.plugins import allow
 
 WIDTH, HEIGHT = 320, 240
 SIZE = np.array([49.0, 37.0])
@@ -110,6 +112,13 @@ class Asked:
 @pytest.fixture(scope="session")
 def scene():
     return Scene()
+
+
+# Cues of other packages, which are tried as the built-in ones are.
+OTHERS = [name for name in os.environ.get("BAYESNET_TRACK_TRY_CUES", "").split(",") if name]
+if OTHERS:
+    allow(OTHERS)
+    installed_cues(OTHERS)
 
 
 def _names(kind):
