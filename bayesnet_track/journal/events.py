@@ -104,6 +104,36 @@ class SourceDamaged:
 
 
 @dataclass(frozen=True)
+class FramesDropped:
+    """Pictures of a live source were dropped, since something newer was there when the tracker was ready.
+
+    Attributes:
+        frame: next frame to be read.
+        dropped: how many since the last line like this.
+    """
+
+    frame: int
+    dropped: int
+
+
+@dataclass(frozen=True)
+class SourceStalled:
+    """A live source gave no picture for a while; it is connected to anew.
+
+    Attributes:
+        frame: next frame to be read.
+        seconds: wall-clock seconds since the last picture.
+        reason: what was wrong.
+        attempt: how often that was tried since the last picture, this time included.
+    """
+
+    frame: int
+    seconds: float
+    reason: str
+    attempt: int
+
+
+@dataclass(frozen=True)
 class DegenerateBelief:
     """No hypothesis had a positive, finite weight; the prior was kept as the belief.
 
@@ -291,6 +321,8 @@ Event = (
     | FramesMissing
     | FrameSizeChanged
     | SourceDamaged
+    | FramesDropped
+    | SourceStalled
     | DegenerateBelief
     | MeasurementGated
     | BeliefReset

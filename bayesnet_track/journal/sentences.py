@@ -26,6 +26,7 @@ from bayesnet_track.journal.events import (
     BeliefReset,
     DegenerateBelief,
     Event,
+    FramesDropped,
     FrameSizeChanged,
     FramesMissing,
     MeasurementGated,
@@ -35,6 +36,7 @@ from bayesnet_track.journal.events import (
     RunStarted,
     SecondPass,
     SourceDamaged,
+    SourceStalled,
 )
 from bayesnet_track.journal.fault_sentences import (
     by_hand,
@@ -93,6 +95,12 @@ def explain(event: Event, name_target: bool = False) -> str:
             return f"frame {event.frame}: the pictures change to {event.width}x{event.height}; {then}"
         case SourceDamaged():
             return f"frame {event.frame}: the source is damaged: {event.reason}"
+        case FramesDropped():
+            pictures = plural(event.dropped, "picture")
+            return f"frame {event.frame}: {pictures} dropped, since newer ones were there"
+        case SourceStalled():
+            silent = f"frame {event.frame}: no picture for {event.seconds:.1f} s: {event.reason}"
+            return f"{silent}; connecting again, attempt {event.attempt}"
         case InputRefused():
             return f"frame {event.frame}: what was asked of {event.node} is refused: {event.reason}"
         case BirthsRefused():

@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayesnet_track.runtime.frames import Damage, Picture, SourceError
+from bayesnet_track.runtime.frames import SourceError
+from bayesnet_track.runtime.live import Image, LiveReader
 
 DEFAULT_RATE = 30.0
 
 
-class CameraReader:
-    """Pictures of the camera with this index until it stops giving any.
-
-    Times are those of arrival, in units of the rate that the camera declares (30 a second when it declares
-    none). A picture that comes late by a frame or more counts as a gap.
+class Camera:
+    """The pictures of the camera with this index, as they come.
 
     Raises:
         SourceError: there is no such camera.
     """
-
-    gap_from = 2.0
-    declared_frames: int | None = None
 
     def __init__(self, index: str) -> None:
         import cv2
@@ -41,24 +34,23 @@ class CameraReader:
         rate = float(self._camera.get(cv2.CAP_PROP_FPS))
         self.frame_interval_s = 1.0 / (rate if np.isfinite(rate) and rate > 0 else DEFAULT_RATE)
 
-    def __iter__(self) -> Iterator[Picture | Damage]:
-        began: float | None = None
-        index = 0
+    def __iter__(self) -> Iterator[Image]:
         while True:
             ok, image = self._camera.read()
-            now = time.monotonic()
             if not ok:
-                yield Damage(index, "the camera stopped giving pictures")
-                return
-            began = now if began is None else began
-            yield Picture(index, (now - began) / self.frame_interval_s, now - began, _given(image))
-            index += 1
+                raise OSError("the camera stopped giving pictures")
+            yield np.ascontiguousarray(image, dtype=np.uint8), True
 
     def close(self) -> None:
         """Let go of the camera."""
         self._camera.release()
 
 
-def _given(image: Any) -> Any:
-    pixels: NDArray[np.uint8] = np.ascontiguousarray(image, dtype=np.uint8)
-    return lambda: (pixels, True)
+def camera_reader(index: str) -> LiveReader:
+    """The newest pictures of a camera, in units of the rate that it declares (else 30 a second).
+
+    Raises:
+        SourceError: there is no such camera.
+    """
+    first = Camera(index)
+    return LiveReader(lambda: Camera(index), first.frame_interval_s, first)

@@ -22,11 +22,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.depth import Depth
-from bayesnet_track.journal.events import FrameSizeChanged, FramesMissing, SourceDamaged
+from bayesnet_track.journal.events import (
+    FramesDropped,
+    FrameSizeChanged,
+    FramesMissing,
+    SourceDamaged,
+    SourceStalled,
+)
 from bayesnet_track.planes import Frame
 from bayesnet_track.runtime.origin import Origin
 
-SourceItem = Frame | FramesMissing | FrameSizeChanged | SourceDamaged
+SourceItem = Frame | FramesMissing | FramesDropped | FrameSizeChanged | SourceDamaged | SourceStalled
 OnResize = Literal["stop", "rescale"]
 EndReason = Literal["end_of_source", "source_truncated", "source_damaged", "frame_size_changed"]
 Pixels = Callable[[], tuple[NDArray[np.uint8], bool]]
@@ -60,6 +66,7 @@ class Picture:
         time: its time in nominal frame intervals.
         time_s: the same in seconds.
         pixels: gives ((H, W, 3) uint8 BGR, has_color) when asked; raises PictureError.
+        skipped: how many before it were dropped, since something newer was there.
         complete: makes of these pixels the frame's own and its depth, where the source has depth; raises
             PictureError.
     """
@@ -69,6 +76,7 @@ class Picture:
     time_s: float
     pixels: Pixels
     complete: Callable[[NDArray[np.uint8]], tuple[NDArray[np.uint8], Depth]] | None = None
+    skipped: int = 0
 
 
 @dataclass(frozen=True)
@@ -84,6 +92,36 @@ class Damage:
     index: int
     reason: str
     truncated: bool = False
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """Pictures of a live source that were dropped since this was last told.
+
+    Attributes:
+        index: number of the next picture.
+        pictures: how many.
+    """
+
+    index: int
+    pictures: int
+
+
+@dataclass(frozen=True)
+class Stalled:
+    """A live source gave no picture for a while, and is connected to anew.
+
+    Attributes:
+        index: number of the next picture.
+        seconds: since the last picture.
+        reason: what was wrong.
+        attempt: how often it has been tried since the last picture, this time included.
+    """
+
+    index: int
+    seconds: float
+    reason: str
+    attempt: int
 
 
 class Reader(Protocol):
@@ -104,7 +142,7 @@ class Reader(Protocol):
         """Steps of time from this length on, in nominal intervals, count as a gap."""
         ...
 
-    def __iter__(self) -> Iterator[Picture | Damage]: ...
+    def __iter__(self) -> Iterator[Picture | Damage | Dropped | Stalled]: ...
 
     def close(self) -> None:
         """Let go of files and devices."""
@@ -212,6 +250,12 @@ class Source:
                 continue
             if item.index < self._start:
                 continue
+            if isinstance(item, Dropped):
+                yield FramesDropped(item.index, item.pictures)
+                continue
+            if isinstance(item, Stalled):
+                yield SourceStalled(item.index, item.seconds, item.reason, item.attempt)
+                continue
             if last is not None and not item.time > last.time:
                 yield self._damaged(
                     item.index,
@@ -226,7 +270,9 @@ class Source:
             except PictureError as error:
                 yield self._damaged(item.index, str(error))
                 continue
-            if last is not None and item.time - last.time >= self._reader.gap_from:
+            # Pictures that were dropped are not missing: the steps between all that came count.
+            steps = item.skipped + 1
+            if last is not None and item.time - last.time >= steps * self._reader.gap_from:
                 yield FramesMissing(item.index, item.time - last.time - 1.0)
             now = (image.shape[1], image.shape[0], has_color)
             if shape is not None and now != shape:

@@ -14,6 +14,7 @@ from bayesnet_track.runtime.origin import Origin
 __all__ = ["Source", "SourceError", "SourceItem", "open_source"]
 
 KINDS = "a video file, a folder of images, a glob of images, a camera index such as 0, an http or rtsp URL"
+LIVE_SCHEMES = frozenset({"rtsp", "rtsps"})
 NETWORK_SCHEMES = frozenset({"http", "https", "rtsp", "rtsps"})
 IMAGE_SUFFIXES = frozenset(
     {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".pbm", ".pnm", ".jp2"}
@@ -71,13 +72,17 @@ def make_reader(text: str, allow_network: bool, isolate: bool = False, start: in
     if text.isascii() and text.isdigit():
         if isolate:
             raise SourceError(text, "a camera decodes no file", "isolation of files and URLs", "leave it out")
-        from bayesnet_track.runtime.camera import CameraReader
+        from bayesnet_track.runtime.camera import camera_reader
 
-        return CameraReader(text)
+        return camera_reader(text)
     path = Path(text)
     scheme = _SCHEME.match(text)
     if scheme:
         _check_scheme(text, scheme.group(1).lower(), allow_network)
+        if scheme.group(1).lower() in LIVE_SCHEMES:
+            from bayesnet_track.runtime.stream import stream_reader
+
+            return stream_reader(lambda: _video(text, True, isolate, 0))
         return _video(text, True, isolate, start)
     try:
         if path.is_dir():

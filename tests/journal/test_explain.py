@@ -37,6 +37,7 @@ from bayesnet_track.journal.events import (
     DegenerateBelief,
     Event,
     FrameMetrics,
+    FramesDropped,
     FrameSizeChanged,
     FramesMissing,
     MeasurementGated,
@@ -46,6 +47,7 @@ from bayesnet_track.journal.events import (
     RunStarted,
     SecondPass,
     SourceDamaged,
+    SourceStalled,
 )
 from bayesnet_track.journal.explain import Filter, explain, has_several_targets, why
 from bayesnet_track.journal.inputs import AgentMissed, InputRefused
@@ -161,6 +163,14 @@ GOLDEN = [
     (
         ParticlesLimited(176, "1", None, 250, 5.2, 20.0),
         "frame 176: frames took 5.2 ms of 20 → as many hypotheses as asked for, 250 before",
+    ),
+    (
+        FramesDropped(117, 12),
+        "frame 117: 12 pictures dropped, since newer ones were there",
+    ),
+    (
+        SourceStalled(118, 2.04, "no picture for 2 s", 1),
+        "frame 118: no picture for 2.0 s: no picture for 2 s; connecting again, attempt 1",
     ),
     (
         Toggled(111, "1", "hue", False),

@@ -1,5 +1,8 @@
 """Folders, globs and single images: order, times, gray, alpha, 16 bit, damage, and every refusal."""
 
+import time
+from itertools import islice, pairwise
+
 import cv2
 import numpy as np
 import pytest
@@ -222,11 +225,11 @@ def test_no_camera_is_a_clear_error(monkeypatch):
 
 
 def test_a_camera_gives_frames_at_the_times_of_arrival(monkeypatch):
-    clock = iter([100.0, 100.1, 100.2, 100.7, 100.8])
+    """It declares 10 a second and gives one every 20 ms."""
 
     class Camera:
         def __init__(self, index):
-            self.left = 4
+            self.index = index
 
         def isOpened(self):
             return True
@@ -235,19 +238,25 @@ def test_a_camera_gives_frames_at_the_times_of_arrival(monkeypatch):
             return 10.0
 
         def read(self):
-            self.left -= 1
-            return self.left >= 0, np.zeros((20, 30, 3), np.uint8)
+            time.sleep(0.02)
+            return True, np.zeros((20, 30, 3), np.uint8)
 
         def release(self):
-            self.left = 0
+            pass
 
     monkeypatch.setattr(cv2, "VideoCapture", Camera)
-    monkeypatch.setattr("time.monotonic", lambda: next(clock))
-    source, frames, events = read("0")
-    assert [f.time for f in frames] == pytest.approx([0, 1, 2, 7])
-    assert events[0] == FramesMissing(3, pytest.approx(4))
-    assert isinstance(events[1], SourceDamaged)
-    assert (source.declared_frames, source.end_reason) == (None, "source_damaged")
+    began = time.monotonic()
+    with open_source("0") as source:
+        frames = [item for item in islice(source, 8) if isinstance(item, Frame)]
+        lasted = time.monotonic() - began
+    assert frames[0].time == 0.0 and frames[-1].time_s <= lasted
+    assert [frame.time for frame in frames] == pytest.approx([frame.time_s / 0.1 for frame in frames])
+    assert all(b.time_s - a.time_s >= 0.02 for a, b in pairwise(frames))
+    assert (source.declared_frames, source.frame_interval_s, source.end_reason) == (
+        None,
+        0.1,
+        "end_of_source",
+    )
 
 
 PROBES = [
