@@ -70,7 +70,7 @@ def tell_comparison(first: Run, second: Run, options: argparse.Namespace) -> int
     from bayesnet_track.journal.compare_text import compare_text, settings_apart
 
     compared = compare_runs(first, second)
-    compared = replace(compared, totals=(*compared.totals, *_scores(first, second, options.truth)))
+    compared = replace(compared, totals=(*compared.totals, *_scores(first, second, compared, options.truth)))
     settings = settings_apart(first.started, second.started)
     settings += [str(one) for one in differences(first.graph_text, second.graph_text)]
     if options.html is not None:
@@ -90,7 +90,8 @@ def tell_comparison(first: Run, second: Run, options: argparse.Namespace) -> int
     return OK
 
 
-def _scores(first: Run, second: Run, given: str | None) -> list[Total]:
+def _scores(first: Run, second: Run, compared: Comparison, given: str | None) -> list[Total]:
+    """Figures against the truth: of all targets where it is MOT, else of the first one."""
     from bayesnet_track.evaluate.mot import score_mot_files
     from bayesnet_track.evaluate.mot_files import is_mot
     from bayesnet_track.evaluate.runs import score_run
@@ -109,14 +110,17 @@ def _scores(first: Run, second: Run, given: str | None) -> list[Total]:
                 Total("HOTA", mot[0].hota, mot[1].hota, False),
                 Total("identity switches", mot[0].idsw, mot[1].idsw, True),
             ]
-        target = None if len(first.targets) < 2 and len(second.targets) < 2 else first.targets[0]
-        one = [score_run(run.directory.path, truth, target) for run in runs]
+        if not compared.pairs:
+            return []
+        pair = compared.pairs[0]
+        one = [score_run(run.directory.path, truth, name) for run, name in zip(runs, pair, strict=True)]
+    whose = f", target {pair[0]}" if len(first.targets) > 1 else ""
     return [
-        Total("AUC", one[0].auc, one[1].auc, False),
-        Total("AUC, lost counts as 0", one[0].auc_strict, one[1].auc_strict, False),
-        Total("within 20 px", one[0].precision20, one[1].precision20, False),
-        Total("mean IoU", one[0].mean_iou, one[1].mean_iou, False),
-        Total("times off target", one[0].lost_episodes, one[1].lost_episodes, True),
+        Total(f"AUC{whose}", one[0].auc, one[1].auc, False),
+        Total(f"AUC, lost counts as 0{whose}", one[0].auc_strict, one[1].auc_strict, False),
+        Total(f"within 20 px{whose}", one[0].precision20, one[1].precision20, False),
+        Total(f"mean IoU{whose}", one[0].mean_iou, one[1].mean_iou, False),
+        Total(f"times off target{whose}", one[0].lost_episodes, one[1].lost_episodes, True),
     ]
 
 

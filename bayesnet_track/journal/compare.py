@@ -170,7 +170,12 @@ def _last_frame(run: RunRecord) -> int:
 
 def pair_targets(first: RunRecord, second: RunRecord) -> tuple[tuple[str, str], ...]:
     """Ids of the same target in both runs: equal where given, else those that are together the longest."""
-    born = {event.target for run in (first, second) for event in run.events if _is_birth(event)}
+    born = {
+        event.target
+        for run in (first, second)
+        for event in run.events
+        if isinstance(event, CandidateConfirmed)
+    }
     given = [target for target in _ids(first) if target in _ids(second) and target not in born]
     left = [_by_frame(run.metrics, set(given)) for run in (first, second)]
     together: Counter[tuple[str, str]] = Counter()
@@ -185,10 +190,6 @@ def pair_targets(first: RunRecord, second: RunRecord) -> tuple[tuple[str, str], 
         if mine not in pairs and theirs not in pairs.values():
             pairs[mine] = theirs
     return tuple((target, pairs[target]) for target in _ids(first) if target in pairs)
-
-
-def _is_birth(event: Event) -> bool:
-    return isinstance(event, CandidateConfirmed)
 
 
 def _ids(run: RunRecord) -> list[str]:
