@@ -8,7 +8,7 @@ import { build } from "esbuild";
 const out = mkdtempSync(join(tmpdir(), "page-test-"));
 try {
   await build({
-    entryPoints: readdirSync("test").map((name) => join("test", name)),
+    entryPoints: readdirSync("test").filter((name) => name.endsWith(".test.ts")).map((name) => join("test", name)),
     outdir: out,
     outExtension: { ".js": ".mjs" },
     bundle: true,

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
+from bayesnet_track.graph.join_decisions import Joined, Parted
 from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
 from bayesnet_track.graph.net import (
     Activated,
@@ -20,7 +21,7 @@ from bayesnet_track.journal.events import Event, RunEnded, RunStarted
 from bayesnet_track.journal.sentences import explain
 
 SWITCHES = (Activated, Deactivated, SelfStopped, Quarantined)
-LIVES = (TargetStarted, Returned, Reacquired, TargetDied, DuplicateEnded)
+LIVES = (TargetStarted, Returned, Reacquired, TargetDied, DuplicateEnded, Joined, Parted)
 ARROW = " → "
 _PREVENTED = re.compile(r"; (?=would have |not at )")
 _FRAME = re.compile(r"^frame \d+(?:, target [^:]*)?: ")
@@ -35,7 +36,7 @@ def event_row(event: Event) -> dict[str, Any]:
     """One event of a frame as plain data.
 
     Keys: `frame`; `target`, `other` and `node` where it has them; `kind`, its name in the journal; `sort`:
-    switch (an agent on or off), life (of a target), status, or note (everything else); `on`: whether a switch
+    switch (an agent on or off), life (of a target, or of a pair), status, or note (everything else); `on`: whether a switch
     turned the agent on; `what` happened, `why`, and what would have prevented it (`unless`), the pieces of
     its sentence; the last two may be empty.
     """

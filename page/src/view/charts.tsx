@@ -7,7 +7,7 @@ import type { EventRow } from "../data/types";
 import type { State } from "../state";
 import { Icon } from "./transport";
 import { framesOf, panelsOf, type Panel } from "./panels";
-import { colour } from "./theme";
+import { colour, statusColour } from "./theme";
 import { short } from "./words";
 
 const NEAR = 7;
@@ -147,6 +147,7 @@ function draw(
   const [from, to] = state.stretch.peek();
   const axis = { stroke: ink, font, grid: { stroke: grid, width: 1 }, ticks: { show: false } };
   const events = state.events.peek();
+  const hasScale = panel.lanes === undefined && panel.targets === undefined;
   const options: uPlot.Options = {
     width: wide,
     height: panel.height + (hasAxis ? 22 : 0),
@@ -161,7 +162,7 @@ function draw(
       { ...axis, show: hasAxis, size: 22, space: 60, values: (_, marks) => marks.map((v) => (Number.isInteger(v) ? String(v) : "")) },
       {
         ...axis,
-        show: panel.lanes === undefined,
+        show: hasScale,
         size: gutter,
         space: panel.log ? 26 : 24,
         values: (_, marks) => marks.map((v) => (v === null ? "" : short(v))),
@@ -179,9 +180,10 @@ function draw(
       })),
     ],
     hooks: {
-      drawClear: [(u) => shade(u, state)],
+      drawClear: [(u) => panel.targets ?? shade(u, state)],
       draw: [
         (u) => {
+          if (panel.targets !== undefined) people(u, panel.targets, state);
           if (panel.lanes !== undefined) lanes(u, panel, frames);
           if (panel.key === "ud") marks(u, panel, frames, events);
           if (panel.key === "agents") stems(u, events);
@@ -190,9 +192,9 @@ function draw(
       ],
     },
   };
-  if (panel.lanes !== undefined) options.padding = [2, 10, 2, gutter];
+  if (!hasScale) options.padding = [2, 10, 2, gutter];
   const plot = new uPlot(options, [frames, ...panel.lines.map((line) => line.values)] as uPlot.AlignedData, host);
-  scrub(plot, state, events, panel.key === "ud" || panel.key === "agents");
+  scrub(plot, state, events, panel);
   return plot;
 }
 
@@ -292,6 +294,45 @@ function cut(g: CanvasRenderingContext2D, text: string, room: number): string {
   return kept === text ? text : `${kept}…`;
 }
 
+/** Every target's status over time. */
+function people(u: uPlot, targets: NonNullable<Panel["targets"]>, state: State): void {
+  const g = u.ctx;
+  const ratio = uPlot.pxRatio;
+  const { left, top, width, height } = u.bbox;
+  const tall = height / targets.length;
+  g.save();
+  g.textBaseline = "middle";
+  g.textAlign = "right";
+  targets.forEach(({ track, chosen }, index) => {
+    const middle = top + (index + 0.5) * tall;
+    g.font = `${chosen ? 700 : 450} ${Math.min(11.5, (tall / ratio) * 0.95) * ratio}px system-ui, sans-serif`;
+    g.fillStyle = colour(chosen ? "ink" : "soft");
+    g.fillText(cut(g, track.id, left - 12 * ratio), left - 8 * ratio, middle);
+    g.save();
+    g.beginPath();
+    g.rect(left, top, width, height);
+    g.clip();
+    const x = (frame: number) => u.valToPos(frame, "x", true);
+    for (let row = 0, from = 0; row < track.length; row += 1) {
+      const status = track.status(row);
+      const lasts = row + 1 < track.length && track.value("frame", row + 1) === track.value("frame", row) + 1;
+      if (lasts && track.status(row + 1) === status) continue;
+      const [a, b] = [x(track.value("frame", from) - 0.5), x(track.value("frame", row) + 0.5)];
+      const high = tall * (status === "lost" ? 0.9 : status === "uncertain" ? 0.7 : chosen ? 0.45 : 0.25);
+      g.fillStyle = statusColour(status);
+      g.fillRect(a, middle - high / 2, Math.max(b - a, ratio), high);
+      from = row + 1;
+    }
+    for (const event of state.run.events) {
+      if (event.sort !== "switch" || event.target !== track.id) continue;
+      g.fillStyle = colour(event.on ? "on" : "off");
+      g.fillRect(x(event.frame) - ratio, middle - tall * 0.38, 2 * ratio, tall * 0.76);
+    }
+    g.restore();
+  });
+  g.restore();
+}
+
 /** A triangle on the curve per switch (up: on, down: off), a diamond per change of status. */
 function marks(u: uPlot, panel: Panel, frames: number[], events: EventRow[]): void {
   const g = u.ctx;
@@ -351,8 +392,9 @@ function stems(u: uPlot, events: EventRow[]): void {
 }
 
 /** Click and drag set the frame; a click close to an event takes its frame. */
-function scrub(plot: uPlot, state: State, events: EventRow[], snaps: boolean): void {
+function scrub(plot: uPlot, state: State, events: EventRow[], panel: Panel): void {
   const over = plot.over;
+  const snaps = panel.key === "ud" || panel.key === "agents";
   const at = (event: PointerEvent) => {
     const x = event.clientX - over.getBoundingClientRect().left;
     const close = events.filter((one) => one.sort !== "note" && Math.abs(plot.valToPos(one.frame, "x") - x) < NEAR);
@@ -364,6 +406,11 @@ function scrub(plot: uPlot, state: State, events: EventRow[], snaps: boolean): v
     if (event.button !== 0) return;
     state.playing.value = false;
     over.setPointerCapture(event.pointerId);
+    if (panel.targets !== undefined) {
+      const { top, height } = over.getBoundingClientRect();
+      const index = Math.floor(((event.clientY - top) / height) * panel.targets.length);
+      state.target.value = panel.targets[index]?.track.id ?? state.target.value;
+    }
     at(event);
   });
   over.addEventListener("pointermove", (event) => {

@@ -127,7 +127,7 @@ function Numbers({ state, track, row }: { state: State; track: Track; row: numbe
     ["box", `${value("box", 2)} × ${value("box", 3)} px`, "size of the estimate"],
     ["log evidence", value("log_evidence"), "how well the frame was foreseen"],
     ["surprise", `${value("surprise")} nats`, "KL(posterior ‖ prior): how far the frame moved the belief"],
-    ["hypotheses", `${value("particles")}, ${value("ess")} effective`, "how many, and as how many they count"],
+    ["effective", `${value("ess")} of ${value("particles")}`, "hypotheses: as how many they count, and how many there are"],
     ["learning rate", value("learn_rate"), "0 while UD is above the level"],
     ["time", `${short(state.run.ms("ms", state.frame.value))} ms`, "of the whole step"],
   ];

@@ -40,7 +40,7 @@ export function Net({ state }: { state: State }) {
             <g key={edge.child} class={on ? "edge on" : "edge"}>
               <path
                 d={`M${ax} ${ay}C${ax} ${middle} ${bx} ${middle} ${bx} ${by}`}
-                stroke={on && index >= 0 ? agentVariable(index) : undefined}
+                style={on && index >= 0 ? { stroke: agentVariable(index) } : {}}
                 stroke-width={on ? thickness(nats) : 1.4}
               />
               {on && Number.isFinite(nats) && (

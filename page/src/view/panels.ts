@@ -27,6 +27,8 @@ export interface Panel {
   /** Lowest and highest value that is shown. */
   range: [number, number];
   lanes?: Lane[];
+  /** A row per target: its status over time. */
+  targets?: { track: Track; chosen: boolean }[];
 }
 
 export interface Lane {
@@ -43,7 +45,18 @@ export function framesOf(track: Track): number[] {
 export function panelsOf(run: RunData, track: Track): Panel[] {
   const panels = [uncertainty(run, track), lanes(run, track), belief(run, track), evidence(track), sample(track)];
   const clock = times(run, track);
-  return clock === null ? panels : [...panels, clock];
+  if (clock !== null) panels.push(clock);
+  return run.tracks.size > 1 ? [everyone(run, track), ...panels] : panels;
+}
+
+const MOST_TARGETS = 60;
+
+function everyone(run: RunData, track: Track): Panel {
+  const all = [...run.tracks.values()].slice(0, MOST_TARGETS);
+  const about = "A row per target, from its first to its last frame. Tall and red: lost; amber: uncertain. Click one to choose it.";
+  const targets = all.map((one) => ({ track: one, chosen: one === track }));
+  const height = 8 + all.length * (all.length > 16 ? 9 : 14);
+  return { key: "targets", name: "All targets", unit: "status, and switches of agents", about, height, lines: [], range: [0, 1], targets };
 }
 
 /** A level in px², frame by frame. */
@@ -85,9 +98,11 @@ function uncertainty(run: RunData, track: Track): Panel {
   let high = Math.max((sorted.at(-1) ?? 10) * 1.3, low * 10);
   for (const line of lines.slice(1)) {
     const top = greatest(line.values);
-    if (top > high && top < high * 8) high = top * 1.3;
+    // Being lost may be far away: it is shown where UD came close.
+    if (top > high && top < high * (line.name.endsWith(RULES.lost!) ? 2 : 8)) high = top * 1.3;
   }
-  for (const line of lines) line.values = line.values.map((v) => (v === null ? null : v > 0 ? Math.min(Math.max(v, low), high * 1.5) : null));
+  // A logarithm takes no zero, which UD is in the first frame.
+  for (const line of lines) line.values = line.values.map((v) => (v !== null && v > 0 ? v : null));
   const about = "UD, the mean squared distance from the estimate under the belief. High: it could be in many places.";
   return { key: "ud", name: "Uncertainty", unit: "UD, px², log scale", about, height: 190, lines, log: true, range: [low, high] };
 }
@@ -160,7 +175,6 @@ function times(run: RunData, track: Track): Panel | null {
   const sorted = known(lines[0]!.values).sort((a, b) => a - b);
   // Kernels are compiled or loaded in the first frames: they would flatten all the others.
   const top = Math.max(sorted[Math.floor(sorted.length * 0.97)] ?? 1, 0.1) * 1.3;
-  for (const line of lines) line.values = line.values.map((v) => (v === null ? null : Math.min(v, top)));
   const several = run.tracks.size > 1 ? " All targets together." : "";
   return { key: "ms", name: "Time", unit: "ms per frame", about: `Wall-clock time of the whole step and of each agent.${several}`, height: 110, lines, range: [0, top] };
 }

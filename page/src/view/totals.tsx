@@ -16,7 +16,7 @@ export function Headline({ state }: { state: State }) {
       <Figure name="frames" value={frames.toLocaleString("en")} />
       <Figure
         name="lost"
-        value={percent(all.lost / Math.max(1, all.frames), all.lost > 0 ? 1 : 0)}
+        value={`${short((100 * all.lost) / Math.max(1, all.frames))} %`}
         title={`${plural(all.lost, "frame")} of ${all.frames} in which a target was lost`}
       />
       <Figure
@@ -54,6 +54,7 @@ export function TotalsTable({ state }: { state: State }) {
   }).value;
   const { rows } = found;
   const several = rows.length > 1;
+  const hasUncertain = rows.some((row) => row.uncertain > 0);
   const hasTruth = rows.some((row) => Number.isFinite(row.overlap));
   const measured = [...found.costs].map(([agent, cost]) => `${agent} ${short(cost.ms)} ms${cost.measured ? "" : " (declared)"}`);
   return (
@@ -63,22 +64,31 @@ export function TotalsTable({ state }: { state: State }) {
         <table>
           <thead>
             <tr>
-              {["target", "frames", "lost", "uncertain", "agents a frame", "switches", "agents' time", "saved"].map((name) => (
-                <th key={name} scope="col">
-                  {name}
+              <th scope="col">target</th>
+              <th scope="col">frames</th>
+              <th scope="col">lost</th>
+              {hasUncertain && <th scope="col">uncertain</th>}
+              <th scope="col" title="agents that were on in a frame, in the mean">
+                agents
+              </th>
+              <th scope="col">switches</th>
+              <th scope="col">agents' time</th>
+              <th scope="col">saved</th>
+              {hasTruth && (
+                <th scope="col" title="mean IoU with the true box">
+                  overlap
                 </th>
-              ))}
-              {hasTruth && <th scope="col">mean overlap</th>}
+              )}
             </tr>
           </thead>
           <tbody>
             {rows.map((row) => (
-              <Row key={row.target} state={state} row={row} hasTruth={hasTruth} />
+              <Row key={row.target} state={state} row={row} has={{ hasUncertain, hasTruth }} />
             ))}
           </tbody>
           {several && (
             <tfoot>
-              <Row row={sum(rows)} hasTruth={hasTruth} />
+              <Row row={sum(rows)} has={{ hasUncertain, hasTruth }} />
             </tfoot>
           )}
         </table>
@@ -91,7 +101,13 @@ export function TotalsTable({ state }: { state: State }) {
   );
 }
 
-function Row({ state, row, hasTruth }: { state?: State; row: Totals; hasTruth: boolean }) {
+interface RowProps {
+  state?: State;
+  row: Totals;
+  has: { hasUncertain: boolean; hasTruth: boolean };
+}
+
+function Row({ state, row, has }: RowProps) {
   const chosen = state?.target.value === row.target;
   return (
     <tr class={chosen ? "chosen" : undefined}>
@@ -106,7 +122,7 @@ function Row({ state, row, hasTruth }: { state?: State; row: Totals; hasTruth: b
       </th>
       <td>{row.frames}</td>
       <td>{row.lost}</td>
-      <td>{row.uncertain}</td>
+      {has.hasUncertain && <td>{row.uncertain}</td>}
       <td>
         {short(row.agentsPerFrame)} <small>of {short(row.agents)}</small>
       </td>
@@ -115,7 +131,7 @@ function Row({ state, row, hasTruth }: { state?: State; row: Totals; hasTruth: b
       <td>
         {duration(row.savedMs)} <small>{percent(row.savedMs / Math.max(1e-9, row.savedMs + row.spentMs))}</small>
       </td>
-      {hasTruth && <td>{Number.isFinite(row.overlap) ? row.overlap.toFixed(2) : ""}</td>}
+      {has.hasTruth && <td>{Number.isFinite(row.overlap) ? row.overlap.toFixed(2) : ""}</td>}
     </tr>
   );
 }

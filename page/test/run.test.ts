@@ -1,0 +1,100 @@
+// A run filled line by line is the same as one that was there from the start.
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { Column } from "../src/data/column";
+import { RunData } from "../src/data/run";
+import { costs, sum, totals } from "../src/data/totals";
+import type { EventRow, FrameLine, Header } from "../src/data/types";
+import { State } from "../src/state";
+
+const header = {
+  run: { graph: "g", source: "s", frame_interval_s: 0.04, width: 64, height: 48 },
+  plates: {
+    box: { root: "box", agents: [{ name: "a", cue: "x", cost_ms: 3 }, { name: "b", cue: "y", cost_ms: 5 }], rules: [] },
+  },
+} as unknown as Pick<Header, "run" | "plates">;
+
+function line(frame: number, more: Partial<FrameLine> = {}): FrameLine {
+  return {
+    frame, time_s: frame / 25, target: "1", box: [10, 10, 5, 5], map: [10, 10, 5, 5], sd: [1, 1, 0, 0],
+    ud_px2: 4, ud_nodes: { box: 4 }, quiet_px2: null, status: "tracking", score: 0.9, log_evidence: -1,
+    surprise: 0.5, ess: 100, particles: 200, active: ["a"], kl: { a: 0.1 }, contribution: {}, agent_ud_px2: {},
+    strength: { a: 1 }, learn_rate: 0, region50: [9, 11, 9, 11], region90: [8, 12, 8, 12], cloud: [[10, 11, 5, 5]],
+    ...more,
+  };
+}
+
+const event = (frame: number, more: Partial<EventRow> = {}): EventRow => ({
+  frame, kind: "activated", sort: "switch", what: "b on", why: "", unless: "", target: "1", node: "b", on: true, ...more,
+});
+
+test("a column grows and is filled up", () => {
+  const column = Column.empty("f4", 2);
+  for (let k = 0; k < 50; k += 1) column.push(k, -k);
+  assert.equal(column.length, 50);
+  assert.deepEqual(column.row(49), [49, -49]);
+  assert.ok(Number.isNaN(column.at(50)));
+  assert.throws(() => column.push(1), RangeError);
+});
+
+test("lines are appended; what is measured late has gaps before", () => {
+  const run = new RunData(header);
+  run.append(line(3));
+  run.append(line(4, { active: ["a", "b"], kl: { a: 0.1, b: 2 }, silent: ["b"], ud_px2: "Infinity", cloud: [] }));
+  run.append(line(6, { status: "lost" }));
+  const track = run.tracks.get("1")!;
+  assert.equal(track.plate, "box");
+  assert.deepEqual([run.first, run.last, track.length], [3, 6, 3]);
+  assert.deepEqual([3, 4, 5, 6].map((frame) => track.rowOf(frame)), [0, 1, -1, 2]);
+  assert.deepEqual([0, 1, 2].map((row) => track.isActive("b", row)), [false, true, false]);
+  assert.ok(track.isSilent("b", 1) && !track.isSilent("a", 1));
+  assert.ok(Number.isNaN(track.value("agents/b/kl", 0)) && track.value("agents/b/kl", 1) === 2);
+  assert.equal(track.value("ud_px2", 1), Infinity);
+  assert.deepEqual([0, 1, 2].map((row) => track.cloud(row).length), [1, 0, 1]);
+  assert.equal(track.status(2), "lost");
+});
+
+test("what was saved is the cost of agents that were off", () => {
+  const run = new RunData(header);
+  for (let k = 0; k < 10; k += 1) {
+    run.append(line(k, k < 4 ? { active: ["a", "b"] } : {}));
+    run.addTiming({ frame: k, seconds: 0.01, parts: { a: 0.002 } });
+  }
+  run.addEvent(event(3, { on: false }));
+  assert.deepEqual(costs(run).get("a")!.measured, true);
+  assert.deepEqual(costs(run).get("b"), { ms: 5, measured: false });
+  const [row] = totals(run);
+  assert.equal(row!.switches, 1);
+  assert.equal(row!.agentsPerFrame, 1.4);
+  assert.ok(Math.abs(row!.savedMs - 30) < 1e-3 && Math.abs(row!.spentMs - 40) < 1e-3);
+  assert.ok(Math.abs(sum([row!, row!]).savedMs - 60) < 1e-3);
+});
+
+test("overlap with the truth counts pixels as the project does", () => {
+  const run = new RunData(header);
+  run.append(line(0));
+  run.truth = new Column(new Float32Array([8, 8, 5, 5]), 4);
+  run.truthTarget = "1";
+  assert.equal(run.overlap(run.tracks.get("1")!, 0), 1);
+});
+
+test("stepping through events, and following a run that goes on", () => {
+  const run = new RunData(header);
+  for (let k = 0; k <= 20; k += 1) run.append(line(k));
+  for (const frame of [5, 12]) run.addEvent(event(frame));
+  run.addEvent(event(8, { sort: "note" }));
+  const state = new State(run);
+  state.stop(1);
+  state.stop(1);
+  assert.equal(state.frame.value, 12);
+  state.stop(-1);
+  assert.equal(state.frame.value, 5);
+  run.append(line(21));
+  run.changed();
+  assert.equal(state.frame.value, 5);
+  state.go(Infinity);
+  run.append(line(22));
+  run.changed();
+  assert.equal(state.frame.value, 22);
+  assert.deepEqual(state.stretch.value, [0, 22]);
+});

@@ -1,0 +1,238 @@
+"""The page of a run in a real browser: it opens, scrubs, explains, obeys the keyboard, and asks nobody."""
+
+import json
+import statistics
+
+import numpy as np
+import pytest
+
+from bayesnet_track.cli import main
+
+pytestmark = pytest.mark.slow
+
+HOSTILE = '</script><script>window.hacked=1</script><img src=x onerror="window.hacked=2">\'"&lt;'
+DESKTOP, PHONE = (1440, 960, 1), (375, 800, 2)
+
+
+def text_of(browser, selector):
+    return browser.run(f"return document.querySelector({selector!r}).innerText")
+
+
+def requests(browser):
+    """Addresses of everything that was asked for over a network since the last look."""
+    lines = [json.loads(line["message"])["message"] for line in browser.driver.get_log("performance")]
+    sent = [
+        line["params"]["request"]["url"] for line in lines if line["method"] == "Network.requestWillBeSent"
+    ]
+    return [address for address in sent if not address.startswith(("file:", "blob:", "data:", "about:"))]
+
+
+def test_scrubbing_moves_picture_boxes_and_numbers(browser, demo):
+    browser.open(demo("two_squares"))
+    assert browser.frame == 0
+    browser.run(
+        "const s = document.querySelector('.scrubber input'); s.value = 29;"
+        "s.dispatchEvent(new Event('input', {bubbles: true}))"
+    )
+    browser.wait_for_frame(29)
+    assert "Frame 29" in text_of(browser, ".moment .status")
+    label = browser.run("return document.querySelector('.picture canvas').getAttribute('aria-label')")
+    assert label.startswith("Frame 29: target 1 tracking, centre")
+    assert browser.complaints() == []
+
+
+def test_clicking_an_event_shows_its_frame_and_its_sentence(browser, demo):
+    browser.open(demo("two_squares"))
+    browser.run(
+        "[...document.querySelectorAll('.events b')].find(b => b.textContent === 'motion on').click()"
+    )
+    told = browser.wait("return document.querySelector('.told.on')?.innerText")
+    assert "motion on" in told and "UD" in told and "> 130 for 1 frame" in told
+    assert "would have stayed off at activate ≥" in told
+    browser.wait_for_frame(browser.frame)
+    lit = browser.run("return [...document.querySelectorAll('.node.agent.on .name')].map(n => n.textContent)")
+    # The decision works from the next frame on.
+    assert "motion" not in lit
+    from selenium.webdriver.common.keys import Keys
+
+    browser.press(Keys.ARROW_RIGHT)
+    browser.wait(
+        "return [...document.querySelectorAll('.node.agent.on .name')].some(n => n.textContent === 'motion')"
+    )
+
+
+def test_clicking_a_timeline_goes_to_its_frame(browser, demo):
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    browser.open(demo("two_squares"))
+    over = browser.driver.find_element("css selector", ".plot-score .u-over")
+    browser.run("arguments[0].scrollIntoView({block: 'center'})", over)
+    ActionChains(browser.driver).move_to_element(over).click().perform()
+    # The middle of 200 frames, drawn from -0.5 to 199.5.
+    assert abs(browser.frame - 100) <= 1
+
+
+def test_keyboard(browser, demo):
+    from selenium.webdriver.common.keys import Keys
+
+    browser.open(demo("two_squares"))
+    events = browser.run(
+        "return [...document.querySelectorAll('.events .at')].map(n => Number(n.textContent))"
+    )
+    later = [frame for frame in dict.fromkeys(events) if frame > 0]
+    browser.press("n")
+    browser.wait_for_frame(later[0])
+    browser.press("n")
+    browser.wait_for_frame(later[1])
+    browser.press("p")
+    browser.wait_for_frame(later[0])
+    browser.press(Keys.END)
+    browser.wait_for_frame(199)
+    browser.press(Keys.HOME)
+    browser.wait_for_frame(0)
+    browser.press(Keys.ARROW_RIGHT)
+    browser.wait_for_frame(1)
+    browser.press(Keys.ARROW_RIGHT, held=Keys.SHIFT)
+    browser.wait_for_frame(11)
+    browser.press(Keys.ARROW_LEFT)
+    browser.wait_for_frame(10)
+    browser.press("?")
+    assert browser.wait("return document.querySelector('[role=dialog]')?.innerText").startswith("Keys")
+    browser.press(Keys.ESCAPE)
+    browser.wait("return document.querySelector('[role=dialog]') === null")
+    browser.press(" ")
+    browser.wait("return Number(document.querySelector('.scrubber input').value) > 14")
+    browser.press(" ")
+    browser.wait("return document.querySelector('.play').getAttribute('aria-label') === 'Play'")
+
+
+def test_targets_are_chosen_by_name_and_on_the_picture(browser, demo):
+    browser.open(demo("orange_and_gray"))
+    assert "Net of orange" in text_of(browser, ".net")
+    browser.run("document.querySelectorAll('nav.targets button')[1].click()")
+    browser.wait("return document.querySelector('.net h2').textContent === 'Net of gray'")
+    assert "target 2" in text_of(browser, ".charts h2")
+    # The orange square's centre in frame 0 is (270, 190) of 320 x 240.
+    browser.run(
+        "const c = document.querySelector('.picture canvas'), r = c.getBoundingClientRect();"
+        "c.dispatchEvent(new MouseEvent('click', {bubbles: true, clientX: r.left + 270.5 / 320 * r.width,"
+        "clientY: r.top + 190.5 / 240 * r.height}))"
+    )
+    browser.wait("return document.querySelector('.net h2').textContent === 'Net of orange'")
+
+
+def test_an_address_leads_to_a_frame_of_a_target(browser, demo):
+    browser.open(demo("orange_and_gray"), hash="#frame=24&target=2")
+    browser.wait_for_frame(24)
+    assert "Net of gray" in text_of(browser, ".net")
+
+
+def test_every_frame_in_a_folder(browser, tmp_path):
+    run = tmp_path / "run"
+    assert main(["demo", "flying_ball", "--quiet", "--end", "6", "--out", str(run)]) == 0
+    assert main(["report", str(run), "--frames", "full"]) == 0
+    assert len(list((run / "report" / "frames").iterdir())) == 6
+    browser.open(run / "report" / "index.html", hash="#frame=5")
+    browser.wait_for_frame(5)
+    pixel = browser.run(
+        "const c = document.querySelector('.picture canvas');"
+        "try { return [...c.getContext('2d').getImageData(c.width / 2, 8, 1, 1).data] }"
+        "catch { return 'drawn' }"
+    )
+    # A picture from a file may be painted, not read back; what is painted without one is #20262e.
+    assert pixel != [0x20, 0x26, 0x2E, 255]
+    assert browser.complaints() == []
+
+
+def test_hostile_names_stay_text(browser, tmp_path, write_page, made_up_run):
+    events, metrics = made_up_run(
+        60, source=HOSTILE, graph=HOSTILE, target=HOSTILE, agents=(HOSTILE, "b'\"<b>")
+    )
+    page = write_page(tmp_path / "hostile.html", events, metrics, graph=None)
+    browser.open(page, hash="#frame=30")
+    for _ in range(3):
+        browser.press("n")
+    browser.wait("return document.querySelector('h1').textContent.length > 0")
+    assert text_of(browser, "h1") == HOSTILE
+    assert HOSTILE in text_of(browser, ".top .source")
+    assert browser.run("return [window.hacked ?? null, document.querySelectorAll('img').length]") == [None, 0]
+    assert browser.driver.title.startswith(HOSTILE)
+    assert browser.complaints() == []
+
+
+def test_nothing_is_asked_of_a_network_and_the_policy_forbids_it(browser, demo):
+    requests(browser)
+    browser.open(demo("two_squares"))
+    browser.press("n")
+    assert requests(browser) == []
+    refused = browser.run(
+        "return new Promise(done => {"
+        "  document.addEventListener('securitypolicyviolation', e => done(e.violatedDirective));"
+        "  fetch('http://127.0.0.1:9/').catch(() => {}); setTimeout(() => done('nothing'), 3000) })"
+    )
+    assert refused == "connect-src"
+    browser.complaints()
+
+
+def test_a_long_run_opens_quickly(browser, tmp_path, write_page, made_up_run, capsys):
+    page = write_page(tmp_path / "long.html", *made_up_run(5000))
+    size = page.stat().st_size
+    assert size <= 10_000_000
+    ready = []
+    for _ in range(3):
+        browser.open(page)
+        ready.append(float(browser.run("return document.getElementById('page').dataset.ready")) / 1000)
+        painted = browser.run("return performance.getEntriesByName('first-contentful-paint')[0].startTime")
+    opened = statistics.median(ready)
+    with capsys.disabled():
+        print(
+            f"\n5,000 frames: {size / 1e6:.1f} MB, open after {opened:.2f} s, painted {painted / 1e3:.2f} s"
+        )
+    # The figure to hold is 2 s; machines that share their cores get twice that.
+    assert opened <= 4.0
+    browser.run(
+        "window.took = []; const s = document.querySelector('.scrubber input');"
+        "for (let k = 0; k < 50; k += 1) { const t = performance.now(); s.value = 97 * k;"
+        "s.dispatchEvent(new Event('input', {bubbles: true})); window.took.push(performance.now() - t) }"
+    )
+    assert statistics.median(browser.run("return window.took")) < 50
+
+
+@pytest.mark.parametrize("scene", ["two_squares", "crowd", "orange_and_gray"])
+def test_phone_width_needs_no_sideways_scrolling(browser, demo, scene):
+    browser.open(demo(scene), PHONE)
+    assert browser.run("return document.documentElement.scrollWidth") <= 375
+    browser.press("n")
+    assert browser.run("return document.documentElement.scrollWidth") <= 375
+
+
+def test_screenshots_light_dark_phone_and_print(browser, demo):
+    page = demo("two_squares")
+    browser.open(page, hash="#frame=27")
+    _, light = browser.screenshot("desktop.png")
+    browser.open(page, dark=True, hash="#frame=27")
+    _, dark = browser.screenshot("dark.png")
+    browser.open(page, PHONE, hash="#frame=27")
+    _, phone = browser.screenshot("phone.png")
+    assert light.shape[1] == 1440 and phone.shape[1] == 375 * 2
+    assert np.median(light) > 200 and np.median(dark) < 60
+    # Each plot has ink: the playhead alone would be a column or two.
+    browser.open(page, hash="#frame=27")
+    inked = browser.run(
+        "return [...document.querySelectorAll('.plot canvas')].map(c => { const d ="
+        " c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
+        " let n = 0; for (let k = 3; k < d.length; k += 4) n += d[k] > 128; return n })"
+    )
+    assert len(inked) == 6 and min(inked) > 1000
+    printed = browser.print("page.pdf").read_bytes()
+    assert printed.startswith(b"%PDF") and len(printed) > 50_000
+
+
+def test_everything_that_is_pressed_has_a_name(browser, demo):
+    browser.open(demo("orange_and_gray"))
+    nameless = browser.run(
+        "return [...document.querySelectorAll('button, input, select, canvas, svg')].filter(e =>"
+        " !(e.getAttribute('aria-label') || e.closest('[aria-hidden=true]') || e.innerText?.trim() ||"
+        " e.labels?.[0]?.innerText.trim() || e.closest('[role=img][aria-label]'))).map(e => e.outerHTML)"
+    )
+    assert nameless == []
