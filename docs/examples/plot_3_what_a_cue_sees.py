@@ -30,8 +30,8 @@ centres = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
 boxes = np.concatenate([centres, np.tile(start[2:], (len(centres), 1))], axis=1).astype(float)
 
 # %%
-# Four cues on the orange square. Colour is sure of its place; the pattern says little, since the
-# square has none; motion sees whatever moves as it does.
+# Four cues on the orange square. The colours are sure of the place; the pattern finds it too, but
+# also finds gray places not unlike it; motion sees only that something moves here, and is coarse.
 
 names = ["color_histogram", "foreground_color", "intensity", "motion"]
 figure, axes = plt.subplots(1, 5, figsize=(12, 2.4), layout="constrained")
