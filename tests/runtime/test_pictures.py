@@ -1,0 +1,94 @@
+"""The pictures of a run, read again: from the source, from the run's video, or not at all and why."""
+
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from bayesnet_track.cli import main
+from bayesnet_track.journal.reader import read_events
+from bayesnet_track.runtime.pictures import pictures_of
+from bayesnet_track.runtime.rundir import RunDirectory
+
+
+@pytest.fixture
+def tracked(tmp_path):
+    """A run of six frames on a folder of images, with its video; (run, images)."""
+    images = tmp_path / "images"
+    images.mkdir()
+    rng = np.random.default_rng(2)
+    picture = rng.integers(60, 100, (56, 72, 3), dtype=np.uint8)
+    for number in range(8):
+        picture[:] = picture.mean() + number
+        picture[14:26, 20:36] = (30, 130, 240)
+        cv2.imwrite(str(images / f"{number:04d}.png"), picture)
+    run = tmp_path / "run"
+    line = ["run", "gray_square", "--source", str(images), "--init", "20,14,16,12", "--out", str(run)]
+    assert main([*line, "--start", "2", "--quiet", "--video"]) == 0
+    return run, images
+
+
+def found(run):
+    directory = RunDirectory.open(run)
+    started = next(iter(read_events(directory.journal)))
+    with pictures_of(directory, started, 2, 7) as (pictures, missing):
+        if pictures is None:
+            return None, missing
+        return {frame: image for frame, image in pictures.images}, pictures.annotated
+
+
+@pytest.mark.parametrize("has_recipe", [True, False])
+def test_the_source_is_opened_again_also_for_runs_without_a_recipe(tracked, has_recipe):
+    run, images = tracked
+    if not has_recipe:
+        (run / "run.json").unlink()
+    pictures, annotated = found(run)
+    assert list(pictures) == [2, 3, 4, 5, 6, 7] and not annotated
+    np.testing.assert_array_equal(pictures[4], cv2.imread(str(images / "0004.png")))
+
+
+def test_without_its_source_the_annotated_video_is_shown(tracked):
+    run, images = tracked
+    shutil.rmtree(images)
+    pictures, annotated = found(run)
+    assert list(pictures) == [2, 3, 4, 5, 6, 7] and annotated
+
+
+def test_without_either_it_says_why(tracked):
+    run, images = tracked
+    for path in images.iterdir():
+        cv2.imwrite(str(path), np.zeros((30, 40, 3), np.uint8))
+    (run / "video.mkv").unlink()
+    pictures, missing = found(run)
+    assert pictures is None
+    assert "40x30 px now, and was 72x56" in missing and "no video.mkv" in missing
+
+
+def test_report_works_without_pictures_and_names_what_is_missing(tracked, capsys):
+    run, images = tracked
+    shutil.rmtree(images)
+    (run / "video.mkv").unlink()
+    assert main(["report", str(run)]) == 0
+    assert "the page has no pictures" in capsys.readouterr().err
+    assert (run / "report.html").read_text().count("<script>") == 1
+
+
+def test_report_refuses_folders_of_others_and_what_is_no_run(tracked, tmp_path):
+    run, images = tracked
+    assert main(["report", str(run), "--frames", "full", "--out", str(images)]) == 2
+    assert main(["report", str(tmp_path)]) == 4
+    assert main(["report", str(run), "--out", str(images)]) == 2
+    assert main(["report", str(run), "--frames", "full", "--out", str(tmp_path / "page")]) == 0
+    names = {path.name for path in (tmp_path / "page" / "frames").iterdir()}
+    assert names == {f"{frame:06d}.jpg" for frame in range(2, 8)}
+
+
+def test_report_of_a_killed_run_shows_what_is_there(tracked):
+    run, _ = tracked
+    with (run / "frames.jsonl").open("ab") as file:
+        file.write(b'{"event": "frame_met')
+    journal = (run / "journal.jsonl").read_text().splitlines()
+    (run / "journal.jsonl").write_text("\n".join(journal[:2]) + "\n")
+    (run / "graph.yaml").unlink()
+    assert main(["report", str(run), "--frames", "none"]) == 0
