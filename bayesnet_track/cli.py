@@ -10,6 +10,7 @@ from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdo
 from io import TextIOWrapper
 
 from bayesnet_track.arguments import cells, gradient, metres, share, whole_number
+from bayesnet_track.parsers.batch import add_batch
 from bayesnet_track.parsers.compare import add_compare
 from bayesnet_track.parsers.completion import add_completion
 from bayesnet_track.parsers.doctor import add_doctor
@@ -253,6 +254,7 @@ def make_parser() -> argparse.ArgumentParser:
     add_doctor(commands)
     add_completion(commands)
     add_resume(commands)
+    add_batch(commands)
     add_report(commands)
     add_compare(commands)
     add_what_if(commands)

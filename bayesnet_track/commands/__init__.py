@@ -14,6 +14,7 @@ from bayesnet_track.commands.answer import (
     complain,
     words,
 )
+from bayesnet_track.commands.batch import batch
 from bayesnet_track.commands.calibrate import calibrate
 from bayesnet_track.commands.compare import compare
 from bayesnet_track.commands.completion import completion
@@ -47,6 +48,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "fit": fit,
     "report": report,
     "resume": resume,
+    "batch": batch,
     "init": init,
     "score": score,
     "learn-shape": learn_shape,
