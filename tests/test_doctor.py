@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from argparse import Namespace
 from pathlib import Path
 
@@ -103,6 +104,12 @@ def test_an_editable_installation_is_where_it_says(site):
     told = json.dumps({"url": home.as_uri(), "dir_info": {"editable": True}})
     distribution(site, "bayesnet-track", "0.0.1", direct_url__json=told)
     assert only(packages.check_this_package()).level == "ok"
+
+
+def test_every_extra_that_is_offered_is_one():
+    offered = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+    for name, (_, extra) in packages.EXTRAS.items():
+        assert any(re.match(rf"{name}\b", needed) for needed in offered[extra])
 
 
 # ------------------------------------------------------------------------------------ libraries

@@ -55,7 +55,8 @@ def check_cache() -> Iterator[Finding]:
         cure = f"delete them: {' '.join(damaged[:3])}{' ...' if len(damaged) > 3 else ''}"
         yield Finding("kernel cache", "note", f"damaged, so compiled anew at each start: {which}", cure)
     if not folder or not _can_write(Path(folder)):
-        text = f"{folder or 'no folder for it'} cannot be written: every start compiles for some ten seconds"
+        told = f"{folder} cannot be written" if folder else "no folder for it can be written"
+        text = f"{told}: every start compiles for some ten seconds"
         cure = "set NUMBA_CACHE_DIR to a folder that you may write"
         yield Finding("kernel cache", "note", text, cure)
     elif not damaged:

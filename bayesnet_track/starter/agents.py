@@ -11,7 +11,7 @@ from bayesnet_track.starter.task import Task
 def agents_of(task: Task) -> Lines:
     """Every agent of the task, one line each."""
     lines: Lines = ()
-    for name in task.agents:
+    for name in task.apart:
         lines += _AGENTS[name](task)
     return lines
 
@@ -47,7 +47,7 @@ def _color(task: Task) -> Lines:
 
 def _light(task: Task) -> tuple[str, str]:
     """How an agent that the light deceives watches itself, and what that means."""
-    if "light" not in task.hard or len(task.agents) < 2:
+    if "light" not in task.hard or len(task.apart) < 2:
         return "", ""
     return ", self_check: {above: {ud_box: 1}, frames: 8}", (
         " `self_check`: when its own opinion has been spread over the whole box's area for 8 frames, as "

@@ -158,7 +158,7 @@ def _turns(task: Task) -> bool:
 
 
 def _fuse(task: Task) -> Lines:
-    if len(task.agents) < 2:
+    if len(task.apart) < 2:
         return ()
     return key(
         "fuse: product",
@@ -180,11 +180,11 @@ def _estimate(task: Task) -> Lines:
 
 
 def _adapt(task: Task) -> Lines:
-    if len(task.agents) < 2 or task.detected:
+    if len(task.apart) < 2 or task.detected:
         return ()
     keep = (
         key("keep: 2", "So many agents always stay on.")
-        if task.budget == "much" and len(task.agents) > 2
+        if task.budget == "much" and len(task.apart) > 2
         else ()
     )
     frames = 1 if "alike" in task.hard else 2

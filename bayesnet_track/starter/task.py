@@ -86,8 +86,3 @@ class Task:
     def detected(self) -> bool:
         """Whether a file of detections says where targets are."""
         return "detections" in self.apart
-
-    @property
-    def agents(self) -> tuple[str, ...]:
-        """The agents, by what sets the target apart."""
-        return self.apart
