@@ -124,6 +124,9 @@ class Stalled:
     attempt: int
 
 
+ReaderItem = Picture | Damage | Dropped | Stalled
+
+
 class Reader(Protocol):
     """Raw pictures in order."""
 
@@ -142,7 +145,7 @@ class Reader(Protocol):
         """Steps of time from this length on, in nominal intervals, count as a gap."""
         ...
 
-    def __iter__(self) -> Iterator[Picture | Damage | Dropped | Stalled]: ...
+    def __iter__(self) -> Iterator[ReaderItem]: ...
 
     def close(self) -> None:
         """Let go of files and devices."""

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.runtime.frames import Damage, Dropped, Picture, Stalled
+from bayesnet_track.runtime.frames import Damage, Dropped, Picture, ReaderItem, Stalled
 
 STALL_S = 2.0
 """Seconds without a picture after which a connection counts as stalled."""
@@ -56,6 +56,9 @@ class LiveReader:
         connect_s: seconds that a new connection may take.
         give_up_s: seconds without a picture after which it has ended.
         pause_s: pause before the second attempt in a row, which then doubles.
+
+    Attributes:
+        counts_dropped: whether the index counts dropped pictures, too.
     """
 
     gap_from = 2.0
@@ -73,6 +76,7 @@ class LiveReader:
         pause_s: float = PAUSE_S,
     ) -> None:
         self.frame_interval_s = frame_interval_s
+        self.counts_dropped = True
         self._connect, self._stall_s, self._connect_s = connect, stall_s, connect_s
         self._give_up_s, self._pause_s = give_up_s, pause_s
         self._listener = _Listener(connect if first is None else lambda: first)
@@ -83,7 +87,7 @@ class LiveReader:
         self._is_closed.set()
         self._listener.abandon()
 
-    def __iter__(self) -> Iterator[Picture | Damage | Dropped | Stalled]:
+    def __iter__(self) -> Iterator[ReaderItem]:
         began: float | None = None
         last = time.monotonic()
         index = attempts = 0
@@ -94,7 +98,7 @@ class LiveReader:
             if arrived is not None:
                 moment, image, dropped = arrived
                 began = moment if began is None else began
-                index += dropped
+                index += dropped if self.counts_dropped else 0
                 told = drops.told(moment, dropped)
                 if told:
                     yield Dropped(index, told)

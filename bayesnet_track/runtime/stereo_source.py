@@ -23,10 +23,12 @@ from bayesnet_track.runtime.frames import (
     Picture,
     PictureError,
     Reader,
+    ReaderItem,
     Source,
     SourceError,
 )
 from bayesnet_track.runtime.images import ImageReader, times_of
+from bayesnet_track.runtime.live import LiveReader
 from bayesnet_track.runtime.origin import Kind, Origin
 from bayesnet_track.runtime.sources import check_range, make_reader
 from bayesnet_track.vision.stereo import RectifiedPair, Rectifier, read_calibration
@@ -187,6 +189,9 @@ class Joined:
     def __init__(self, text: str, first: Reader, completer: Completer, second: Reader | None = None) -> None:
         self._text, self._first, self._second, self._completer = text, first, second, completer
         self._has_begun = False
+        for reader in self._readers if second is not None else ():
+            if isinstance(reader, LiveReader):  # the newest of one eye goes with the newest of the other
+                reader.counts_dropped = False
         self.frame_interval_s, self.gap_from = first.frame_interval_s, first.gap_from
         counts = [reader.declared_frames for reader in self._readers if reader.declared_frames is not None]
         self.declared_frames: int | None = max(counts, default=None)
@@ -200,16 +205,14 @@ class Joined:
         for reader in self._readers:
             reader.close()
 
-    def __iter__(self) -> Iterator[Picture | Damage]:
+    def __iter__(self) -> Iterator[ReaderItem]:
         if self._second is None:
             for item in self._first:
-                yield item if isinstance(item, Damage) else self._completed(item, None)
+                yield self._completed(item, None) if isinstance(item, Picture) else item
             return
         yield from self._pairs(iter(self._first), iter(self._second))
 
-    def _pairs(
-        self, first: Iterator[Picture | Damage], second: Iterator[Picture | Damage]
-    ) -> Iterator[Picture | Damage]:
+    def _pairs(self, first: Iterator[ReaderItem], second: Iterator[ReaderItem]) -> Iterator[ReaderItem]:
         has_clock = None not in (reader.declared_frames for reader in self._readers)
         left, right = _Eye("left", first), _Eye("right", second)
         while True:
@@ -257,19 +260,21 @@ class Joined:
 class _Eye:
     """One reader's next picture."""
 
-    def __init__(self, name: str, items: Iterator[Picture | Damage]) -> None:
+    def __init__(self, name: str, items: Iterator[ReaderItem]) -> None:
         self.name, self._items = name, items
         self.picture: Picture | None = None
         self.is_truncated = False
 
-    def advance(self) -> Iterator[Damage]:
-        """Hold the next picture, if none is held and there is one; what was damaged before it."""
+    def advance(self) -> Iterator[ReaderItem]:
+        """Hold the next picture, if none is held and there is one; what was wrong before it."""
         while self.picture is None:
             item = next(self._items, None)
             if item is None:
                 return
             if isinstance(item, Picture):
                 self.picture = item
+            elif not isinstance(item, Damage):
+                yield item
             else:
                 self.is_truncated |= item.truncated
                 yield replace(item, reason=f"{self.name} eye: {item.reason}")

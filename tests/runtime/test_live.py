@@ -11,7 +11,7 @@ import pytest
 
 from bayesnet_track.journal.events import FramesDropped, FramesMissing, SourceDamaged, SourceStalled
 from bayesnet_track.planes import Frame
-from bayesnet_track.runtime.frames import Source
+from bayesnet_track.runtime.frames import Dropped, Picture, Source
 from bayesnet_track.runtime.live import LiveReader, _Drops
 
 INTERVAL_S = 0.01
@@ -120,6 +120,26 @@ def test_closing_ends_a_wait():
     list(items)
     assert time.monotonic() - began < 2.0
     feed.released.set()
+
+
+def test_two_eyes_are_paired_by_what_is_newest():
+    """Each drops pictures for itself: still one pair comes after another."""
+    from bayesnet_track.depth import RightEye
+    from bayesnet_track.runtime.stereo_source import Joined
+
+    def completer(index, second, image):
+        return image, RightEye(second.pixels()[0], None)
+
+    eyes = [LiveReader(lambda: Feed(30), INTERVAL_S, connect_s=0.2, give_up_s=0.0) for _ in range(2)]
+    reader, pairs = Joined("pair", eyes[0], completer, eyes[1]), []
+    for item in reader:
+        if isinstance(item, Picture):
+            pairs.append(item.index)
+            time.sleep(3 * INTERVAL_S)
+        elif not isinstance(item, Dropped):
+            break
+    reader.close()
+    assert len(pairs) > 3 and pairs == list(range(len(pairs)))
 
 
 def test_drops_are_told_seldom():
