@@ -26,7 +26,7 @@ FORMATS = (
     "mjpeg,gif,apng,nut,dv,mxf,yuv4mpegpipe,wtv,rm,swf,amv"
 )
 NETWORK_FORMATS = f"{FORMATS},hls,dash,rtsp,sdp,rtp,mpjpeg,live_flv"
-NETWORK_PROTOCOLS = "http,https,httpproxy,tcp,tls,udp,rtp,rtsp,crypto"
+NETWORK_PROTOCOLS = "http,https,httpproxy,tcp,tls,udp,rtp,rtsp"
 NETWORK_TIMEOUT_S = 10.0
 PROBE_PACKETS = 300
 MAX_PIXELS = 1 << 27

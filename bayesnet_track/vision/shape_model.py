@@ -113,13 +113,24 @@ def save_model(path: str | Path, model: ShapeModel) -> None:
         )
 
 
+MAX_BYTES = 1 << 28
+"""Most that a model may take in memory: far more than one of 100 modes on 64 x 64 cells."""
+
+
 def load_model(path: str | Path) -> ShapeModel:
     """Read what `save_model` wrote; nothing in the file is executed.
 
     Raises:
         ShapeModelError: it cannot be read, is something else, of another version, or its arrays do not fit.
     """
+    # A pipe would wait for its writer, a device never end, and packed zeros unpack to any size.
+    if Path(path).exists() and not Path(path).is_file():
+        raise ShapeModelError(f"{path} is no file")
     try:
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as packed:
+                if sum(part.file_size for part in packed.infolist()) > MAX_BYTES:
+                    raise ShapeModelError(f"{path} is larger than {MAX_BYTES >> 20} MB when unpacked")
         with np.load(path, allow_pickle=False) as file:
             if not isinstance(file, np.lib.npyio.NpzFile) or str(file.get("kind")) != KIND:
                 raise ShapeModelError(f"{path} is not a shape model; `bayesnet-track learn-shape` makes one")
