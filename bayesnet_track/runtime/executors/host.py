@@ -80,6 +80,8 @@ class AgentHost:
                 return np.array(returned, dtype=np.float64)
             case "measure":
                 return _measurement(returned)
+            case "advance":  # whole nets: bytes
+                return returned
         if returned is None and question.method == "adapt":
             return None
         # As the engine looks at what a cue learnt: what is no mapping fails in the same words.
