@@ -1,0 +1,191 @@
+"""A crash at every write, fsync, rename, removal: a run goes on to the same bytes, or says there is none."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import io
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+
+from bayesnet_track import Start, track
+from bayesnet_track.journal.reader import read_events, read_metrics
+from bayesnet_track.journal.writer import OutputError
+from bayesnet_track.runtime.recipe import RecipeError
+from bayesnet_track.runtime.resume import resume, standing
+from bayesnet_track.runtime.rundir import RunDirectoryError
+from bayesnet_track.runtime.scene_source import SceneSource
+
+FRAMES, EVERY_S = 4, 1e-6
+
+pytestmark = [
+    pytest.mark.reliability,
+    pytest.mark.skipif(sys.platform == "win32", reason="there is no fork"),
+]
+
+
+def begin(folder: Path) -> None:
+    source = SceneSource.named("two_squares", 0, FRAMES)
+    starts = [Start(source.scene.start_box)]
+    for _ in track("two_squares", source, starts, out=folder, checkpoint_every=EVERY_S, overwrite=True):
+        pass
+
+
+def go_on(folder: Path) -> None:
+    for _ in resume(folder, checkpoint_every=EVERY_S):
+        pass
+
+
+def files(folder: Path) -> dict[str, str]:
+    return {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in folder.iterdir()
+        if path.name != "timings.jsonl"
+    }
+
+
+class Counted:
+    """Calls of the system by which files change, counted; at call `at`, `act` is called instead."""
+
+    def __init__(self, at: int, act: Callable[[], None]) -> None:
+        self.calls, self._at, self._act = 0, at, act
+
+    def one(self, half: Callable[[], Any] | None = None) -> None:
+        self.calls += 1
+        if self.calls == self._at:
+            if half is not None:
+                half()
+            self._act()
+
+    def install(self) -> None:
+        fsync, replace, unlink, opened = os.fsync, Path.replace, Path.unlink, Path.open
+        counted = self
+
+        class File(io.FileIO):
+            def write(self, data: Any) -> int:
+                whole = bytes(data)
+                counted.one(lambda: io.FileIO.write(self, whole[: len(whole) // 2]))
+                return io.FileIO.write(self, whole) or 0
+
+            def truncate(self, size: int | None = None) -> int:
+                counted.one()
+                return io.FileIO.truncate(self, size)
+
+        def before(call: Callable[..., Any]) -> Callable[..., Any]:
+            def wrapped(*arguments: Any, **options: Any) -> Any:
+                counted.one()
+                return call(*arguments, **options)
+
+            return wrapped
+
+        def open_counted(path: Path, mode: str = "r", buffering: int = -1, *rest: Any, **options: Any) -> Any:
+            if buffering == 0:
+                return File(str(path), mode.replace("b", ""))
+            return opened(path, mode, buffering, *rest, **options)
+
+        os.fsync = before(fsync)
+        Path.replace, Path.unlink = before(replace), before(unlink)  # type: ignore[method-assign]
+        Path.open = open_counted  # type: ignore[assignment, method-assign]
+
+
+def dies() -> None:
+    os._exit(137)
+
+
+def forked(work: Callable[[Path], None], folder: Path, at: int) -> int:
+    """The exit code of `work` in a process that dies at its call number `at`; 137 when it did."""
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            Counted(at, dies).install()
+            work(folder)
+            code = 0
+        finally:
+            os._exit(code)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    # Forks have no threads but their own.
+    cv2.setNumThreads(1)
+    folder = tmp_path_factory.mktemp("whole") / "run"
+    begin(folder)
+    return files(folder)
+
+
+def test_a_crash_at_every_step_of_a_run(tmp_path: Path, whole: dict[str, str]) -> None:
+    refused, at = 0, 0
+    while True:
+        at += 1
+        folder = tmp_path / str(at)
+        code = forked(begin, folder, at)
+        assert code in (0, 137), at
+        try:
+            standing(folder)
+            go_on(folder)
+        except RecipeError:
+            refused += 1
+            begin(folder)
+        assert files(folder) == whole, at
+        if code == 0:
+            break
+    # Files of the start, lines of every frame, checkpoints, and the end.
+    assert at > 40 and 0 < refused < 10
+
+
+def test_a_crash_at_every_step_of_going_on(tmp_path: Path, whole: dict[str, str]) -> None:
+    at = 0
+    while True:
+        at += 1
+        folder = tmp_path / str(at)
+        assert forked(begin, folder, 30) == 137
+        code = forked(go_on, folder, at)
+        assert code in (0, 137), at
+        go_on(folder)
+        assert files(folder) == whole, at
+        if code == 0:
+            break
+    assert at > 15
+
+
+def full() -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_full_disk_at_every_step(
+    tmp_path: Path, whole: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is told, whole lines are left, and with room again the run goes on."""
+    at, told = 0, 0
+    while True:
+        at += 1
+        folder = tmp_path / str(at)
+        with monkeypatch.context() as patch:
+            for owner, name in ((os, "fsync"), (Path, "replace"), (Path, "unlink"), (Path, "open")):
+                patch.setattr(owner, name, getattr(owner, name))
+            counted = Counted(at, full)
+            counted.install()
+            try:
+                begin(folder)
+            except (OutputError, RunDirectoryError) as error:
+                told += 1
+                assert "No space left" in str(error)
+        for name, read in (("journal.jsonl", read_events), ("frames.jsonl", read_metrics)):
+            if (folder / name).exists():
+                assert list(read(folder / name, pytest.fail)) is not None
+        try:
+            go_on(folder)
+        except RecipeError:
+            begin(folder)
+        assert files(folder) == whole, at
+        if counted.calls < at:
+            break
+    assert told > 20
