@@ -54,8 +54,7 @@ sphinx_gallery_conf = {
 }
 
 # Words of formats and shells that Pygments does not know are shown plain.
-# A group of pages may be empty.
-suppress_warnings = ["misc.highlighting_failure", "config.cache", "toc.empty_glob"]
+suppress_warnings = ["misc.highlighting_failure", "config.cache"]
 
 
 def setup(app: Any) -> None:
