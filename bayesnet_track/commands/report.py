@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.pictures import Found
     from bayesnet_track.runtime.rundir import RunDirectory
 
-PAGE, FOLDER, INDEX = "report.html", "report", "index.html"
+FOLDER, INDEX = "report", "index.html"
 Data = tuple[dict[str, Any], dict[str, Any]]
 
 
@@ -63,7 +63,7 @@ def _place(options: argparse.Namespace, directory: RunDirectory) -> Path:
             raise UsageError(f"--out {folder}: the folder holds something else; give a new or an empty one")
         place = folder / INDEX
     else:
-        place = Path(options.out) if options.out else directory.path / PAGE
+        place = Path(options.out) if options.out else directory.report
         if place.is_dir():
             raise UsageError(f"--out {place}: it is a folder; name a file, or ask for --frames full")
     with users_mistake():

@@ -19,6 +19,7 @@ FILES = {
     "timings": "timings.jsonl",
     "graph": "graph.yaml",
     "video": "video.mkv",
+    "report": "report.html",
     "truth": "truth.txt",
     "inputs": "inputs.jsonl",
     "checkpoint": "checkpoint",
@@ -155,6 +156,11 @@ class RunDirectory:
     def video(self) -> Path:
         """The annotated video."""
         return self.path / FILES["video"]
+
+    @property
+    def report(self) -> Path:
+        """The page of the run."""
+        return self.path / FILES["report"]
 
     @property
     def truth(self) -> Path:

@@ -120,7 +120,7 @@ function Help({ state }: { state: State }) {
         <h2>On the picture</h2>
         <p>
           The box is the estimate: a solid line while it is tracked, dashed while uncertain, dotted while lost. Dots are
-          hypotheses drawn from the belief; the two rounded frames hold its centre with 50 and 90 %; the cross is the
+          hypotheses drawn from the belief; the two rounded frames hold its centre with 50&nbsp;% and 90&nbsp;%; the cross is the
           most probable centre.
         </p>
         <h2>On the timelines</h2>

@@ -45,7 +45,7 @@ export function Net({ state }: { state: State }) {
               />
               {on && Number.isFinite(nats) && (
                 <text x={ax + (bx - ax) * 0.72} y={ay + (by - ay) * 0.6 + 4} class="nats">
-                  {short(nats)}
+                  {nats < 0.005 ? "0" : short(nats)}
                 </text>
               )}
             </g>
