@@ -44,5 +44,5 @@ axis.axhline(1.2 * quiet, color="tab:green", label="deactivate")
 for meeting in ((25, 34), (174, 183)):
     axis.axvspan(*meeting, color="tab:gray", alpha=0.3)
 axis.set(xlabel="frame", ylabel="UD, px²", ylim=(quiet / 4, None))
-axis.legend(loc="upper right")
+axis.legend(loc="upper left")
 plt.show()
