@@ -12,7 +12,16 @@ from typing import Self
 from bayesnet_track.cue import CueDeclaration
 from bayesnet_track.engine import Engine
 from bayesnet_track.executor import Executor, Serial
-from bayesnet_track.runtime.executors.placing import Place, employed_of, places_of, with_proxies
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.runtime.executors.net_crew import NetCrew
+from bayesnet_track.runtime.executors.placing import (
+    Place,
+    employed_of,
+    hosts_of,
+    places_of,
+    plates_elsewhere,
+    with_proxies,
+)
 from bayesnet_track.runtime.executors.processes import Employed, Processes
 from bayesnet_track.runtime.executors.ray_actors import RayActors
 from bayesnet_track.runtime.executors.single import one_thread_inside
@@ -63,18 +72,26 @@ class Executing:
     def _is_serial(self) -> bool:
         return self.kind == "serial" or (self.kind == "threads" and self.workers == 1)
 
-    def engine(self, engine: Engine) -> Engine:
+    def engine(self, engine: Engine, graph: CheckedGraph | None = None) -> Engine:
         """`engine` with its agents placed, to be run while this is entered; once.
+
+        `graph` is what it was made from, which whole nets elsewhere are made from as well.
 
         Raises:
             PlacingError: an agent cannot be where it was put.
         """
-        places = places_of(engine, self._default, self._places, self._cues)
+        nets = plates_elsewhere(engine, graph, self._places, self._cues)
+        places = places_of(engine, self._default, self._places, self._cues, nets)
         employed = employed_of(engine, places, self._cues)
-        if employed:
-            self.processes = self._staff(employed)
-            self._open.callback(self.processes.close)
-            engine = with_proxies(engine, places, self.processes)
+        hosts = dict(hosts_of(graph, engine.streams.seed, self.workers)) if nets and graph is not None else {}
+        if employed or hosts:
+            desk = self.processes = self._staff({**employed, **hosts})
+            self._open.callback(desk.close)
+            engine = with_proxies(engine, places, desk)
+            if hosts:
+                crew = NetCrew(desk, tuple(hosts), nets)
+                self._open.callback(crew.close)
+                engine = replace(engine, crew=crew)
         return replace(engine, executor=self._pool(len(employed)))
 
     def _staff(self, employed: Mapping[str, Employed]) -> Processes | RayActors:
@@ -116,7 +133,8 @@ def make_executor(
     Args:
         kind: serial, threads, processes or ray.
         workers: threads or processes at work at a time; as many as the machine has processors when None.
-        places: AGENT or PLATE.AGENT -> "engine" or "process", before what the graph says with `on`.
+        places: AGENT or PLATE.AGENT -> "engine" or "process", before what the graph says with `on`; PLATE ->
+            "process" for the whole nets of its targets.
         limits: what a worker process may take.
         retries: how often an agent whose worker was lost is asked again; 0 where frames do not wait.
         cues: declarations by name, where not the installed ones.
