@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 from bayesnet_track.graph.fault_decisions import Quarantined, Readmitted
 from bayesnet_track.graph.hand_decisions import Released, Toggled
 from bayesnet_track.graph.load_decisions import ParticlesLimited, Shed, TakenBack
 from bayesnet_track.journal.inputs import AgentMissed
-from bayesnet_track.journal.wording import decimals, plural, rounded
+from bayesnet_track.journal.wording import plural, rounded
 
 
 def by_hand(event: Toggled | Released) -> str:
@@ -50,7 +52,7 @@ def shed(event: Shed) -> str:
     if others:
         second = min(others, key=lambda name: others[name])
         least = f"{least} against {second} {others[second]:.2g}"
-    turning = rounded(event.turning_ms, decimals(event.turning_ms, event.budget_ms), up=True)
+    turning = rounded(event.turning_ms, max(2 - math.floor(math.log10(event.turning_ms)), 0), up=True)
     return f"{late} → {event.node} off ({least}); would have stayed on at a budget ≥ {turning} ms"
 
 
