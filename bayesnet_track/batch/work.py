@@ -37,6 +37,7 @@ def do(job: Job, progress: Callable[[int, int | None], None]) -> Row:
 
     `progress` is told of frames done and to do. What fails passes through.
     """
+    from bayesnet_track.runtime.frames import OnResize
     from bayesnet_track.runtime.recipe import RecipeError
     from bayesnet_track.runtime.resume import resume, standing
     from bayesnet_track.runtime.run import Summary
@@ -52,7 +53,7 @@ def do(job: Job, progress: Callable[[int, int | None], None]) -> Row:
         for _ in resume(job.out, summary=summary):
             progress(summary.frames, None)
     elif now is None:
-        on_resize = "rescale" if job.on_resize == "rescale" else "stop"
+        on_resize: OnResize = "rescale" if job.on_resize == "rescale" else "stop"
         with open_source(job.video.source, end=job.end, on_resize=on_resize) as source:
             expected = source.expected_frames
             results = track(
