@@ -36,9 +36,9 @@ def event_row(event: Event) -> dict[str, Any]:
     """One event of a frame as plain data.
 
     Keys: `frame`; `target`, `other` and `node` where it has them; `kind`, its name in the journal; `sort`:
-    switch (an agent on or off), life (of a target, or of a pair), status, or note (everything else); `on`: whether a switch
-    turned the agent on; `what` happened, `why`, and what would have prevented it (`unless`), the pieces of
-    its sentence; the last two may be empty.
+    switch (an agent on or off), life (of a target, or of a pair), status, or note (everything else); `on`:
+    whether a switch turned the agent on; `status`: the new one; `what` happened, `why`, and what would have
+    prevented it (`unless`), the pieces of its sentence, of which the last two may be empty.
     """
     sentence = _FRAME.sub("", explain(event))
     told, *prevented = _PREVENTED.split(sentence, maxsplit=1)
