@@ -115,7 +115,7 @@ def _read(opener: Opener, job: Mapping[str, Any], limits: Limits, slots: _Slots,
         if isinstance(item, Damage):
             what = {"reason": item.reason[:2000], "truncated": item.truncated}
             _tell(answers, {"is": "damage", "index": item.index, **what})
-        else:
+        elif isinstance(item, Picture):  # files and URLs give nothing else
             slots.show(item, is_wanted=item.index >= job["start"])
         begin_picture(limits)
     _tell(answers, {"is": "end"})
@@ -145,7 +145,7 @@ class _Slots:
                     raise MemoryError
                 slot = self._borrow()
                 at = slot * SLOT_BYTES
-                self._view[at : at + image.nbytes] = memoryview(image).cast("B")
+                self._view[at : at + image.nbytes] = image.tobytes()
                 height, width = image.shape[:2]
                 told |= {"slot": slot, "height": height, "width": width, "has_color": has_color}
         _tell(self._answers, told)

@@ -92,8 +92,8 @@ class IsolatedReader:
             "limits": asdict(self._limits),
             "shared": self._shared,
         }
-        told = json.dumps(job).encode()
-        self._write(len(told).to_bytes(8) + told)
+        asked = json.dumps(job).encode()
+        self._write(len(asked).to_bytes(8) + asked)
         try:
             self._message(self._limits.starting_s)
             told = self._message(self._limits.picture_s)
@@ -160,7 +160,7 @@ class IsolatedReader:
             raise ValueError
         image = np.empty((height, width, 3), np.uint8)
         # Read, not mapped: the other process could cut the file short, and a mapped page would be no more.
-        todo, done = memoryview(image).cast("B"), 0
+        todo, done = memoryview(image.reshape(-1)), 0  # type: ignore[arg-type]
         while done < len(todo):
             read = os.preadv(self._shared, [todo[done:]], slot * SLOT_BYTES + done)
             if read == 0:
