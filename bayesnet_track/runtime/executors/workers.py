@@ -7,6 +7,7 @@ import pickle
 import select
 import signal
 import socket
+import struct
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -48,6 +49,9 @@ class Worker:
     def __init__(self, nursery: Nursery, limits: Limits) -> None:
         self._nursery = nursery
         self._socket, self._lifeline, self.pid = nursery.worker()
+        # A worker that is stopped reads nothing: a long question would then wait for ever.
+        patience = struct.pack("@ll", int(limits.answer_s), int(limits.answer_s % 1 * 1e6))
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, patience)
         self._channel = Connection(os.dup(self._socket.fileno()))
         self._readable = select.poll()
         self._readable.register(self._socket, select.POLLIN)
@@ -145,6 +149,9 @@ class Worker:
     def _send(self, message: Any) -> None:
         try:
             self._channel.send_bytes(pickle.dumps(message, protocol=5))
+        except BlockingIOError:
+            self.close()
+            raise WorkerLost(f"took no question in {self._limits.answer_s:.3g} s, and was killed") from None
         except OSError:
             raise WorkerLost(self._death()) from None
 

@@ -36,11 +36,25 @@ def test_a_worker_that_dies_once_is_asked_again(placed, told, tmp_path, how):
     assert told(outcomes) == told(placed.run(agents))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("big", [0, 100_000])
+def test_a_worker_that_is_stopped_is_replaced(placed, told, big):
+    agents = {"a": ("placed", {"big": big}), "b": ("placed_measurer", {})}
+    limits = Limits(answer_s=2.0, first_s=5.0)
+    with placed.executing(agents, "processes", workers=2, limits=limits) as (engine, executor):
+
+        def stop(frame):
+            for pid in executor.processes.workers() if frame == 3 else ():
+                os.kill(pid, signal.SIGSTOP)
+
+        assert told(placed.play(engine, before=stop)) == told(placed.run(agents))
+
+
 UNAVAILABLE = {
     "die": "its process was killed by SIGKILL, 3 times",
     "exit": "its process ended with exit code 7, 3 times",
-    "hang": "gave no answer in 0.3 s, and was killed, 3 times",
-    "deaf": "gave no answer in 0.3 s, and was killed, 3 times",
+    "hang": "gave no answer in 1.5 s, and was killed, 3 times",
+    "deaf": "gave no answer in 1.5 s, and was killed, 3 times",
     "eat": "needs more than 200 MB above what its process starts with, 3 times",
 }
 
@@ -48,7 +62,7 @@ UNAVAILABLE = {
 @pytest.mark.slow
 @pytest.mark.parametrize("how", UNAVAILABLE)
 def test_what_cannot_be_had_is_told_with_the_reason(placed, how):
-    limits = Limits(answer_s=0.3, first_s=0.3, memory_mb=200) if how != "eat" else Limits(memory_mb=200)
+    limits = Limits(answer_s=1.5, first_s=1.5, memory_mb=200) if how != "eat" else Limits(memory_mb=200)
     with placed.executing({"a": ("placed", {"how": how, "at": 0})}, "processes", limits=limits) as made:
         engine, _ = made
         cue, cache = next(iter(engine.machinery["plate"].cues.values())), placed.cache()

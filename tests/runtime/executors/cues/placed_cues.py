@@ -27,7 +27,7 @@ class Parameters(CueParameters):
     engine: int = 0
     times: str = ""
     x: float = 55.0
-    work: int = 0
+    big: int = 0
 
 
 @dataclass(frozen=True)
@@ -89,15 +89,13 @@ class Placed:
     context = 0.5
 
     def learn(self, planes, box):
-        return {"box": np.array(box), "big": np.full(1000, planes[self.needs[0]][0])}
+        return {"box": np.array(box), "big": np.full(1000 + self.parameters.big, planes[self.needs[0]][0])}
 
     def blend(self, old, new, rate):
         return blend_arrays(old, new, rate)
 
     def log_likelihood(self, planes, hypotheses, reference):
         p = self.parameters
-        for _ in range(p.work):
-            np.sin(np.arange(200_000.0)).sum()
         what = misbehave(p, planes.frame.index)
         if what == "short":
             return np.zeros(len(hypotheses) - 1)
