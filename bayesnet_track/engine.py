@@ -21,6 +21,7 @@ from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.journal.inputs import Input
 from bayesnet_track.machinery import Engine, Machinery, make_engine
 from bayesnet_track.nets.claiming import Looked, look_first
+from bayesnet_track.nets.crew import advance, send_off
 from bayesnet_track.nets.joining import Together, join_all, reach_of, weigh_all
 from bayesnet_track.nets.outside import Outside, sorted_out
 from bayesnet_track.nets.people import Population
@@ -122,20 +123,39 @@ def step(engine: Engine, state: State, frame: Frame, outside: Iterable[Input] = 
     known, life = (state.targets, state.life) if looked is None else (looked.targets, looked.life)
     if looked is not None:
         seconds["life"] = engine.clock() - started
-    weighed = weigh_all(engine, state.net, known, state.joins, frame, cache, seconds)
+    elsewhere = send_off(engine, state.net, known, cache.frames, given)
+    here = {target: one for target, one in known.items() if target not in elsewhere.targets}
+    weighed = weigh_all(engine, state.net, here, state.joins, frame, cache, seconds)
     together = _together(engine, state, weighed, frame, cache, seconds)
+    concluded = {
+        one.target: conclude(
+            engine,
+            state.net,
+            one,
+            frame,
+            cache,
+            seconds,
+            together.metrics.get(one.target),
+            given.by_hand.get(one.target, ()),
+        )
+        for one in together.weighed
+    }
+    advanced = elsewhere.awaited()
+    for target in sorted(elsewhere.targets):
+        one = advanced.get(target) or advance(engine, state.net, target, known[target], cache)
+        concluded[target] = one.done
+        for part, spent in one.seconds.items():
+            seconds[part] = seconds.get(part, 0.0) + spent
     net, targets = state.net, {}
     metrics: list[FrameMetrics] = []
     events: list[Event] = [*together.told]
     covariances: dict[str, Floats] = {}
-    for one in together.weighed:
-        join = together.metrics.get(one.target)
-        by_hand = given.by_hand.get(one.target, ())
-        done = conclude(engine, state.net, one, frame, cache, seconds, join, by_hand)
+    for target in known:
+        done = concluded[target]
         net = applied(net, done.decisions)
-        targets[one.target] = recompiled(engine, net, one.target, done.state)
+        targets[target] = recompiled(engine, net, target, done.state)
         metrics.append(done.metrics)
-        covariances[one.target] = done.covariance
+        covariances[target] = done.covariance
         events += [*done.told, *done.decisions]
     after = State(net, targets, frame, life, together.memory, state.load)
     outcome = Outcome(after, tuple(metrics), tuple(events), covariances, seconds)

@@ -7,8 +7,11 @@ is never split: an agent sees all its hypotheses at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Protocol, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol, TypeVar
+
+from bayesnet_track.graph.net import Net
+from bayesnet_track.planes import FramePair
 
 Piece = TypeVar("Piece")
 Made = TypeVar("Made")
@@ -40,3 +43,23 @@ class Serial:
         [1, 2]
         """
         return [work(piece) for piece in pieces]
+
+
+class Crew(Protocol):
+    """Advances whole nets elsewhere, those of targets that depend on no other, while the engine goes on."""
+
+    @property
+    def plates(self) -> frozenset[str]:
+        """The plates whose targets it takes."""
+        ...
+
+    def start(
+        self, net: Net, targets: Mapping[str, Any], frames: FramePair
+    ) -> Callable[[], Mapping[str, Any]]:
+        """Take the frame of these targets (id -> `TargetState`) in hand.
+
+        Returns:
+            What waits for the outcome: target -> `nets.crew.Advanced`. Those that nobody advanced are
+            missing, and are left to the engine.
+        """
+        ...

@@ -24,7 +24,7 @@ from bayesnet_track.cue import (
 )
 from bayesnet_track.detect.selection import Selected
 from bayesnet_track.detector import Detector, DetectorError, detectors_of_graphs, installed_detectors
-from bayesnet_track.executor import Executor, Serial
+from bayesnet_track.executor import Crew, Executor, Serial
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.cue_laws import plugin_parameters
@@ -93,6 +93,7 @@ class Engine:
         joins: how targets depend on each other.
         executor: how the agents of a frame are asked; changes no result.
         absent: agents that give no answer in the frame that is worked on.
+        crew: who advances whole nets elsewhere, which changes no result; None for nobody.
     """
 
     machinery: Mapping[str, Machinery]
@@ -102,6 +103,7 @@ class Engine:
     joins: tuple[Join, ...] = ()
     executor: Executor = field(default_factory=Serial)
     absent: Absent = field(default_factory=Absent)
+    crew: Crew | None = None
 
 
 def make_engine(

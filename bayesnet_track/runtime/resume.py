@@ -130,7 +130,7 @@ def resume(
         engine = prepared(graph, recipe.seed, motion, detections)
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
-        engine = stack.enter_context(executing).engine(engine)
+        engine = stack.enter_context(executing).engine(engine, None if motion is not None else graph)
         asked = recipe.inputs.place if inputs is None and recipe.inputs is not None else inputs
         outside = _outside(directory, as_asked(asked))
         checkpoint = _checkpoint(directory, recipe, engine, say)

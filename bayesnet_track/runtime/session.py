@@ -108,7 +108,7 @@ def track(
         engine = prepared(checked, seed, motion, detections)
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
-        engine = stack.enter_context(executing).engine(engine)
+        engine = stack.enter_context(executing).engine(engine, None if motion is not None else checked)
         told: list[Sink] = list(sinks)
         keeper: Checkpoints | None = None
         if out is not None:

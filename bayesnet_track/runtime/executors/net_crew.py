@@ -1,0 +1,119 @@
+"""The engine's side of nets at work elsewhere: who has which target, and what each has to be told."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.graph.net import Net
+from bayesnet_track.nets.crew import Advanced
+from bayesnet_track.nets.state import TargetState
+from bayesnet_track.planes import FramePair, Region
+from bayesnet_track.runtime.executors.net_host import Asked
+from bayesnet_track.runtime.executors.proxy import Desk
+
+REMEMBERED = tuple(item.name for item in fields(TargetState) if item.name != "plan")
+
+
+@dataclass(frozen=True, eq=False)
+class _Shift:
+    """What one worker of the crew was asked for in a frame, and the answer to come."""
+
+    targets: Mapping[str, TargetState]
+    answer: Future[bytes]
+
+
+class NetCrew:
+    """Advances targets in the workers behind a desk.
+
+    Each has a share of the targets, those that it had before. A worker that is lost has forgotten their
+    states: it is asked again with all of them, and what it still does not advance is left to the engine.
+
+    Args:
+        desk: where questions are handed in.
+        hosts: names that the desk knows the workers by.
+        plates: of which targets are taken.
+    """
+
+    def __init__(self, desk: Desk, hosts: Sequence[str], plates: frozenset[str]) -> None:
+        self.plates = plates
+        self._desk, self._hosts = desk, tuple(hosts)
+        self._threads = ThreadPoolExecutor(len(hosts), thread_name_prefix="nets")
+        self._host_of: dict[str, str] = {}
+        self._returned: dict[str, TargetState] = {}
+
+    def start(
+        self, net: Net, targets: Mapping[str, TargetState], frames: FramePair
+    ) -> Callable[[], Mapping[str, Advanced]]:
+        """Have the targets advanced; see `executor.Crew`."""
+        self._share_out(targets)
+        where = self._desk.send_frame(frames.previous) if frames.previous is not None else None
+        both = self._desk.send_frame(frames.current), where
+        whole = Region(0, 0, frames.current.width, frames.current.height)
+        shifts = []
+        for host in self._hosts:
+            own = {target: state for target, state in targets.items() if self._host_of[target] == host}
+            if own:
+                answer = self._threads.submit(self._asked, host, net, own, both, whole)
+                shifts.append(_Shift(own, answer))
+        return lambda: self._awaited(shifts)
+
+    def close(self) -> None:
+        """End the threads that wait."""
+        self._threads.shutdown(wait=False, cancel_futures=True)
+
+    def _share_out(self, targets: Mapping[str, TargetState]) -> None:
+        """New targets to the workers with the fewest; when shares have grown apart, all anew."""
+        self._host_of = {target: host for target, host in self._host_of.items() if target in targets}
+        counts = dict.fromkeys(self._hosts, 0)
+        for host in self._host_of.values():
+            counts[host] += 1
+        for target in targets:
+            if target not in self._host_of:
+                host = min(self._hosts, key=lambda name: counts[name])
+                self._host_of[target] = host
+                counts[host] += 1
+        if max(counts.values()) - min(counts.values()) > 1:
+            self._returned.clear()
+            self._host_of = {
+                target: self._hosts[number % len(self._hosts)] for number, target in enumerate(targets)
+            }
+
+    def _asked(
+        self, host: str, net: Net, own: Mapping[str, TargetState], both: tuple[Any, Any], whole: Region
+    ) -> bytes:
+        known = {target: self._is_held(target, state) for target, state in own.items()}
+        answer: bytes = self._desk.ask(host, "advance", both, whole, (_question(net, own, known),))
+        return answer or self._desk.ask(host, "advance", both, whole, (_question(net, own, {}),))
+
+    def _is_held(self, target: str, state: TargetState) -> bool:
+        """Whether the state is the one that the worker returned last: nobody has changed it since."""
+        held = self._returned.get(target)
+        return held is not None and all(getattr(held, name) is getattr(state, name) for name in REMEMBERED)
+
+    def _awaited(self, shifts: Sequence[_Shift]) -> dict[str, Advanced]:
+        advanced: dict[str, Advanced] = {}
+        for shift in shifts:
+            try:
+                made: Mapping[str, Advanced] = pickle.loads(shift.answer.result())
+            except AgentUnavailable:
+                for target in shift.targets:
+                    self._returned.pop(target, None)
+                continue
+            for target, one in made.items():
+                state = replace(one.done.state, plan=shift.targets[target].plan)
+                self._returned[target] = state
+                advanced[target] = replace(one, done=replace(one.done, state=state))
+        return advanced
+
+
+def _question(net: Net, own: Mapping[str, TargetState], known: Mapping[str, bool]) -> bytes:
+    asked = {}
+    for target, state in own.items():
+        bare: Any = None if known.get(target) else replace(state, plan=None)  # type: ignore[arg-type]
+        asked[target] = Asked(net.targets[target], bare)
+    return pickle.dumps(asked, protocol=pickle.HIGHEST_PROTOCOL)
