@@ -43,9 +43,13 @@ def batch(options: argparse.Namespace) -> int:
     jobs = _jobs(options, videos, out)
     progress = BatchProgress(sys.stderr, jobs, sys.stderr.isatty())
     place: Place = Processes(options.jobs or os.cpu_count() or 1)
+    if options.on == "ray":
+        from bayesnet_track.batch.ray_place import RayTasks
+
+        place = RayTasks(options.ray_address)
     stop: StopRequest = options.stop
     rows: dict[Job, Row] = {}
-    with closing(place.run(jobs)) as heard:
+    with users_mistake(), closing(place.run(jobs)) as heard:
         for told in heard:
             if told is not None and told.row is not None:
                 rows[told.job] = told.row

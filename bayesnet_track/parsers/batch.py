@@ -43,6 +43,16 @@ def add_batch(commands: argparse._SubParsersAction[Any]) -> None:
         "--jobs", type=whole_number(1), metavar="N", help="runs at a time (default: one for each processor)"
     )
     batch.add_argument(
+        "--on",
+        choices=["here", "ray"],
+        default="here",
+        help="in processes of this computer, or as tasks of a Ray cluster whose nodes all see the videos "
+        "and DIR (default here)",
+    )
+    batch.add_argument(
+        "--ray-address", metavar="ADDRESS", help="of the cluster: auto, HOST:PORT (default: start one here)"
+    )
+    batch.add_argument(
         "--seeds",
         type=whole_number(1),
         default=1,

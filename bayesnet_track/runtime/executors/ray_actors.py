@@ -19,15 +19,13 @@ from bayesnet_track.runtime.executors.nursery import START_S
 from bayesnet_track.runtime.executors.processes import (
     IDLE_FRAMES,
     Employed,
-    PlacingError,
     again,
     check_sendable,
 )
 from bayesnet_track.runtime.executors.questions import Answer, Foreign, Question, Sent, Told
+from bayesnet_track.runtime.executors.ray_cluster import connect
 from bayesnet_track.runtime.executors.ray_frames import RayFrameStore, StoredFrame, fetched
 from bayesnet_track.runtime.executors.workers import Late, Limits, WorkerLost
-
-MISSING = "Ray is not installed: pip install 'bayesnet-track[ray]'"
 
 
 class AgentActor:
@@ -90,7 +88,7 @@ class RayActors:
             check_sendable(agent, employed)
         self.retries, self.deadline = retries, None
         self._agents, self._limits = agents, limits
-        self._owns_ray = _connect(address)
+        self._owns_ray = connect(address)
         self._store = RayFrameStore()
         self._hired: dict[str, _Hired] = {}
         self._locks = {agent: Lock() for agent in agents}
@@ -213,25 +211,3 @@ class RayActors:
         hired = self._hired.pop(agent, None)
         if hired is not None and ray.is_initialized():
             ray.kill(hired.actor)
-
-
-def _connect(address: str | None) -> bool:
-    """Connect to the cluster at `address`, or start one here; whether it has to be shut down again.
-
-    Raises:
-        PlacingError: Ray is not installed, or there is no cluster.
-    """
-    try:
-        import ray
-    except ImportError:
-        raise PlacingError(MISSING) from None
-    if ray.is_initialized():
-        return False
-    try:
-        if address is None:
-            ray.init(log_to_driver=False, logging_level="error", include_dashboard=False)
-        else:
-            ray.init(address=address, log_to_driver=False, logging_level="error")
-    except (ConnectionError, ValueError) as error:
-        raise PlacingError(f"no Ray cluster at {address}: {error}") from error
-    return True

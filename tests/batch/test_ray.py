@@ -1,0 +1,48 @@
+"""A batch as tasks of a Ray cluster: the same table as in processes."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from bayesnet_track.cli import main
+from bayesnet_track.scenes import make_scene
+
+MEASURED = ("frames", "agents_per_frame", "score_mean", "auc", "status")
+
+
+@pytest.mark.slow
+def test_the_same_table_as_in_processes(tmp_path: Path) -> None:
+    pytest.importorskip("ray")
+    scene = make_scene("two_squares", 0)
+    (tmp_path / "one" / "img").mkdir(parents=True)
+    for number in range(6):
+        cv2.imwrite(str(tmp_path / "one" / "img" / f"{number}.png"), scene.frames[number])
+    np.savetxt(tmp_path / "one" / "groundtruth.txt", scene.truth[:6], delimiter=",")
+    (tmp_path / "bad" / "img").mkdir(parents=True)
+    (tmp_path / "bad" / "img" / "0.png").write_bytes(b"no image")
+    (tmp_path / "bad" / "groundtruth.txt").write_text("1,1,9,9\n")
+
+    tables = []
+    for where in ("here", "ray"):
+        out = tmp_path / where
+        code = main(
+            ["batch", "two_squares", "--source", f"{tmp_path}/*/img", "--out", str(out), "--quiet"]
+            + [
+                "--init-from",
+                "{folder}/groundtruth.txt",
+                "--truth",
+                "{folder}/groundtruth.txt",
+                "--on",
+                where,
+            ]
+        )
+        assert code == 5  # one video fails, and stops no other
+        rows = list(csv.DictReader((out / "results.csv").open()))
+        tables.append([[row[name] for name in MEASURED] for row in rows])
+    assert tables[0] == tables[1]
+    assert [row[-1] for row in tables[0]] == ["failed", "finished"]
