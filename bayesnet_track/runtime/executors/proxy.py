@@ -74,10 +74,14 @@ class Placed:
         """The real planes are computed where the agent is."""
         return (self.sent,)
 
-    def ask(self, method: str, planes: Planes, *arguments: Any) -> Any:
-        """A question about a frame."""
+    def ask(self, method: str, planes: Planes | None, *arguments: Any) -> Any:
+        """A question, about a frame unless `planes` is None."""
+        # Before the desk is busy with this question: what was learnt may have to be asked for.
+        known = tuple(dict(part) if isinstance(part, Learnt) else part for part in arguments)
+        if planes is None:
+            return self.desk.ask(self.agent, method, None, None, known)
         current, previous = planes[self.sent]
-        return self.desk.ask(self.agent, method, (current, previous), planes.region, arguments)
+        return self.desk.ask(self.agent, method, (current, previous), planes.region, known)
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """As of a `Cue`."""
@@ -88,7 +92,7 @@ class Placed:
         if isinstance(new, Learnt) and new.of is self and new.planes is not None:
             at_once: Reference = self.ask(LEARN_AND_BLEND, new.planes, new.method, old, rate, *new.arguments)
             return at_once
-        blended: Reference = self.desk.ask(self.agent, "blend", None, None, (old, new, rate))
+        blended: Reference = self.ask("blend", None, old, new, rate)
         return blended
 
 
@@ -132,7 +136,7 @@ def _learn_turned(self: Placed, planes: Planes, box: Floats, angle: float) -> Re
 
 
 def _adapt(self: Placed, reference: Reference, attempt: int) -> Reference | None:
-    tuned: Reference | None = self.desk.ask(self.agent, "adapt", None, None, (reference, attempt))
+    tuned: Reference | None = self.ask("adapt", None, reference, attempt)
     return tuned
 
 

@@ -36,18 +36,21 @@ class Across:
         view = FrameView(self.store.descriptor)
         self.host = AgentHost(view.get, is_limited)
         self.host.employ(agent, make, parameters)
-        self.sent, self.bytes = Sent(), []
+        self.sent, self.bytes, self.is_busy = Sent(), [], False
 
     def send_frame(self, frame):
         return self.store.put(frame)
 
     def ask(self, agent, method, frames, region, arguments):
+        assert not self.is_busy, "a question within a question"
+        self.is_busy = True
         told = tuple(self.sent.tell(part) if isinstance(part, Mapping) else part for part in arguments)
         forget = self.sent.forgotten()
         question = Question(agent, method, frames, region, told, self.sent.next_number, forget)
         passed = pickle.dumps(question)
         self.bytes.append(len(passed))
         answer = pickle.loads(pickle.dumps(self.host.answer(pickle.loads(passed))))
+        self.is_busy = False
         if answer.raised:
             raise RuntimeError(answer.raised)
         return self.sent.heard(answer.value) if isinstance(answer.value, Told) else answer.value
