@@ -9,8 +9,6 @@ ASCII only. JSON has no NaN and no infinity; such a float is written as the stri
 from __future__ import annotations
 
 import json
-import math
-import operator
 import re
 import types
 from collections.abc import Callable, Mapping
@@ -18,16 +16,13 @@ from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
+from bayesnet_track.journal.encoder import NON_FINITE, JournalError, members_encoder, short
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.journal.inputs import Input
 
-FLOAT_DIGITS = 9
-_NON_FINITE = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
+__all__ = ["JournalError", "event_classes", "event_name", "from_json", "to_json", "type_hints"]
+
 _CAPITAL = re.compile(r"(?<!^)(?=[A-Z])")
-
-
-class JournalError(ValueError):
-    """A line that is no event, or an event that is no line."""
 
 
 def event_name(kind: type) -> str:
@@ -52,10 +47,8 @@ def to_json(event: Event | Input | FrameMetrics) -> str:
     Raises:
         JournalError: a value is not of its field's type.
     """
-    name = event_name(type(event))
-    if event_classes().get(name) is not type(event):
-        raise JournalError(f"{type(event).__name__} is not an event of the journal")
-    return json.dumps({"event": name, **_encoded_fields(event, type(event), name)}, allow_nan=False)
+    begin, members = _writing(type(event))
+    return f"{{{', '.join([begin, *members(event)])}}}"
 
 
 def from_json(line: str) -> Event | Input | FrameMetrics:
@@ -67,17 +60,26 @@ def from_json(line: str) -> Event | Input | FrameMetrics:
     try:
         values = json.loads(line, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
-        raise JournalError(f"not a line of JSON ({error}): {_short(line)}") from error
+        raise JournalError(f"not a line of JSON ({error}): {short(line)}") from error
     if not isinstance(values, dict) or not isinstance(values.get("event"), str):
-        raise JournalError(f'no object with a key "event": {_short(line)}')
+        raise JournalError(f'no object with a key "event": {short(line)}')
     name = values.pop("event")
     kind = event_classes().get(name)
     if kind is None:
         raise JournalError(
-            f"unknown event {name!r}; known: {', '.join(sorted(event_classes()))}: {_short(line)}"
+            f"unknown event {name!r}; known: {', '.join(sorted(event_classes()))}: {short(line)}"
         )
     decoded: Event | Input | FrameMetrics = _decode_object(values, kind, name)
     return decoded
+
+
+@cache
+def _writing(kind: type) -> tuple[str, Callable[[Any], list[str]]]:
+    """How the lines of a class begin, and what writes the members after that."""
+    name = event_name(kind)
+    if event_classes().get(name) is not kind:
+        raise JournalError(f"{kind.__name__} is not an event of the journal")
+    return f'"event": "{name}"', members_encoder(kind, name)
 
 
 @cache
@@ -85,39 +87,6 @@ def type_hints(kind: Any) -> Mapping[str, Any]:
     """The types of a dataclass' fields, in order."""
     hints = get_type_hints(kind)
     return {item.name: hints[item.name] for item in fields(kind)}
-
-
-def _encoded_fields(value: Any, kind: Any, where: str) -> dict[str, Any]:
-    given = {name: hint for name, hint in type_hints(kind).items() if not _left_out(kind, name, value)}
-    return {name: _encode(getattr(value, name), hint, f"{where}.{name}") for name, hint in given.items()}
-
-
-def _left_out(kind: Any, name: str, value: Any) -> bool:
-    """True for a field that is not written while it is empty."""
-    return name in _left_out_when_empty(kind) and not getattr(value, name)
-
-
-@cache
-def _left_out_when_empty(kind: Any) -> frozenset[str]:
-    return frozenset(item.name for item in fields(kind) if item.metadata.get("left_out_when_empty"))
-
-
-def _encode(value: Any, hint: Any, where: str) -> Any:
-    shape, inner = _shape(hint)
-    try:
-        if shape == "union":
-            return None if _absent(inner, value) else _encode(value, _member(inner, type(value)), where)
-        if shape == "tuple":
-            return [_encode(item, h, where) for item, h in zip(value, _per_item(inner, value), strict=True)]
-        if shape == "mapping":
-            return {_SIMPLE[str](key): _encode(value[key], inner[1], where) for key in sorted(value)}
-        if is_dataclass(hint) and type(value) is hint:
-            return _encoded_fields(value, hint, where)
-        return _SIMPLE[hint](value)
-    except (TypeError, ValueError, KeyError) as error:
-        if isinstance(error, JournalError):
-            raise
-        raise JournalError(f"{where}: {value!r} is not {hint}: {error}") from error
 
 
 def _decode(value: Any, hint: Any, where: str) -> Any:
@@ -132,13 +101,13 @@ def _decode(value: Any, hint: Any, where: str) -> Any:
         return {key: _decode(item, inner[1], where) for key, item in value.items()}
     elif is_dataclass(hint) and isinstance(value, dict):
         return _decode_object(value, hint, where)
-    elif hint is float and isinstance(value, str) and value in _NON_FINITE:
-        return _NON_FINITE[value]
+    elif hint is float and isinstance(value, str) and value in NON_FINITE:
+        return NON_FINITE[value]
     elif hint is float and isinstance(value, int | float) and not isinstance(value, bool):
         return float(value)
     elif hint in (int, bool, str) and type(value) is hint:
         return value
-    raise JournalError(f"{where}: {_short(repr(value))} is not {getattr(hint, '__name__', hint)}")
+    raise JournalError(f"{where}: {short(repr(value))} is not {getattr(hint, '__name__', hint)}")
 
 
 def _decode_object(values: Mapping[str, Any], kind: Any, where: str) -> Any:
@@ -186,25 +155,5 @@ def _per_item(inner: tuple[Any, ...], value: Any) -> tuple[Any, ...]:
     return (inner[0],) * len(value) if inner[-1] is Ellipsis else inner
 
 
-def _float(value: Any) -> float | str:
-    number = float(value)
-    if not math.isfinite(number):
-        return "NaN" if math.isnan(number) else "Infinity" if number > 0 else "-Infinity"
-    return float(f"{number:.{FLOAT_DIGITS}g}") + 0.0
-
-
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise TypeError("not a text")
-    return str(value)
-
-
-_SIMPLE: Mapping[Any, Callable[[Any], Any]] = {float: _float, int: operator.index, bool: bool, str: _text}
-
-
 def _no_constant(word: str) -> Any:
     raise ValueError(f"{word} is not JSON")
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= 120 else f"{text[:117]}..."

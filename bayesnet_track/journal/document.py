@@ -11,7 +11,8 @@ from typing import Any, get_args
 
 from bayesnet_track.graph.life_decisions import Recognition
 from bayesnet_track.graph.net import Cause, Concentration
-from bayesnet_track.journal.codec import FLOAT_DIGITS, event_name, type_hints
+from bayesnet_track.journal.codec import event_name, type_hints
+from bayesnet_track.journal.encoder import FLOAT_DIGITS
 from bayesnet_track.journal.events import JOURNAL_VERSION, Event, FrameMetrics
 from bayesnet_track.journal.inputs import Input
 from bayesnet_track.journal.join_events import JoinMetrics

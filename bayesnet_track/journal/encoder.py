@@ -1,0 +1,175 @@
+"""A function per event class that writes its events as JSON text, made once from the types of its fields.
+
+Every frame is written, with a cloud of hypotheses each: walking through the types anew for every value took a
+quarter of a small net's frame.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+import types
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from json.encoder import encode_basestring_ascii
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+FLOAT_DIGITS = 9
+NON_FINITE: Mapping[str, float] = types.MappingProxyType(
+    {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
+)
+
+Encoder = Callable[[Any], str]
+"""The JSON text of a value."""
+
+
+class JournalError(ValueError):
+    """A line that is no event, or an event that is no line."""
+
+
+def _encoder_of(hint: Any, where: str) -> Encoder:
+    """Raises, when it writes, TypeError, ValueError or KeyError where a value is not of the type."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (types.UnionType, Union):
+        return _of_union(inner, where)
+    if origin is tuple:
+        return _of_list(inner[0], where) if inner[-1] is Ellipsis else _of_tuple(inner, where)
+    if origin is not None and issubclass(origin, Mapping):
+        return _of_mapping(inner[1], where)
+    if is_dataclass(hint):
+        return _of_dataclass(hint, where)
+    return _SIMPLE[hint]
+
+
+def members_encoder(kind: Any, where: str) -> Callable[[Any], list[str]]:
+    """How the objects of a dataclass are written: `"name": value` of each field, in order.
+
+    `where` names the object in errors. The function that is returned raises:
+        JournalError: a value is not of its field's type.
+    """
+    hints = get_type_hints(kind)
+    parts = [
+        (
+            item.name,
+            hints[item.name],
+            f"{encode_basestring_ascii(item.name)}: ",
+            _encoder_of(hints[item.name], f"{where}.{item.name}"),
+            bool(item.metadata.get("left_out_when_empty")),
+        )
+        for item in fields(kind)
+    ]
+
+    def members(value: Any) -> list[str]:
+        written = []
+        for name, hint, key, encode, left_out_when_empty in parts:
+            one = getattr(value, name)
+            if left_out_when_empty and not one:
+                continue
+            try:
+                written.append(key + encode(one))
+            except JournalError:
+                raise
+            except (TypeError, ValueError, KeyError) as error:
+                raise JournalError(f"{where}.{name}: {short(repr(one))} is not {hint}: {error}") from error
+        return written
+
+    return members
+
+
+def _of_dataclass(hint: Any, where: str) -> Encoder:
+    members = members_encoder(hint, where)
+
+    def encode(value: Any) -> str:
+        if type(value) is not hint:
+            raise TypeError(type(value).__name__)
+        return f"{{{', '.join(members(value))}}}"
+
+    return encode
+
+
+def _of_union(inner: tuple[Any, ...], where: str) -> Encoder:
+    """By the member of the union that a value is of; the first when it is of none."""
+    encoders = {kind: _encoder_of(kind, where) for kind in inner if kind is not types.NoneType}
+    first = encoders.get(inner[0], _none)
+    if types.NoneType in inner:
+        encoders[types.NoneType] = _none
+
+    def encode(value: Any) -> str:
+        return encoders.get(type(value), first)(value)
+
+    return encode
+
+
+def _of_list(item: Any, where: str) -> Encoder:
+    if item is int:
+        return _ints
+    encode_item = _encoder_of(item, where)
+
+    def encode(value: Any) -> str:
+        return f"[{', '.join([encode_item(one) for one in value])}]"
+
+    return encode
+
+
+def _of_tuple(items: tuple[Any, ...], where: str) -> Encoder:
+    encoders = [_encoder_of(item, where) for item in items]
+
+    def encode(value: Any) -> str:
+        return f"[{', '.join([one(part) for one, part in zip(encoders, value, strict=True)])}]"
+
+    return encode
+
+
+def _of_mapping(item: Any, where: str) -> Encoder:
+    encode_item = _encoder_of(item, where)
+
+    def encode(value: Any) -> str:
+        return f"{{{', '.join([f'{_text(key)}: {encode_item(value[key])}' for key in sorted(value)])}}}"
+
+    return encode
+
+
+def _float(value: Any) -> str:
+    number = float(value)
+    text = f"{number:.{FLOAT_DIGITS}g}"
+    if "." in text and "e" not in text:
+        return text  # as Python's own shortest form of these digits
+    if not math.isfinite(number):
+        return '"NaN"' if math.isnan(number) else '"Infinity"' if number > 0 else '"-Infinity"'
+    return repr(float(text) + 0.0)
+
+
+def _int(value: Any) -> str:
+    number = operator.index(value)
+    return _bool(number) if isinstance(number, bool) else int.__repr__(number)
+
+
+def _ints(value: Any) -> str:
+    numbers = [operator.index(one) for one in value]
+    if {*map(type, numbers)} <= {int}:
+        return repr(numbers)
+    return f"[{', '.join(map(_int, numbers))}]"
+
+
+def _bool(value: Any) -> str:
+    return "true" if value else "false"
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError("not a text")
+    return encode_basestring_ascii(str(value))
+
+
+def _none(value: Any) -> str:
+    if value is not None:
+        raise TypeError("not null")
+    return "null"
+
+
+def short(text: str) -> str:
+    """The text, cut for a message."""
+    return text if len(text) <= 120 else f"{text[:117]}..."
+
+
+_SIMPLE: Mapping[Any, Encoder] = types.MappingProxyType({float: _float, int: _int, bool: _bool, str: _text})
