@@ -32,8 +32,11 @@ Declaration = TypeVar("Declaration", bound=Named)
 
 
 def allow(names: Iterable[str]) -> None:
-    """Let these plug-ins of other packages be loaded in this process, where something names them."""
-    _allowed.update(names)
+    """Let these plug-ins of other packages be loaded in this process, where something names them.
+
+    A single name may stand alone.
+    """
+    _allowed.update([names] if isinstance(names, str) else names)
 
 
 def allowed() -> frozenset[str]:

@@ -7,11 +7,14 @@ import sys
 import numpy as np
 import pytest
 
-from bayesnet_track import plugins
+from bayesnet_track import Tracker, plugins, track
 from bayesnet_track.cli import main
 from bayesnet_track.cue import installed_cues
 from bayesnet_track.detector import installed_detectors
+from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.runtime.recipe import Recipe
 
+BOX = (10, 10, 20, 20)
 PACKAGE = """
 from pathlib import Path
 
@@ -145,6 +148,33 @@ def test_what_is_named_and_allowed_tracks(both, graph, images, tmp_path):
     assert not both.exists()
     assert main([*line, "--quiet", "--allow-plugins", "flat"]) == 0
     assert both.exists()
+
+
+def test_they_are_allowed_from_python_too(both, graph, images):
+    with pytest.raises(GraphError, match=r"allow_plugins="):
+        next(track(graph(), images, BOX))
+    with pytest.raises(GraphError):
+        Tracker(graph())
+    assert not both.exists()
+    assert len(list(track(graph(), images, BOX, allow_plugins=["flat"]))) == 2
+    plugins.forget()
+    assert Tracker(graph(), allow_plugins="flat") is not None
+
+
+def test_a_run_remembers_them_but_is_data_and_allows_nothing(both, graph, images, tmp_path, capsys):
+    run = tmp_path / "run"
+    results = track(graph(), images, BOX, out=run, allow_plugins=["flat", "middle"])
+    next(results)
+    results.close()
+    assert Recipe.read(run).options == {"allow_plugins": "flat"}
+    plugins.forget()
+    both.unlink()
+    line = ["what-if", str(run), "--out", str(tmp_path / "other"), "--seed", "3", "--quiet"]
+    for again in (["resume", str(run), "--quiet"], line):
+        assert main(again) != 0
+        assert "--allow-plugins flat" in capsys.readouterr().err
+    assert main([*line, "--allow-plugins", "flat"]) == 0
+    assert main(["resume", str(run), "--quiet", "--allow-plugins", "flat"]) == 0
 
 
 def test_a_detector_that_is_named_and_allowed_finds(both, images, capsys):

@@ -7,6 +7,7 @@ from typing import Any
 
 from bayesnet_track.arguments import whole_number
 from bayesnet_track.parsers.compare import add_comparison_options
+from bayesnet_track.parsers.plugins import add_plugins
 
 
 def add_what_if(commands: argparse._SubParsersAction[Any]) -> None:
@@ -36,4 +37,5 @@ def add_what_if(commands: argparse._SubParsersAction[Any]) -> None:
     what_if.add_argument("--force", action="store_true", help="go on although the source has changed since")
     what_if.add_argument("--quiet", action="store_true", help="no progress line")
     what_if.add_argument("--log-json", action="store_true", help="progress as JSON lines")
+    add_plugins(what_if)
     add_comparison_options(what_if)

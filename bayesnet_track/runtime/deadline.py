@@ -37,6 +37,7 @@ class Deadline:
         budget_ms: milliseconds.
         asking: who asks agents elsewhere, to be told by when each frame needs their answers.
         clock: seconds of the monotonic clock.
+        known_until: up to this frame it is known already what was late: nothing is told, nobody is hurried.
     """
 
     def __init__(
@@ -44,8 +45,10 @@ class Deadline:
         budget_ms: float,
         asking: Punctual | None = None,
         clock: Callable[[], float] = time.monotonic,
+        known_until: int = -1,
     ) -> None:
-        self.budget_ms = budget_ms
+        self.budget_ms, self._known_until = budget_ms, known_until
+        self._is_known = False
         self._asking, self._clock = asking, clock
         self._began = 0.0
         self._frames = self._calm = 0
@@ -54,7 +57,7 @@ class Deadline:
     def begin(self) -> None:
         """A frame begins."""
         self._began = self._clock()
-        if self._asking is not None and self._frames >= WARM_UP:
+        if self._asking is not None and self._frames >= WARM_UP and not self._is_known:
             self._asking.deadline = self._began + FOR_AGENTS * self.budget_ms / 1000.0
 
     def end(self) -> None:
@@ -70,7 +73,14 @@ class Deadline:
         self._most = 0.0 if is_late else max(self._most, self._spent)
 
     def told(self, frame: int, net: Net) -> tuple[Input, ...]:
-        """What the engine is given with the next frame: that the last was late, or that there is time."""
+        """What the engine is given with the next frame: that the last was late, or that there is time.
+
+        It is asked before `begin`.
+        """
+        self._is_known = frame <= self._known_until
+        if self._is_known:
+            self._calm, self._most = 0, 0.0
+            return ()
         if self._spent > self.budget_ms:
             return (LateFrame(frame, self._spent, self.budget_ms),)
         if self._calm < TOLD_EVERY:

@@ -164,6 +164,7 @@ class Source:
         declared_frames: number of frames that the whole source declares, or None.
         expected_frames: how many of them lie between `start` and `end`, or None.
         frame_interval_s: nominal seconds between frames.
+        is_live: whether it goes on however long a frame takes, as a camera does.
         frames: frames handed out so far.
         end_reason: why it ended, in the words of `RunEnded.reason`; end_of_source while nothing is wrong.
         origin: how it was opened, where it can be opened again.
@@ -184,6 +185,7 @@ class Source:
         self.description, self.origin = description, origin
         self.declared_frames = reader.declared_frames
         self.frame_interval_s = reader.frame_interval_s
+        self.is_live = bool(getattr(reader, "is_live", False))
         self.frames = 0
         self.end_reason: EndReason = "end_of_source"
         self._reader = reader
@@ -205,6 +207,11 @@ class Source:
             return None if self._end is None else self._end - self._start
         last = self.declared_frames if self._end is None else min(self._end, self.declared_frames)
         return max(last - self._start, 0)
+
+    @property
+    def first_frame(self) -> Frame | None:
+        """The first frame; None once it was handed out."""
+        return next((item for item in self._ahead if isinstance(item, Frame)), None)
 
     def __enter__(self) -> Self:
         return self

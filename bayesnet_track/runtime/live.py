@@ -63,6 +63,7 @@ class LiveReader:
 
     gap_from = 2.0
     declared_frames: int | None = None
+    is_live = True
 
     def __init__(
         self,

@@ -70,7 +70,8 @@ class Recipe:
         inputs: the file of what came from outside in a run that was repeated, or None.
         has_video: whether the annotated video was asked for.
         own_motion: whether a motion model of one's own stood in for the graph's.
-        options: what else was asked for that changes results, by name.
+        options: what else was asked for that changes results, by name: `budget_ms`, and `allow_plugins`, what
+            of other packages was at work. To be named here allows nothing.
         versions: library -> version.
         recipe: version of this format.
     """
@@ -99,6 +100,12 @@ class Recipe:
         if self.own_motion:
             return "it was tracked with a motion model of one's own"
         return self.origin.only_once
+
+    @property
+    def budget_ms(self) -> float | None:
+        """Milliseconds that a frame might take; None for as long as it took."""
+        budget = self.options.get("budget_ms")
+        return None if budget is None else float(budget)
 
     def text(self) -> str:
         """It as JSON."""

@@ -1,13 +1,14 @@
-"""Go on with a run that was broken off: what is there in the end is that of an unbroken run, byte for byte."""
+"""Go on with a run that was broken off: in the end there is that of an unbroken run, byte for byte."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
+from bayesnet_track import plugins
 from bayesnet_track.belief.contract import Motion
 from bayesnet_track.engine import Engine
 from bayesnet_track.journal.codec import JournalError, from_json
@@ -24,6 +25,7 @@ from bayesnet_track.runtime.checkpoint import (
     read_checkpoint,
     remove,
 )
+from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.inputs import Asked, as_asked
 from bayesnet_track.runtime.lock import locked
@@ -31,7 +33,7 @@ from bayesnet_track.runtime.recipe import Recipe
 from bayesnet_track.runtime.record import Recorder
 from bayesnet_track.runtime.run import FrameSource, Result, Resumed, Sink, Summary, run
 from bayesnet_track.runtime.rundir import FILES, RunDirectory
-from bayesnet_track.runtime.session import kept, opaque_agents, prepared
+from bayesnet_track.runtime.session import kept, opaque_agents, placed, prepared
 from bayesnet_track.runtime.stereo_source import check_depth
 from bayesnet_track.runtime.versions import versions
 
@@ -88,12 +90,13 @@ def resume(
     checkpoint_every: float = EVERY_S,
     executor: str | Executing = "serial",
     workers: int | None = None,
+    allow_plugins: Iterable[str] = (),
     notice: Notice | None = None,
 ) -> Generator[Result, None, None]:
     """Go on with the run in a run directory, yielding one result per frame from its checkpoint on.
 
     It goes on after the last checkpoint, or begins anew where there is none; where it is finished there is
-    nothing to do. What came from outside after the checkpoint (``inputs.jsonl``) comes again.
+    nothing to do. What came from outside after the checkpoint (``inputs.jsonl``) comes again. A budget stays.
 
     Args:
         path: the run directory.
@@ -105,6 +108,8 @@ def resume(
         checkpoint_every: as for `track`.
         executor: as for `track`; changes no result.
         workers: as for `track`.
+        allow_plugins: as for `track`. What the run had is not allowed by that alone: its directory is data,
+            and may come from elsewhere.
         notice: told of what is worth knowing: a torn line, a run that begins anew and why.
 
     Raises (when the first result is asked for; nothing is changed then):
@@ -115,6 +120,7 @@ def resume(
         SourceError: the source is gone.
         OutputError: an output cannot be written (later, too).
     """
+    plugins.allow(allow_plugins)
     directory = RunDirectory(Path(path))
     recipe = Recipe.read(directory)
     say: Notice = notice if notice is not None else lambda text: None
@@ -130,9 +136,11 @@ def resume(
         engine = prepared(graph, recipe.seed, motion, detections)
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
-        engine = stack.enter_context(executing).engine(engine, None if motion is not None else graph)
+        budget_ms = recipe.budget_ms
+        engine = placed(stack, executing, engine, None if motion is not None else graph, opened, budget_ms)
         asked = recipe.inputs.place if inputs is None and recipe.inputs is not None else inputs
-        outside = _outside(directory, as_asked(asked))
+        before = _told_before(directory)
+        outside = _outside(before, as_asked(asked))
         checkpoint = _checkpoint(directory, recipe, engine, say)
         after: Resumed | None = None
         if checkpoint is not None:
@@ -165,6 +173,11 @@ def resume(
             engine=engine,
             inputs={} if recipe.detections is None else {recipe.detections.path: recipe.detections.sha256},
             outside=outside,
+            deadline=(
+                None
+                if budget_ms is None
+                else Deadline(budget_ms, executing.processes, known_until=max(before, default=-1))
+            ),
             keeper=keeper,
             after=after,
         )
@@ -264,14 +277,18 @@ def _skipped(
     raise ResumeError(f"the source has no frame {checkpoint.frame} any more, after which the run was")
 
 
-def _outside(directory: RunDirectory, later: Asked) -> Asked:
-    """What came from outside for the frames that had it, then what comes `later`."""
-    if not directory.inputs.exists():
-        return later
+def _told_before(directory: RunDirectory) -> Mapping[int, Sequence[Input]]:
+    """What came from outside, by frame."""
     by_frame: dict[int, list[Input]] = {}
-    for one in read_inputs(directory.inputs):
-        by_frame.setdefault(one.frame, []).append(one)
-    return lambda frame: by_frame[frame] if frame in by_frame else later(frame)
+    if directory.inputs.exists():
+        for one in read_inputs(directory.inputs):
+            by_frame.setdefault(one.frame, []).append(one)
+    return by_frame
+
+
+def _outside(before: Mapping[int, Sequence[Input]], later: Asked) -> Asked:
+    """What came from outside for the frames that had it, then what comes `later`."""
+    return lambda frame: before[frame] if frame in before else later(frame)
 
 
 def _clear(directory: RunDirectory, checkpoint: Checkpoint | None) -> None:

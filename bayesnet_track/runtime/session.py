@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import ExitStack
 from os import PathLike
 from pathlib import Path
 from typing import cast
 
+from bayesnet_track import plugins
 from bayesnet_track.belief.contract import Motion
 from bayesnet_track.detector import GIVEN
 from bayesnet_track.engine import Engine, make_engine
@@ -19,7 +20,7 @@ from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.runtime.checkpoint import EVERY_S, Checkpoints
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.detection_files import file_detector
-from bayesnet_track.runtime.executors import Executing, make_executor
+from bayesnet_track.runtime.executors import RETRIES, Executing, make_executor
 from bayesnet_track.runtime.inputs import Asked, as_asked
 from bayesnet_track.runtime.lock import locked
 from bayesnet_track.runtime.recipe import Recipe, make_recipe
@@ -46,6 +47,8 @@ def track(
     video: bool = False,
     executor: str | Executing = "serial",
     workers: int | None = None,
+    allow_plugins: Iterable[str] = (),
+    isolate_decoder: bool = False,
     sinks: Sequence[Sink] = (),
     summary: Summary | None = None,
     inputs: str | PathLike[str] | Asked | None = None,
@@ -68,6 +71,9 @@ def track(
         executor: how agents are asked, which changes no result: serial, threads, processes, or what
             `make_executor` made.
         workers: threads or processes at work at a time; as many as there are processors when None.
+        allow_plugins: cues and detectors of other packages that may be loaded, in this process from now on,
+            where graphs name them.
+        isolate_decoder: decode in a process of its own, held down by limits; `source` is a text then.
         sinks: further observers.
         summary: filled in as the run goes on.
         inputs: what comes from outside: the inputs.jsonl of an earlier run, to repeat it, or a function that
@@ -83,7 +89,7 @@ def track(
         StartError: no target can start from the box.
         DetectorError: a detector cannot be made, or the graph and the file of detections do not go together.
         OSError: the file of detections or of inputs cannot be read.
-        ValueError: it is malformed; says file and line.
+        ValueError: it is malformed; says file and line. Or arguments that do not go together.
         RunDirectoryError: `out` holds something else.
         OutputError: an output cannot be written (later, too).
 
@@ -93,6 +99,7 @@ def track(
             one = result.targets[0]
             print(result.frame.index, one.box, one.status, one.active)
     """
+    plugins.allow(allow_plugins)
     checked = load_graph(graph)
     starts = _starts(box)
     read = {} if detections is None else {str(detections): file_sha256(detections)}
@@ -101,14 +108,18 @@ def track(
         raise ValueError("a run that is repeated from its inputs has no budget: they say what was late")
     with ExitStack() as stack:
         if isinstance(source, str | PathLike):
-            opened: FrameSource = stack.enter_context(open_source(str(source)))
+            opened: FrameSource = stack.enter_context(
+                open_source(str(source), isolate_decoder=isolate_decoder)
+            )
+        elif isolate_decoder:
+            raise ValueError("isolate_decoder is for a source that is opened here; this one is open already")
         else:
             opened = source
         check_starts(checked, starts, opened.width, opened.height)
         engine = prepared(checked, seed, motion, detections)
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
-        engine = stack.enter_context(executing).engine(engine, None if motion is not None else checked)
+        engine = placed(stack, executing, engine, None if motion is not None else checked, opened, budget_ms)
         told: list[Sink] = list(sinks)
         keeper: Checkpoints | None = None
         if out is not None:
@@ -122,6 +133,7 @@ def track(
                 has_video=video,
                 own_motion=motion is not None,
                 inputs=None if callable(inputs) else inputs,
+                options=_options(engine, budget_ms),
             )
             begin(directory, checked, recipe)
             stack.enter_context(locked(directory))
@@ -143,6 +155,25 @@ def track(
             deadline=None if budget_ms is None else Deadline(budget_ms, executing.processes),
             keeper=keeper,
         )
+
+
+def placed(
+    stack: ExitStack,
+    executing: Executing,
+    engine: Engine,
+    graph: CheckedGraph | None,
+    source: FrameSource,
+    budget_ms: float | None,
+) -> Engine:
+    """The engine with its agents where they work, until `stack` closes.
+
+    Where frames do not wait, as those of a camera or with a budget, no agent is asked again.
+
+    Raises:
+        PlacingError: an agent cannot be where it was put.
+    """
+    waits = budget_ms is None and not getattr(source, "is_live", False)
+    return stack.enter_context(executing).engine(engine, graph, RETRIES if waits else 0)
 
 
 def prepared(
@@ -187,6 +218,20 @@ def file_sha256(path: str | PathLike[str]) -> str:
         OSError: it cannot be read.
     """
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def _options(engine: Engine, budget_ms: float | None) -> dict[str, bool | int | float | str]:
+    """What else the recipe remembers: the budget, and what of other packages is at work."""
+    options: dict[str, bool | int | float | str] = {}
+    if budget_ms is not None:
+        options["budget_ms"] = budget_ms
+    named: set[str] = set()
+    for machine in engine.machinery.values():
+        named |= {machine.plate.agent(agent).agent.cue for agent in machine.plate.agents}
+        if machine.life is not None and machine.life.birth is not None:
+            named.add(machine.life.birth.detector.detector)
+    theirs = sorted(named & plugins.allowed())
+    return {**options, "allow_plugins": ",".join(theirs)} if theirs else options
 
 
 def _starts(box: CornerBox | Sequence[Start] | None) -> list[Start]:

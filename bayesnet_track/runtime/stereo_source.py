@@ -193,6 +193,7 @@ class Joined:
             if isinstance(reader, LiveReader):  # the newest of one eye goes with the newest of the other
                 reader.counts_dropped = False
         self.frame_interval_s, self.gap_from = first.frame_interval_s, first.gap_from
+        self.is_live = any(isinstance(reader, LiveReader) for reader in (first, second))
         counts = [reader.declared_frames for reader in self._readers if reader.declared_frames is not None]
         self.declared_frames: int | None = max(counts, default=None)
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from os import PathLike
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track import plugins
 from bayesnet_track.belief.contract import Motion
 from bayesnet_track.depth import Depth, RightEye
 from bayesnet_track.engine import Engine, Outcome, State, make_engine, step
@@ -31,6 +33,8 @@ class Tracker:
         seed: seed of all random streams.
         motion: a motion model of one's own in place of the graph's, such as `FunctionMotion`.
         whole_px: `update` gives whole pixels, as OpenCV's trackers do; `cv2.rectangle` takes nothing else.
+        allow_plugins: cues and detectors of other packages that may be loaded, in this process from now on,
+            where graphs name them.
 
     Example::
 
@@ -46,7 +50,9 @@ class Tracker:
         seed: int = 0,
         motion: Motion | None = None,
         whole_px: bool = False,
+        allow_plugins: Iterable[str] = (),
     ) -> None:
+        plugins.allow(allow_plugins)
         self._whole_px = whole_px
         self._graph = load_graph(graph)
         plate = next(iter(self._graph.targets))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import cv2
@@ -20,7 +20,7 @@ from bayesnet_track.runtime.inputs import Switchboard
 from bayesnet_track.runtime.lock import locked
 from bayesnet_track.runtime.recipe import RecipeError
 from bayesnet_track.runtime.resume import ResumeError, resume, standing
-from bayesnet_track.runtime.run import Summary
+from bayesnet_track.runtime.run import Result, Summary
 from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.scene_source import SceneSource
 
@@ -111,6 +111,33 @@ def test_switches_of_frames_after_the_checkpoint_come_again(tmp_path: Path) -> N
     (run / "checkpoint").write_bytes(held)
     list(resume(run, inputs=Switchboard()))
     assert files(run) == expected
+
+
+def test_a_budget_stays_and_what_was_late_is_not_measured_twice(tmp_path: Path) -> None:
+    """No frame takes a nanosecond, so every one is late that is measured."""
+
+    def on(folder: Path, **options: object) -> Generator[Result, None, None]:
+        source = SceneSource.named("two_squares", 0, 24)
+        return track("two_squares", source, [Start(source.scene.start_box)], out=folder, **options)
+
+    run = tmp_path / "run"
+    results = on(run, budget_ms=1e-6)
+    list(itertools.islice(results, 5))
+    results.close()
+    held = (run / "checkpoint").read_bytes()
+    results = resume(run)
+    list(itertools.islice(results, 9))
+    results.close()
+    before = (run / "inputs.jsonl").read_text()
+    (run / "checkpoint").write_bytes(held)
+    list(resume(run))
+    after = (run / "inputs.jsonl").read_text()
+    assert before and after.startswith(before)
+    late = [json.loads(line)["frame"] for line in after.splitlines()]
+    assert late == list(range(late[0], 24)), "each once, from the first that is measured to the last"
+    list(on(tmp_path / "again", inputs=run / "inputs.jsonl"))
+    for name in ("journal.jsonl", "frames.jsonl", "tracks.csv", "inputs.jsonl"):
+        assert (run / name).read_bytes() == (tmp_path / "again" / name).read_bytes(), name
 
 
 def test_the_video_is_whole(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import pytest
 import bayesnet_track
 from bayesnet_track import Result, Start, load_graph, track
 from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.runtime.recipe import Recipe
 from bayesnet_track.runtime.run import StartError, Summary
 from bayesnet_track.runtime.rundir import FILES, RunDirectoryError
 from bayesnet_track.runtime.sources import SourceError, open_source
@@ -32,6 +33,16 @@ def test_an_iterator_over_frames(video):
     assert second.covariances["1"].shape[0] >= 4
     assert np.diag(second.covariances["1"])[:2] == pytest.approx(np.square(target.sd[:2]))
     assert second.total_seconds >= max(second.seconds.values()) > 0
+
+
+def test_the_decoder_is_isolated_when_asked(video, tmp_path):
+    list(track("general", video, SQUARE, out=tmp_path / "run", isolate_decoder=True))
+    assert Recipe.read(tmp_path / "run").origin.isolate_decoder
+    list(track("general", video, SQUARE, out=tmp_path / "plain"))
+    for name in ("journal.jsonl", "frames.jsonl"):
+        assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "plain" / name).read_bytes()
+    with open_source(str(video)) as source, pytest.raises(ValueError, match="open already"):
+        next(track("general", source, SQUARE, isolate_decoder=True))
 
 
 def test_every_kind_of_graph_source_and_box(video, tmp_path):
@@ -116,7 +127,7 @@ def test_a_mistake_does_not_cost_an_earlier_run(video, tmp_path):
 def test_a_source_opened_here_is_closed_here(video, monkeypatch):
     closed = []
     source = open_source(str(video))
-    monkeypatch.setattr("bayesnet_track.runtime.session.open_source", lambda _: source)
+    monkeypatch.setattr("bayesnet_track.runtime.session.open_source", lambda _, **__: source)
     close = source.close
     monkeypatch.setattr(source, "close", lambda: (closed.append(True), close()))
     results = track("general", video, SQUARE)

@@ -6,9 +6,9 @@ worker processes, `ray` in actors of a Ray cluster.
 
 from __future__ import annotations
 
-from bayesnet_track.runtime.executors.making import EXECUTORS, Executing, make_executor
+from bayesnet_track.runtime.executors.making import EXECUTORS, RETRIES, Executing, make_executor
 from bayesnet_track.runtime.executors.placing import parse_places
 from bayesnet_track.runtime.executors.processes import PlacingError
 from bayesnet_track.runtime.executors.workers import Limits
 
-__all__ = ["EXECUTORS", "Executing", "Limits", "PlacingError", "make_executor", "parse_places"]
+__all__ = ["EXECUTORS", "RETRIES", "Executing", "Limits", "PlacingError", "make_executor", "parse_places"]

@@ -29,6 +29,8 @@ from bayesnet_track.runtime.executors.threads import Threads
 from bayesnet_track.runtime.executors.workers import Limits
 
 NO_PLACES: Mapping[str, Place] = MappingProxyType({})
+RETRIES = 2
+"""How often an agent whose worker was lost is asked again, where frames wait for it."""
 MOST_WAITING = 32
 """Threads that wait for workers, at most."""
 
@@ -49,7 +51,7 @@ class Executing:
         default: Place,
         places: Mapping[str, Place],
         limits: Limits,
-        retries: int,
+        retries: int | None,
         cues: Mapping[str, CueDeclaration] | None,
         ray_address: str | None,
     ) -> None:
@@ -72,10 +74,11 @@ class Executing:
     def _is_serial(self) -> bool:
         return self.kind == "serial" or (self.kind == "threads" and self.workers == 1)
 
-    def engine(self, engine: Engine, graph: CheckedGraph | None = None) -> Engine:
+    def engine(self, engine: Engine, graph: CheckedGraph | None = None, retries: int = RETRIES) -> Engine:
         """`engine` with its agents placed, to be run while this is entered; once.
 
-        `graph` is what it was made from, which whole nets elsewhere are made from as well.
+        `graph` is what it was made from, which whole nets elsewhere are made from as well. `retries` holds
+        where the executor was made without a number of its own.
 
         Raises:
             PlacingError: an agent cannot be where it was put.
@@ -85,7 +88,8 @@ class Executing:
         employed = employed_of(engine, places, self._cues)
         hosts = dict(hosts_of(graph, engine.streams.seed, self.workers)) if nets and graph is not None else {}
         if employed or hosts:
-            desk = self.processes = self._staff({**employed, **hosts})
+            again = retries if self._retries is None else self._retries
+            desk = self.processes = self._staff({**employed, **hosts}, again)
             self._open.callback(desk.close)
             engine = with_proxies(engine, places, desk)
             if hosts:
@@ -94,10 +98,10 @@ class Executing:
                 engine = replace(engine, crew=crew)
         return replace(engine, executor=self._pool(len(employed)))
 
-    def _staff(self, employed: Mapping[str, Employed]) -> Processes | RayActors:
+    def _staff(self, employed: Mapping[str, Employed], retries: int) -> Processes | RayActors:
         if self.kind == "ray":
-            return RayActors(employed, self._limits, self._retries, self._ray_address)
-        return Processes(employed, self.workers, self._limits, self._retries)
+            return RayActors(employed, self._limits, retries, self._ray_address)
+        return Processes(employed, self.workers, self._limits, retries)
 
     def _pool(self, waiting: int) -> Executor:
         """Serial asks agents in processes one after the other; else a thread waits for each of them."""
@@ -121,7 +125,7 @@ def make_executor(
     workers: int | None = None,
     places: Mapping[str, Place] = NO_PLACES,
     limits: Limits = Limits(),  # noqa: B008  (immutable)
-    retries: int = 2,
+    retries: int | None = None,
     cues: Mapping[str, CueDeclaration] | None = None,
     ray_address: str | None = None,
 ) -> Executing:
@@ -136,7 +140,8 @@ def make_executor(
         places: AGENT or PLATE.AGENT -> "engine" or "process", before what the graph says with `on`; PLATE ->
             "process" for the whole nets of its targets.
         limits: what a worker process may take.
-        retries: how often an agent whose worker was lost is asked again; 0 where frames do not wait.
+        retries: how often an agent whose worker was lost is asked again. None for 2, or 0 where frames do
+            not wait for it: those of a camera, or with a budget.
         cues: declarations by name, where not the installed ones.
         ray_address: of the Ray cluster, such as "auto" or "ray://host:10001"; None starts one here.
 
