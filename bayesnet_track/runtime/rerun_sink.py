@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.journal.codec import event_name
-from bayesnet_track.journal.events import Event, FrameMetrics
+from bayesnet_track.journal.events import Event, FrameMetrics, RunEnded
 from bayesnet_track.journal.explain import explain
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.numerics.boxes import corner_from_centre
@@ -87,7 +87,7 @@ class RerunSink:
 
     def event(self, event: Event) -> None:
         """Keep an event for its frame, or log it where it is the last."""
-        if getattr(event, "frame", None) is None and self._shown:
+        if isinstance(event, RunEnded):
             self._tell(event)
         else:
             self._events.append(event)

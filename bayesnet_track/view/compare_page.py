@@ -41,7 +41,7 @@ dd { margin: 0; }
 th, td { text-align: right; padding: .2rem .7rem; border-bottom: 1px solid var(--grid); white-space: nowrap; }
 th:first-child { text-align: left; font-weight: 400; white-space: normal; overflow-wrap: normal; }
 thead th, .better { font-weight: 700; }
-@media (max-width: 34rem) { th, td { padding: .2rem .3rem; } }
+@media (max-width: 34rem) { table { font-size: .85rem; } th, td { padding: .2rem .25rem; } }
 ul { margin: .3rem 0; padding-left: 1.2rem; }
 summary { cursor: pointer; margin: .8rem 0 .3rem; font-weight: 600; }
 .chart { display: block; width: 100%; min-width: 44rem; height: auto; }

@@ -8,19 +8,12 @@ from typing import Any
 
 from bayesnet_track.graph.join_decisions import Joined, Parted
 from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
-from bayesnet_track.graph.net import (
-    Activated,
-    Deactivated,
-    Quarantined,
-    SelfStopped,
-    StatusChanged,
-    TargetStarted,
-)
+from bayesnet_track.graph.net import StatusChanged, Switch, TargetStarted
 from bayesnet_track.journal.codec import event_name
 from bayesnet_track.journal.events import Event, RunEnded, RunStarted
 from bayesnet_track.journal.sentences import explain
+from bayesnet_track.journal.switches import turns_on
 
-SWITCHES = (Activated, Deactivated, SelfStopped, Quarantined)
 LIVES = (TargetStarted, Returned, Reacquired, TargetDied, DuplicateEnded, Joined, Parted)
 ARROW = " → "
 _PREVENTED = re.compile(r"; (?=would have |not at )")
@@ -55,15 +48,15 @@ def event_row(event: Event) -> dict[str, Any]:
         # Nothing caused it: the piece before the arrow is what happened.
         row |= {"what": f"{why} → {what}", "why": ""}
     row |= {key: getattr(event, key) for key in ("target", "other", "node") if hasattr(event, key)}
-    if isinstance(event, SWITCHES):
-        row["on"] = isinstance(event, Activated)
+    if isinstance(event, Switch):
+        row["on"] = turns_on(event)
     if isinstance(event, StatusChanged):
         row["status"] = event.status
     return row
 
 
 def _sort(event: Event) -> str:
-    if isinstance(event, SWITCHES):
+    if isinstance(event, Switch):
         return "switch"
     if isinstance(event, LIVES):
         return "life"

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesnet_track.graph.net import Activated, Cause, Deactivated
+from bayesnet_track.graph.net import Activated, Cause, Deactivated, Switch
 from bayesnet_track.journal.compare import RunRecord
 from bayesnet_track.journal.events import FrameMetrics
+from bayesnet_track.journal.switches import turns_on
 from bayesnet_track.numerics.boxes import corner_from_centre
 
 UP, DOWN, LOST = "#c43d2f", "#1e8a53", "#f1b4ab"
@@ -31,15 +32,13 @@ def plot_uncertainty(ax: Any, run: RunRecord, target: str | None = None) -> Any:
     known = [line for line in lines if math.isfinite(line.ud_px2) and line.ud_px2 > 0]
     ax.semilogy([line.frame for line in known], [line.ud_px2 for line in known], lw=1.4, label="UD")
     ud = {line.frame: line.ud_px2 for line in known}
-    for kind, mark, colour, name in ((Activated, "^", UP, "on"), (Deactivated, "v", DOWN, "off")):
-        events = [event for event in run.events if isinstance(event, kind) and event.target == target]
-        at = [event.frame for event in events if event.frame in ud]
+    switches = [event for event in run.events if isinstance(event, Switch) and event.target == target]
+    for on, mark, colour, name in ((True, "^", UP, "on"), (False, "v", DOWN, "off")):
+        at = [event.frame for event in switches if turns_on(event) is on and event.frame in ud]
         if at:
             ax.plot(at, [ud[frame] for frame in at], mark, color=colour, label=f"agent {name}")
-        causes = [event.cause for event in events if isinstance(event.cause, Cause)]
-        levels = sorted({cause.level for cause in causes if cause.unit == "ud_px2"})
-        for level in levels:
-            ax.axhline(level, color=colour, lw=0.9, ls="--")
+    for kind, colour in ((Activated, UP), (Deactivated, DOWN)):
+        _level(ax, [event for event in switches if isinstance(event, kind)], lines, colour)
     _shade_lost(ax, lines)
     ax.set(xlabel="frame", ylabel="UD, px²")
     ax.legend(loc="best", fontsize="small")
@@ -57,7 +56,7 @@ def plot_kl(ax: Any, run: RunRecord, target: str | None = None, agents: Sequence
         values = [line.kl.get(agent, math.nan) for line in lines]
         ax.plot([line.frame for line in lines], values, lw=1.2, label=agent)
     ax.set(xlabel="frame", ylabel="KL(belief ‖ agent), nats")
-    ax.legend(loc="best", fontsize="small")
+    _named(ax)
     return ax
 
 
@@ -74,7 +73,11 @@ def plot_active(ax: Any, run: RunRecord, target: str | None = None) -> Any:
         bars = [(first - 0.5, last - first + 1.0) for first, last in spans]
         ax.broken_barh(bars, (row - 0.35, 0.7), color=f"C{row % 10}")
     ax.set_yticks(range(len(agents)), agents)
-    ax.set(xlabel="frame", xlim=(lines[0].frame - 0.5, lines[-1].frame + 0.5), ylim=(len(agents) - 0.5, -0.5))
+    ax.set(
+        xlabel="frame",
+        xlim=(lines[0].frame - 0.5, lines[-1].frame + 0.5),
+        ylim=(max(len(agents), 1) - 0.5, -0.5),
+    )
     return ax
 
 
@@ -128,7 +131,7 @@ def plot_tracks(
         ax.invert_yaxis()
     ax.set_aspect("equal")
     ax.set(xlabel="x, px", ylabel="y, px")
-    ax.legend(loc="best", fontsize="small")
+    _named(ax)
     return ax
 
 
@@ -156,6 +159,24 @@ def _spans(frames: Sequence[int]) -> list[tuple[int, int]]:
         joined = bool(spans) and spans[-1][1] == frame - 1
         spans = [*spans[:-1], (spans[-1][0], frame)] if joined else [*spans, (frame, frame)]
     return spans
+
+
+def _level(ax: Any, events: Sequence[Switch], lines: Sequence[FrameMetrics], colour: str) -> None:
+    """The level that a rule had whenever it fired, px²: a line, with steps where it follows the box or UD."""
+    causes = [(event.frame, getattr(event, "cause", None)) for event in events]
+    levels = [(frame, cause.level * cause.scale_px2) for frame, cause in causes if isinstance(cause, Cause)]
+    look = {"color": colour, "lw": 0.9, "ls": "--"}
+    if len({level for _, level in levels}) == 1:
+        ax.axhline(levels[0][1], **look)
+    elif levels:
+        frames = [lines[0].frame, *(frame for frame, _ in levels[1:]), lines[-1].frame]
+        ax.step(frames, [*(level for _, level in levels), levels[-1][1]], where="post", **look)
+
+
+def _named(ax: Any) -> None:
+    """A legend, where anything has a name."""
+    if ax.get_legend_handles_labels()[1]:
+        ax.legend(loc="best", fontsize="small")
 
 
 def _shade_lost(ax: Any, lines: Sequence[FrameMetrics]) -> None:

@@ -10,16 +10,14 @@ from bayesnet_track.graph.net import (
     Activated,
     Cause,
     Deactivated,
-    Readmitted,
     Shed,
     StatusChanged,
     Switch,
-    TakenBack,
     TargetStarted,
-    Toggled,
 )
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.journal.explain import explain
+from bayesnet_track.journal.switches import turns_on
 from bayesnet_track.view.svg import document, element, text_of
 
 WIDTH, LEFT, RIGHT, TOP = 960.0, 148.0, 128.0, 58.0
@@ -228,10 +226,9 @@ def _marks(
     drawn, free = [], -math.inf
     for event in sorted(switches, key=lambda event: event.frame):
         x, y = axes.x(event.frame), axes.y(ud.get(event.frame, axes.low))
-        on = isinstance(event, Activated | TakenBack) or (
-            isinstance(event, Toggled | Readmitted) and event.on
+        colour, tip = (
+            (UP, -6.0) if turns_on(event) else (DOWN if isinstance(event, Deactivated | Shed) else INK, 6.0)
         )
-        colour, tip = (UP, -6.0) if on else (DOWN if isinstance(event, Deactivated | Shed) else INK, 6.0)
         bar = top + agents.index(event.node) * (BAR + BAR_GAP)
         stem = element(
             "line", x1=x, y1=y, x2=x, y2=bar + BAR / 2, stroke=colour, stroke_width=0.9, opacity=0.55

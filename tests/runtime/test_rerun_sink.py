@@ -91,6 +91,13 @@ def test_events_belong_to_their_frame_and_the_end_is_told_at_once(made):
     assert made[0].calls == [("spawn",)]
 
 
+def test_the_end_is_told_where_no_target_is_left(made):
+    sink = RerunSink(None)
+    sink.frame(result(0))
+    sink.event(RunEnded(1, 0, True, "end_of_source"))
+    assert [entity.kind for path, entity, _ in made[0].logged if path == "events"] == ["TextLog"]
+
+
 def test_a_target_that_ended_is_cleared(made):
     sink = RerunSink(None)
     sink.frame(result(0, "1", "2"))

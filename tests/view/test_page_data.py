@@ -14,7 +14,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.graph.load import load_graph
-from bayesnet_track.graph.net import Activated, Cause, Deactivated, StatusChanged, TargetStarted
+from bayesnet_track.graph.net import (
+    Activated,
+    Cause,
+    Deactivated,
+    Quarantined,
+    Readmitted,
+    Shed,
+    StatusChanged,
+    TakenBack,
+    TargetStarted,
+    Toggled,
+)
 from bayesnet_track.journal.events import RunStarted
 from bayesnet_track.view.page_columns import pack, short_floats, unpack
 from bayesnet_track.view.page_data import CLOUD_POINTS, read_timings, run_data
@@ -87,6 +98,23 @@ def test_a_switch_is_told_in_pieces():
         "on": True,
     }
     assert event_row(Deactivated(30, "1", "motion", "square", CAUSE, "largest_kl"))["on"] is False
+
+
+@pytest.mark.parametrize(
+    ("event", "on"),
+    [
+        (Quarantined(3, "1", "motion", "it raised"), False),
+        (Readmitted(3, "1", "motion", True, 1, 50), True),
+        (Readmitted(3, "1", "motion", False, 1, 50), False),
+        (Toggled(3, "1", "motion", True), True),
+        (Toggled(3, "1", "motion", False), False),
+        (Shed(3, "1", "motion", 50.0, 40.0, 3, 10, 45.0, {"motion": 0.2}), False),
+        (TakenBack(3, "1", "motion", 20.0, 30.0, 40.0, 50), True),
+    ],
+)
+def test_every_decision_that_switches_an_agent_is_marked(event, on):
+    row = event_row(event)
+    assert (row["sort"], row["on"], row["node"]) == ("switch", on, "motion")
 
 
 def test_a_start_has_no_cause_and_a_status_says_which():

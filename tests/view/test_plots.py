@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesnet_track.graph.net import Activated, Cause, TargetStarted
+from bayesnet_track.graph.net import Activated, Cause, Shed, TakenBack, TargetStarted
 from bayesnet_track.view import plots
 
 
@@ -18,6 +18,7 @@ class Axis:
     def __init__(self):
         self.called = defaultdict(list)
         self.yaxis_inverted = lambda: False
+        self.get_legend_handles_labels = lambda: ([], [])
 
     def plot(self, *values, **look):
         self.called["plot"].append((values, look))
@@ -60,6 +61,31 @@ def test_uncertainty_with_switches_levels_and_loss(run):
     assert [values for values, _ in ax.called["axvspan"]] == [(4.5, 6.5)]
 
 
+def test_a_level_in_other_units_is_drawn_in_px2(run):
+    scales = ((9, 100.0), (15, 80.0))
+    run.events[1:] = [
+        Activated(at, "1", "motion", "root", Cause("ud_quiet", 2.0, 2.1, 1, 2.1, 2.1 * scale, scale))
+        for at, scale in scales
+    ]
+    ax = Axis()
+    plots.plot_uncertainty(ax, run)
+    assert [values for values, _ in ax.called["step"]] == [([0, 15, 19], [200.0, 160.0, 160.0])]
+    ax = Axis()
+    del run.events[2]
+    plots.plot_uncertainty(ax, run)
+    assert [values for values, _ in ax.called["axhline"]] == [(200.0,)]
+
+
+def test_switches_that_no_rule_made_are_drawn_too(run):
+    run.events[1:] = [
+        Shed(4, "1", "motion", 50.0, 40.0, 3, 10, 45.0, {"motion": 0.2}),
+        TakenBack(9, "1", "motion", 20.0, 30.0, 40.0, 50),
+    ]
+    ax = Axis()
+    plots.plot_uncertainty(ax, run)
+    assert [(values[0], values[2]) for values, _ in ax.called["plot"]] == [([9], "^"), ([4], "v")]
+
+
 def test_kl_has_gaps_where_an_agent_said_nothing(run):
     ax = Axis()
     plots.plot_kl(ax, run)
@@ -96,3 +122,25 @@ def test_score(run):
 def test_a_target_that_is_not_there(plot, run):
     with pytest.raises(ValueError, match=r"no target '7'.*there are 1"):
         plot(Axis(), run, "7")
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("error")
+def test_all_of_them_with_matplotlib_itself(run):
+    figure = pytest.importorskip("matplotlib.figure")
+    nothing = SimpleNamespace(name="a", events=[], metrics=[], seconds={}, costs_ms={})
+    run.metrics[3] = replace(run.metrics[3], ud_px2=math.inf)
+    for plot in (
+        plots.plot_uncertainty,
+        plots.plot_kl,
+        plots.plot_active,
+        plots.plot_score,
+        plots.plot_tracks,
+    ):
+        plot(figure.Figure().subplots(), run)
+    silent = SimpleNamespace(
+        **{**vars(run), "metrics": [replace(one, active=(), kl={}) for one in run.metrics]}
+    )
+    plots.plot_kl(figure.Figure().subplots(), silent)
+    plots.plot_active(figure.Figure().subplots(), silent)
+    plots.plot_tracks(figure.Figure().subplots(), nothing)

@@ -1,0 +1,16 @@
+"""Which way a decision switches an agent."""
+
+from __future__ import annotations
+
+from bayesnet_track.graph.net import Activated, Readmitted, Switch, TakenBack, Toggled
+
+
+def turns_on(event: Switch) -> bool:
+    """Whether the agent is on after it.
+
+    >>> turns_on(Toggled(3, "1", "motion", False))
+    False
+    """
+    if isinstance(event, Toggled | Readmitted):
+        return event.on
+    return isinstance(event, Activated | TakenBack)
