@@ -26,7 +26,7 @@ def init(options: argparse.Namespace) -> int:
     if options.yes or not sys.stdin.isatty():
         given = {name: default for name, *_, default in QUESTIONS} | given
     try:
-        text = graph_text(_task(path, ask_all(given, _ask, complain)))
+        text = graph_text(_task(path, ask_all(given, _ask, complain)), str(path))
     except ValueError as error:
         raise UsageError(str(error)) from error
     _check(text)

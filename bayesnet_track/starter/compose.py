@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from shlex import quote
+
 from bayesnet_track.starter.agents import agents_of, birth_of, camera_of
 from bayesnet_track.starter.lines import Lines, indented, key, remark
 from bayesnet_track.starter.task import APART, HARD, SPEED, Task
@@ -19,8 +21,8 @@ _CAMERA = key(
 )
 
 
-def graph_text(task: Task) -> str:
-    """The graph file for a task."""
+def graph_text(task: Task, file: str = "") -> str:
+    """The graph file for a task; `file` is its path, as its first lines tell it (NAME.yaml when empty)."""
     root = key(
         "target:",
         "The root: it holds the belief about the box. All levels of UD, its uncertainty, are relative to "
@@ -29,7 +31,7 @@ def graph_text(task: Task) -> str:
     )
     nodes = ("nodes:", *indented((*root, *agents_of(task))))
     lines = (
-        *_head(task),
+        *_head(task, file or f"{task.name}.yaml"),
         "bayesnet: 1   # version of the language",
         f"name: {task.name}",
         f"about: {_about(task)}",
@@ -52,16 +54,18 @@ def _about(task: Task) -> str:
     return f"{what}, by {' and '.join(task.apart)}."
 
 
-def _head(task: Task) -> Lines:
+def _head(task: Task, path: str) -> Lines:
     told = "; ".join(APART[name] for name in task.apart)
     hard = "; ".join(HARD[name] for name in HARD if name in task.hard) or "nothing special"
     start = "" if birth_of(task) else " --init X,Y,W,H"
-    file = " --detections FILE" if task.detected else ""
+    found = " --detections FILE" if task.detected else ""
+    # A name may hold blanks, and a line break would end the comment.
+    graph = quote(path) if path.isprintable() else "FILE"
     return (
         *remark(f"Written by `bayesnet-track init`. Sets it apart: {told}. Hard: {hard}."),
         "#",
         *remark("Try it, look at video.mkv, read why it switched agents, then change one thing at a time:"),
-        f"#   bayesnet-track run {task.name}.yaml --source VIDEO{start}{file} --out runs/{task.name} --video",
+        f"#   bayesnet-track run {graph} --source VIDEO{start}{found} --out runs/{task.name} --video",
         f"#   bayesnet-track log runs/{task.name}",
         *camera_of(task),
     )

@@ -51,7 +51,7 @@ class Task:
     """The answers.
 
     Attributes:
-        name: name of the graph; the kind of target has it, too.
+        name: name of the graph.
         follow: a key of `FOLLOW`.
         apart: keys of `APART`, at least one, in that order.
         hard: keys of `HARD`.

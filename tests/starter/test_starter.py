@@ -93,6 +93,7 @@ def test_init_writes_a_valid_graph_and_never_over_another(tmp_path, capsys):
     assert main(line) == 0
     assert "next stands in its first lines" in capsys.readouterr().out
     text = path.read_text(encoding="utf-8")
+    assert f"#   bayesnet-track run '{path}' --source" in text
     assert "name: my_ball\n" in text and re.search(r"color: .*\n(.*#.*\n)+ +motion: ", text)
     assert main(["validate", str(path)]) == 0
     path.write_text("mine")
@@ -115,7 +116,7 @@ def test_answers_that_make_no_sense(tmp_path, capsys, flags, said):
     assert said in capsys.readouterr().err and not path.exists()
 
 
-@pytest.mark.parametrize("name", ["null.yaml", "9.yaml", "color.yaml", "true.yaml", "é.yaml"])
+@pytest.mark.parametrize("name", ["null.yaml", "9.yaml", "color.yaml", "true.yaml", "é.yaml", "a\nb: 1.yaml"])
 def test_odd_names_of_files(tmp_path, name):
     assert main(["init", str(tmp_path / name), "--yes"]) == 0
     assert main(["validate", str(tmp_path / name)]) == 0
