@@ -121,10 +121,7 @@ def check_wheels() -> Iterator[Finding]:
     there = [found for found in map(installed, OPENCV_WHEELS) if found is not None]
     told = " and ".join(f"{found.name} {found.version}" for found in there)
     names = " ".join(found.name for found in there)
-    keep = next((found.name for found in there if "contrib" in found.name), WHEEL)
-    keep = (
-        keep if keep.endswith("headless") else f"{keep}-headless".replace("-headless-headless", "-headless")
-    )
+    keep = "opencv-contrib-python-headless" if any("contrib" in found.name for found in there) else WHEEL
     if len(there) > 1:
         cure = f'python -m pip uninstall -y {names} && python -m pip install "{keep}>=4.9,<6"'
         yield Finding("opencv wheels", "broken", f"{told}: each overwrites files of the other", cure)
