@@ -22,7 +22,6 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -34,9 +33,11 @@ from sequences import Sequence, find_sequences
 from bayesnet_track import Tracker
 from bayesnet_track.evaluate.scores import score
 from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.net import Activated, Deactivated, SelfStopped
 from bayesnet_track.graph.spec import GraphSpec
 
 SEEDLESS = ("CSRT", "KCF")
+SWITCHES = (Activated, Deactivated, SelfStopped)
 
 
 def variants(graph: str) -> dict[str, GraphSpec]:
@@ -99,7 +100,7 @@ def run_graph(name: str, spec: GraphSpec, sequence: Sequence, seed: int) -> Line
     """One pass of the engine."""
     tracker = Tracker(spec, seed)
     x, y, w, h = (float(value) for value in sequence.truth[0])
-    boxes, lost, active, seconds = [(x, y, w, h)], [False], [], []
+    boxes, lost, active, seconds, switched = [(x, y, w, h)], [False], [], [], 0
     region50, region90 = [], []
     for index, image in enumerate(sequence.images()):
         started = time.process_time()
@@ -111,11 +112,11 @@ def run_graph(name: str, spec: GraphSpec, sequence: Sequence, seed: int) -> Line
             # As trackers are usually scored: while lost, the last box that was held counts.
             boxes.append(box if ok else boxes[-1])
             lost.append(not ok)
-            active.append(frozenset(tracker.metrics.active))
+            active.append(len(tracker.metrics.active))
+            switched += sum(isinstance(event, SWITCHES) for event in tracker.events)
         region50.append(tracker.metrics.region50)
         region90.append(tracker.metrics.region90)
     found = score(boxes, lost, sequence.truth, region50=region50, region90=region90)
-    switched = sum(len(before ^ after) for before, after in pairwise(active))
     return Line(
         tracker=name,
         graph=digest(spec),
@@ -126,7 +127,7 @@ def run_graph(name: str, spec: GraphSpec, sequence: Sequence, seed: int) -> Line
         precision20=found.precision20,
         lost_episodes=found.lost_episodes,
         cpu_s=sum(seconds),
-        agents=float(np.mean([len(agents) for agents in active])),
+        agents=float(np.mean(active)),
         switches=100.0 * switched / len(active),
         in50=float(np.mean(found.coverage50 or 0.0)),
         in90=float(np.mean(found.coverage90 or 0.0)),

@@ -35,6 +35,15 @@ def learning_rate(rule: Learn | None, ud_px2: float, area_px2: float, quiet_px2:
     return 0.5 * (1.0 - math.tanh(2.0 * (reading.value - reading.level) / reading.level))
 
 
+def over_frames(rate: float, frames: int) -> float:
+    """The rate that makes in one frame what `rate` makes in several: 1 - (1 - rate)^frames.
+
+    >>> over_frames(0.5, 1), over_frames(0.5, 2)
+    (0.5, 0.75)
+    """
+    return rate if frames == 1 else 1.0 - (1.0 - rate) ** frames
+
+
 def learn_first(
     cues: Mapping[str, AnyCue],
     cache: PlaneCache,

@@ -14,7 +14,7 @@ from bayesnet_track.adapt.backoff import give_up_on_missing, readmitted
 from bayesnet_track.adapt.conditions import Reading, Tested, apply_test, read_level
 from bayesnet_track.adapt.information import Worth, expected_per_ms, remembered_per_ms
 from bayesnet_track.adapt.memory import Memory, Quiet, Streak
-from bayesnet_track.adapt.situation import Situation, active_below, quiet_level, read_ud
+from bayesnet_track.adapt.situation import Situation, active_below, quiet_level, read_ud, read_ud_beside_more
 from bayesnet_track.adapt.status import judge_status
 from bayesnet_track.graph.net import (
     Activated,
@@ -135,6 +135,8 @@ def _govern(now: Situation, memory: Memory, node: str, rules: Adapt, decisions: 
     fired = False
     if rules.activate is not None:
         found = _find(now, memory, node, rules.activate.above, rules.activate.unless)
+        if found is None and now.net.status == "lost" and rules.activate.above is not None:
+            found = read_ud_beside_more(now, memory, node, rules.activate.above)
         frames = rules.activate.frames
         if found is not None:
             up = memory.activate.get(node, up).then(found.above, found.value, frames)
@@ -157,8 +159,9 @@ def _govern(now: Situation, memory: Memory, node: str, rules: Adapt, decisions: 
             agent = _dropped(now, memory, node, rules, index) if index and left > rules.keep else None
             if agent is not None:
                 cause = found.cause_below(frames, down.values)
+                rule = rules.deactivate
                 decisions.append(
-                    Deactivated(now.frame, now.target, agent, node, cause, rules.deactivate.drop, index)
+                    Deactivated(now.frame, now.target, agent, node, cause, rule.drop, index, rule.glance or 0)
                 )
                 fired = True
     if fired:
@@ -232,6 +235,8 @@ def _drop_index(
         return {agent: now.measures.kl[agent] for agent in agents}
     if drop == "dearest_dispensable":
         return {agent: now.measures.ud_without_px2[agent] for agent in agents}
+    if drop == "dearest":
+        return {agent: now.costs_ms[agent] for agent in agents}
     if drop == "least_information_per_ms":
         return remembered_per_ms(memory.worth.get(node, Worth()), agents, now.costs_ms)
     return {agent: now.measures.contribution[agent] / now.costs_ms[agent] for agent in agents}
@@ -247,7 +252,7 @@ def _dropped(
 ) -> str | None:
     """The agent to switch off by its index; None where none can be spared."""
     if rules.deactivate is None or rules.deactivate.drop != "dearest_dispensable":
-        largest = rules.deactivate is not None and rules.deactivate.drop == "largest_kl"
+        largest = rules.deactivate is not None and rules.deactivate.drop in ("largest_kl", "dearest")
         return (max if largest else min)(index, key=lambda name: index[name])
     # Without it the rule that switches agents on would not call it back at once.
     level = rules.deactivate.below if rules.activate is None else rules.activate.above

@@ -92,7 +92,8 @@ def score_of(logistic: Mapping[str, float], one: Witness) -> Floats:
     for name, slope in logistic.items():
         if name != "bias":
             odds = odds + slope * one.features[name]
-    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(odds, -500.0, 500.0))))
+    scores = np.asarray(1.0 / (1.0 + np.exp(-np.clip(odds, -500.0, 500.0))))
+    return scores if one.most is None else np.minimum(scores, one.most)
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,7 @@ class Witness:
         status: status of each frame.
         surprise: agent -> (25,) mean over the frames on target of -log of the density that the agent, at each
             of `TEMPERATURES` times its own temperature, gives to the true centre; empty unless asked for.
+        most: (n,) what the score can be at most, whatever its coefficients; None for 1.
     """
 
     video: str
@@ -56,6 +57,7 @@ class Witness:
     scores: Floats
     status: tuple[str, ...]
     surprise: Mapping[str, Floats] = field(default_factory=dict)
+    most: Floats | None = None
 
     @property
     def frames(self) -> int:
@@ -122,6 +124,7 @@ def witness(
         np.array([line.score for line in lines]),
         tuple(line.status for line in lines),
         curves.means(),
+        np.array([line.features["most"] for line in lines]),
     )
 
 

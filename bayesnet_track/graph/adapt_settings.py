@@ -78,12 +78,22 @@ class Deactivate(Model):
         default=5, description="consecutive frames below the level, or with what the test asks for"
     )
     drop: Literal[
-        "largest_kl", "least_contribution_per_ms", "least_information_per_ms", "dearest_dispensable"
+        "largest_kl",
+        "least_contribution_per_ms",
+        "least_information_per_ms",
+        "dearest_dispensable",
+        "dearest",
     ] = Field(
         default="largest_kl",
         description="largest KL(belief || agent); least KL(belief || belief without it) per declared cost in "
-        "this frame; the same, averaged over the frames in which it was active; or the largest declared cost "
-        "among those without which UD, in this frame, would stay below the level that switches agents on",
+        "this frame; the same, averaged over the frames in which it was active; the largest declared cost "
+        "among those without which UD, in this frame, would stay below the level that switches agents on; "
+        "or the largest declared cost",
+    )
+    glance: Annotated[Whole, Field(ge=2, le=1000)] | None = Field(
+        default=None,
+        description="the agent that is switched off still looks in frames whose number this divides, and "
+        "references learn in these frames only, as much as in all of them else; default: it does not look",
     )
 
     @model_validator(mode="after")

@@ -100,8 +100,9 @@ class Deactivated:
         governor: the inference node whose rule fired.
         cause: the numbers.
         drop: which index chose it: largest_kl, least_contribution_per_ms, least_information_per_ms or
-            dearest_dispensable.
+            dearest_dispensable, dearest.
         index: agent -> that index, for every active agent it was chosen among.
+        glance: it still looks in frames whose number this divides; 0 when it does not look any more.
     """
 
     frame: int
@@ -111,6 +112,7 @@ class Deactivated:
     cause: Cause | Concentration
     drop: str
     index: Mapping[str, float] = field(default_factory=dict)
+    glance: int = 0
 
 
 @dataclass(frozen=True)
@@ -190,6 +192,7 @@ class TargetNet:
         shed: agents that were switched off for want of time, in this order.
         most_particles: most hypotheses for want of time; None without such a limit.
         faults: agent that failed, whether it is still out or not -> its last failure.
+        glances: agent that is switched off but still looks -> in frames whose number this divides.
         status: tracking, uncertain or lost.
     """
 
@@ -203,6 +206,13 @@ class TargetNet:
     faults: Mapping[str, Fault] = field(default_factory=dict)
     shed: tuple[str, ...] = ()
     most_particles: int | None = None
+    glances: Mapping[str, int] = field(default_factory=dict)
+
+    def looking(self, frame: int) -> frozenset[str]:
+        """The agents that look at a frame: those switched on, and those whose glance is due."""
+        if not self.glances:
+            return self.active
+        return self.active | {agent for agent, every in self.glances.items() if frame % every == 0}
 
 
 @dataclass(frozen=True)
@@ -235,7 +245,7 @@ def apply(net: Net, decision: Decision) -> Net:
     if isinstance(decision, TargetStarted | Returned):
         changed = TargetNet(decision.template, frozenset(decision.active))
     else:
-        changed = _change(net.targets[decision.target], decision)
+        changed = _without_vain_glances(_change(net.targets[decision.target], decision))
     return replace(net, targets=MappingProxyType({**net.targets, decision.target: changed}))
 
 
@@ -279,7 +289,8 @@ def _change(net: TargetNet, decision: Decision) -> TargetNet:
         case ParticlesLimited():
             return replace(net, most_particles=decision.most)
         case Deactivated():
-            return replace(net, active=net.active - {decision.node})
+            glances = {**net.glances, decision.node: decision.glance} if decision.glance else net.glances
+            return replace(net, active=net.active - {decision.node}, glances=glances)
         case SelfStopped():
             return replace(
                 net,
@@ -314,6 +325,13 @@ def _change(net: TargetNet, decision: Decision) -> TargetNet:
             return replace(net, status="tracking")
         case _:
             return net
+
+
+def _without_vain_glances(net: TargetNet) -> TargetNet:
+    """Agents that are on need no glances; those that failed, are shed or switched by hand get none."""
+    out = (net.active, net.quarantined, net.by_hand, net.shed)
+    glances = {a: every for a, every in net.glances.items() if not any(a in agents for agents in out)}
+    return net if len(glances) == len(net.glances) else replace(net, glances=glances)
 
 
 def _other(agents: tuple[str, ...], agent: str) -> tuple[str, ...]:

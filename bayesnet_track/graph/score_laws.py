@@ -14,11 +14,13 @@ def score_serves_its_users(plate: Plate) -> Iterator[GraphMessage]:
     for name, node in plate.inference.items():
         if node.parent is not None or node.score is not None:
             continue
-        needing = []
+        needing: list[tuple[str, ...]] = []
         if node.lost is not None and node.lost.score_below is not None:
             needing.append(("lost", "score_below"))
         if node.slack is not None and node.slack.lost_sd_box is not None:
             needing.append(("slack", "lost_sd_box"))
+        if node.rivals is not None:
+            needing.append(("rivals",))
         for key in needing:
             found = f"{'.'.join(key)} without a score that is a probability"
             yield plate.message(name, found, "score at the root, or no such key", key=key, on_key=True)
@@ -42,6 +44,15 @@ def score_levels_in_order(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, "one of above, score_below", key=("lost", "above"), on_key=True)
 
 
+def rivals_are_noticed(plate: Plate) -> Iterator[GraphMessage]:
+    """A doubt makes the score one half: a level of uncertainty has to lie above."""
+    for name, node in plate.inference.items():
+        high = None if node.lost is None else node.lost.uncertain_below
+        if node.rivals is not None and (high is None or high <= 0.5):
+            found = "rivals put the score at one half, which lost.uncertain_below does not call uncertain"
+            yield plate.message(name, found, "lost.uncertain_below above 0.5", key=("rivals",), on_key=True)
+
+
 def slack_is_wider_when_lost(plate: Plate) -> Iterator[GraphMessage]:
     """Off target it is farther away than on target."""
     for name, node in plate.inference.items():
@@ -53,4 +64,9 @@ def slack_is_wider_when_lost(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, f"above {slack.sd_box:.6g}", key=("slack", "lost_sd_box"))
 
 
-SCORE_LAWS: tuple[Law, ...] = (score_serves_its_users, score_levels_in_order, slack_is_wider_when_lost)
+SCORE_LAWS: tuple[Law, ...] = (
+    score_serves_its_users,
+    score_levels_in_order,
+    rivals_are_noticed,
+    slack_is_wider_when_lost,
+)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from bayesnet_track.graph.model import Choice, Model, NotNegative, Number, Positive
+from bayesnet_track.graph.model import Choice, FrameCount, Model, NotNegative, Number, Positive
 
 
 class Logistic(Model):
@@ -37,6 +37,11 @@ class Logistic(Model):
     memory: Annotated[Number, Field(ge=0, le=1e6)] = Field(
         default=10.0, description="frames over which features are smoothed; 0 takes them as they are"
     )
+    full_fit: Annotated[Number, Field(ge=0, le=1)] = Field(
+        default=0.0,
+        description="the score is at most fit / full_fit of this frame, fit as in `log_fit`, neither logged "
+        "nor smoothed, so that it falls at once where nothing fits; 0 for no such bound",
+    )
 
 
 class Score(Choice):
@@ -58,3 +63,20 @@ class Slack(Model):
         default=None,
         description="sd on each axis while off target, sqrt(w h); needs `score`; default: as on target",
     )
+
+
+class Rivals(Model):
+    """Watch out for what looks like the target: whoever passes it may be followed instead.
+
+    In frames at which all agents look, a rival is a hypothesis at least `beyond_box` from the most probable
+    one whose log-likelihood is less than `within_nats` below that one's. After `frames` of them the score is
+    at most one half, for `hold` frames: nothing that the net has will tell which of the two it follows.
+    """
+
+    within_nats: Positive = Field(default=4.0, description="difference of log-likelihoods, nats")
+    beyond_box: Positive = Field(default=0.5, description="distance from the most probable one, sqrt(w h)")
+    fit: Annotated[Number, Field(ge=0, le=1)] = Field(
+        default=0.01, description="no rival is looked for where the best hypothesis fits less"
+    )
+    frames: FrameCount = Field(default=2, description="consecutive frames in which there is one")
+    hold: FrameCount = Field(default=250, description="frames for which the doubt lasts after a rival")

@@ -56,7 +56,7 @@ from bayesnet_track.graph.particle_settings import (
     NormalSize,
     Particles,
 )
-from bayesnet_track.graph.score_settings import Logistic, Score, Slack
+from bayesnet_track.graph.score_settings import Logistic, Rivals, Score, Slack
 from bayesnet_track.graph.settings import (
     Belief,
     Estimate,
@@ -133,6 +133,7 @@ __all__ = [
     "Recall",
     "Recover",
     "Reset",
+    "Rivals",
     "Score",
     "SelfCheck",
     "SizeBox",
@@ -190,6 +191,9 @@ class InferenceNode(Model):
     )
     slack: Slack | None = Field(
         default=None, description="root only; widens the regions and sds that are told; default not at all"
+    )
+    rivals: Rivals | None = Field(
+        default=None, description="root only; doubt after something that looks like the target; needs `score`"
     )
 
 

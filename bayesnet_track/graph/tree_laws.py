@@ -13,7 +13,7 @@ from bayesnet_track.graph.messages import GraphMessage
 from bayesnet_track.graph.plate import Law, Plate
 
 MAX_LEVELS = 32
-ROOT_ONLY = ("motion", "estimate", "learn", "lost", "score", "slack")
+ROOT_ONLY = ("motion", "estimate", "learn", "lost", "score", "slack", "rivals")
 
 
 def parents_exist(plate: Plate) -> Iterator[GraphMessage]:

@@ -20,6 +20,7 @@ from bayesnet_track.journal.join_events import (
 from bayesnet_track.journal.jump_events import Reappeared
 from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
 from bayesnet_track.journal.part_metrics import PartMetrics
+from bayesnet_track.journal.rival_events import RivalSeen
 
 JOURNAL_VERSION = 1
 
@@ -330,6 +331,7 @@ Event = (
     | SecondPass
     | Reappeared
     | ReferenceGuarded
+    | RivalSeen
     | CandidateConfirmed
     | BirthsRefused
     | DetectorFailed

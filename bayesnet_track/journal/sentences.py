@@ -67,6 +67,7 @@ from bayesnet_track.journal.life_sentences import (
     reacquired,
     returned,
 )
+from bayesnet_track.journal.rival_events import RivalSeen, rival_seen
 from bayesnet_track.journal.switch_sentences import activated, deactivated, guarded
 from bayesnet_track.journal.wording import decimals, held, plural, rounded, told_apart, turned_at
 
@@ -142,6 +143,7 @@ def happened(
     | SecondPass
     | Reappeared
     | ReferenceGuarded
+    | RivalSeen
     | OcclusionChanged
     | AttachmentChanged
     | RingChanged,
@@ -203,6 +205,8 @@ def happened(
             return duplicate_ended(event)
         case ReferenceGuarded():
             return guarded(event)
+        case RivalSeen():
+            return rival_seen(event)
         case Joined():
             return joined(event)
         case Parted():

@@ -26,7 +26,7 @@ def activated(event: Activated) -> str:
 def deactivated(event: Deactivated) -> str:
     """`... → motion off (...); would have stayed on at ...`."""
     return (
-        f"{_well(event.cause)} → {event.node} off{_chosen_among(event)}; "
+        f"{_well(event.cause)} → {event.node} off{_chosen_among(event)}{_glancing(event)}; "
         f"would have stayed on at {_not_well(event.cause)}"
     )
 
@@ -92,11 +92,17 @@ def _told(trials: float) -> str:
     return f"{trials:.0f}" if trials >= 10 else f"{trials:.2g}"
 
 
+def _glancing(event: Deactivated) -> str:
+    return f", but for a glance every {event.glance} frames" if event.glance else ""
+
+
 def _chosen_among(event: Deactivated) -> str:
     """Why this agent and not another: its index against that of the runner-up."""
     own = event.index.get(event.node)
     if own is not None and event.drop == "dearest_dispensable":
         return f" (the dearest that can be spared: UD {own:.3g} px² without it)"
+    if own is not None and event.drop == "dearest":
+        return f" (the dearest: {own:.3g} ms)"
     others = {name: value for name, value in event.index.items() if name != event.node}
     if own is None or not others:
         return ""

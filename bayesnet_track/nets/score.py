@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from statistics import median
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.measure import Measures
 from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.graph.spec import Logistic, Slack
+from bayesnet_track.journal.rival_events import RivalSeen
 from bayesnet_track.numerics.mixtures import mixture_quantiles
 
 Floats = NDArray[np.float64]
@@ -39,11 +40,15 @@ class Scored:
         smooth: feature -> its filtered value; empty before the first frame.
         usual: agent -> its log evidence in its first frames.
         side_px: sqrt(w h) of the first estimate.
+        rivals: consecutive frames with a rival, up to the last one.
+        doubt: frames for which the score is at most one half, since a rival was seen.
     """
 
     smooth: Mapping[str, float] = field(default_factory=dict)
     usual: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     side_px: float | None = None
+    rivals: int = 0
+    doubt: int = 0
 
     def after(self, rule: Logistic, measures: Measures, step: Step[Posterior], ud_px2: float) -> Scored:
         """With one frame more; `ud_px2` is the root's UD."""
@@ -67,7 +72,14 @@ class Scored:
             name: value if gain == 1.0 else self.smooth[name] + gain * (value - self.smooth[name])
             for name, value in found.items()
         }
-        return Scored(smooth, usual, first)
+        return Scored(smooth, usual, first, self.rivals, max(self.doubt - 1, 0))
+
+
+def with_rival(scored: Scored, rival: RivalSeen | None, frames: int) -> Scored:
+    """With the rival of this frame, if there is one; `frames` in a row put the target in doubt."""
+    count = 0 if rival is None else scored.rivals + 1
+    doubt = rival.hold if rival is not None and count >= frames else scored.doubt
+    return replace(scored, rivals=count, doubt=doubt)
 
 
 def probability(rule: Logistic, features: Mapping[str, float]) -> float:
@@ -78,6 +90,16 @@ def probability(rule: Logistic, features: Mapping[str, float]) -> float:
     """
     odds = rule.bias + sum(getattr(rule, name) * features[name] for name in FEATURES)
     return 1.0 / (1.0 + math.exp(-odds)) if odds > -700.0 else 0.0
+
+
+def most(rule: Logistic, fit: float, doubt: int) -> float:
+    """The largest score of a frame: no more than what fits in it, and no more than one half while in doubt.
+
+    >>> most(Logistic(bias=0.0, full_fit=0.1), fit=0.02, doubt=0)
+    0.2
+    """
+    bound = min(fit / rule.full_fit, 1.0) if rule.full_fit > 0.0 else 1.0
+    return min(bound, 0.5) if doubt else bound
 
 
 @dataclass(frozen=True)

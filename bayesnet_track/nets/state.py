@@ -14,7 +14,7 @@ from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.cue import Reference
 from bayesnet_track.graph.net import Decision, Net, apply
 from bayesnet_track.inference.compile import Plan, compile_plan
-from bayesnet_track.machinery import Engine
+from bayesnet_track.machinery import Engine, Machinery
 from bayesnet_track.nets.predicting import Outlook
 from bayesnet_track.nets.score import Scored
 from bayesnet_track.planes import Frame
@@ -57,10 +57,14 @@ def applied(net: Net, decisions: Iterable[Decision]) -> Net:
 def recompiled(engine: Engine, net: Net, target: str, state: TargetState) -> TargetState:
     """The state with its plan compiled again when its active agents changed."""
     live = net.targets[target]
-    if live.active == state.plan.active:
+    return with_agents(engine.machinery[live.template], state, live.active)
+
+
+def with_agents(machine: Machinery, state: TargetState, agents: frozenset[str]) -> TargetState:
+    """The state with a plan for exactly these agents."""
+    if agents == state.plan.active:
         return state
-    machine = engine.machinery[live.template]
-    return replace(state, plan=compile_plan(machine.plate, live.active, machine.cues))
+    return replace(state, plan=compile_plan(machine.plate, agents, machine.cues))
 
 
 def inside_frame(box: Floats, frame: Frame) -> Floats:

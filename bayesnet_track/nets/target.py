@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.backoff import quarantined
 from bayesnet_track.adapt.guard import changes
-from bayesnet_track.adapt.learn import learning_rate
+from bayesnet_track.adapt.learn import learning_rate, over_frames
 from bayesnet_track.adapt.measure import measure
 from bayesnet_track.adapt.parts import part_rates
 from bayesnet_track.adapt.rules import decide
@@ -34,9 +34,10 @@ from bayesnet_track.machinery import Engine
 from bayesnet_track.nets.frame_metrics import frame_metrics
 from bayesnet_track.nets.learning import angle_of, learn
 from bayesnet_track.nets.predicting import Predicted, predicted
-from bayesnet_track.nets.score import probability
+from bayesnet_track.nets.rivals import rival_seen
+from bayesnet_track.nets.score import most, probability, with_rival
 from bayesnet_track.nets.shedding import within
-from bayesnet_track.nets.state import TargetState, applied, inside_frame
+from bayesnet_track.nets.state import TargetState, applied, inside_frame, with_agents
 from bayesnet_track.planes import Frame, PlaneCache
 
 __all__ = ["Concluded", "TargetState", "Weighed", "conclude", "weigh"]
@@ -102,6 +103,7 @@ def weigh(
     stands in for the plate's.
     """
     machine = engine.machinery[net.targets[target].template]
+    before = with_agents(machine, before, net.targets[target].looking(frame.index))
     stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
     started = engine.clock()
     dt, is_lost = frame.time - before.time, net.targets[target].status == "lost"
@@ -173,11 +175,15 @@ def conclude(
     working = applied(net, (*weighed.faults, *by_hand)).targets[target]
     working = replace(working, active=working.active - weighed.missed.keys())
     measures = measure(machine.plate, weighed.plan, stepped, float(box[2] * box[3]))
-    scored, score = before.scored, None
+    scored, score, rival, bound = before.scored, None, None, 1.0
     if root.score is not None:
         rule = root.score.settings
         scored = scored.after(rule, measures, stepped, measures.ud_px2[machine.plate.root])
-        score = probability(rule, scored.smooth)
+        if root.rivals is not None:
+            rival = rival_seen(root.rivals, frame.index, target, live, machine.cues, stepped, measures)
+            scored = with_rival(scored, rival, root.rivals.frames)
+        bound = most(rule, measures.fit, scored.doubt)
+        score = min(probability(rule, scored.smooth), bound)
     now = Situation(
         frame.index,
         target,
@@ -198,11 +204,14 @@ def conclude(
     at_parts = part_rates(root.learn, measures.parts, partial(quiet_level, machine.plate, working, memory))
     seen = max(1.0 - 2.0 * hidden, 0.0)
     rate, at_parts = rate * seen, {part: own * seen for part, own in at_parts.items()}
-    if working.status != "tracking" or not working.active or stepped.degenerate is not None:
+    held = working.status == "tracking" or (working.status == "uncertain" and scored.doubt > 0)
+    every = min(live.glances.values(), default=1)
+    # Between glances the others are less sure alone: what is learnt then would be their errors.
+    if not held or not working.active or stepped.degenerate is not None or frame.index % every:
         rate, at_parts = 0.0, {}
     rates = {
-        agent: at_parts.get(machine.part_of.get(agent, ""), rate) * most
-        for agent, most in machine.rate_max.items()
+        agent: over_frames(at_parts.get(machine.part_of.get(agent, ""), rate) * largest, every)
+        for agent, largest in machine.rate_max.items()
         if agent not in working.quarantined and agent not in weighed.missed
     }
     own = {agent: inside_frame(measures.parts[part].box, frame) for agent, part in machine.part_of.items()}
@@ -219,6 +228,8 @@ def conclude(
     told = [*weighed.predicted.told, *(report(frame.index, target) for report in stepped.reports)]
     if stepped.degenerate is not None:
         told.append(DegenerateBelief(frame.index, target, stepped.degenerate))
+    if rival is not None and scored.doubt > 0 and not before.scored.doubt:
+        told.append(rival)
     told += changes(frame.index, target, before.watched, watched, judged, machine.guard)
     spread = stepped.posterior.covariance
     metrics = frame_metrics(
@@ -234,7 +245,7 @@ def conclude(
         rate,
         stream,
         join,
-        None if score is None else (score, scored.smooth),
+        None if score is None else (score, {**scored.smooth, "most": bound}),
         angle_of(at),
     )
     return Concluded(after, metrics, (*weighed.faults, *by_hand, *decisions), tuple(told), spread)

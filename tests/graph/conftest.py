@@ -240,6 +240,7 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
             ),
             "score": _choice([], logistic=_mapping({"bias": aside}, {"evidence": aside, "memory": share})),
             "slack": _mapping({}, {"sd_box": sd, "lost_sd_box": positive}),
+            "rivals": _mapping({}, {"within_nats": positive, "hold": frames}),
         },
     )
     parameters = _mapping(
@@ -363,9 +364,10 @@ def everything() -> dict[str, Any]:
             "fuse": "product",
             "adapt": {"activate": {"above": level}, "deactivate": {"below": {"ud_box": 0.5}}, "keep": 2},
             "learn": {"below": {"ud_quiet": 2}, "guard": {}},
-            "lost": {"frames": 9, "score_below": 0.25},
+            "lost": {"frames": 9, "score_below": 0.25, "uncertain_below": 0.6},
             "score": {"logistic": {"bias": -1.5, "log_ud_box": -0.5}},
             "slack": {"lost_sd_box": 3.5},
+            "rivals": {"hold": 100},
         },
         "b": {
             "parent": "a",

@@ -40,6 +40,11 @@ CASES = [
         f"  {SCORE}, slack: {{sd_box: 0.5, lost_sd_box: 0.25}}",
         "4:82: s: slack.lost_sd_box is 0.25, not above slack.sd_box, 0.5; allowed: above 0.5",
     ),
+    (
+        f"  {SCORE}, lost: {{score_below: 0.2, uncertain_below: 0.5}}, rivals: {{}}",
+        "4:96: s: rivals put the score at one half, which lost.uncertain_below does not call uncertain; "
+        "allowed: lost.uncertain_below above 0.5",
+    ),
 ]
 
 

@@ -54,6 +54,7 @@ from bayesnet_track.journal.inputs import AgentMissed, InputRefused
 from bayesnet_track.journal.join_events import AttachmentChanged, OcclusionChanged, RingChanged
 from bayesnet_track.journal.jump_events import Reappeared
 from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
+from bayesnet_track.journal.rival_events import RivalSeen
 
 STARTED = RunStarted(1, "two_squares", "ab" * 32, 0, "scene:two_squares", 320, 240, True, 200, 0.04)
 BORN = TargetStarted(0, "1", "square", (270.0, 190.0, 40.0, 40.0), ("hue", "motion"))
@@ -388,6 +389,11 @@ GOLDEN = [
         RingChanged(15, "1", "3", False, 0.07, ("1", "2", "3")),
         "frame 15: no ring is closed by target 1 and target 3 any more → "
         "their joint belief is of the tree again",
+    ),
+    (
+        RivalSeen(50, "1", 80.0, 60.0, 0.9, 1.5, 4.0, 0.3, 250),
+        "frame 50: a rival at 80, 60, 0.9 box sides away, is only 1.5 < 4 nats less likely than the target → "
+        "score at most 0.5 for 250 frames; would not have been one at within_nats ≤ 1.5",
     ),
     (
         ReferenceGuarded(50, "1", "hue", True, -0.31, -1.42, 1.0, 0.05, 0),

@@ -23,7 +23,7 @@ def video(whole_videos):
 
 
 def test_an_iterator_over_frames(video):
-    results = track("general", video, SQUARE)
+    results = track("color_fusion", video, SQUARE)
     first, second = next(results), next(results)
     results.close()
     assert isinstance(first, Result)

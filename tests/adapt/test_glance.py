@@ -1,0 +1,70 @@
+"""`glance`: an agent that was switched off still looks at every k-th frame, and only then is learnt."""
+
+from __future__ import annotations
+
+import pytest
+
+from bayesnet_track.adapt.learn import over_frames
+from bayesnet_track.graph.net import Activated, Deactivated, Quarantined, TargetNet, Toggled, apply
+from bayesnet_track.graph.net import Net as LiveNets
+from bayesnet_track.journal.sentences import explain
+
+ADAPT = {
+    "activate": {"above": {"ud_px2": 60.0}},
+    "deactivate": {"below": {"ud_px2": 40.0}, "frames": 1, "drop": "dearest", "glance": 3},
+}
+NODES = {
+    "root": {
+        "fuse": "product",
+        "ud_fields": ["x", "y"],
+        "adapt": ADAPT,
+        "learn": {"below": {"ud_px2": 1000.0}},
+    },
+    "cheap": "root",
+    "dear": "root",
+}
+
+
+def played(fakes, cheap_sd, frames=14):
+    sees = {"cheap": fakes.gaussian(50.0, 40.0, cheap_sd), "dear": fakes.gaussian(50.0, 40.0, 2.0)}
+    engine, _ = fakes.engine(NODES, sees)
+    (machine,) = engine.machinery.values()
+    machine.costs_ms.update({"cheap": 1.0, "dear": 9.0})
+    return fakes.play(engine, frames)
+
+
+def test_the_dearest_goes_and_looks_at_every_third_frame(fakes):
+    outcomes = played(fakes, 3.0)
+    (off,) = [event for one in outcomes for event in one.events if isinstance(event, Deactivated)]
+    assert (off.node, off.glance, off.index) == ("dear", 3, {"cheap": 1.0, "dear": 9.0})
+    after = [one.metrics[0] for one in outcomes if one.metrics[0].frame > off.frame]
+    assert len(after) > 6
+    for line in after:
+        looks = line.frame % 3 == 0
+        assert line.active == (("cheap", "dear") if looks else ("cheap",))
+        assert (line.learn_rate > 0.0) == looks
+    assert explain(off).endswith("stayed on at deactivate ≤ " + explain(off).rsplit(" ", 1)[1])
+    assert "→ dear off (the dearest: 9 ms), but for a glance every 3 frames; would have" in explain(off)
+
+
+def test_it_comes_back_as_soon_as_the_others_are_unsure(fakes):
+    """Alone, the cheap agent's belief has a UD far above the 60 px² that call for help."""
+    events = [event for one in played(fakes, 15.0) for event in one.events]
+    switched = [event for event in events if isinstance(event, Activated | Deactivated)]
+    assert [type(event) for event in switched[:2]] == [Deactivated, Activated]
+    assert switched[1].node == "dear" and switched[1].frame == switched[0].frame + 1
+
+
+def test_what_failed_or_is_in_a_persons_hand_does_not_glance():
+    net = LiveNets({"1": TargetNet("t", frozenset({"a"}), glances={"b": 2})})
+    assert net.targets["1"].looking(4) == {"a", "b"} and net.targets["1"].looking(5) == {"a"}
+    for decision in (Quarantined(3, "1", "b", "raised"), Toggled(3, "1", "b", False)):
+        assert apply(net, decision).targets["1"].looking(4) == {"a"}
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.03, 1.0])
+def test_a_glance_teaches_what_each_frame_would_have(rate):
+    left = 1.0
+    for _ in range(3):
+        left *= 1.0 - rate
+    assert over_frames(rate, 3) == pytest.approx(1.0 - left)

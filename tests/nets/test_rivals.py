@@ -1,0 +1,62 @@
+"""Rivals: what looks like the target puts it in doubt; nothing that fits keeps a score up for a while."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bayesnet_track import Tracker
+from bayesnet_track.evaluate.calibration import longest_run
+from bayesnet_track.graph.spec import Logistic, Rivals
+from bayesnet_track.journal.rival_events import RivalSeen
+from bayesnet_track.nets.score import Scored, most, with_rival
+from bayesnet_track.numerics.boxes import centre_from_corner, overlap
+from bayesnet_track.scenes import make_scene
+
+SEEN = RivalSeen(5, "1", 80.0, 60.0, 0.9, 1.5, 4.0, 0.3, 250)
+
+
+def test_only_rivals_in_a_row_put_it_in_doubt_and_the_doubt_ends():
+    once = with_rival(Scored(), SEEN, 2)
+    assert once.doubt == 0 and with_rival(with_rival(once, None, 2), SEEN, 2).doubt == 0
+    twice = with_rival(once, SEEN, 2)
+    assert twice.doubt == SEEN.hold and with_rival(twice, None, 2).doubt == SEEN.hold
+    assert Rivals().frames == 2
+
+
+@pytest.mark.parametrize(
+    ("fit", "doubt", "bound"), [(0.01, 0, 0.2), (0.2, 0, 1.0), (0.2, 7, 0.5), (0.01, 7, 0.2)]
+)
+def test_the_most_that_a_score_can_be(fit, doubt, bound):
+    assert most(Logistic(bias=0.0, full_fit=0.05), fit, doubt) == pytest.approx(bound)
+
+
+def test_on_black_frames_general_is_not_sure_for_one_frame():
+    scene = make_scene("occluder", seed=0)
+    frames, tracker = list(scene.frames), Tracker("general", 0)
+    tracker.init(frames[0], tuple(scene.truth[0]))
+    for frame in frames[1:8]:
+        tracker.update(frame)
+    assert tracker.score > 0.6 and tracker.status == "tracking"
+    for _ in range(4):
+        tracker.update(np.zeros_like(frames[0]))
+        assert tracker.score < 0.2
+    assert tracker.status == "lost"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(5))
+def test_general_does_not_say_tracking_on_the_other_of_two_equal_squares(seed):
+    """The graph has no agent that tells them apart, and is on the other one to the end."""
+    scene = make_scene("two_squares", seed=seed)
+    tracker, wrong, told = Tracker("general", seed), [], 0
+    for index, frame in enumerate(scene.frames):
+        if index == 0:
+            tracker.init(frame, tuple(scene.truth[0]))
+            continue
+        tracker.update(frame)
+        told += sum(isinstance(event, RivalSeen) for event in tracker.events)
+        true = centre_from_corner(scene.truth[index])
+        found = float(overlap(np.array(tracker.metrics.box)[None], true[None])[0])
+        wrong.append(found < 0.1 and tracker.status == "tracking")
+    assert told == 1 and longest_run(wrong) <= 5
