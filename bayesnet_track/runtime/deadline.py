@@ -12,6 +12,9 @@ from bayesnet_track.journal.inputs import Input, LateFrame, SpareTime
 FOR_AGENTS = 0.8
 """Share of the budget by which agents that work elsewhere have to answer: the rest is for what follows."""
 
+FOR_ONE = 0.5
+"""Share of the budget for which one of them is waited for in a frame: the rest is for what others learn."""
+
 WARM_UP = 5
 """First frames, which load what is compiled: their time says nothing."""
 
@@ -19,15 +22,44 @@ TOLD_EVERY = 50
 """Frames in time after which they are told of, while something is done without."""
 
 
+class Patience:
+    """For how long agents elsewhere are waited for in one frame.
+
+    Args:
+        until: moment by which all answers are needed.
+        each_s: seconds for which one agent is waited for.
+    """
+
+    def __init__(self, until: float, each_s: float) -> None:
+        self._until, self._each_s = until, each_s
+        self._waited: dict[str, float] = {}
+
+    def until(self, agent: str, now: float) -> float:
+        """The moment by which the agent has to answer what it is asked `now`.
+
+        >>> patience = Patience(10.8, 0.5)
+        >>> patience.until("hue", 10.0)
+        10.5
+        >>> patience.waited("hue", 0.4)
+        >>> round(patience.until("hue", 10.6), 9), patience.until("motion", 10.6)
+        (10.7, 10.8)
+        """
+        return min(self._until, now + max(self._each_s - self._waited.get(agent, 0.0), 0.0))
+
+    def waited(self, agent: str, seconds: float) -> None:
+        """The agent was waited for."""
+        self._waited[agent] = self._waited.get(agent, 0.0) + seconds
+
+
 class Punctual(Protocol):
     """Who asks agents elsewhere, and can leave an answer that comes too late.
 
     Attributes:
-        deadline: seconds of the monotonic clock by which answers are needed; a later one is never used
-            (`AgentUnavailable`). None for no deadline.
+        patience: for how long answers are waited for; a later one is never used (`AgentUnavailable`). None
+            for as long as they take.
     """
 
-    deadline: float | None
+    patience: Patience | None
 
 
 class Deadline:
@@ -58,12 +90,13 @@ class Deadline:
         """A frame begins."""
         self._began = self._clock()
         if self._asking is not None and self._frames >= WARM_UP and not self._is_known:
-            self._asking.deadline = self._began + FOR_AGENTS * self.budget_ms / 1000.0
+            budget_s = self.budget_ms / 1000.0
+            self._asking.patience = Patience(self._began + FOR_AGENTS * budget_s, FOR_ONE * budget_s)
 
     def end(self) -> None:
         """The frame is done."""
         if self._asking is not None:
-            self._asking.deadline = None
+            self._asking.patience = None
         self._frames += 1
         self._spent = 1000.0 * (self._clock() - self._began)
         if self._frames <= WARM_UP:

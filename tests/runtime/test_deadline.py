@@ -11,7 +11,7 @@ from bayesnet_track.executor import AgentUnavailable
 from bayesnet_track.graph.net import Net, ParticlesLimited, TargetNet
 from bayesnet_track.journal.inputs import AgentMissed, LateFrame, SpareTime
 from bayesnet_track.journal.reader import read_inputs
-from bayesnet_track.runtime.deadline import FOR_AGENTS, WARM_UP, Deadline
+from bayesnet_track.runtime.deadline import FOR_AGENTS, FOR_ONE, WARM_UP, Deadline
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.session import track
 from bayesnet_track.scenes import make_scene
@@ -55,13 +55,17 @@ def test_spare_time_is_told_only_while_something_is_done_without():
 
 
 def test_agents_elsewhere_are_told_by_when_to_answer():
-    clock, asking = Clock(), SimpleNamespace(deadline=None)
+    clock, asking = Clock(), SimpleNamespace(patience=None)
     deadline = Deadline(10.0, asking, clock)
     frames(deadline, clock, [1.0] * WARM_UP)
     deadline.begin()
-    assert asking.deadline == pytest.approx(clock.now + FOR_AGENTS * 0.010)
+    patience = asking.patience
+    assert patience.until("slow", clock.now) == pytest.approx(clock.now + FOR_ONE * 0.010)
+    patience.waited("slow", FOR_ONE * 0.010)
+    assert patience.until("slow", clock.now + 0.005) == pytest.approx(clock.now + 0.005), "in one frame"
+    assert patience.until("other", clock.now + 0.006) == pytest.approx(clock.now + FOR_AGENTS * 0.010)
     deadline.end()
-    assert asking.deadline is None
+    assert asking.patience is None
 
 
 def play(out, **settings):
@@ -94,7 +98,7 @@ def test_a_budget_and_inputs_are_refused_together(tmp_path):
 class Waiting:
     """Asks a slow agent in another thread's stead: it waits until the deadline, then gives up."""
 
-    deadline = None
+    patience = None
 
     def each(self, work, pieces):
         return [work(piece) for piece in pieces]
@@ -106,7 +110,8 @@ def test_a_frame_comes_in_time_though_an_agent_is_ten_times_slower(fakes):
 
     def slow(planes, hypotheses, reference):
         needed = 10.0 * budget_ms / 1000.0
-        left = None if waiting.deadline is None else waiting.deadline - time.monotonic()
+        now, patience = time.monotonic(), waiting.patience
+        left = None if patience is None else patience.until("b", now) - now
         if left is not None and left < needed:
             time.sleep(max(left, 0.0))
             raise AgentUnavailable("gave no answer by the deadline")

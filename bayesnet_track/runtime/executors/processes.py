@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import Lock
 from typing import Any
@@ -11,11 +13,12 @@ from typing import Any
 from bayesnet_track.cue import AnyCue
 from bayesnet_track.executor import AgentUnavailable
 from bayesnet_track.planes import Frame, Region
+from bayesnet_track.runtime.deadline import Patience
 from bayesnet_track.runtime.executors.frames import FrameStore, SharedFrame
 from bayesnet_track.runtime.executors.nursery import Nursery
 from bayesnet_track.runtime.executors.packing import packed, repacked
-from bayesnet_track.runtime.executors.questions import Foreign
-from bayesnet_track.runtime.executors.workers import Limits, Worker, WorkerLost
+from bayesnet_track.runtime.executors.questions import ADVANCE, Foreign
+from bayesnet_track.runtime.executors.workers import Late, Limits, Worker, WorkerLost
 
 IDLE_FRAMES = 30
 """After so many frames without a question an agent leaves its worker, and a worker without agents ends."""
@@ -56,8 +59,8 @@ class Processes:
 
     Attributes:
         retries: further attempts; 0 where time does not wait for them.
-        deadline: seconds of the monotonic clock by which answers are needed; a later one is dropped
-            (`AgentUnavailable`), and its worker works on. None for no deadline.
+        patience: for how long answers are waited for; a later one is dropped (`AgentUnavailable`), and its
+            worker works on, for this agent alone. None for as long as they take.
     """
 
     def __init__(
@@ -65,7 +68,7 @@ class Processes:
     ) -> None:
         for agent, employed in agents.items():
             check_sendable(agent, employed)
-        self.retries, self.deadline = retries, None
+        self.retries, self.patience = retries, None
         self._agents, self._limits = agents, limits
         self._slots = [_Slot() for _ in range(max(1, min(workers, len(agents))))]
         self._store = FrameStore()
@@ -79,7 +82,7 @@ class Processes:
         self._is_closed = False
         self._assign(packed(self._costs, len(self._slots)))
 
-    deadline: float | None
+    patience: Patience | None
 
     def send_frame(self, frame: Frame) -> SharedFrame:
         """Where the frame lies in the shared memory; with a new one, agents are placed anew if need be."""
@@ -99,16 +102,27 @@ class Processes:
     ) -> Any:
         """What the agent's cue returns; raises what it raised, by type name and text, or AgentUnavailable."""
         reasons: list[str] = []
-        slot = self._slot(agent)
-        with slot.lock:
+        # Whole nets that nobody waited for would have to be advanced here.
+        patience = None if method == ADVANCE else self.patience
+        with self._held(agent) as slot:
             for _ in range(1 + self.retries):
+                began = time.monotonic()
                 try:
                     worker = self._working(slot, agent)
-                    answer = worker.ask(agent, method, frames, region, arguments, self.deadline)
+                    until = None if patience is None else patience.until(agent, began)
+                    if until is not None and until <= time.monotonic():
+                        raise Late("there was no time left to ask it")
+                    answer = worker.ask(agent, method, frames, region, arguments, until)
+                except Late:
+                    self._spent[agent] += time.monotonic() - began
+                    raise
                 except WorkerLost as lost:
                     slot.worker = None
                     reasons.append(str(lost))
                     continue
+                finally:
+                    if patience is not None:
+                        patience.waited(agent, time.monotonic() - began)
                 self._spent[agent] += answer.seconds
                 if answer.raised is not None:
                     raise again(*answer.raised)
@@ -132,6 +146,31 @@ class Processes:
             worker.let_go()
         self._nursery.close()
         self._store.close()
+
+    @contextmanager
+    def _held(self, agent: str) -> Iterator[_Slot]:
+        """The agent's slot, for the one who asks, with a worker that does nothing for another agent."""
+        while True:
+            slot = self._slot(agent)
+            with slot.lock:
+                if self._slot_of.get(agent) is not slot:  # placed elsewhere while it was waited for
+                    continue
+                if slot.worker is not None and slot.worker.busy_with not in (None, agent):
+                    self._set_apart(slot, slot.worker.busy_with)
+                yield slot
+                return
+
+    def _set_apart(self, slot: _Slot, late: str) -> None:
+        """Leave the slot's worker to the agent that it still works for: the others are not to wait for it."""
+        with self._assigning:
+            own = next((one for one in self._slots if not one.agents and one.worker is None), None)
+            if own is None:
+                own = _Slot()
+                self._slots.append(own)
+            own.worker, slot.worker = slot.worker, None
+            slot.agents.discard(late)
+            own.agents.add(late)
+            self._slot_of[late] = own
 
     def _slot(self, agent: str) -> _Slot:
         with self._assigning:

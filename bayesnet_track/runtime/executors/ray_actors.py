@@ -15,6 +15,7 @@ from typing import Any
 
 from bayesnet_track.executor import AgentUnavailable
 from bayesnet_track.planes import Frame, Region
+from bayesnet_track.runtime.deadline import Patience
 from bayesnet_track.runtime.executors.nursery import START_S
 from bayesnet_track.runtime.executors.processes import (
     IDLE_FRAMES,
@@ -22,7 +23,7 @@ from bayesnet_track.runtime.executors.processes import (
     again,
     check_sendable,
 )
-from bayesnet_track.runtime.executors.questions import Answer, Foreign, Question, Sent, Told
+from bayesnet_track.runtime.executors.questions import ADVANCE, Answer, Foreign, Question, Sent, Told
 from bayesnet_track.runtime.executors.ray_cluster import connect
 from bayesnet_track.runtime.executors.ray_frames import RayFrameStore, StoredFrame, fetched
 from bayesnet_track.runtime.executors.workers import Late, Limits, WorkerLost
@@ -76,17 +77,17 @@ class RayActors:
 
     Attributes:
         retries: further attempts; 0 where time does not wait for them.
-        deadline: seconds of the monotonic clock by which answers are needed, or None.
+        patience: for how long answers are waited for; None for as long as they take.
     """
 
-    deadline: float | None
+    patience: Patience | None
 
     def __init__(
         self, agents: Mapping[str, Employed], limits: Limits, retries: int = 2, address: str | None = None
     ) -> None:
         for agent, employed in agents.items():
             check_sendable(agent, employed)
-        self.retries, self.deadline = retries, None
+        self.retries, self.patience = retries, None
         self._agents, self._limits = agents, limits
         self._owns_ray = connect(address)
         self._store = RayFrameStore()
@@ -118,14 +119,20 @@ class RayActors:
         """What the agent's cue returns; raises what it raised, by type name and text, or AgentUnavailable."""
         reasons: list[str] = []
         self._asked_in[agent] = self._frames
+        patience = None if method == ADVANCE else self.patience
         with self._locks[agent]:
             for _ in range(1 + self.retries):
+                began = time.monotonic()
                 try:
-                    answer = self._asked(agent, method, frames, region, arguments)
+                    until = None if patience is None else patience.until(agent, began)
+                    answer = self._asked(agent, method, frames, region, arguments, until)
                 except WorkerLost as lost:
                     self._dismiss(agent)
                     reasons.append(str(lost))
                     continue
+                finally:
+                    if patience is not None:
+                        patience.waited(agent, time.monotonic() - began)
                 if answer.raised is not None:
                     raise again(*answer.raised)
                 if isinstance(answer.value, Foreign):
@@ -160,16 +167,19 @@ class RayActors:
         frames: tuple[Any, Any] | None,
         region: Region | None,
         arguments: tuple[Any, ...],
+        until: float | None,
     ) -> Answer:
         hired = self._hired.get(agent) or self._hire(agent)
+        if until is not None and until <= time.monotonic():
+            raise Late("there was no time left to ask it")
         if not hired.pid:
-            hired.pid, hired.node = self._received(hired.ready, START_S)
+            hired.pid, hired.node = self._received(hired.ready, START_S, until)
         sent = hired.sent
         told = tuple(sent.tell(part) if isinstance(part, Mapping) else part for part in arguments)
         question = Question(agent, method, frames, region, told, sent.next_number, sent.forgotten())
         is_first = method not in hired.asked
         limit = max(self._limits.first_s, self._limits.answer_s) if is_first else self._limits.answer_s
-        answer: Answer = pickle.loads(self._received(hired.actor.answer.remote(question), limit))
+        answer: Answer = pickle.loads(self._received(hired.actor.answer.remote(question), limit, until))
         hired.asked.add(method)
         if answer.out_of_memory:
             raise WorkerLost(
@@ -179,11 +189,11 @@ class RayActors:
             return Answer(sent.heard(answer.value), seconds=answer.seconds)
         return answer
 
-    def _received(self, promised: Any, limit: float) -> Any:
-        """What an actor returns within `limit` seconds; a late answer by the deadline is left behind."""
+    def _received(self, promised: Any, limit: float, until: float | None) -> Any:
+        """What an actor returns within `limit` seconds; one that is not there by `until` is left behind."""
         import ray
 
-        left = float("inf") if self.deadline is None else self.deadline - time.monotonic()
+        left = float("inf") if until is None else until - time.monotonic()
         try:
             return ray.get(promised, timeout=max(min(limit, left), 0.0))
         except ray.exceptions.GetTimeoutError:

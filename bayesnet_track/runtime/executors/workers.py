@@ -44,7 +44,13 @@ class Limits:
 
 
 class Worker:
-    """One process with some agents. Not for several threads at a time."""
+    """One process with some agents. Not for several threads at a time.
+
+    Attributes:
+        pid: its process id.
+        agents: those whose cues it has.
+        busy_with: the agent whose question it still works on, though nobody waits; else None.
+    """
 
     def __init__(self, nursery: Nursery, limits: Limits) -> None:
         self._nursery = nursery
@@ -55,10 +61,11 @@ class Worker:
         self._channel = Connection(os.dup(self._socket.fileno()))
         self._readable = select.poll()
         self._readable.register(self._socket, select.POLLIN)
-        self._limits, self._is_asked, self._asked_at = limits, False, 0.0
+        self._limits, self._asked_at = limits, 0.0
         self._sent = Sent()
         self._known: set[tuple[str, str]] = set()
         self.agents: set[str] = set()
+        self.busy_with: str | None = None
 
     @property
     def is_dead(self) -> bool:
@@ -95,12 +102,12 @@ class Worker:
             WorkerLost: it gives none, and never will.
             Late: it gives none by `deadline`, seconds of the monotonic clock.
         """
-        if self._is_asked:  # by a question whose answer nobody waited for
+        if self.busy_with is not None:  # with a question whose answer nobody waited for
             self._receive(self._asked_at + self._limits.first_s, deadline)
         sent = self._sent
         told = tuple(sent.tell(part) if isinstance(part, Mapping) else part for part in arguments)
         forget = sent.forgotten()
-        self._is_asked, self._asked_at = True, time.monotonic()
+        self.busy_with, self._asked_at = agent, time.monotonic()
         self._send(("ask", Question(agent, method, frames, region, told, sent.next_number, forget)))
         is_first = (agent, method) not in self._known
         limit = max(self._limits.first_s, self._limits.answer_s) if is_first else self._limits.answer_s
@@ -123,7 +130,7 @@ class Worker:
 
     def _receive(self, until: float, deadline: float | None) -> Answer:
         answer: Answer = pickle.loads(self._received(until, deadline))
-        self._is_asked = False
+        self.busy_with = None
         if answer.out_of_memory:
             reason = f"needs more than {self._limits.memory_mb} MB above what its process starts with"
             self.close()

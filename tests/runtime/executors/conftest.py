@@ -43,15 +43,18 @@ def placed(monkeypatch, fakes):
         rng = np.random.default_rng(4)
         return [Frame(n, float(n), rng.integers(0, 255, (100, 120, 3), dtype=np.uint8)) for n in range(count)]
 
-    def play(engine, count=6, before=lambda frame: None):
-        """Every frame's outcome; `before` is called with the number of each but the first."""
+    def play(engine, count=6, before=lambda frame: None, given=lambda index, state: ()):
+        """Every frame's outcome; `before` is called with the number of each but the first.
+
+        `given` says what comes from outside with each but the first.
+        """
         state, outcomes = State(), []
         for frame in frames(count):
             if not outcomes:
                 outcome = start_target(engine, state, frame, "1", "plate", np.array(fakes.START))
             else:
                 before(frame.index)
-                outcome = step(engine, state, frame)
+                outcome = step(engine, state, frame, given(frame.index, state))
             state = outcome.state
             outcomes.append(outcome)
         return outcomes

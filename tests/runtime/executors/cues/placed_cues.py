@@ -21,8 +21,20 @@ ENGINE = os.getpid()
 
 class Parameters(CueParameters):
     how: Literal[
-        "well", "raise", "own error", "die", "exit", "hang", "deaf", "eat", "short", "words", "stranger"
+        "well",
+        "raise",
+        "own error",
+        "die",
+        "exit",
+        "hang",
+        "deaf",
+        "eat",
+        "short",
+        "words",
+        "stranger",
+        "slow",
     ] = "well"
+    seconds: float = 0.0
     at: int = 3
     engine: int = 0
     times: str = ""
@@ -50,6 +62,8 @@ class OwnError(Exception):
 
 def misbehave(p, index):
     """What is done in frame `at`; with `times`, a file, only as often as it has lines."""
+    if p.how == "slow" and index >= p.at and os.getpid() != p.engine:
+        time.sleep(p.seconds)
     if index != p.at or os.getpid() == p.engine:
         return None
     if p.times:
