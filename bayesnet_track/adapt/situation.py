@@ -53,6 +53,16 @@ def read_ud(now: Situation, memory: Memory, node: str, level: Level) -> Reading 
     return read_level(level, now.measures.ud_px2[node], now.measures.area_of(node), quiet)
 
 
+def read_ud_beside_more(now: Situation, memory: Memory, node: str, level: Level) -> Reading | None:
+    """As `read_ud`, by the quiet level of more agents than are on where that of so few is unknown.
+
+    It is the lower one, so that help is called early; for a target that is lost, of which no quiet level is
+    measured.
+    """
+    quiet = memory.quiet.get(node, Quiet()).level_px2(frozenset())
+    return read_level(level, now.measures.ud_px2[node], now.measures.area_of(node), quiet)
+
+
 def active_below(plate: CheckedTarget, net: TargetNet, node: str) -> frozenset[str]:
     """The active agents below an inference node."""
     return frozenset(agent for agent in net.active if node in _ancestors(plate, agent))

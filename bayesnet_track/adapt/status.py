@@ -81,5 +81,5 @@ def _reason(now: Situation, rule: Lost, fits: bool) -> str:
         return "no agent is active, so the belief is prediction only"
     if now.net.active <= set(now.measures.silent):
         return "no active agent saw it"
-    fit = f"{now.measures.fit:.3g} {'≥' if fits else '<'} {rule.fit_below:.3g}"
-    return f"the best hypothesis has a likelihood of {fit} of a perfect match"
+    fit = f"{now.measures.fit:.3g} of a perfect match {'≥' if fits else '<'} fit_below {rule.fit_below:.3g}"
+    return f"the best hypothesis has a likelihood of {fit}"

@@ -202,6 +202,18 @@ def test_no_rule_fires_while_the_quiet_level_is_unknown(drive):
     assert read_level(Level(ud_box=2.0), 100.0, 0.0, None) is None
 
 
+def test_a_lost_target_is_helped_although_the_quiet_level_of_fewer_agents_is_unknown(drive):
+    """With fewer agents it is measured anew, and never while lost: the level of more agents calls for them."""
+    rules = net(on_off(on=2.0, off=1.25, unit="ud_quiet"), lost={"above": {"ud_px2": 1e5}, "frames": 3})
+    fits = [1.0] * 16 + [0.01] * 12
+    made = drive(rules, [100.0] * 16 + [250.0] * 12, fits=fits)
+    assert made.frames(Deactivated) == [14] and made.frames(StatusChanged) == [19]
+    back = made.of(Activated)[0]
+    assert back.frame == 22 and back.cause.unit == "ud_quiet" and back.cause.scale_px2 == 100.0
+    narrow = drive(rules, [100.0] * 16 + [150.0] * 12, fits=fits)
+    assert narrow.frames(StatusChanged) == [19] and narrow.of(Activated) == []  # 150 is below twice 100
+
+
 def test_quiet_is_that_of_the_agents_that_stay_on(drive):
     """Two agents have 40 px^2 together and 94 or 130 alone: the first 10 frames alone set the level, and
     neither the lower level of both nor the drop itself makes them oscillate.
@@ -401,7 +413,7 @@ def test_lost_says_why(drive):
     assert wide.cause == Cause("ud_px2", 100.0, 120.0, 3, 101.0, 120.0, 1.0) and wide.reason == ""
     (bad,) = drive(net(lost=LOST), [10] * 3, fits=[0.01, 0.02, 0.03]).of(StatusChanged)
     assert bad.cause is None
-    assert bad.reason == "the best hypothesis has a likelihood of 0.03 < 0.05 of a perfect match"
+    assert bad.reason == "the best hypothesis has a likelihood of 0.03 of a perfect match < fit_below 0.05"
     (both,) = drive(net(lost=LOST), [500] * 3, fits=[0.01] * 3).of(StatusChanged)
     assert both.cause is None  # at no level of UD would it have been kept
     (mixed,) = drive(net(lost=LOST), [10, 500, 400], fits=[0.01, 1.0, 1.0]).of(StatusChanged)
@@ -422,7 +434,7 @@ def test_found_says_why(drive):
     unknown = {**LOST, "above": {"ud_quiet": 3.0}}
     (found,) = drive(net(lost=unknown), [50] * 3, net=gone, fits=[0.5] * 3).of(StatusChanged)
     assert found.cause is None
-    assert found.reason == "the best hypothesis has a likelihood of 0.5 ≥ 0.05 of a perfect match"
+    assert found.reason == "the best hypothesis has a likelihood of 0.5 of a perfect match ≥ fit_below 0.05"
 
 
 # ------------------------------------------------------------------------------------ turning
