@@ -14,9 +14,9 @@ from bayesnet_track.engine import Engine
 from bayesnet_track.journal.codec import JournalError, from_json
 from bayesnet_track.journal.events import Event, RunEnded
 from bayesnet_track.journal.inputs import Input
-from bayesnet_track.journal.reader import read_inputs
 from bayesnet_track.journal.writer import OutputError, read_position
 from bayesnet_track.planes import Frame
+from bayesnet_track.runtime.ahead import keep_ahead, told_before
 from bayesnet_track.runtime.atomic import PART
 from bayesnet_track.runtime.checkpoint import (
     EVERY_S,
@@ -139,7 +139,7 @@ def resume(
         budget_ms = recipe.budget_ms
         engine = placed(stack, executing, engine, None if motion is not None else graph, opened, budget_ms)
         asked = recipe.inputs.place if inputs is None and recipe.inputs is not None else inputs
-        before = _told_before(directory)
+        before = told_before(directory)
         outside = _outside(before, as_asked(asked))
         checkpoint = _checkpoint(directory, recipe, engine, say)
         after: Resumed | None = None
@@ -147,6 +147,7 @@ def resume(
             _check_outputs(directory, checkpoint, say)
             after = _skipped(opened, checkpoint, engine, told, say)
         # From here on files are changed.
+        keep_ahead(directory, before, -1 if checkpoint is None else checkpoint.frame)
         _clear(directory, checkpoint)
         recorder = stack.enter_context(
             Recorder(
@@ -181,6 +182,12 @@ def resume(
             keeper=keeper,
             after=after,
         )
+        # The source was read to its end: nothing is to come again.
+        if keeper is None and checkpoint is not None:
+            recorder.sync()
+            remove(directory.checkpoint)
+        if directory.ahead.exists():
+            remove(directory.ahead)
 
 
 # ------------------------------------------------------------------------------------ what must be the same
@@ -277,15 +284,6 @@ def _skipped(
     raise ResumeError(f"the source has no frame {checkpoint.frame} any more, after which the run was")
 
 
-def _told_before(directory: RunDirectory) -> Mapping[int, Sequence[Input]]:
-    """What came from outside, by frame."""
-    by_frame: dict[int, list[Input]] = {}
-    if directory.inputs.exists():
-        for one in read_inputs(directory.inputs):
-            by_frame.setdefault(one.frame, []).append(one)
-    return by_frame
-
-
 def _outside(before: Mapping[int, Sequence[Input]], later: Asked) -> Asked:
     """What came from outside for the frames that had it, then what comes `later`."""
     return lambda frame: before[frame] if frame in before else later(frame)
@@ -296,7 +294,7 @@ def _clear(directory: RunDirectory, checkpoint: Checkpoint | None) -> None:
 
     The checkpoint goes first where there is no going on from it: it must not outlive its outputs.
     """
-    kept_files = {"recipe", "graph", "truth"}
+    kept_files = {"recipe", "graph", "truth", "ahead"}
     if checkpoint is not None:
         kept_files |= {"checkpoint", *checkpoint.written.positions}
     elif directory.checkpoint.exists():

@@ -22,6 +22,7 @@ FILES = {
     "report": "report.html",
     "truth": "truth.txt",
     "inputs": "inputs.jsonl",
+    "ahead": "inputs_ahead.jsonl",
     "checkpoint": "checkpoint",
 }
 MARKS = (FILES["recipe"], FILES["journal"])
@@ -176,3 +177,8 @@ class RunDirectory:
     def inputs(self) -> Path:
         """What came from outside during the run."""
         return self.path / FILES["inputs"]
+
+    @property
+    def ahead(self) -> Path:
+        """What came from outside for frames that are to be tracked again; see `runtime.ahead`."""
+        return self.path / FILES["ahead"]

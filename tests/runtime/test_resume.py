@@ -113,6 +113,31 @@ def test_switches_of_frames_after_the_checkpoint_come_again(tmp_path: Path) -> N
     assert files(run) == expected
 
 
+def test_switches_still_to_come_outlast_that_it_is_broken_off_again(tmp_path: Path) -> None:
+    def at_frame_7(frame: int) -> tuple[Toggled, ...]:
+        return (Toggled(7, "1", "blobs", False),) if frame == 7 else ()
+
+    expected = files(begun(tmp_path / "whole", inputs=at_frame_7))
+    run = begun(tmp_path / "run", 5, inputs=at_frame_7)
+    held = (run / "checkpoint").read_bytes()
+    list(itertools.islice(resume(run, inputs=at_frame_7), 4))
+    (run / "checkpoint").write_bytes(held)
+    for _ in range(2):
+        results = resume(run)
+        assert next(results).frame.index < 7
+        results.close()
+    list(resume(run))
+    assert files(run) == expected
+
+
+def test_a_finished_run_has_no_checkpoint_though_it_went_on_without_any(
+    tmp_path: Path, whole: dict[str, str]
+) -> None:
+    run = begun(tmp_path / "run", 5)
+    list(resume(run, checkpoint_every=0))
+    assert files(run) == whole and standing(run).is_finished
+
+
 def test_a_budget_stays_and_what_was_late_is_not_measured_twice(tmp_path: Path) -> None:
     """No frame takes a nanosecond, so every one is late that is measured."""
 

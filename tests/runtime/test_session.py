@@ -84,6 +84,7 @@ def test_a_run_directory_with_a_video(video, tmp_path):
     assert {path.name for path in (tmp_path / "run").iterdir()} == set(FILES.values()) - {
         "truth.txt",
         "inputs.jsonl",
+        "inputs_ahead.jsonl",
         "report.html",
     }
     assert (summary.frames, summary.reason) == (6, "interrupted")
