@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from bayesnet_track.graph.laws import check_graph
@@ -29,7 +30,7 @@ GRAPH = {
         "square": {
             "nodes": {
                 "square": {
-                    "belief": {"particles": {"size": 50}},
+                    "belief": {"particles": {"size": 20}},
                     "fuse": "product",
                     "motion": {"random_walk": {"sd_px": {"x": 2.0, "y": 2.0}}},
                     "adapt": {
@@ -98,6 +99,7 @@ def resident_kb() -> int:
 
 def soak(frames: int, every: int, out: Path) -> Iterator[Measured]:
     """Track through `frames` frames, all recorded in `out`; measures every so many of them."""
+    cv2.setNumThreads(1)  # a picture this small is done before a second thread wakes
     began = time.perf_counter()
     x, y = place(0)
     results = track(check_graph(GRAPH), Square(frames), (x, y, SIDE, SIDE), out=out, seed=1)

@@ -1,7 +1,8 @@
 """Runs in processes of their own that can be killed: all is loaded once, and every run is a fork.
 
-Reads lines ``begin FOLDER DELAY`` and ``resume FOLDER DELAY`` from its input. After DELAY seconds the fork is
-killed (kill -9); 0 lets it end. Writes a line for each: how it ended, and for how many seconds it ran.
+Its argument is the folder of `prepare`. It reads lines ``begin FOLDER DELAY`` and ``resume FOLDER DELAY``.
+After DELAY seconds the fork is killed (kill -9); 0 lets it end. It writes a line for each: how it ended, and
+for how many seconds it ran.
 """
 
 from __future__ import annotations
@@ -9,38 +10,77 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 import cv2
+import numpy as np
 
-from bayesnet_track import Start, load_graph, track
+from bayesnet_track import Start, track
 from bayesnet_track.runtime.resume import resume
-from bayesnet_track.runtime.scene_source import SceneSource
+from bayesnet_track.runtime.sources import open_source
 
-FRAMES = 36
-EVERY_S = 0.02
-"""In a second of work, checkpoints are as many as otherwise in a minute."""
+FRAMES, SIDE = 36, 10
+EVERY_S = 0.01
+"""In a second of work, checkpoints are as many as otherwise in a minute or two."""
+
+GRAPH = """\
+bayesnet: 1
+name: killed
+targets:
+  square:
+    nodes:
+      square:
+        belief: {particles: {size: 60}}
+        motion: {random_walk: {sd_px: {x: 3, y: 3}}}
+        fuse: product
+        adapt:
+          activate: {above: {ud_px2: 8}, frames: 1}
+          deactivate: {below: {ud_px2: 6}, frames: 2, drop: largest_kl}
+        learn: {below: {ud_px2: 50}, rate_max: 0.05}
+      gray: {parent: square, agent: intensity}
+      moves: {parent: square, agent: motion, active: false}
+"""
+"""A net that reconfigures itself and learns: all of its state has to come back."""
 
 
-def begin(folder: Path) -> None:
-    source = SceneSource.named("two_squares", 0, FRAMES)
-    starts = [Start(source.scene.start_box)]
-    for _ in track("two_squares", source, starts, out=folder, checkpoint_every=EVERY_S):
-        pass
+def place(index: int) -> tuple[int, int]:
+    """Top-left corner of the square in a picture."""
+    turn = 2 * np.pi * index / 40
+    return round(27 + 15 * np.cos(turn)), round(19 + 10 * np.sin(turn))
 
 
-def go_on(folder: Path) -> None:
+def prepare(folder: Path) -> None:
+    """The graph and the pictures that every run reads."""
+    (folder / "pictures").mkdir()
+    (folder / "graph.yaml").write_text(GRAPH)
+    rng = np.random.default_rng(7)
+    for index in range(FRAMES):
+        image = rng.integers(0, 40, (48, 64, 3), dtype=np.uint8)
+        x, y = place(index)
+        image[y : y + SIDE, x : x + SIDE] = 200
+        cv2.imwrite(str(folder / "pictures" / f"{index:04}.png"), image)
+
+
+def begin(given: Path, folder: Path) -> None:
+    with open_source(str(given / "pictures")) as source:
+        starts = [Start((*map(float, place(0)), float(SIDE), float(SIDE)))]
+        for _ in track(given / "graph.yaml", source, starts, out=folder, checkpoint_every=EVERY_S):
+            pass
+
+
+def go_on(given: Path, folder: Path) -> None:
     for _ in resume(folder, checkpoint_every=EVERY_S):
         pass
 
 
-def forked(work: str, folder: Path, delay: float) -> str:
+def forked(work: str, given: Path, folder: Path, delay: float) -> str:
     child = os.fork()
     if child == 0:
         code = 1
         try:
-            (begin if work == "begin" else go_on)(folder)
+            (begin if work == "begin" else go_on)(given, folder)
             code = 0
         except Exception as error:
             (folder.parent / f"{folder.name}.error").write_text(f"{type(error).__name__}: {error}")
@@ -56,11 +96,12 @@ def forked(work: str, folder: Path, delay: float) -> str:
 if __name__ == "__main__":
     # A fork has no threads but its own.
     cv2.setNumThreads(1)
-    scene = SceneSource.named("two_squares", 0, 6)
-    list(track(load_graph("two_squares"), scene, [Start(scene.scene.start_box)]))
+    given = Path(sys.argv[1])
+    with tempfile.TemporaryDirectory() as loads:
+        begin(given, Path(loads) / "run")
     sys.stdout.write("ready\n")
     sys.stdout.flush()
     for line in sys.stdin:
         word, where, seconds = line.split()
-        sys.stdout.write(forked(word, Path(where), float(seconds)) + "\n")
+        sys.stdout.write(forked(word, given, Path(where), float(seconds)) + "\n")
         sys.stdout.flush()

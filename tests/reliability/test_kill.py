@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import shutil
 import subprocess
 import sys
@@ -17,15 +18,28 @@ from bayesnet_track.runtime.recipe import RecipeError
 from bayesnet_track.runtime.resume import standing
 
 KILLS, SIDE_BY_SIDE = 200, 2
+SCRIPT = Path(__file__).with_name("nursery.py")
+
+
+@pytest.fixture
+def given(tmp_path: Path) -> Path:
+    """A graph and pictures."""
+    spec = importlib.util.spec_from_file_location("nursery", SCRIPT)
+    assert spec is not None and spec.loader is not None
+    nursery = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(nursery)
+    folder = tmp_path / "given"
+    folder.mkdir()
+    nursery.prepare(folder)
+    return folder
 
 
 class Nursery:
     """A process that forks runs and kills them."""
 
-    def __init__(self) -> None:
-        script = Path(__file__).with_name("nursery.py")
+    def __init__(self, given: Path) -> None:
         pipe = subprocess.PIPE
-        self._process = subprocess.Popen([sys.executable, script], stdin=pipe, stdout=pipe, text=True)
+        self._process = subprocess.Popen([sys.executable, SCRIPT, given], stdin=pipe, stdout=pipe, text=True)
         assert self._answer() == ["ready"]
 
     def ask(self, work: str, folder: Path, delay: float = 0.0) -> tuple[int, float]:
@@ -87,12 +101,14 @@ def killed(number: int, nursery: Nursery, folder: Path, took: float, whole: dict
 
 @pytest.mark.reliability
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no fork and no kill -9")
-def test_200_kills_leave_the_bytes_of_unbroken_runs(tmp_path: Path) -> None:
-    nurseries = [Nursery() for _ in range(SIDE_BY_SIDE)]
+def test_200_kills_leave_the_bytes_of_unbroken_runs(tmp_path: Path, given: Path) -> None:
+    nurseries = [Nursery(given) for _ in range(SIDE_BY_SIDE)]
     try:
         nurseries[0].ask("begin", tmp_path / "whole")
         _, took = nurseries[1].ask("begin", tmp_path / "again")
         whole = files(tmp_path / "whole")
+        switched = (tmp_path / "whole" / "journal.jsonl").read_text().count("activated")
+        assert switched >= 4
         assert "checkpoint" not in whole and files(tmp_path / "again").keys() == whole.keys()
 
         def half(which: int) -> list[str]:
