@@ -35,7 +35,7 @@ class RunRecord(Protocol):
 
     @property
     def metrics(self) -> Sequence[FrameMetrics]:
-        """The lines of its frames.jsonl."""
+        """The lines of its frames.jsonl, by frame."""
         ...
 
     @property

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
+from itertools import islice, takewhile
 
 from bayesnet_track.graph.net import Decision
 from bayesnet_track.journal.compare import Comparison, Moment, RunRecord, Total
@@ -103,7 +105,9 @@ def _said(run: RunRecord, decided: Sequence[Decision], moment: Moment, target: s
 
 def _standing(run: RunRecord, moment: Moment, target: str) -> str:
     """Why nothing was decided, as far as the measurements tell."""
-    line = next((one for one in run.metrics if one.frame == moment.frame and one.target == target), None)
+    start = bisect_left(run.metrics, moment.frame, key=lambda one: one.frame)
+    here = takewhile(lambda one: one.frame == moment.frame, islice(run.metrics, start, None))
+    line = next((one for one in here if one.target == target), None)
     if line is None:
         return f"target {target} is not live"
     ud = f"UD {line.ud_px2:.3g} px²" if abs(line.ud_px2) < 1000 else f"UD {line.ud_px2:.0f} px²"

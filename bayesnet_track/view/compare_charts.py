@@ -12,10 +12,13 @@ from bayesnet_track.graph.net import Switch, TargetStarted
 from bayesnet_track.journal.compare import Comparison, Distance, Moment, RunRecord
 from bayesnet_track.journal.events import FrameMetrics
 from bayesnet_track.journal.explain import explain
+from bayesnet_track.view.scales import decades, stretches, ticks
 from bayesnet_track.view.svg import element, text_of
 
 WIDTH, LEFT, RIGHT = 960.0, 120.0, 16.0
 UD_TOP, UD_HEIGHT, APART_HEIGHT, ROW, GAP, FOOT = 44.0, 200.0, 90.0, 11.0, 40.0, 30.0
+MOST_MOMENTS = 2000
+"""Partings that the page tells of; the text tells of all with --all."""
 COLUMNS = 900
 """Curves are thinned to this many columns, each with its lowest and highest value."""
 
@@ -45,7 +48,7 @@ def draw_pair(first: RunRecord, second: RunRecord, compared: Comparison, pair: t
         *_ud(lines, x),
         *_apart(compared.distances.get(pair, ()), x, apart_top),
         *_bars(lines, agents, x, bars_top),
-        *_marks([moment for moment in compared.moments if moment.target == pair[0]], compared, x, bottom),
+        *_marks(compared.moments, pair[0], x, bottom),
     ]
     height = bottom + FOOT
     told = f"UD, distance of the estimates and active agents of target {pair[0]} in both runs"
@@ -86,9 +89,9 @@ def _agents(
 
 def _grid(x: _Scale, bottom: float) -> list[str]:
     drawn = []
-    for frame in _ticks(x.low, x.high, 10):
+    for frame in ticks(int(x.low), int(x.high)):
         drawn.append(_line(x(frame), UD_TOP, x(frame), bottom, "grid"))
-        drawn.append(_text(f"{frame:g}", x(frame), bottom + 15.0, "soft", "middle"))
+        drawn.append(_text(str(frame), x(frame), bottom + 15.0, "soft", "middle"))
     return [*drawn, _text("frame", LEFT - 8.0, bottom + 15.0, "soft", "end")]
 
 
@@ -99,7 +102,7 @@ def _ud(lines: Sequence[Sequence[FrameMetrics]], x: _Scale) -> list[str]:
     high = max(values[-1] * 1.2, low * 10)
     y = _Scale(math.log10(low), math.log10(high), UD_TOP + UD_HEIGHT, UD_TOP)
     drawn = [_text("UD, px²", LEFT - 8.0, UD_TOP - 10.0, "soft", "end")]
-    for value in _decades(low, high):
+    for value in decades(low, high):
         row = y(math.log10(value))
         drawn += [
             _line(LEFT, row, WIDTH - RIGHT, row, "grid"),
@@ -108,7 +111,7 @@ def _ud(lines: Sequence[Sequence[FrameMetrics]], x: _Scale) -> list[str]:
     for side, name in zip(lines, "ab", strict=True):
         lost = {line.frame for line in side if line.status == "lost"}
         top = UD_TOP if name == "a" else UD_TOP + UD_HEIGHT - 8.0
-        for start, end in _stretches(side, lost):
+        for start, end in stretches(side, lost):
             tip = element("title", text_of(f"{name.upper()} lost in frames {start} to {end}"))
             left, right = x(start - 0.5), x(end + 0.5)
             drawn.append(
@@ -117,7 +120,7 @@ def _ud(lines: Sequence[Sequence[FrameMetrics]], x: _Scale) -> list[str]:
     for side, name in zip(lines, "ab", strict=True):
         usable = {line.frame for line in side if math.isfinite(line.ud_px2) and line.ud_px2 > 0}
         uds = {line.frame: line.ud_px2 for line in side}
-        for start, end in _stretches(side, usable):
+        for start, end in stretches(side, usable):
             points = [
                 (x(f), y(math.log10(uds[f]))) for f in range(start, end + 1) if f in uds and f in usable
             ]
@@ -150,7 +153,7 @@ def _bars(lines: Sequence[Sequence[FrameMetrics]], agents: Sequence[str], x: _Sc
             drawn.append(
                 element("rect", x=LEFT, y=y, width=WIDTH - LEFT - RIGHT, height=ROW - 1.0, class_="ground")
             )
-            for start, end in _stretches(side, {line.frame for line in side if agent in line.active}):
+            for start, end in stretches(side, {line.frame for line in side if agent in line.active}):
                 left, right = x(start - 0.5), x(end + 0.5)
                 tip = element("title", text_of(f"{which.upper()}: {agent} in frames {start} to {end}"))
                 drawn.append(
@@ -161,11 +164,13 @@ def _bars(lines: Sequence[Sequence[FrameMetrics]], agents: Sequence[str], x: _Sc
     return drawn
 
 
-def _marks(moments: Sequence[Moment], compared: Comparison, x: _Scale, bottom: float) -> list[str]:
+def _marks(moments: Sequence[Moment], target: str, x: _Scale, bottom: float) -> list[str]:
     """A line at each parting, dashed but for the first of all; it leads to the moment's row in the page."""
     drawn, free = [], -math.inf
-    for moment in moments:
-        at, number = x(moment.frame), compared.moments.index(moment)
+    for number, moment in enumerate(moments[:MOST_MOMENTS]):
+        if moment.target != target:
+            continue
+        at = x(moment.frame)
         told = [
             f"{name} {explain(event)}"
             for name, side in (("A", moment.first), ("B", moment.second))
@@ -181,17 +186,6 @@ def _marks(moments: Sequence[Moment], compared: Comparison, x: _Scale, bottom: f
 
 
 # ------------------------------------------------------------------------------------ small things
-
-
-def _stretches(lines: Sequence[FrameMetrics], wanted: set[int]) -> list[tuple[int, int]]:
-    """Stretches of consecutive lines whose frames are wanted, as first and last frame."""
-    runs: list[tuple[int, int]] = []
-    previous = False
-    for line in lines:
-        if line.frame in wanted:
-            runs = [*runs[:-1], (runs[-1][0], line.frame)] if previous else [*runs, (line.frame, line.frame)]
-        previous = line.frame in wanted
-    return runs
 
 
 def _thinned(points: Points) -> Points:
@@ -220,23 +214,3 @@ def _line(x1: float, y1: float, x2: float, y2: float, look: str) -> str:
 
 def _text(text: str, x: float, y: float, look: str, anchor: str = "start") -> str:
     return element("text", text_of(text), x=x, y=y, class_=look, text_anchor=anchor)
-
-
-def _ticks(low: float, high: float, most: int) -> list[float]:
-    step = next(
-        size * 10.0**power
-        for power in range(19)
-        for size in (1, 2, 5)
-        if (high - low) / (size * 10.0**power) <= most
-    )
-    first = math.ceil(low / step)
-    return [step * k for k in range(first, math.floor(high / step) + 1)]
-
-
-def _decades(low: float, high: float) -> list[float]:
-    exponents = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    for steps in ((1, 2, 5), (1,)):
-        found = [step * 10.0**e for e in exponents for step in steps if low <= step * 10.0**e <= high]
-        if len(found) <= 8:
-            return found
-    return found[:: math.ceil(len(found) / 8)]

@@ -9,11 +9,9 @@ from collections.abc import Sequence
 from bayesnet_track.journal.compare import Comparison, RunRecord, Total
 from bayesnet_track.journal.compare_text import change, estimate_lines, figure, parting_lines, place, sides
 from bayesnet_track.journal.wording import plural
-from bayesnet_track.view.compare_charts import draw_pair
+from bayesnet_track.view.compare_charts import MOST_MOMENTS, draw_pair
 from bayesnet_track.view.svg import element, text_of
 
-MOST_MOMENTS = 2000
-"""Partings that the page tells of; the text tells of all with --all."""
 OPEN_CHARTS = 3
 
 STYLE = """

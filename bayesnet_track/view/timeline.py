@@ -18,6 +18,7 @@ from bayesnet_track.graph.net import (
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.journal.explain import explain
 from bayesnet_track.journal.switches import turns_on
+from bayesnet_track.view.scales import decades, stretches, ticks
 from bayesnet_track.view.svg import document, element, text_of
 
 WIDTH, LEFT, RIGHT, TOP = 960.0, 148.0, 128.0, 58.0
@@ -118,23 +119,12 @@ def _axes(lines: Sequence[FrameMetrics], events: Sequence[Event]) -> Axes:
     return Axes(lines[0].frame, lines[-1].frame, low, high)
 
 
-def _runs(lines: Sequence[FrameMetrics], wanted: set[int]) -> list[tuple[int, int]]:
-    """Stretches of consecutive lines whose frames are wanted, as first and last frame."""
-    runs: list[tuple[int, int]] = []
-    previous = False
-    for line in lines:
-        if line.frame in wanted:
-            runs = [*runs[:-1], (runs[-1][0], line.frame)] if previous else [*runs, (line.frame, line.frame)]
-        previous = line.frame in wanted
-    return runs
-
-
 # ------------------------------------------------------------------------------------ what is drawn
 
 
 def _lost(lines: Sequence[FrameMetrics], axes: Axes) -> list[str]:
     drawn = []
-    for first, last in _runs(lines, {line.frame for line in lines if line.status == "lost"}):
+    for first, last in stretches(lines, {line.frame for line in lines if line.status == "lost"}):
         left, right = _edges(first, last, axes)
         tip = element("title", text_of(f"lost in frames {first} to {last}"))
         look = {"fill": LOST, "fill_opacity": 0.4}
@@ -150,11 +140,11 @@ def _lost(lines: Sequence[FrameMetrics], axes: Axes) -> list[str]:
 
 def _grid(axes: Axes, bottom: float) -> list[str]:
     drawn = []
-    for value in _decades(axes.low, axes.high):
+    for value in decades(axes.low, axes.high, 9):
         y = axes.y(value)
         drawn.append(element("line", x1=LEFT, y1=y, x2=WIDTH - RIGHT, y2=y, stroke=GRID))
         drawn.append(_text(f"{value:g}", LEFT - 8.0, y + 4.0, 10.5, SOFT, anchor="end"))
-    for frame in _ticks(axes.first, axes.last):
+    for frame in ticks(axes.first, axes.last):
         x = axes.x(frame)
         drawn.append(element("line", x1=x, y1=TOP, x2=x, y2=bottom, stroke=GRID))
         drawn.append(_text(str(frame), x, bottom + 15.0, 10.5, SOFT, anchor="middle"))
@@ -196,7 +186,7 @@ def _curves(lines: Sequence[FrameMetrics], axes: Axes) -> list[str]:
             UD_LINE,
             1.8,
         )
-        for first, last in _runs(lines, usable)
+        for first, last in stretches(lines, usable)
     ]
 
 
@@ -205,7 +195,7 @@ def _bars(lines: Sequence[FrameMetrics], agents: Sequence[str], axes: Axes, top:
     for number, agent in enumerate(agents):
         y, colour = top + number * (BAR + BAR_GAP), BAR_COLOURS[number % len(BAR_COLOURS)]
         ground = element("rect", x=LEFT, y=y, width=WIDTH - LEFT - RIGHT, height=BAR, rx=3.0, fill="#f2f4f7")
-        runs = _runs(lines, {line.frame for line in lines if agent in line.active})
+        runs = stretches(lines, {line.frame for line in lines if agent in line.active})
         share = sum(agent in line.active for line in lines) / len(lines)
         drawn += [ground, _text(_cut(agent), LEFT - 8.0, y + BAR - 4.0, 11.0, INK, anchor="end", tip=agent)]
         for first, last in runs:
@@ -254,27 +244,6 @@ def _marks(
 def _edges(first: int, last: int, axes: Axes) -> tuple[float, float]:
     """A frame is drawn half a frame to either side, inside the plot."""
     return max(axes.x(first - 0.5), LEFT), min(axes.x(last + 0.5), WIDTH - RIGHT)
-
-
-def _decades(low: float, high: float) -> list[float]:
-    """1, 2, 5 times powers of ten inside the scale; powers of ten alone when there would be too many."""
-    exponents = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    for steps in ((1, 2, 5), (1,)):
-        found = [step * 10.0**e for e in exponents for step in steps if low <= step * 10.0**e <= high]
-        if len(found) <= 9:
-            return found
-    return found[:: math.ceil(len(found) / 9)]
-
-
-def _ticks(first: int, last: int) -> list[int]:
-    """At most 11 round frame numbers."""
-    step = next(
-        size * 10**power
-        for power in range(19)
-        for size in (1, 2, 5)
-        if (last - first) / (size * 10**power) <= 10
-    )
-    return list(range(-(-first // step) * step, last + 1, step))
 
 
 def _polyline(

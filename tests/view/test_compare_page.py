@@ -84,3 +84,14 @@ def test_runs_that_never_part(few_metrics):
     first, _, _ = runs(few_metrics)
     page = compare_page(first, first, compare(first, first), [])
     assert "They never part" in page and ">never</text>" in page and "parting first" not in page
+
+
+def test_a_page_tells_of_so_many_partings_and_links_no_others(few_metrics, monkeypatch):
+    first, second, _ = runs(few_metrics)
+    for module in ("compare_page", "compare_charts"):
+        monkeypatch.setattr(f"bayesnet_track.view.{module}.MOST_MOMENTS", 1)
+    second.events.append(replace(second.events[-1], frame=18))
+    compared = compare(first, second)
+    assert len(compared.moments) == 2
+    checked = Checked(compare_page(first, second, compared, []))
+    assert checked.links == ["#moment-0"] and "moment-0" in checked.ids
