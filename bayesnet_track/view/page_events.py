@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
+from bayesnet_track.graph.hand_decisions import Released, Toggled
 from bayesnet_track.graph.join_decisions import Joined, Parted
 from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
 from bayesnet_track.graph.net import StatusChanged, Switch, TargetStarted
@@ -47,6 +48,14 @@ def event_row(event: Event) -> dict[str, Any]:
     if isinstance(event, TargetStarted):
         # Nothing caused it: the piece before the arrow is what happened.
         row |= {"what": f"{why} → {what}", "why": ""}
+    if isinstance(event, Toggled):
+        on = "on" if event.on else "off"
+        row |= {
+            "what": f"{event.node} {on} by hand",
+            "why": "a person switched it; no rule does until it is released",
+        }
+    if isinstance(event, Released):
+        row |= {"what": f"{event.node} given back to the rules", "why": ""}
     row |= {key: getattr(event, key) for key in ("target", "other", "node") if hasattr(event, key)}
     if isinstance(event, Switch):
         row["on"] = turns_on(event)
@@ -58,7 +67,7 @@ def event_row(event: Event) -> dict[str, Any]:
 def _sort(event: Event) -> str:
     if isinstance(event, Switch):
         return "switch"
-    if isinstance(event, LIVES):
+    if isinstance(event, (*LIVES, Released)):
         return "life"
     if isinstance(event, StatusChanged):
         return "status"

@@ -67,26 +67,50 @@ def picture_name(frame: int) -> str:
     return f"{FRAMES_FOLDER}/{frame:06d}.jpg"
 
 
-def _page(header: Mapping[str, Any], columns: Columns, images: str) -> Iterator[str]:
-    script, style = _built("run_page.js"), _built("run_page.css")
-    # Nothing may be loaded or sent: no address is allowed, and script and style only as they were built.
-    policy = (
-        f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src {images}; "
-        "base-uri 'none'; form-action 'none'"
+def live_page() -> tuple[bytes, str]:
+    """The page of a run in progress, which asks for its data where it comes from, and its security policy."""
+    policy = f"{_policy('blob: data:')}; connect-src 'self'; frame-ancestors 'none'"
+    # Browsers look for an icon; the empty one keeps them from asking outside of the page's own address.
+    pieces = (
+        *_head("bayesnet-track", policy, '<link rel="icon" href="data:,">\n'),
+        _LIVE_BODY,
+        f"<script>{_built('run_page.js')}</script>\n</body>\n</html>\n",
     )
+    return "".join(pieces).encode(), policy
+
+
+def _page(header: Mapping[str, Any], columns: Columns, images: str) -> Iterator[str]:
     run = header["run"]
-    yield '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-    yield f'<meta http-equiv="Content-Security-Policy" content="{escape(policy, quote=True)}">\n'
-    yield '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-    yield '<meta name="color-scheme" content="light dark">\n<meta name="referrer" content="no-referrer">\n'
-    yield f"<title>{escape(run['graph'])} on {escape(run['source'])}</title>\n"
-    yield f"<style>{style}</style>\n</head>\n<body>\n"
-    yield '<div id="page"><noscript>This page needs JavaScript, which is switched off.</noscript></div>\n'
+    yield from _head(f"{run['graph']} on {run['source']}", _policy(images))
+    yield _BODY
     yield '<script type="text/plain" id="run-data">'
     yield base64.b64encode(pack(header, columns)).decode()
     yield "</script>\n"
     # The pictures come behind the script, so that the page stands before they are read.
-    yield f"<script>{script}</script>\n"
+    yield f"<script>{_built('run_page.js')}</script>\n"
+
+
+_BODY = '<div id="page"><noscript>This page needs JavaScript, which is switched off.</noscript></div>\n'
+_LIVE_BODY = _BODY.replace("<div", "<div data-live=yes", 1)
+
+
+def _policy(images: str) -> str:
+    """Nothing may be loaded or sent: no address is allowed, and script and style only as they were built."""
+    return (
+        f"default-src 'none'; script-src {_hash(_built('run_page.js'))}; "
+        f"style-src {_hash(_built('run_page.css'))}; img-src {images}; base-uri 'none'; form-action 'none'"
+    )
+
+
+def _head(title: str, policy: str, more: str = "") -> Iterator[str]:
+    # In a page only a server can forbid frames around it.
+    told = policy.replace("; frame-ancestors 'none'", "")
+    yield '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+    yield f'<meta http-equiv="Content-Security-Policy" content="{escape(told, quote=True)}">\n'
+    yield '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+    yield '<meta name="color-scheme" content="light dark">\n<meta name="referrer" content="no-referrer">\n'
+    yield f"{more}<title>{escape(title)}</title>\n"
+    yield f"<style>{_built('run_page.css')}</style>\n</head>\n<body>\n"
 
 
 @cache

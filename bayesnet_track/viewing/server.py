@@ -1,0 +1,234 @@
+"""The local web server of a view: a page, what it is told, pictures, and what it asks for. Nothing else."""
+
+from __future__ import annotations
+
+import contextlib
+import hmac
+import ipaddress
+import json
+import secrets
+import socket
+import socketserver
+import sys
+import threading
+from collections.abc import Mapping
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from typing import Any, Protocol
+from urllib.parse import parse_qs, urlsplit
+
+from bayesnet_track.viewing.controls import Refused
+
+FIRST_PORT, PORTS = 8760, 20
+LARGEST_REQUEST = 64_000
+MOST_CONNECTIONS = 32
+PATIENCE_S = 20.0
+"""Seconds after which a client that neither sends nor takes is let go."""
+
+HEADERS = {
+    "Cache-Control": "no-store",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "X-Frame-Options": "DENY",
+}
+
+
+class Served(Protocol):
+    """What is served. Called from many threads."""
+
+    def page(self) -> tuple[bytes, str]:
+        """The page, and its content security policy."""
+        ...
+
+    def feed(self, first: int, seen: int) -> bytes:
+        """JSON: lines from number `first` on, and how things stand; waits while `seen` is what there is."""
+        ...
+
+    def picture(self, frame: int) -> tuple[int, bytes] | None:
+        """A frame's picture as JPEG, or an earlier one, with its frame."""
+        ...
+
+    def ask(self, what: Mapping[str, Any]) -> None:
+        """Do something; raises Refused."""
+        ...
+
+
+class Server(socketserver.ThreadingMixIn, HTTPServer):
+    """Serves `served` at an address that holds a random token; whoever does not know it is refused.
+
+    Args:
+        served: what is served.
+        host: address to listen at.
+        port: port to listen at; None for the first free one from 8760 on.
+
+    Raises:
+        OSError: the port is taken, or the host is not one of this machine.
+    """
+
+    daemon_threads = True
+    block_on_close = False
+    request_queue_size = 16
+
+    def __init__(self, served: Served, host: str = "127.0.0.1", port: int | None = None) -> None:
+        self.served, self.host = served, host
+        self.token = secrets.token_urlsafe(18)
+        self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        # Elsewhere it means that a port is free again at once; on Windows, that two may share one.
+        self.allow_reuse_address = sys.platform != "win32"
+        tried = [port] if port is not None else [*range(FIRST_PORT, FIRST_PORT + PORTS), 0]
+        for number in tried:
+            try:
+                super().__init__((host, number), Handler)
+                break
+            except OSError:
+                if number == tried[-1]:
+                    raise
+        self._thread = threading.Thread(target=self.serve_forever, args=(0.1,), name="view", daemon=True)
+        self._thread.start()
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return int(self.server_address[1])
+
+    @property
+    def address(self) -> str:
+        """The page's address."""
+        anywhere = {"0.0.0.0": "127.0.0.1", "::": "::1"}
+        host = anywhere.get(self.host, self.host)
+        return f"http://{f'[{host}]' if ':' in host else host}:{self.port}/{self.token}/"
+
+    def knows(self, host: str) -> bool:
+        """Whether a request may call this server so: by any name, foreign pages could (DNS rebinding)."""
+        name, _, port = host.rpartition(":")
+        if port != str(self.port):
+            return False
+        if name in ("localhost", self.host):
+            return True
+        with contextlib.suppress(ValueError):
+            found = ipaddress.ip_address(name.removeprefix("[").removesuffix("]"))
+            return found.is_loopback or not ipaddress.ip_address(self.host).is_loopback
+        return False
+
+    def close(self) -> None:
+        """Serve no more."""
+        self.shutdown()
+        self.server_close()
+
+    def server_bind(self) -> None:
+        """Bind without asking a name server who this is, as `HTTPServer` does."""
+        socketserver.TCPServer.server_bind(self)
+        self.server_name, self.server_port = self.host, int(self.server_address[1])
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Hand it to a thread, unless there are too many already."""
+        if self._free.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """In its own thread."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A client that went away, or speaks something else, concerns nobody."""
+        if not isinstance(sys.exception(), OSError | ValueError):
+            super().handle_error(request, client_address)
+
+
+class Handler(BaseHTTPRequestHandler):
+    """One connection."""
+
+    server: Server
+    protocol_version = "HTTP/1.1"
+    timeout = PATIENCE_S
+    server_version, sys_version = "bayesnet-track", ""
+
+    def do_GET(self) -> None:
+        """The page, the feed, or a picture."""
+        path = self._allowed()
+        if path is None:
+            return
+        served = self.server.served
+        if path == "":
+            body, policy = served.page()
+            self._answer(body, "text/html; charset=utf-8", {"Content-Security-Policy": policy})
+        elif path == "feed":
+            first, seen = self._number("from"), self._number("seen")
+            self._answer(served.feed(first, seen), "application/json")
+        elif path == "picture":
+            found = served.picture(self._number("frame"))
+            if found is None:
+                self._refuse(HTTPStatus.NOT_FOUND, "no picture yet")
+            else:
+                self._answer(found[1], "image/jpeg", {"X-Frame": str(found[0])})
+        else:
+            self._refuse(HTTPStatus.NOT_FOUND, "no such page")
+
+    def do_POST(self) -> None:
+        """Something is asked for."""
+        path = self._allowed()
+        if path is None:
+            return
+        # Only the page itself may ask: another site's page has another origin, and a form has none of JSON.
+        if self.headers.get("Origin") != f"http://{self.headers.get('Host')}":
+            return self._refuse(HTTPStatus.FORBIDDEN, "another origin")
+        if path != "do":
+            return self._refuse(HTTPStatus.NOT_FOUND, "no such page")
+        if self.headers.get_content_type() != "application/json":
+            return self._refuse(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "JSON is needed")
+        length = self.headers.get("Content-Length", "")
+        if not (length.isascii() and length.isdigit() and len(length) < 9):
+            return self._refuse(HTTPStatus.LENGTH_REQUIRED, "a length is needed")
+        if int(length) > LARGEST_REQUEST:
+            return self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "too much")
+        try:
+            what = json.loads(self.rfile.read(int(length)))
+            if not isinstance(what, dict):
+                raise Refused("an object is needed")
+            self.server.served.ask(what)
+        except (ValueError, RecursionError) as error:
+            said = str(error) if isinstance(error, Refused) else "not JSON"
+            return self._answer(json.dumps({"error": said}).encode(), "application/json", {}, 400)
+        self._answer(b"{}", "application/json")
+
+    def _allowed(self) -> str | None:
+        """What is asked for behind the token; None, answered already, where nothing may be."""
+        if not self.server.knows(self.headers.get("Host", "")):
+            return self._refuse(HTTPStatus.FORBIDDEN, "not the address of this page")
+        try:
+            _, token, path = urlsplit(self.path).path.split("/", 2)
+        except ValueError:
+            token = path = ""
+        if not hmac.compare_digest(token.encode(errors="replace"), self.server.token.encode()):
+            return self._refuse(HTTPStatus.FORBIDDEN, "the address lacks its token: copy it whole")
+        return path
+
+    def _number(self, name: str) -> int:
+        text = parse_qs(urlsplit(self.path).query).get(name, ["0"])[0]
+        return int(text) if text.isascii() and text.isdigit() and len(text) < 16 else 0
+
+    def _refuse(self, status: HTTPStatus, reason: str) -> None:
+        # What else the client sent was not read: nothing more can be understood on this connection.
+        self.close_connection = True
+        self._answer(reason.encode(), "text/plain; charset=utf-8", {"Connection": "close"}, status)
+
+    def _answer(
+        self, body: bytes, kind: str, more: Mapping[str, str] | None = None, status: int = 200
+    ) -> None:
+        self.send_response(status)
+        for name, value in {**HEADERS, **(more or {}), "Content-Type": kind}.items():
+            self.send_header(name, value)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Keep quiet: stderr is for the run."""
