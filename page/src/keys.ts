@@ -13,13 +13,21 @@ export const KEYS: [string, string][] = [
   ["?", "this help"],
 ];
 
+/** Those of a run in progress besides, or instead. */
+export const LIVE_KEYS: [string, string][] = [
+  ["Space", "pause the run, or let it go on; while you look back, play what was"],
+  [".", "take one frame"],
+  ["l", "go to the newest frame, and follow"],
+  ["Enter", "on an agent of the net: switch it by hand"],
+];
+
 export function listen(state: State): void {
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const inside = event.target instanceof Element ? event.target : null;
     if (inside?.matches("input:not([type=range]):not([type=checkbox]), select, textarea")) return;
     // A focused button or box is pressed by Space, and a list is walked through by arrows.
-    if (event.key === " " && inside?.matches("button, a, summary, input[type=checkbox]")) return;
+    if (event.key === " " && inside?.matches("button, [role=button], a, summary, input[type=checkbox]")) return;
     if (act(state, event)) event.preventDefault();
   });
 }
@@ -28,7 +36,8 @@ function act(state: State, event: KeyboardEvent): boolean {
   const by = event.shiftKey ? 10 : 1;
   switch (event.key) {
     case " ":
-      state.playing.value = !state.playing.value;
+      if (state.live?.isOn.value && state.following.value) state.live.pauseOrGo();
+      else state.playing.value = !state.playing.value;
       return true;
     case "ArrowLeft":
       state.step(-by);
@@ -66,6 +75,13 @@ function act(state: State, event: KeyboardEvent): boolean {
       return true;
     case "z":
       state.close.value = !state.close.value;
+      return true;
+    case "l":
+      state.goLive();
+      return true;
+    case ".":
+      if (!state.live?.isOn.value) return false;
+      state.live.step();
       return true;
     case "?":
       state.help.value = !state.help.value;

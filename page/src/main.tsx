@@ -3,9 +3,11 @@
 import { render } from "preact";
 import { bytesOf, open } from "./data/packed";
 import { listen } from "./keys";
+import { Live } from "./live";
 import { none, picturesOf } from "./pictures";
 import { State } from "./state";
 import { App } from "./view/app";
+import { LiveApp } from "./view/live_app";
 import "uplot/dist/uPlot.min.css";
 import "./style.css";
 
@@ -20,6 +22,23 @@ async function start(root: HTMLElement): Promise<void> {
   toAddress(state);
   redraw(state);
   state.pictures.value = await picturesOf(opened).catch((error: unknown) => none(String(error)));
+}
+
+/** The page of a run in progress: its server has the data. */
+function watch(root: HTMLElement): void {
+  const live = new Live();
+  let shown: State | null = null;
+  live.state.subscribe((state) => {
+    if (state === null || state === shown) return;
+    shown = state;
+    document.title = `${state.run.about.graph} on ${state.run.about.source}`;
+    listen(state);
+    redraw(state);
+  });
+  root.replaceChildren();
+  render(<LiveApp live={live} />, root);
+  root.dataset.ready = String(Math.round(performance.now()));
+  void live.listen();
 }
 
 /** `#frame=120&target=2` leads to a frame of a target. */
@@ -60,7 +79,8 @@ function redraw(state: State): void {
 }
 
 const root = document.getElementById("page");
-if (root !== null) {
+if (root?.dataset.live !== undefined) watch(root);
+else if (root !== null) {
   start(root).catch((error: unknown) => {
     const words = document.createElement("p");
     words.className = "nothing";

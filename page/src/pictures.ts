@@ -83,6 +83,33 @@ function fromFolder(frames: Column): (row: number) => Promise<CanvasImageSource>
   };
 }
 
+/** From a run in progress: not every frame has a picture, and which have one changes while it goes on. */
+export function fromServer(): Pictures {
+  const kept = new Map<number, CanvasImageSource>();
+  return {
+    without: "",
+    annotated: false,
+    async of(frame) {
+      const there = kept.get(frame);
+      if (there !== undefined) return { image: there, frame };
+      try {
+        const answer = await fetch(`picture?frame=${frame}`, { cache: "no-store" });
+        if (!answer.ok) return null;
+        const of = Number(answer.headers.get("X-Frame"));
+        const image = kept.get(of) ?? (await createImageBitmap(await answer.blob()));
+        kept.set(of, image);
+        for (const old of kept.keys()) {
+          if (kept.size <= 240) break;
+          kept.delete(old);
+        }
+        return { image, frame: of };
+      } catch {
+        return null;
+      }
+    },
+  };
+}
+
 function lastAtMost(frames: Column, frame: number): number {
   let [low, high] = [0, frames.length];
   while (low < high) {

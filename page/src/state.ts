@@ -3,6 +3,7 @@
 import { batch, computed, signal } from "@preact/signals";
 import type { RunData, Track } from "./data/run";
 import type { EventRow } from "./data/types";
+import type { Live } from "./live";
 import type { Pictures } from "./pictures";
 
 export type Layer = "cloud" | "regions" | "map" | "parts" | "truth" | "others";
@@ -22,10 +23,20 @@ export class State {
   readonly notes = signal(false);
   /** Counts the batches that were added to the run. */
   readonly version = signal(0);
+  /** The same, less often: for what takes long to draw. */
+  readonly settled = signal(0);
+  /** Whether the newest frame is looked at, and the next newest will be. */
+  readonly following = signal(true);
+  /** The run in progress; null where it is over. */
+  live: Live | null = null;
   readonly pictures = signal<Pictures | null>(null);
   /** Counts what else calls for drawing again: another colour scheme, another size. */
   readonly look = signal(0);
 
+  readonly count = computed(() => {
+    this.version.value;
+    return this.run.tracks.size;
+  });
   readonly track = computed<Track | undefined>(() => {
     this.version.value;
     return this.run.tracks.get(this.target.value);
@@ -45,27 +56,79 @@ export class State {
     this.target.value = [...run.tracks.keys()][0] ?? "";
     this.frame.value = run.first;
     this.stretch.value = [run.first, run.last];
-    run.onChange(() =>
+    this.following.value = run.first >= run.last;
+    run.onChange(() => {
       batch(() => {
         const [from, to] = this.stretch.value;
-        const followed = this.frame.value;
         if (this.target.value === "") this.target.value = [...run.tracks.keys()][0] ?? "";
-        if (from <= run.first) this.stretch.value = [run.first, Math.max(to, run.last)];
-        // Who looks at the newest frame goes on looking at the newest.
-        if (followed >= this.newest) this.frame.value = run.last;
-        this.newest = run.last;
+        // A stretch that reaches the end goes on reaching it.
+        if (from <= this.start) this.stretch.value = [run.first, Math.max(to, run.last)];
+        else if (to >= this.end) this.stretch.value = [from + run.last - to, run.last];
+        [this.start, this.end] = [run.first, run.last];
         this.version.value += 1;
-      }),
-    );
-    this.newest = run.last;
+        this.follow();
+      });
+      this.settle();
+    });
+    [this.start, this.end] = [run.first, run.last];
   }
 
-  private newest = 0;
+  private start = 0;
+  private end = 0;
+  private due: ReturnType<typeof setTimeout> | null = null;
+  private pace = 400;
+  private isFetching = false;
+
+  /** The newest frame to look at: while a run goes on, pictures come a little later than numbers. */
+  get head(): number {
+    const pictured = this.live?.status.value?.pictured ?? -1;
+    const isNear = pictured >= this.run.first && pictured <= this.run.last && pictured > this.run.last - 50;
+    return isNear ? pictured : this.run.last;
+  }
+
+  /** Who looks at the newest frame goes on looking at the newest, once its picture is there: boxes fit it then. */
+  follow(): void {
+    if (!this.following.value || this.isFetching) return;
+    const to = this.head;
+    const shown = this.pictures.value?.of(to);
+    if (shown === undefined) {
+      this.frame.value = to;
+      return;
+    }
+    this.isFetching = true;
+    void shown.finally(() => {
+      this.isFetching = false;
+      if (!this.following.value) return;
+      this.frame.value = to;
+      if (this.head !== to) this.follow();
+    });
+  }
+
+  /** To the newest frame, and on with it. */
+  goLive(): void {
+    batch(() => {
+      this.playing.value = false;
+      this.go(this.head);
+    });
+  }
+
+  /** Let what takes long be drawn again soon: the longer it takes, the more seldom, and never under a finger. */
+  private settle(): void {
+    if (this.due !== null) return;
+    this.due = setTimeout(() => {
+      this.due = null;
+      if (this.live?.isHeld) return this.settle();
+      const began = performance.now();
+      this.settled.value += 1;
+      this.pace = Math.max(400, 8 * (performance.now() - began));
+    }, this.pace);
+  }
 
   go(frame: number): void {
     const to = Math.min(Math.max(Math.round(frame), this.run.first), this.run.last);
     batch(() => {
       this.frame.value = to;
+      this.following.value = to >= this.head;
       const [from, until] = this.stretch.value;
       if (to < from || to > until) {
         const span = until - from;

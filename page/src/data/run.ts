@@ -130,6 +130,8 @@ export class RunData {
   readonly plates: Record<string, Plate>;
   readonly tracks = new Map<string, Track>();
   readonly events: EventRow[] = [];
+  /** Those of them by which a person switched an agent, or gave it back to the rules. */
+  readonly hands: EventRow[] = [];
   /** Milliseconds of the whole step and of each stage or agent, a row per frame. */
   readonly clock = new Map<string, Column>([
     ["frame", Column.empty("i4")],
@@ -159,6 +161,7 @@ export class RunData {
 
   addEvent(row: EventRow): void {
     this.events.push(row);
+    if (row.kind === "toggled" || row.kind === "released") this.hands.push(row);
   }
 
   addTiming(line: TimingLine): void {
@@ -203,6 +206,17 @@ export class RunData {
       while (row < frames.length && frames.at(row) !== frame) row += 1;
     }
     return this.clock.get(name)?.at(row) ?? NaN;
+  }
+
+  /** Agents of a target that a person holds in a frame: whether on or off. */
+  heldIn(target: string, frame: number): Map<string, boolean> {
+    const held = new Map<string, boolean>();
+    for (const event of this.hands) {
+      if (event.frame >= frame || event.target !== target || event.node === undefined) continue;
+      if (event.kind === "toggled") held.set(event.node, event.on === true);
+      else held.delete(event.node);
+    }
+    return held;
   }
 
   /** Events of a target, and those that concern no target. */

@@ -1,9 +1,10 @@
 /** The page. */
 
 import type { State } from "../state";
-import { KEYS } from "../keys";
+import { KEYS, LIVE_KEYS } from "../keys";
 import { Charts } from "./charts";
 import { Events } from "./events";
+import { LiveBar } from "./live_bar";
 import { Moment } from "./moment";
 import { Agents, Net } from "./net";
 import { Stage } from "./stage";
@@ -20,13 +21,14 @@ export function App({ state }: { state: State }) {
           <h1>{about.graph}</h1>
           <p>
             on <span class="source">{about.source}</span> · {about.width} × {about.height} px · seed {about.seed}
-            {ended === null && " · the run has no end: it was stopped, or goes on"}
-            {ended !== null && !ended.complete && ` · ended early: ${ended.reason.replaceAll("_", " ")}`}
+            {ended === null && state.live === null && " · the run has no end: it was stopped, or goes on"}
+            {ended !== null && state.live === null && !ended.complete && ` · ended early: ${ended.reason.replaceAll("_", " ")}`}
           </p>
         </div>
         <Headline state={state} />
       </header>
-      {state.run.tracks.size === 0 ? (
+      {state.live !== null && <LiveBar state={state} live={state.live} />}
+      {state.count.value === 0 ? (
         <p class="nothing">No target was tracked in this run.</p>
       ) : (
         <main>
@@ -59,6 +61,7 @@ export function App({ state }: { state: State }) {
 }
 
 function Targets({ state }: { state: State }) {
+  void state.version.value;
   const tracks = [...state.run.tracks.values()];
   if (tracks.length < 2) return null;
   if (tracks.length > 30) {
@@ -110,7 +113,7 @@ function Help({ state }: { state: State }) {
       >
         <h2>Keys</h2>
         <dl>
-          {KEYS.map(([key, what]) => (
+          {[...(state.live === null ? [] : LIVE_KEYS), ...KEYS.slice(state.live === null ? 0 : 1)].map(([key, what]) => (
             <div key={key}>
               <dt>{key.split(" ").map((one) => <kbd key={one}>{one}</kbd>)}</dt>
               <dd>{what}</dd>

@@ -16,7 +16,7 @@ const NEAR = 7;
 export function Charts({ state }: { state: State }) {
   const track = state.track.value;
   const panels = useComputed(() => {
-    void [state.version.value, state.look.value];
+    void [state.settled.value, state.look.value];
     return state.track.value === undefined ? [] : panelsOf(state.run, state.track.value);
   });
   if (track === undefined) return null;
@@ -75,6 +75,8 @@ function Plot({ state, panel, panels, hasAxis }: PlotProps) {
     // A plot knows where a frame is only once it is drawn.
     const made = draw(host, state, latest, framesOf(track), hasAxis, (u) => put(u, playhead, state.frame.peek()));
     made.over.append(playhead);
+    // While it is made anew, what lies below stays where it is.
+    host.style.minHeight = `${made.height}px`;
     [plot.current, head.current] = [made, playhead];
     return () => {
       plot.current = null;

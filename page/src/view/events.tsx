@@ -18,7 +18,7 @@ export function Events({ state }: { state: State }) {
     void state.frame.value;
     requestAnimationFrame(() => {
       const box = list.current;
-      const item = box?.querySelector<HTMLElement>("[aria-current]");
+      const item = box?.querySelector<HTMLElement>("[data-last]");
       if (!box || !item) return;
       const [top, bottom] = [item.offsetTop, item.offsetTop + item.offsetHeight];
       if (top < box.scrollTop || bottom > box.scrollTop + box.clientHeight) box.scrollTop = top - box.clientHeight / 3;
@@ -43,7 +43,7 @@ export function Events({ state }: { state: State }) {
       <ol ref={list}>
         {from > 0 && <li class="more">{from} earlier ones: they show as you go back</li>}
         {shown.map((event, index) => (
-          <li key={from + index} aria-current={event.frame === frame ? "step" : undefined}>
+          <li key={from + index} data-last={from + index === current ? "" : undefined} aria-current={event.frame === frame ? "step" : undefined}>
             <button type="button" onClick={() => state.show(event)}>
               <span class="at">{event.frame}</span>
               <Mark event={event} />

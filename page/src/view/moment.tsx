@@ -13,7 +13,7 @@ export function Moment({ state }: { state: State }) {
   const told = here.filter((event) => event.sort !== "note" || state.notes.value);
   const rest = here.filter((event) => !told.includes(event));
   return (
-    <section class="moment" aria-label="This frame" aria-live={state.playing.value ? "off" : "polite"}>
+    <section class="moment" aria-label="This frame" aria-live={state.playing.value || (state.live !== null && state.following.value) ? "off" : "polite"}>
       <Status state={state} />
       {told.map((event, index) => (
         <Told key={index} state={state} event={event} />

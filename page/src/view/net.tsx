@@ -9,6 +9,7 @@ import { short } from "./words";
 export function Net({ state }: { state: State }) {
   const track = state.track.value;
   const row = state.row.value;
+  void state.version.value;
   const plate = state.run.plates[track?.plate ?? ""];
   if (track === undefined || plate === undefined) return null;
   const { net } = plate;
@@ -19,13 +20,15 @@ export function Net({ state }: { state: State }) {
     return net.nodes.some((one) => one.parent === name && lit(one.name));
   };
   const strength = (name: string) => track.value(`nodes/${name}/strength`, row);
+  const held = state.run.heldIn(track.id, state.frame.value);
+  const hand = handOf(state);
   const told = agents.map((name) => `${name} ${track.isActive(name, row) ? "on" : "off"}`).join(", ");
   return (
     <section class="net" aria-label="Net">
       <h2>Net{Object.keys(state.run.plates).length > 1 ? ` of ${track.plate}` : ""}</h2>
       <svg
         viewBox={`0 0 ${net.width} ${net.height}`}
-        role="img"
+        role={hand === null ? "img" : "group"}
         aria-label={`Bayes net: ${plate.root} above ${told}`}
         style={{ maxWidth: `${Math.round(net.width)}px` }}
       >
@@ -66,10 +69,17 @@ export function Net({ state }: { state: State }) {
             on={lit(node.name)}
             silent={node.agent && track.isSilent(node.name, row)}
             index={agents.indexOf(node.name)}
+            held={held.get(node.name)}
+            hand={hand}
           />
         ))}
       </svg>
-      <p class="hint">Filled: on. Edges as wide as the message is strong, in nats.</p>
+      <p class="hint">
+        Filled: on. Edges as wide as the message is strong, in nats.
+        {hand !== null && <b> Press an agent to switch it by hand.</b>}
+        {hand === null && state.live?.isOn.value && !state.following.value && " To switch agents, go to the newest frame."}
+      </p>
+      {hand !== null && <ByHand state={state} hand={hand} agents={agents} />}
     </section>
   );
 }
@@ -79,12 +89,89 @@ function thickness(nats: number): number {
   return Number.isFinite(nats) ? 1.6 + 3.4 * Math.min(2.6, Math.log1p(Math.max(nats, 0) * 2)) : 1.6;
 }
 
-function Node({ node, on, silent, index }: { node: NetNode; on: boolean; silent: boolean; index: number }) {
-  const { x, y, w, h } = node;
-  const look = `node ${node.agent ? "agent" : "belief"}${on ? " on" : ""}`;
-  const tint = node.agent ? { "--tint": agentVariable(index) } : {};
+/** What a person may do to the agents of the target in the newest frame. */
+interface Hand {
+  /** What was asked for and works from the next frame on: on, off, or (null) as the rules say. */
+  asked: (agent: string) => boolean | null | undefined;
+  /** On or off by hand; null gives it back to the rules. */
+  switch: (agent: string, on: boolean | null) => void;
+}
+
+/** Null where nothing can be switched: the run is over, or an earlier frame is looked at. */
+function handOf(state: State): Hand | null {
+  const { live } = state;
+  const target = state.target.value;
+  if (live === null || !live.isOn.value || !live.status.value?.canSwitch || !state.following.value) return null;
+  if (state.row.value < 0) return null;
+  return {
+    asked: (agent) => live.asked.value.get(`${target}/${agent}`),
+    switch: (agent, on) => void live.switch(target, agent, on),
+  };
+}
+
+/** Agents that a person holds, to be given back. */
+function ByHand({ state, hand, agents }: { state: State; hand: Hand; agents: string[] }) {
+  // What was switched with the newest frame works from the next one on.
+  const held = state.run.heldIn(state.target.value, Infinity);
+  const shown = agents.filter((agent) => held.has(agent) || hand.asked(agent) !== undefined);
+  if (shown.length === 0) return null;
   return (
-    <g class={look} style={tint}>
+    <ul class="hands" aria-label="Switched by hand">
+      {shown.map((agent) => {
+        const asked = hand.asked(agent);
+        const on = asked ?? held.get(agent);
+        return (
+          <li key={agent}>
+            <span>
+              <b>{agent}</b> {asked === null ? "back to the rules" : `${on ? "on" : "off"} by hand`}
+              {asked !== undefined && <small> with the next frame</small>}
+            </span>
+            {asked === undefined && (
+              <button type="button" onClick={() => hand.switch(agent, null)}>
+                Give back to the rules
+              </button>
+            )}
+          </li>
+        );
+      })}
+    </ul>
+  );
+}
+
+interface NodeProps {
+  node: NetNode;
+  on: boolean;
+  silent: boolean;
+  index: number;
+  held: boolean | undefined;
+  hand: Hand | null;
+}
+
+function Node({ node, on, silent, index, held, hand }: NodeProps) {
+  const { x, y, w, h } = node;
+  const asked = node.agent ? hand?.asked(node.name) : undefined;
+  const look = `node ${node.agent ? "agent" : "belief"}${on ? " on" : ""}${asked === undefined ? "" : " asked"}`;
+  const tint = node.agent ? { "--tint": agentVariable(index) } : {};
+  const wanted = !(asked ?? held ?? on);
+  const press = () => hand?.switch(node.name, wanted);
+  const button =
+    hand === null || !node.agent
+      ? {}
+      : {
+          role: "button" as const,
+          tabindex: 0,
+          "aria-pressed": on,
+          "aria-label": `${node.name}: ${on ? "on" : "off"}${held === undefined ? "" : " by hand"}. Press to switch it ${wanted ? "on" : "off"} by hand`,
+          onClick: press,
+          onKeyDown: (event: KeyboardEvent) => {
+            if (event.key !== "Enter" && event.key !== " ") return;
+            event.preventDefault();
+            press();
+          },
+        };
+  return (
+    <g class={look} style={tint} {...button}>
+      {"role" in button && <title>{`press: ${node.name} ${wanted ? "on" : "off"} by hand`}</title>}
       {node.agent ? (
         <rect x={x - w / 2} y={y - h / 2} width={w} height={h} rx={9} />
       ) : (
@@ -97,6 +184,14 @@ function Node({ node, on, silent, index }: { node: NetNode; on: boolean; silent:
         <text x={x} y={y + 14} class="note">
           {silent ? "sees nothing" : node.note}
         </text>
+      )}
+      {held !== undefined && (
+        <g class="badge">
+          <rect x={x + w / 2 - 50} y={y - h / 2 - 9} width={56} height={18} rx={9} />
+          <text x={x + w / 2 - 22} y={y - h / 2 + 4}>
+            by hand
+          </text>
+        </g>
       )}
     </g>
   );

@@ -7,7 +7,7 @@ import { duration, percent, plural, short } from "./words";
 
 export function Headline({ state }: { state: State }) {
   const all = useComputed(() => {
-    void state.version.value;
+    void state.settled.value;
     return sum(totals(state.run));
   }).value;
   const frames = state.run.last - state.run.first + 1;
@@ -49,7 +49,7 @@ function Figure({ name, value, of, title }: { name: string; value: string; of?: 
 
 export function TotalsTable({ state }: { state: State }) {
   const found = useComputed(() => {
-    void state.version.value;
+    void state.settled.value;
     return { rows: totals(state.run), costs: costs(state.run) };
   }).value;
   const { rows } = found;

@@ -11,6 +11,7 @@ export function Transport({ state }: { state: State }) {
   const { run } = state;
   const track = state.track.value;
   const row = state.row.value;
+  void state.version.value;
   const status = track !== undefined && row >= 0 ? track.status(row) : "not there";
   useEffect(() => play(state), [state]);
   return (
@@ -22,9 +23,10 @@ export function Transport({ state }: { state: State }) {
         <button
           type="button"
           class="play"
+          disabled={state.live?.isOn.value && state.following.value}
           onClick={() => (state.playing.value = !state.playing.value)}
           aria-label={state.playing.value ? "Pause" : "Play"}
-          title="play or pause (space)"
+          title={state.live?.isOn.value && state.following.value ? "plays what was, once you look back" : "play or pause (space)"}
         >
           <Icon d={state.playing.value ? "M6 4h3v12H6zM11 4h3v12h-3z" : "M6 3.5 16 10 6 16.5z"} />
         </button>
