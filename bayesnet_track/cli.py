@@ -22,6 +22,7 @@ from bayesnet_track.parsers.init import add_init
 from bayesnet_track.parsers.outside import add_outside_options
 from bayesnet_track.parsers.plugins import add_plugins
 from bayesnet_track.parsers.resume import add_checkpoints, add_resume
+from bayesnet_track.parsers.view import add_view_options
 from bayesnet_track.parsers.what_if import add_what_if
 from bayesnet_track.runtime.stop import StopRequest, Terminated
 
@@ -99,6 +100,8 @@ def make_parser() -> argparse.ArgumentParser:
     graph.add_argument("--latex", action="store_true", help="print it as LaTeX")
     graph.add_argument("--svg", metavar="FILE", help="draw the net")
     graph.add_argument("--png", metavar="FILE", help="draw the net")
+    for one in (demo, run):
+        add_view_options(one)
     for one in (demo, run, validate, graph):
         add_plugins(one)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayesnet_track.commands.answer import INCOMPLETE, OK, UsageError, complain, say, unheard, users_mistake
+from bayesnet_track.commands.viewing import begin, viewed
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.progress import Progress
     from bayesnet_track.runtime.run import FrameSource, Result, Start, Summary
     from bayesnet_track.runtime.stop import StopRequest
+    from bayesnet_track.viewing.view import LiveView
 
 SCENE_GRAPHS = {
     "ball_between_children": "ball_between_children",
@@ -43,6 +45,9 @@ SCENE_GRAPHS = {
 
 SHOWN_NOTICES = 5
 
+STOPPED = 130
+"""Exit code of a run that a person stopped."""
+
 ENDINGS = {
     "source_truncated": "the source is truncated",
     "source_damaged": "the source is damaged",
@@ -53,6 +58,11 @@ ENDINGS = {
 
 def demo(options: argparse.Namespace) -> int:
     """Track in a built-in scene, then tell what happened and how well it went."""
+    with viewed(options) as view:
+        return _demo(options, view)
+
+
+def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     from bayesnet_track.evaluate.runs import score_run
     from bayesnet_track.evaluate.truth import format_truth
     from bayesnet_track.graph.load import load_graph
@@ -72,7 +82,7 @@ def demo(options: argparse.Namespace) -> int:
     options.overwrite = options.overwrite or options.out is None
     starts = [Start(box, plate) for plate, box in scene.starts if plate in graph.targets]
     starts = [] if has_births(graph) else starts or [Start(scene.start_box)]
-    code = _track(options, graph, source, starts, out, video=True)
+    code = _track(options, graph, source, starts, out, video=True, view=view)
     directory = RunDirectory.open(out)
     directory.write_text(directory.truth, format_truth(scene.truth[: source.expected_frames]))
     if code != OK:
@@ -102,13 +112,13 @@ def run(options: argparse.Namespace) -> int:
         starts = [read_start(Path(options.init_from), options.start)]
     else:
         starts = [parse_start(text) for text in options.init or ()]
-    if not starts and not has_births(graph):
+    if not starts and not has_births(graph) and options.view is None:
         raise UsageError(
-            "no start box: give --init X,Y,W,H or --init-from FILE, or a graph with `birth`, whose detectors "
-            "find the targets"
+            "no start box: give --init X,Y,W,H or --init-from FILE, or --view to draw it, or a graph with "
+            "`birth`, whose detectors find the targets"
         )
-    with _opened(options) as source:
-        return _track(options, graph, source, starts, Path(options.out), video=options.video)
+    with viewed(options) as view, _opened(options) as source:
+        return _track(options, graph, source, starts, Path(options.out), video=options.video, view=view)
 
 
 def _opened(options: argparse.Namespace) -> Source:
@@ -174,6 +184,7 @@ def _track(
     starts: Sequence[Start],
     out: Path,
     video: bool,
+    view: LiveView | None = None,
 ) -> int:
     from bayesnet_track.runtime.detection_files import file_detector
     from bayesnet_track.runtime.inputs import replayed
@@ -189,6 +200,11 @@ def _track(
     if inputs is not None:
         with users_mistake():
             replayed(Path(inputs))
+    if view is not None:
+        chosen = begin(options, view, graph, source, starts, out)
+        if chosen is None:
+            return options.stop.exit_code or STOPPED
+        starts = chosen
     summary = Summary()
     with rerun_sinks(getattr(options, "rerun", None), graph.spec.name, options.overwrite) as sinks:
         results = track(
@@ -200,14 +216,14 @@ def _track(
             overwrite=options.overwrite,
             video=video,
             executor=executor_of(options),
-            sinks=sinks,
+            sinks=sinks if view is None else [*sinks, view],
             summary=summary,
             detections=detections,
-            inputs=inputs,
+            inputs=view if inputs is None else inputs,
             budget_ms=_budget_ms(options, source),
             checkpoint_every=options.checkpoint_every,
         )
-        return follow(options, results, summary, source.expected_frames, out)
+        return follow(options, results, summary, source.expected_frames, out, view)
 
 
 def _budget_ms(options: argparse.Namespace, source: FrameSource) -> float | None:
@@ -224,8 +240,12 @@ def follow(
     summary: Summary,
     expected: int | None,
     out: Path,
+    view: LiveView | None = None,
 ) -> int:
-    """Track to the end or until a signal, showing how far it is of the frames `expected`; the exit code."""
+    """Track to the end or until a signal, showing how far it is of the frames `expected`; the exit code.
+
+    A `view` may hold it between two frames, and stop it.
+    """
     from bayesnet_track.detector import DetectorError
     from bayesnet_track.runtime.executors import PlacingError
     from bayesnet_track.runtime.progress import Progress
@@ -244,12 +264,16 @@ def follow(
                 # Before the first frame is done there is nothing to finish: until then, signals act at once.
                 if stop.between_frames():
                     break
+                if view is not None and (view.hold(lambda: stop.signal is not None) or stop.between_frames()):
+                    break
         except (StartError, DetectorError, PlacingError) as error:
             raise UsageError(str(error)) from error
     _say_end(out, summary)
     if stop.signal is not None:
         return stop.exit_code
     stop.is_patient = False
+    if view is not None and view.controls.has_stopped:
+        return STOPPED
     return OK if summary.complete else INCOMPLETE
 
 

@@ -1,0 +1,94 @@
+"""The live view of the commands that track: opened before the run, closed by the person."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bayesnet_track.commands.answer import UsageError, complain, words
+
+if TYPE_CHECKING:
+    from bayesnet_track.graph.checked import CheckedGraph
+    from bayesnet_track.runtime.run import FrameSource, Start
+    from bayesnet_track.runtime.stop import StopRequest
+    from bayesnet_track.viewing.view import LiveView
+
+
+@contextmanager
+def viewed(options: argparse.Namespace) -> Iterator[LiveView | None]:
+    """The view that the options ask for, or None; at the end it stays for as long as its page is open."""
+    if options.view is None:
+        if options.view_now or options.open:
+            raise UsageError("--view-now and --open are of a live view: give --view, too")
+        yield None
+        return
+    from bayesnet_track.viewing.view import LiveView
+
+    stop: StopRequest = options.stop
+    try:
+        view = LiveView(options.view_host, options.view or None)
+    except OSError as error:
+        where = f"{options.view_host} port {options.view}" if options.view else options.view_host
+        raise UsageError(f"--view: {where}: {words(error)}; choose another, or none") from error
+    with view:
+        _tell(options, view)
+        yield view
+        if stop.signal is None and view.is_open:
+            complain("the view stays while its page is open; Ctrl-C closes it")
+            stop.is_patient = True
+            view.linger(lambda: stop.signal is not None)
+            if stop.between_frames():
+                # The run is over: what was closed is the view.
+                stop.signal = None
+
+
+def begin(
+    options: argparse.Namespace,
+    view: LiveView,
+    graph: CheckedGraph,
+    source: FrameSource,
+    starts: Sequence[Start],
+    out: Path,
+) -> Sequence[Start] | None:
+    """The boxes to start with, drawn on the page where none is given; None when stopped before."""
+    from bayesnet_track.runtime.rundir import RunDirectory
+    from bayesnet_track.runtime.starts import has_births
+
+    stop: StopRequest = options.stop
+    view.controls.can_switch = getattr(options, "inputs", None) is None
+    view.shows(graph, source, out=str(out))
+
+    def give_up() -> bool:
+        return stop.signal is not None
+
+    if not starts and not has_births(graph):
+        if not options.overwrite:
+            RunDirectory.create(str(out), overwrite=False)  # told before a box is drawn for nothing
+        first = getattr(source, "first_frame", None)
+        assert first is not None
+        chosen = view.choose(graph, source, first, give_up)
+        for one in chosen or ():
+            box = ",".join(f"{value:g}" for value in one.box)
+            complain(f"start box: --init {f'{one.plate}:' if one.plate else ''}{box}")
+        return chosen
+    if not options.view_now:
+        view.wait_for_page(give_up)
+    view.controls.to("starting")
+    return starts
+
+
+def _tell(options: argparse.Namespace, view: LiveView) -> None:
+    if options.view_host not in ("127.0.0.1", "localhost", "::1"):
+        complain(
+            f"--view-host {options.view_host}: whoever gets this address can see and control the run, "
+            "and it travels unencrypted"
+        )
+    complain(f"view: {view.address}")
+    if options.open:
+        import threading
+        import webbrowser
+
+        threading.Thread(target=webbrowser.open, args=(view.address,), daemon=True).start()

@@ -1,0 +1,33 @@
+"""Options of `run` and `demo` that show the run in a browser while it goes on."""
+
+from __future__ import annotations
+
+import argparse
+
+
+def add_view_options(parser: argparse.ArgumentParser) -> None:
+    """`--view`, `--view-host`, `--view-now`, `--open`."""
+    group = parser.add_argument_group("live view")
+    group.add_argument(
+        "--view",
+        nargs="?",
+        const=0,
+        type=_port,
+        metavar="PORT",
+        help="show the run in a browser while it goes on, and begin when its page is opened; "
+        "a start box can be drawn there (port: default a free one)",
+    )
+    group.add_argument(
+        "--view-host",
+        default="127.0.0.1",
+        metavar="HOST",
+        help="address that the view listens at (default 127.0.0.1: this machine alone)",
+    )
+    group.add_argument("--view-now", action="store_true", help="begin before the page is opened")
+    group.add_argument("--open", action="store_true", help="open the page in this machine's browser")
+
+
+def _port(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) < 6 and 1024 <= int(text) < 65536):
+        raise argparse.ArgumentTypeError(f"{text!r}: a port from 1024 to 65535 is needed")
+    return int(text)
