@@ -53,7 +53,7 @@ def draw_pair(first: RunRecord, second: RunRecord, compared: Comparison, pair: t
     height = bottom + FOOT
     told = f"UD, distance of the estimates and active agents of target {pair[0]} in both runs"
     return (
-        f'<svg class="chart" role="img" viewBox="0 0 {WIDTH:g} {height:g}">'
+        f'<svg class="chart" role="group" viewBox="0 0 {WIDTH:g} {height:g}">'
         + element("title", text_of(told))
         + "".join(body)
         + "</svg>"
@@ -177,6 +177,7 @@ def _marks(moments: Sequence[Moment], target: str, x: _Scale, bottom: float) -> 
             for event in side
         ]
         parts = [element("title", text_of("\n".join(told)))]
+        parts.append(_line(at, UD_TOP - 28.0, at, bottom, "hit"))
         parts.append(_line(at, UD_TOP - 12.0, at, bottom, "parting first" if number == 0 else "parting"))
         if at >= free:
             parts.append(_text(str(moment.frame), at, UD_TOP - 18.0, "mark", "middle"))

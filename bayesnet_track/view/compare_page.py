@@ -51,6 +51,9 @@ summary { cursor: pointer; margin: .8rem 0 .3rem; font-weight: 600; }
 .chart .bar.a, .chart .lost.a { fill: var(--a); } .chart .bar.b, .chart .lost.b { fill: var(--b); }
 .chart .lost { opacity: .55; } .chart .apart { fill: var(--apart); opacity: .75; }
 .chart .parting { stroke: var(--mark); stroke-width: .9; stroke-dasharray: 2 3; }
+.chart .hit { stroke: transparent; stroke-width: 12; }
+.chart a:focus { outline: none; }
+.chart a:focus .hit, .chart a:hover .hit { stroke: var(--mark); opacity: .25; }
 .chart .parting.first { stroke-width: 1.8; stroke-dasharray: none; }
 @media print { body { max-width: none; font-size: 11pt; } .chart { min-width: 0; }
   .wide { overflow: visible; } .moment, .first, tr { break-inside: avoid; } }

@@ -69,6 +69,10 @@ def test_it_tells_the_parting_and_draws_it(few_metrics):
     assert checked.active == []
     assert checked.links == ["#moment-0"] and "moment-0" in checked.ids
     assert page.count('class="parting first"') == 1
+    # The lines are links, with a name and room for a finger; an image would hide them from a screen reader.
+    assert re.search(
+        r'<svg class="chart" role="group".*<a href="#moment-0"><title>B .*class="hit"', page, re.S
+    )
     assert 'polyline points="' in page and ">3</text>" in page  # the estimates are 3 px apart
 
 
