@@ -50,9 +50,9 @@ def test_the_log_tells_the_story(stories: Any, name: str, seed: int) -> None:
 
 @pytest.mark.slow
 def test_color_fusion_tells_its_story_in_most_seeds(stories: Any) -> None:
-    """It was told in 18 of 20 seeds; with that share fewer than 6 of 10 have a probability of 0.2 %."""
+    """It was told in 20 of 20 seeds; with a share of 0.95 fewer than 8 of 10 have a probability of 1 %."""
     story = stories.STORIES["color_fusion"]
-    assert sum(story.is_told(story.played(seed)) for seed in range(10)) >= 6
+    assert sum(story.is_told(story.played(seed)) for seed in range(10)) >= 8
 
 
 @pytest.mark.slow
