@@ -99,6 +99,8 @@ def _supervise(
             subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=complaints, text=True) as process,
         ):
             running.add(process)
+            if is_over.is_set():  # it was not among those that were ended
+                process.terminate()
             assert process.stdin is not None and process.stdout is not None
             process.stdin.write(job.to_json() + "\n")
             process.stdin.close()

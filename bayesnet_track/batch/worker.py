@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import sys
 import time
 
@@ -16,6 +18,13 @@ def main() -> int:
     from bayesnet_track.batch.work import do, failed_row
     from bayesnet_track.commands.answer import words
 
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the batch decides
+    answers = os.dup(1)
+    os.dup2(2, 1)  # what cues print must not stand among the answers
+
+    def tell(what: object) -> None:
+        os.write(answers, json.dumps(what).encode() + b"\n")
+
     job = Job.from_json(sys.stdin.readline())
     if job.plugins:
         from bayesnet_track import plugins
@@ -27,20 +36,13 @@ def main() -> int:
         nonlocal shown
         if time.monotonic() >= shown + EVERY_S:
             shown = time.monotonic()
-            _tell({"done": done, "expected": expected})
+            tell({"done": done, "expected": expected})
 
     try:
-        _tell({"row": do(job, progress)})
-    except KeyboardInterrupt:
-        return 130
+        tell({"row": do(job, progress)})
     except (OSError, ValueError) as error:
-        _tell({"row": failed_row(job, " ".join(words(error).split()))})
+        tell({"row": failed_row(job, " ".join(words(error).split()))})
     return 0
-
-
-def _tell(what: object) -> None:
-    sys.stdout.write(json.dumps(what) + "\n")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

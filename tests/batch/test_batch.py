@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import csv
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from bayesnet_track.batch import places
 from bayesnet_track.batch.jobs import BatchError, Job, Video, read_list, videos_of
 from bayesnet_track.batch.work import ROW, do
 from bayesnet_track.cli import main
@@ -76,6 +83,53 @@ def test_a_job_is_begun_gone_on_with_and_found_finished(data: Path, tmp_path: Pa
     assert (first["status"], first["frames"], first["lost_frames"]) == ("finished", 6, 0)
     assert isinstance(first["auc"], float) and first["auc"] > 0.5
     assert do(job, lambda done, expected: told.append(done)) == first and len(told) == 4
+
+
+def test_a_run_that_was_asked_for_otherwise_is_not_taken_for_this_one(data: Path, tmp_path: Path) -> None:
+    truth = str(data / "one" / "groundtruth.txt")
+    job = Job("two_squares", Video(str(data / "one" / "img"), "one", None, truth), 0, str(tmp_path / "run"))
+    do(job, lambda done, expected: None)
+    folder = tmp_path / "run"
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    graph = tmp_path / "other.yaml"
+    graph.write_text((folder / "graph.yaml").read_text().replace("two_squares", "other", 1))
+    other = str(data / "two" / "img")
+    for changed, what in [
+        ({"graph": str(graph)}, "graph"),
+        ({"seed": 3}, "seed 0, now 3"),
+        ({"end": 5}, "end none, now 5"),
+        ({"on_resize": "rescale"}, "on_resize stop, now rescale"),
+        ({"video": Video(other, "one", None, truth)}, f"source .*one/img, now {other}"),
+        ({"video": replace(job.video, init="1,2,30,40", init_from=None)}, "start"),
+    ]:
+        with pytest.raises(BatchError, match=f"{folder}: .*{what}.*another --out"):
+            do(replace(job, **changed), lambda done, expected: None)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_a_job_that_begins_while_the_batch_is_ended_ends_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The others are ended while this one's process is being started."""
+    has_begun, may_go_on = threading.Event(), threading.Event()
+    begun: list[subprocess.Popen[str]] = []
+
+    class Late(subprocess.Popen[str]):
+        def __init__(self, *arguments: object, **options: object) -> None:
+            has_begun.set()
+            may_go_on.wait(10.0)
+            super().__init__([sys.executable, "-c", "import time; time.sleep(20)"], **options)  # type: ignore[call-overload]
+            begun.append(self)
+
+    monkeypatch.setattr(places.subprocess, "Popen", Late)
+    running = places.Processes(1).run([Job("g", Video("v", "v"), 0, str(tmp_path))])
+    next(running)
+    assert has_begun.wait(10.0)
+    threading.Timer(0.2, may_go_on.set).start()
+    started = time.monotonic()
+    running.close()
+    assert time.monotonic() - started < 10.0
+    assert begun[0].poll() == -signal.SIGTERM
 
 
 @pytest.mark.slow
