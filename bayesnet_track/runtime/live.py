@@ -81,12 +81,13 @@ class LiveReader:
         self._connect, self._stall_s, self._connect_s = connect, stall_s, connect_s
         self._give_up_s, self._pause_s = give_up_s, pause_s
         self._listener = _Listener(connect if first is None else lambda: first)
-        self._is_closed = threading.Event()
+        self._is_closed, self._connecting = threading.Event(), threading.Lock()
 
     def close(self) -> None:
         """Let go of it; a picture that is waited for is not waited for any more."""
-        self._is_closed.set()
-        self._listener.abandon()
+        with self._connecting:
+            self._is_closed.set()
+            self._listener.abandon()
 
     def __iter__(self) -> Iterator[ReaderItem]:
         began: float | None = None
@@ -117,7 +118,10 @@ class LiveReader:
             yield Stalled(index, waited, reason, attempts)
             if attempts > 1:
                 self._is_closed.wait(min(self._pause_s * 2.0 ** (attempts - 2), LONGEST_PAUSE_S))
-            self._listener = _Listener(self._connect)
+            with self._connecting:
+                if self._is_closed.is_set():
+                    return
+                self._listener = _Listener(self._connect)
 
 
 class _Listener:

@@ -148,3 +148,22 @@ def test_drops_are_told_seldom():
     lines = [(n, count) for n, count in told if count]
     assert [n for n, _ in lines[:5]] == [0, 10, 30, 70, 150]
     assert sum(count for _, count in lines) == lines[-1][0] + 1
+
+
+def test_no_connection_outlasts_a_reader_that_is_closed_in_another_thread():
+    """It is closed while the pause before a new connection is waited for."""
+    closed = threading.Event()
+    late = Feed(10_000)
+    late.close = closed.set
+    connections = [OSError("away"), OSError("away"), late]
+
+    def connect():
+        one = connections.pop(0)
+        if isinstance(one, Exception):
+            raise one
+        return one
+
+    reader = LiveReader(connect, INTERVAL_S, stall_s=0.08, connect_s=0.5, pause_s=5.0, give_up_s=60.0)
+    threading.Timer(0.15, reader.close).start()
+    assert len(list(reader)) == 2
+    assert len(connections) == 1 or closed.wait(1.0)
