@@ -8,6 +8,7 @@ import av
 import numpy as np
 import pytest
 
+LONGEST = ("test_soak.py", "test_kill.py", "test_signals.py", "test_crash.py", "test_damaged.py")
 FRAMES = 40
 SIZE = (64, 48)
 CONTAINERS = {
@@ -17,6 +18,11 @@ CONTAINERS = {
     "xvid.avi": ("mpeg4", {}),
     "h264.mkv": ("libx264", {}),
 }
+
+
+def pytest_collection_modifyitems(items):
+    """The longest first, so that two workers end at about the same time."""
+    items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
 
 
 def picture(index):

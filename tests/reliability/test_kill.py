@@ -81,6 +81,10 @@ def killed(number: int, nursery: Nursery, folder: Path, took: float, whole: dict
         delay = float(rng.uniform(0.0, 1.1 * took)) if is_killed else 0.0
         code, _ = nursery.ask(work, folder, delay)
         kills += code == -9
+        if code == 0 and kills == 0:
+            # It was done before the kill.
+            shutil.rmtree(folder)
+            continue
         if code == 0:
             break
         if code != -9:
