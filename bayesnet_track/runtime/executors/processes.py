@@ -5,9 +5,10 @@ from __future__ import annotations
 import pickle
 import time
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
-from threading import Lock
+from threading import Lock, Thread
 from typing import Any
 
 from bayesnet_track.cue import AnyCue
@@ -42,11 +43,12 @@ class Employed:
 
 
 class _Slot:
-    """A place for a worker, which may be empty."""
+    """A place for a worker, which may be empty, or one that is being started for it."""
 
     def __init__(self) -> None:
         self.lock = Lock()
         self.worker: Worker | None = None
+        self.coming: Future[Worker] | None = None
         self.agents: set[str] = set()
 
 
@@ -108,8 +110,8 @@ class Processes:
             for _ in range(1 + self.retries):
                 began = time.monotonic()
                 try:
-                    worker = self._working(slot, agent)
                     until = None if patience is None else patience.until(agent, began)
+                    worker = self._working(slot, agent, until)
                     if until is not None and until <= time.monotonic():
                         raise Late("there was no time left to ask it")
                     answer = worker.ask(agent, method, frames, region, arguments, until)
@@ -129,7 +131,7 @@ class Processes:
                 if isinstance(answer.value, Foreign):
                     return type(answer.value.type_name, (), {})()
                 return answer.value
-            self._restart(slot)
+            self._start(slot)
         tries = f", {len(reasons)} times" if len(reasons) > 1 else ""
         raise AgentUnavailable(f"{reasons[-1]}{tries}")
 
@@ -141,10 +143,14 @@ class Processes:
     def close(self) -> None:
         """End all workers."""
         self._is_closed = True
-        workers = [slot.worker for slot in self._slots if slot.worker is not None]
-        for worker in workers:
-            worker.let_go()
+        for slot in self._slots:
+            if slot.worker is not None:
+                slot.worker.let_go()
         self._nursery.close()
+        for slot in self._slots:
+            coming = slot.coming
+            if coming is not None and coming.done() and coming.exception() is None:
+                coming.result().let_go()
         self._store.close()
 
     @contextmanager
@@ -163,7 +169,9 @@ class Processes:
     def _set_apart(self, slot: _Slot, late: str) -> None:
         """Leave the slot's worker to the agent that it still works for: the others are not to wait for it."""
         with self._assigning:
-            own = next((one for one in self._slots if not one.agents and one.worker is None), None)
+            own = next(
+                (one for one in self._slots if not one.agents and one.worker is one.coming is None), None
+            )
             if own is None:
                 own = _Slot()
                 self._slots.append(own)
@@ -185,23 +193,38 @@ class Processes:
     def _load(self, slot: _Slot) -> float:
         return sum(self._costs[agent] for agent in slot.agents)
 
-    def _working(self, slot: _Slot, agent: str) -> Worker:
-        """The slot's worker, with the agent in it."""
+    def _working(self, slot: _Slot, agent: str, until: float | None) -> Worker:
+        """The slot's worker, with the agent in it; raises Late when it is not there by `until`."""
         if slot.worker is not None and slot.worker.is_dead:
             slot.worker.close()
             slot.worker = None
         if slot.worker is None:
-            self._restart(slot)
-        assert slot.worker is not None
+            coming = self._start(slot)
+            if not wait([coming], None if until is None else max(until - time.monotonic(), 0.0)).done:
+                raise Late("its worker was not there by the deadline")
+            slot.coming = None
+            slot.worker = coming.result()
         if agent not in slot.worker.agents:
             employed = self._agents[agent]
             slot.worker.employ(agent, employed.make, employed.parameters)
         return slot.worker
 
-    def _restart(self, slot: _Slot) -> None:
+    def _start(self, slot: _Slot) -> Future[Worker]:
+        """Have a worker started for the slot, unless one comes already; nobody need wait for it."""
         if self._is_closed:
             raise AgentUnavailable("the run is over")
-        slot.worker = Worker(self._nursery, self._limits)
+        if slot.coming is None:
+            coming: Future[Worker] = Future()
+            slot.coming = coming
+
+            def start() -> None:
+                try:
+                    coming.set_result(Worker(self._nursery, self._limits))
+                except BaseException as error:
+                    coming.set_exception(error)
+
+            Thread(target=start, name="worker starts", daemon=True).start()
+        return slot.coming
 
     def _look_after(self) -> None:
         """Once a frame: costs, workers with nothing to do, and now and then another packing."""

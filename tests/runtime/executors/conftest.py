@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,6 +16,10 @@ from bayesnet_track.cue import Hypotheses
 from bayesnet_track.engine import State, make_engine, start_target, step
 from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.runtime.executors import make_executor
+from bayesnet_track.runtime.record import Recorder
+from bayesnet_track.runtime.run import Start
+from bayesnet_track.runtime.run import run as run_loop
+from bayesnet_track.runtime.rundir import RunDirectory
 
 
 @pytest.fixture
@@ -63,8 +68,31 @@ def placed(monkeypatch, fakes):
         with executing(agents, kind, **settings) as (engine, _):
             return play(engine, count)
 
+    @dataclass
+    class Pictures:
+        """As many frames as wanted, as a source."""
+
+        expected_frames: int
+        description: str = "pictures"
+        frame_interval_s: float = 0.04
+        width: int = 120
+        height: int = 100
+        end_reason: str = "end_of_source"
+
+        def __iter__(self):
+            yield from frames(self.expected_frames)
+
+    def record(engine, agents, out, count=20, **settings):
+        """The results of a run over the frames, written down in `out`."""
+        checked, source = graph(agents), Pictures(count)
+        x, y, w, h = fakes.START
+        start = Start((x - w / 2, y - h / 2, w, h))
+        with Recorder(RunDirectory.create(out), checked, 0.04) as recorder:
+            return list(run_loop(checked, source, [start], engine=engine, sinks=[recorder], **settings))
+
     return SimpleNamespace(
         cues=cues,
+        record=record,
         graph=graph,
         executing=executing,
         frames=frames,

@@ -61,10 +61,10 @@ class OwnError(Exception):
 
 
 def misbehave(p, index):
-    """What is done in frame `at`; with `times`, a file, only as often as it has lines."""
+    """What is done in frame `at`, or from -`at` on; with `times`, a file, only as often as it has lines."""
     if p.how == "slow" and index >= p.at and os.getpid() != p.engine:
         time.sleep(p.seconds)
-    if index != p.at or os.getpid() == p.engine:
+    if os.getpid() == p.engine or (index != p.at if p.at >= 0 else index < -p.at):
         return None
     if p.times:
         left = Path(p.times).read_text().splitlines()
