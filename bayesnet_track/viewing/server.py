@@ -69,7 +69,7 @@ class Server(socketserver.ThreadingMixIn, HTTPServer):
 
     daemon_threads = True
     block_on_close = False
-    request_queue_size = 16
+    request_queue_size = 64
 
     def __init__(self, served: Served, host: str = "127.0.0.1", port: int | None = None) -> None:
         self.served, self.host = served, host
