@@ -47,7 +47,7 @@ def test_as_json(run, higher, capsys):
     read = json.loads(out)
     assert code == 0 and read["moments"][0]["frame"] == 25
     assert read["moments"][0]["first"][0]["event"] == "activated"
-    assert read["totals"]["frames"] == [40.0, 40.0]
+    assert read["totals"]["frames"] == [40.0, 40.0] and read["last_frames"] == [39, 39]
 
 
 def test_nothing_changed_gives_the_same_bytes(run, capsys, tmp_path):

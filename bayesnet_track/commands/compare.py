@@ -148,6 +148,7 @@ def _as_json(first: Run, second: Run, compared: Comparison, settings: list[str])
                 }
                 for moment in compared.moments
             ],
+            "last_frames": compared.last_frames,
             "totals": {one.name: (one.first, one.second) for one in compared.totals},
             "distances": [
                 {"pair": pair, "frames": [(one.frame, one.px, one.iou) for one in line]}

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.commands.answer import OK, UsageError, complain, say, users_mistake
+from bayesnet_track.journal.wording import plural
 
 if TYPE_CHECKING:
     import numpy as np
@@ -56,7 +57,7 @@ def fit(options: argparse.Namespace) -> int:
         say(written.removesuffix("\n"))
     else:
         _write(out, written)
-        say(f"{out}: fitted to {fitted.frames} frames of {fitted.videos} videos")
+        say(f"{out}: fitted to {fitted.frames} frames of {plural(fitted.videos, 'video')}")
     return OK
 
 
@@ -82,7 +83,7 @@ def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[
     name, plate = next(iter(graph.targets.items()))
     path = ("targets", name, "nodes", plate.root)
     spec = plate.inference(plate.root)
-    from_what = f"{fitted.frames} frames of {fitted.videos} videos"
+    from_what = f"{fitted.frames} frames of {plural(fitted.videos, 'video')}"
 
     def put(key: tuple[str, ...], value: Any, comment: str) -> None:
         nonlocal text
