@@ -15,8 +15,8 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 REPEAT_S = 0.1
 """Seconds after which what was raised, and came to nothing, is raised again."""
 
-PATIENCE_S = 3.0
-"""Seconds that a frame may take to end: what takes longer may be kernels that are compiled."""
+PATIENCE_S = 1.0
+"""Seconds that a frame may take to end: what takes longer compiles kernels, or has an agent that hangs."""
 
 
 class Terminated(KeyboardInterrupt):

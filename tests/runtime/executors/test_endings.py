@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -64,6 +65,25 @@ def test_no_worker_outlives_a_run_that_is_ended(run, way):
         time.sleep(0.01)
     assert code == {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGKILL: -9}[way]
     assert set(Path("/dev/shm").glob("*")) <= shared
+
+
+@pytest.mark.parametrize("way", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_run_whose_agents_hang_ends_as_soon(run, way):
+    """All workers are stopped, so that the frame never ends: neither does the run wait, nor are they left."""
+    nursery = children(run.pid)
+    workers = [pid for pid in nursery if any(pid in children(other) for other in nursery)]
+    assert len(workers) >= 2
+    for pid in workers:
+        os.kill(pid, signal.SIGSTOP)
+    time.sleep(0.5)
+    assert run.poll() is None
+    run.send_signal(way)
+    ended = time.monotonic()
+    code = run.wait(LEFT_S)
+    while any(map(is_there, nursery)):
+        assert time.monotonic() < ended + LEFT_S, [pid for pid in nursery if is_there(pid)]
+        time.sleep(0.01)
+    assert code == {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGKILL: -9}[way]
 
 
 def test_no_worker_outlives_a_run_that_comes_to_its_end(run):
