@@ -24,6 +24,7 @@ class Progress:
         self._redraws = is_terminal and not log_json
         self._every = TERMINAL_EVERY_S if self._redraws else PLAIN_EVERY_S
         self._recent: deque[tuple[float, int]] = deque()
+        self._updates = 0
         self._shown_at: float | None = None
         self._width = 0
         self._last = ""
@@ -33,6 +34,9 @@ class Progress:
         if self._shown_at is None:
             self._shown_at = now
         self._recent.append((now, done))
+        self._updates += 1
+        if self._updates == 3:  # between the first two, kernels may have been compiled
+            self._recent.popleft()
         while len(self._recent) > 2 and self._recent[1][0] <= now - RATE_WINDOW_S:
             self._recent.popleft()
         self._last = self._line(done, active, ud_px2, status)
@@ -49,8 +53,8 @@ class Progress:
             self._stream.flush()
 
     def rate(self) -> float | None:
-        """Frames per second over the last five seconds; None before two updates."""
-        if len(self._recent) < 2:
+        """Frames per second over the last five seconds; None before three updates."""
+        if self._updates < 3 or len(self._recent) < 2:
             return None
         (began, first), (ended, last) = self._recent[0], self._recent[-1]
         return (last - first) / (ended - began) if ended > began else None

@@ -203,7 +203,7 @@ def test_no_rule_fires_while_the_quiet_level_is_unknown(drive):
 
 
 def test_a_lost_target_is_helped_although_the_quiet_level_of_fewer_agents_is_unknown(drive):
-    """With fewer agents it is measured anew, and never while lost: the level of more agents calls for them."""
+    """With fewer agents it is measured anew, but not while lost: the level of more agents calls for them."""
     rules = net(on_off(on=2.0, off=1.25, unit="ud_quiet"), lost={"above": {"ud_px2": 1e5}, "frames": 3})
     fits = [1.0] * 16 + [0.01] * 12
     made = drive(rules, [100.0] * 16 + [250.0] * 12, fits=fits)

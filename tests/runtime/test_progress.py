@@ -32,6 +32,15 @@ def test_the_line_says_rate_time_left_agents_ud_and_status():
     )
 
 
+def test_the_frame_that_compiles_does_not_count():
+    progress = Progress(io.StringIO(), 200, is_terminal=True)
+    for now, done in ((0.0, 1), (22.0, 2)):
+        progress.update(now, done, ("a",), 1.0, "tracking")
+    assert progress.rate() is None
+    progress.update(22.5, 3, ("a",), 1.0, "tracking")
+    assert progress.rate() == 2.0
+
+
 def test_a_shorter_line_covers_a_longer_one():
     stream = io.StringIO()
     progress = Progress(stream, None, is_terminal=True)
