@@ -15,6 +15,18 @@ def graph_names() -> tuple[str, ...]:
     return tuple(sorted(item.name.removesuffix(SUFFIX) for item in here if item.name.endswith(SUFFIX)))
 
 
+def graph_folder() -> str:
+    """Where the files of the installed graphs are."""
+    return str(files(__name__))
+
+
+def graphs_about() -> dict[str, str]:
+    """What each installed graph is for, in its own words."""
+    import yaml
+
+    return {name: str(yaml.safe_load(find_graph(name).read_text("utf-8"))["about"]) for name in graph_names()}
+
+
 def find_graph(name: str) -> Traversable:
     """The file of an installed graph.
 

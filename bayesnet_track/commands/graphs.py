@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from bayesnet_track.commands.answer import BAD_GRAPH, OK, UsageError, complain, say
@@ -127,15 +128,19 @@ def list_installed(options: argparse.Namespace) -> int:
     from bayesnet_track.cue import installed_cues
     from bayesnet_track.detector import ENTRY_POINT_GROUP as DETECTORS
     from bayesnet_track.detector import installed_detectors
-    from bayesnet_track.graphs import graph_names
+    from bayesnet_track.graphs import graph_folder, graphs_about
     from bayesnet_track.plugins import allowed, others
     from bayesnet_track.scenes import scene_names
 
-    say("graphs:  " + ", ".join(graph_names()))
-    say("scenes:  " + ", ".join(scene_names()))
+    say(f"graphs (name one, or copy its file from {graph_folder()}):")
+    for graph, about in graphs_about().items():
+        say(f"  {graph:29} {about}")
+    say("scenes (for `demo`):")
+    for line in wrap(", ".join(scene_names()), 100, break_on_hyphens=False):
+        say(f"  {line}")
     say("cues:")
     for cue in installed_cues(allowed()).values():
-        say(f"  {cue.name:18} {cue.summary}")
+        say(f"  {cue.name:22} {cue.summary}")
     say("detectors:")
     for detector in installed_detectors(allowed()).values():
         say(f"  {detector.name:21} {detector.summary}")
