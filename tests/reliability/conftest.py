@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
 from fractions import Fraction
+from pathlib import Path
 
 import av
 import numpy as np
@@ -45,6 +47,15 @@ def write(path, codec, options, frames=FRAMES):
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
     return path
+
+
+@pytest.fixture(scope="session")
+def nursery():
+    """The module of the small runs that are killed."""
+    spec = importlib.util.spec_from_file_location("nursery", Path(__file__).with_name("nursery.py"))
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 @pytest.fixture(scope="session")

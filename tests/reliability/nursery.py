@@ -51,27 +51,28 @@ def place(index: int) -> tuple[int, int]:
     return round(27 + 15 * np.cos(turn)), round(19 + 10 * np.sin(turn))
 
 
-def prepare(folder: Path) -> None:
+def prepare(folder: Path, frames: int = FRAMES) -> None:
     """The graph and the pictures that every run reads."""
     (folder / "pictures").mkdir()
     (folder / "graph.yaml").write_text(GRAPH)
     rng = np.random.default_rng(7)
-    for index in range(FRAMES):
+    for index in range(frames):
         image = rng.integers(0, 40, (48, 64, 3), dtype=np.uint8)
         x, y = place(index)
         image[y : y + SIDE, x : x + SIDE] = 200
         cv2.imwrite(str(folder / "pictures" / f"{index:04}.png"), image)
 
 
-def begin(given: Path, folder: Path) -> None:
+def begin(given: Path, folder: Path, every_s: float = EVERY_S) -> None:
+    graph = given / "graph.yaml"
     with open_source(str(given / "pictures")) as source:
         starts = [Start((*map(float, place(0)), float(SIDE), float(SIDE)))]
-        for _ in track(given / "graph.yaml", source, starts, out=folder, checkpoint_every=EVERY_S):
+        for _ in track(graph, source, starts, out=folder, checkpoint_every=every_s, overwrite=True):
             pass
 
 
-def go_on(given: Path, folder: Path) -> None:
-    for _ in resume(folder, checkpoint_every=EVERY_S):
+def go_on(folder: Path, every_s: float = EVERY_S) -> None:
+    for _ in resume(folder, checkpoint_every=every_s):
         pass
 
 
@@ -80,7 +81,10 @@ def forked(work: str, given: Path, folder: Path, delay: float) -> str:
     if child == 0:
         code = 1
         try:
-            (begin if work == "begin" else go_on)(given, folder)
+            if work == "begin":
+                begin(given, folder)
+            else:
+                go_on(folder)
             code = 0
         except Exception as error:
             (folder.parent / f"{folder.name}.error").write_text(f"{type(error).__name__}: {error}")

@@ -6,23 +6,25 @@ import errno
 import hashlib
 import io
 import os
+import shutil
 import sys
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import cv2
 import pytest
 
-from bayesnet_track import Start, track
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.runtime.recipe import RecipeError
-from bayesnet_track.runtime.resume import resume, standing
+from bayesnet_track.runtime.resume import standing
 from bayesnet_track.runtime.rundir import RunDirectoryError
-from bayesnet_track.runtime.scene_source import SceneSource
 
 FRAMES, EVERY_S = 4, 1e-6
+Work = Callable[[Path], None]
 
 pytestmark = [
     pytest.mark.reliability,
@@ -30,16 +32,48 @@ pytestmark = [
 ]
 
 
-def begin(folder: Path) -> None:
-    source = SceneSource.named("two_squares", 0, FRAMES)
-    starts = [Start(source.scene.start_box)]
-    for _ in track("two_squares", source, starts, out=folder, checkpoint_every=EVERY_S, overwrite=True):
+class AtOnce:
+    """In place of the thread that writes checkpoints: a step has the same number in every run."""
+
+    def __init__(self, *_: object) -> None:
+        pass
+
+    def submit(self, call: Callable[..., None], *arguments: Any) -> Future[None]:
+        done: Future[None] = Future()
+        try:
+            done.set_result(call(*arguments))
+        except OSError as error:
+            done.set_exception(error)
+        return done
+
+    def shutdown(self) -> None:
         pass
 
 
-def go_on(folder: Path) -> None:
-    for _ in resume(folder, checkpoint_every=EVERY_S):
-        pass
+@pytest.fixture(autouse=True)
+def in_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bayesnet_track.runtime.checkpoint.ThreadPoolExecutor", AtOnce)
+
+
+@pytest.fixture(scope="module")
+def begin(nursery: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Work:
+    # Forks have no threads but their own.
+    cv2.setNumThreads(1)
+    given = tmp_path_factory.mktemp("given")
+    nursery.prepare(given, FRAMES)
+    return lambda folder: nursery.begin(given, folder, EVERY_S)
+
+
+@pytest.fixture(scope="module")
+def go_on(nursery: ModuleType) -> Work:
+    return lambda folder: nursery.go_on(folder, EVERY_S)
+
+
+@pytest.fixture(scope="module")
+def whole(begin: Work, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    folder = tmp_path_factory.mktemp("whole") / "run"
+    begin(folder)
+    return files(folder)
 
 
 def files(folder: Path) -> dict[str, str]:
@@ -98,7 +132,7 @@ def dies() -> None:
     os._exit(137)
 
 
-def forked(work: Callable[[Path], None], folder: Path, at: int) -> int:
+def forked(work: Work, folder: Path, at: int) -> int:
     """The exit code of `work` in a process that dies at its call number `at`; 137 when it did."""
     child = os.fork()
     if child == 0:
@@ -112,16 +146,9 @@ def forked(work: Callable[[Path], None], folder: Path, at: int) -> int:
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    # Forks have no threads but their own.
-    cv2.setNumThreads(1)
-    folder = tmp_path_factory.mktemp("whole") / "run"
-    begin(folder)
-    return files(folder)
-
-
-def test_a_crash_at_every_step_of_a_run(tmp_path: Path, whole: dict[str, str]) -> None:
+def test_a_crash_at_every_step_of_a_run(
+    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str]
+) -> None:
     refused, at = 0, 0
     while True:
         at += 1
@@ -137,22 +164,26 @@ def test_a_crash_at_every_step_of_a_run(tmp_path: Path, whole: dict[str, str]) -
         assert files(folder) == whole, at
         if code == 0:
             break
+    print(f"{at} steps, {refused} of them before there was a run")
     # Files of the start, lines of every frame, checkpoints, and the end.
     assert at > 40 and 0 < refused < 10
 
 
-def test_a_crash_at_every_step_of_going_on(tmp_path: Path, whole: dict[str, str]) -> None:
+def test_a_crash_at_every_step_of_going_on(
+    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str]
+) -> None:
+    assert forked(begin, tmp_path / "broken", 30) == 137
     at = 0
     while True:
         at += 1
-        folder = tmp_path / str(at)
-        assert forked(begin, folder, 30) == 137
+        folder = shutil.copytree(tmp_path / "broken", tmp_path / str(at))
         code = forked(go_on, folder, at)
         assert code in (0, 137), at
         go_on(folder)
         assert files(folder) == whole, at
         if code == 0:
             break
+    print(f"{at} steps")
     assert at > 15
 
 
@@ -161,7 +192,7 @@ def full() -> None:
 
 
 def test_a_full_disk_at_every_step(
-    tmp_path: Path, whole: dict[str, str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is told, whole lines are left, and with room again the run goes on."""
     at, told = 0, 0

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import shutil
 import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -22,12 +22,8 @@ SCRIPT = Path(__file__).with_name("nursery.py")
 
 
 @pytest.fixture
-def given(tmp_path: Path) -> Path:
+def given(tmp_path: Path, nursery: ModuleType) -> Path:
     """A graph and pictures."""
-    spec = importlib.util.spec_from_file_location("nursery", SCRIPT)
-    assert spec is not None and spec.loader is not None
-    nursery = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(nursery)
     folder = tmp_path / "given"
     folder.mkdir()
     nursery.prepare(folder)
