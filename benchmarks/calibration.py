@@ -46,11 +46,13 @@ def with_fitted(graph: CheckedGraph, fitted: Fitted) -> CheckedGraph:
     for name, plate in graph.targets.items():
         root = written["targets"][name]["nodes"][plate.root]
         sd, lost_sd = fitted.slack
+        before = root["score"]["logistic"]
+        kept = {name: before[name] for name in ("memory", "full_fit") if name in before}
         levels = fitted.levels
         root |= {
-            "score": {"logistic": dict(fitted.logistic)},
+            "score": {"logistic": {**kept, **fitted.logistic}},
             "slack": {"sd_box": sd, "lost_sd_box": lost_sd},
-            "lost": {"score_below": levels.score_below, "uncertain_below": levels.uncertain_below},
+            "lost": {"score_below": levels.score_below, "uncertain_below": max(levels.uncertain_below, 0.51)},
         }
     return check_graph(written)
 

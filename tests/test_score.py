@@ -48,7 +48,7 @@ def test_the_score_is_the_logistic_of_the_features(fakes):
     )
     rule = Logistic(bias=0.5, evidence=0.3, log_ud_box=-0.2, memory=4)
     lines = [one.metrics[0] for one in outcomes[1:]]
-    assert all(set(line.features) == set(FEATURES) for line in lines)
+    assert all(set(line.features) == {*FEATURES, "most"} for line in lines)
     assert [line.score for line in lines] == pytest.approx(
         [probability(rule, line.features) for line in lines]
     )

@@ -105,16 +105,20 @@ def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[
         said = f"67 % of the frames on target lie below, at most 50 % of those off it; {from_what}"
         put(("learn", "below"), {"ud_box": _short(fitted.ud_box["learn"])}, said)
     if "score" in what:
-        memory = {} if spec.score is None else {"memory": _short(spec.score.settings.memory)}
+        others = {} if spec.score is None else {"memory": _short(spec.score.settings.memory)}
+        if spec.score is not None and spec.score.settings.full_fit > 0:
+            others["full_fit"] = _short(spec.score.settings.full_fit)
         values = {name: _short(value) for name, value in fitted.logistic.items() if value or name == "bias"}
-        put(("score",), {"logistic": {**values, **memory}}, f"probability of IoU > 0.5; {from_what}")
+        put(("score",), {"logistic": {**values, **others}}, f"probability of IoU > 0.5; {from_what}")
     if "slack" in what:
         sd, lost_sd = (_short(value) for value in fitted.slack)
         put(("slack",), {"sd_box": sd, "lost_sd_box": lost_sd}, f"regions hold 50 % and 90 %; {from_what}")
     if "lost" in what and "score" in what:
+        # A rival puts the score at one half, which has to count as uncertain.
+        least = 0.0 if spec.rivals is None else 0.51
         levels = {
             "score_below": _short(fitted.levels.score_below),
-            "uncertain_below": _short(fitted.levels.uncertain_below),
+            "uncertain_below": _short(max(fitted.levels.uncertain_below, least)),
         }
         kept = {} if spec.lost is None else {"fit_below": spec.lost.fit_below, "frames": spec.lost.frames}
         said = f"2 % of the frames on target score below, and most told apart at uncertain; {from_what}"
