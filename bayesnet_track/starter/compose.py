@@ -26,7 +26,7 @@ def graph_text(task: Task, file: str = "") -> str:
     root = key(
         "target:",
         "The root: it holds the belief about the box. All levels of UD, its uncertainty, are relative to "
-        "the size of the box or to how it is while all is well, so that they fit other sizes, too.",
+        "the size of the box, so that they fit other sizes, too.",
         (*_belief(task), *_motion(task), *_fuse(task), *_estimate(task), *_adapt(task), *_learn(task)),
     )
     nodes = ("nodes:", *indented((*root, *agents_of(task))))
@@ -64,9 +64,10 @@ def _head(task: Task, path: str) -> Lines:
     return (
         *remark(f"Written by `bayesnet-track init`. Sets it apart: {told}. Hard: {hard}."),
         "#",
-        *remark("Try it, look at video.mkv, read why it switched agents, then change one thing at a time:"),
-        f"#   bayesnet-track run {graph} --source VIDEO{start}{found} --out runs/{task.name} --video",
-        f"#   bayesnet-track log runs/{task.name}",
+        *remark("Try it, look at it and at why it switched agents, then change one thing at a time:"),
+        f"#   bayesnet-track run {graph} --source VIDEO{start}{found} --out runs/{task.name}",
+        f"#   bayesnet-track report runs/{task.name} --open",
+        f"#   bayesnet-track what-if runs/{task.name} --set KEY.KEY=VALUE --truth TRUTH",
         *camera_of(task),
     )
 
@@ -191,25 +192,21 @@ def _adapt(task: Task) -> Lines:
         if task.budget == "much" and len(task.apart) > 2
         else ()
     )
-    frames = 1 if "alike" in task.hard else 2
-    drop = "dearest_dispensable" if task.budget == "little" else "largest_kl"
     return key(
         "adapt:",
-        "Agents are switched off while the belief is as narrow as usual, and on when it grows.",
+        "Agents are switched off while the belief is narrow without them, and on when it grows.",
         (
             *key(
-                f"activate: {{above: {{ud_quiet: 2}}, frames: {frames}}}",
-                "On when UD is above so many times its quiet "
-                "level for so many frames. Lower it if help comes too late; each sentence of the log says "
-                "at which "
-                "level a decision would not have been taken.",
+                "activate: {above: {ud_box: 0.06}}",
+                "On when UD is above this share of the box's area. Lower it if help comes too late; each "
+                "sentence of the log says at which level a decision would not have been taken. "
+                "`{ud_quiet: 2}` is twice the level that is measured while all is well.",
             ),
             *key(
-                f"deactivate: {{below: {{ud_quiet: 1.3}}, frames: 6, drop: {drop}}}",
-                "One off when UD is below that for "
-                "so many frames; leave a gap to the level above. `largest_kl` drops the agent that agrees "
-                "least, "
-                "`dearest_dispensable` the dearest one without which UD would stay low.",
+                "deactivate: {below: {ud_box: 0.05}, frames: 3, drop: dearest_dispensable}",
+                "One off when UD is below that for so many frames; leave a gap to the level above, and raise "
+                "both if all agents work all the time. `dearest_dispensable` drops the dearest one without "
+                "which UD would stay low, `largest_kl` the one that agrees least.",
             ),
             *keep,
         ),
@@ -223,8 +220,8 @@ def _learn(task: Task) -> Lines:
     guard = ", guard: {rate: 0.002}" if "light" in task.hard or "alike" in task.hard else ""
     comment = (
         "What the target looks like follows it while UD is below this share of the box's area, by at most "
-        "this rate per "
-        "frame. A faster one follows changes, and drifts off sooner."
+        "this rate per frame (some cues have one of their own: `learn_rate_max` of an agent overrides it). A "
+        "faster one follows changes, and drifts off sooner."
     )
     if guard:
         comment += " `guard`: a slow second memory stops an agent that has slid onto something else."
