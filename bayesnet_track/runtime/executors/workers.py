@@ -61,7 +61,7 @@ class Worker:
         self._channel = Connection(os.dup(self._socket.fileno()))
         self._readable = select.poll()
         self._readable.register(self._socket, select.POLLIN)
-        self._limits, self._asked_at = limits, 0.0
+        self._limits, self._patience_s, self._until = limits, 0.0, 0.0
         self._sent = Sent()
         self._known: set[tuple[str, str]] = set()
         self.agents: set[str] = set()
@@ -103,15 +103,15 @@ class Worker:
             Late: it gives none by `deadline`, seconds of the monotonic clock.
         """
         if self.busy_with is not None:  # with a question whose answer nobody waited for
-            self._receive(self._asked_at + self._limits.first_s, deadline)
+            self._receive(deadline)
         sent = self._sent
-        told = tuple(sent.tell(part) if isinstance(part, Mapping) else part for part in arguments)
         forget = sent.forgotten()
-        self.busy_with, self._asked_at = agent, time.monotonic()
-        self._send(("ask", Question(agent, method, frames, region, told, sent.next_number, forget)))
+        told = tuple(sent.tell(part) if isinstance(part, Mapping) else part for part in arguments)
         is_first = (agent, method) not in self._known
         limit = max(self._limits.first_s, self._limits.answer_s) if is_first else self._limits.answer_s
-        answer = self._receive(self._asked_at + limit, deadline)
+        self.busy_with, self._patience_s, self._until = agent, limit, time.monotonic() + limit
+        self._send(("ask", Question(agent, method, frames, region, told, sent.next_number, forget)))
+        answer = self._receive(deadline)
         self._known.add((agent, method))
         return answer
 
@@ -128,8 +128,8 @@ class Worker:
         if lifeline >= 0:
             os.close(lifeline)
 
-    def _receive(self, until: float, deadline: float | None) -> Answer:
-        answer: Answer = pickle.loads(self._received(until, deadline))
+    def _receive(self, deadline: float | None) -> Answer:
+        answer: Answer = pickle.loads(self._received(deadline))
         self.busy_with = None
         if answer.out_of_memory:
             reason = f"needs more than {self._limits.memory_mb} MB above what its process starts with"
@@ -139,14 +139,13 @@ class Worker:
             return Answer(self._sent.heard(answer.value), seconds=answer.seconds)
         return answer
 
-    def _received(self, until: float, deadline: float | None) -> bytes:
-        end = until if deadline is None else min(until, deadline)
-        started = time.monotonic()
+    def _received(self, deadline: float | None) -> bytes:
+        end = self._until if deadline is None else min(self._until, deadline)
         try:
             while not self._readable.poll(1e3 * max(end - time.monotonic(), 0.0)):
-                if time.monotonic() >= until:
+                if time.monotonic() >= self._until:
                     self.close()
-                    raise WorkerLost(f"gave no answer in {until - started:.3g} s, and was killed")
+                    raise WorkerLost(f"gave no answer in {self._patience_s:.3g} s, and was killed")
                 if deadline is not None and time.monotonic() >= deadline:
                     raise Late("gave no answer by the deadline")
             return self._channel.recv_bytes()
