@@ -183,7 +183,32 @@ def test_a_detector_that_fails_is_out_and_the_run_goes_on(fault):
     engine = replace(engine, detectors=dict.fromkeys(engine.detectors, Broken()))
     outcomes = play(engine, still(4))
     (failed,) = events_of(outcomes, DetectorFailed)
-    assert (failed.frame, failed.detector) == (0, "detections")
+    assert (failed.frame, failed.detector, failed.until) == (0, "detections", 10)
+
+
+def test_a_detector_that_fails_is_tried_again_after_a_while_that_doubles():
+    asked = []
+
+    class Broken:
+        def start(self):
+            return {"seen": np.zeros(1)}
+
+        def detect(self, frames, state):
+            index = frames.current.index
+            asked.append((index, float(state["seen"][0])))
+            if 3 <= index < 20:
+                raise OSError("no such thing")
+            return Detections(np.array([[50.0, 40.0, 20.0, 20.0]]), np.ones(1), ("",)), {
+                "seen": state["seen"] + 1
+            }
+
+    engine = engine_of(at())
+    engine = replace(engine, detectors=dict.fromkeys(engine.detectors, Broken()))
+    outcomes = play(engine, still(36))
+    failed = events_of(outcomes, DetectorFailed)
+    assert [(e.frame, e.until, e.times) for e in failed] == [(3, 13, 1), (13, 33, 2)]
+    # It goes on with what it remembered before it failed.
+    assert asked == [(0, 0.0), (1, 1.0), (2, 2.0), (3, 3.0), (13, 3.0), (33, 3.0), (34, 4.0), (35, 5.0)]
 
 
 # ------------------------------------------------------------------------------------ ends and returns

@@ -128,7 +128,7 @@ def test_a_detector_that_fails_is_out_and_told(fakes):
     cache = PlaneCache(FramePair(fakes.frame(1), fakes.frame(0)))
     found = predicted(machine, None, outlook(machine, BOX, cache.frames), True, 1.0, cache)
     assert isinstance(found.motion, Jumping)
-    assert found.outlook.finder is None
+    assert found.outlook.finder is not None and found.outlook.fault.until == found.told[0].until
     assert [event.reason for event in found.told] == ["RuntimeError: no"]
 
 

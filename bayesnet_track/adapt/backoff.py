@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.situation import Situation
-from bayesnet_track.graph.net import Decision, Quarantined, Readmitted, TargetNet
+from bayesnet_track.graph.net import Decision, Fault, Quarantined, Readmitted, TargetNet
 
 FIRST_WAIT = 10
 """Frames for which an agent is out at its first failure."""
@@ -28,13 +28,21 @@ def quarantined(net: TargetNet, frame: int, target: str, agent: str, reason: str
     >>> first.until, first.times
     (15, 1)
     """
-    before = net.faults.get(agent)
+    until, times = next_try(frame, net.faults.get(agent))
+    return Quarantined(frame, target, agent, reason, until, times)
+
+
+def next_try(frame: int, before: Fault | None) -> tuple[int, int]:
+    """When something that failed in `frame` is tried again, and how many times in a row it has failed.
+
+    >>> next_try(15, Fault(1, 5, 15, True)), next_try(200, Fault(1, 5, 15, True))
+    ((35, 2), (210, 1))
+    """
     times = 1
     if before is not None and before.until is not None:
         worked, waited = frame - before.until, before.until - before.frame
         times = before.times + 1 if worked < STEADY * waited else 1
-    wait = min(FIRST_WAIT * 2 ** min(times - 1, 20), LONGEST_WAIT)
-    return Quarantined(frame, target, agent, reason, frame + wait, times)
+    return frame + min(FIRST_WAIT * 2 ** min(times - 1, 20), LONGEST_WAIT), times
 
 
 def readmitted(now: Situation) -> list[Decision]:

@@ -16,6 +16,7 @@ from bayesnet_track.adapt.claims import NOBODY, distances, pair_up
 from bayesnet_track.cue import Reference
 from bayesnet_track.detector import DetectorState
 from bayesnet_track.graph.life_settings import Birth, Confirm, Death, Duplicates
+from bayesnet_track.graph.net import Fault
 
 Floats = NDArray[np.float64]
 
@@ -102,7 +103,7 @@ class Life:
 
     Attributes:
         detectors: detector -> its state.
-        failed: detectors that are out for the rest of the run.
+        failed: detector -> its last failure.
         candidates: plate -> what was detected and is no target yet.
         lifelines: live target -> what is counted of it.
         dead: targets whose nets ended and that can return, in the order of their deaths.
@@ -112,7 +113,7 @@ class Life:
     """
 
     detectors: Mapping[str, DetectorState] = field(default_factory=dict)
-    failed: frozenset[str] = frozenset()
+    failed: Mapping[str, Fault] = field(default_factory=dict)
     candidates: Mapping[str, tuple[Candidate, ...]] = field(default_factory=dict)
     lifelines: Mapping[str, Lifeline] = field(default_factory=dict)
     dead: tuple[Identity, ...] = ()

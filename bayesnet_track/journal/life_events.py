@@ -59,14 +59,18 @@ class BirthsRefused:
 
 @dataclass(frozen=True)
 class DetectorFailed:
-    """A detector failed and is out for the rest of the run: it finds no more targets.
+    """A detector failed and is out for a while, longer with each failure in a row; it finds no targets then.
 
     Attributes:
         frame: frame at which it failed.
         detector: its name.
         reason: what it raised or returned.
+        until: first frame in which it is tried again; None when it never is.
+        times: how many times in a row it has failed.
     """
 
     frame: int
     detector: str
     reason: str
+    until: int | None = None
+    times: int = 1

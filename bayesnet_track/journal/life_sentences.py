@@ -78,8 +78,13 @@ def births_refused(event: BirthsRefused) -> str:
 
 
 def detector_failed(event: DetectorFailed) -> str:
-    """`motion failed: ... → out for the rest of the run`."""
-    return f"detector {event.detector} failed: {event.reason} → out for the rest of the run"
+    """`motion failed: ... → out for 10 frames, tried again in frame 14`."""
+    out = "the rest of the run"
+    if event.until is not None:
+        waits = plural(event.until - event.frame, "frame")
+        out = f"{waits} after {event.times} failures in a row" if event.times > 1 else waits
+        out += f", tried again in frame {event.until}"
+    return f"detector {event.detector} failed: {event.reason} → out for {out}"
 
 
 def _recognised(by: Recognition, then: str, otherwise: str) -> str:

@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.adapt.backoff import next_try
 from bayesnet_track.adapt.lifecycle import Life
 from bayesnet_track.detector import Detections, Detector, DetectorState, LearningDetector
+from bayesnet_track.graph.net import Fault
 from bayesnet_track.journal.life_events import DetectorFailed
 from bayesnet_track.machinery import Engine
 from bayesnet_track.planes import Frame, FramePair
@@ -48,13 +50,17 @@ def look(
     """What each plate that looks in this frame is given, the detectors' states, and those that failed.
 
     A detector that has to be shown its target learns the first one of the plate that is held. One that
-    raises, or returns anything but boxes of finite numbers with as many scores and labels, is out for the
-    rest of the run.
+    raises, or returns anything but boxes of finite numbers with as many scores and labels, is out for a
+    while, as an agent is.
     """
     due: dict[str, str] = {}
     for plate, machine in engine.machinery.items():
         birth = None if machine.life is None else machine.life.birth
-        if birth is not None and frame.index % birth.every == 0 and machine.detector not in life.failed:
+        if (
+            birth is not None
+            and frame.index % birth.every == 0
+            and _is_in(life, machine.detector, frame.index)
+        ):
             due[plate] = machine.detector
     pair, found, failed = FramePair(frame, previous), {}, []
     states = dict(life.detectors)
@@ -65,10 +71,19 @@ def look(
         try:
             found[name], states[name] = _asked(engine.detectors[name], states.get(name), pair, at)
         except Exception as error:  # a detector is a guest's code: whatever it raises must not end the run
-            failed.append(DetectorFailed(frame.index, _word(engine, plates[0]), _reason(error)))
-            life = replace(life, failed=life.failed | {name})
+            until, times = next_try(frame.index, life.failed.get(name))
+            word = _word(engine, plates[0])
+            failed.append(DetectorFailed(frame.index, word, _reason(error), until, times))
+            fault = Fault(times, frame.index, until, True)
+            life = replace(life, failed={**life.failed, name: fault})
     given = {plate: _of_plate(engine, plate, found[name]) for plate, name in due.items() if name in found}
     return given, replace(life, detectors=states), tuple(failed)
+
+
+def _is_in(life: Life, detector: str, frame: int) -> bool:
+    """Whether the detector is asked: it has not failed, or it is tried again."""
+    fault = life.failed.get(detector)
+    return fault is None or fault.until is None or fault.until <= frame
 
 
 def _asked(

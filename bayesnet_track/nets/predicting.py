@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.adapt.backoff import next_try
 from bayesnet_track.adapt.conditions import Reading, read_level
 from bayesnet_track.belief.attached import Attached
 from bayesnet_track.belief.carried import Carried, camera_shift, size_kept
@@ -25,6 +26,7 @@ from bayesnet_track.detector import (
 )
 from bayesnet_track.graph.adapt_settings import Level
 from bayesnet_track.graph.motion_settings import Recover
+from bayesnet_track.graph.net import Fault
 from bayesnet_track.journal.life_events import DetectorFailed
 from bayesnet_track.machinery import Machinery
 from bayesnet_track.planes import FramePair, PlaneCache, Region
@@ -41,7 +43,8 @@ class Outlook:
         ud_px2: UD of the last frame; 0 at the start.
         area_px2: area of its estimate.
         quiet_px2: quiet level of UD, None while unknown.
-        finder: what the detector remembers that looks for it; None when it failed or is not there.
+        finder: what the detector remembers that looks for it; None when there is none, or it knows no target.
+        fault: its last failure.
     """
 
     size: Floats
@@ -49,6 +52,7 @@ class Outlook:
     area_px2: float
     quiet_px2: float | None = None
     finder: DetectorState | None = None
+    fault: Fault | None = None
 
     def reading(self, level: Level) -> Reading | None:
         """UD in a level's unit; None while that is unknown."""
@@ -156,13 +160,17 @@ def _recovering(
     per_frame = max(settings.share, settings.usual) if unsure else settings.usual
     if per_frame == 0.0 or min(frame.width, frame.height) < 3:
         return Predicted(motion, known)
-    state, found, told = known.finder, NOTHING, tuple[DetectorFailed, ...]()
-    if finder is not None and state is not None:
+    state, fault, found, told = known.finder, known.fault, NOTHING, tuple[DetectorFailed, ...]()
+    is_in = fault is None or fault.until is None or fault.until <= frame.index
+    if finder is not None and state is not None and is_in:
         try:
             found, state = finder.detect(cache.frames, state)
             found = _sound(found)
         except Exception as error:  # a guest's code: whatever it raises must not end the run
-            found, state, told = NOTHING, None, (_failed(finder, cache.frames, error),)
+            until, times = next_try(frame.index, fault)
+            fault = Fault(times, frame.index, until, True)
+            name, reason = type(finder).__name__, f"{type(error).__name__}: {error}"
+            found, told = NOTHING, (DetectorFailed(frame.index, name, reason, until, times),)
     probes = settings.by.agents
     search = Search(
         hypotheses=settings.hypotheses * min(per_frame / settings.share, 1.0),
@@ -175,7 +183,7 @@ def _recovering(
     )
     share = 1.0 - (1.0 - per_frame) ** dt
     jumping = Jumping(motion, share, frame.width, frame.height, search)
-    return Predicted(jumping, replace(known, finder=state), told)
+    return Predicted(jumping, replace(known, finder=state, fault=fault), told)
 
 
 def _sound(found: Detections) -> Detections:
@@ -185,7 +193,3 @@ def _sound(found: Detections) -> Detections:
     if not (np.isfinite(boxes).all() and np.isfinite(scores).all()):
         raise ValueError("boxes or scores that are not finite")
     return found
-
-
-def _failed(finder: Detector, frames: FramePair, error: Exception) -> DetectorFailed:
-    return DetectorFailed(frames.current.index, type(finder).__name__, f"{type(error).__name__}: {error}")

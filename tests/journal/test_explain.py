@@ -344,8 +344,13 @@ GOLDEN = [
         "have been born at most ≥ 32",
     ),
     (
-        DetectorFailed(4, "motion", "raised ValueError: no"),
-        "frame 4: detector motion failed: raised ValueError: no → out for the rest of the run",
+        DetectorFailed(4, "motion", "raised ValueError: no", 14),
+        "frame 4: detector motion failed: raised ValueError: no → out for 10 frames, tried again in frame 14",
+    ),
+    (
+        DetectorFailed(14, "motion", "raised ValueError: no", 34, 2),
+        "frame 14: detector motion failed: raised ValueError: no → out for 20 frames after 2 failures in a row, "
+        "tried again in frame 34",
     ),
     (
         Joined(20, "1", "2", ("person", "box"), 0, 0.1234, 0.05),
