@@ -142,6 +142,7 @@ def _as_json(first: Run, second: Run, compared: Comparison, settings: list[str])
                 {
                     "frame": moment.frame,
                     "target": moment.target,
+                    "pair": moment.pair,
                     "node": moment.node,
                     "first": [json.loads(to_json(event)) for event in moment.first],
                     "second": [json.loads(to_json(event)) for event in moment.second],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -18,6 +18,8 @@ SHIFT = 10
 """Frames by which the same decision may come earlier or later and still count as the same moment."""
 NEAR = 0.5
 """Two boxes hold the same target when their centres are nearer than this share of their mean size."""
+
+Pair = tuple[str, str]
 
 
 class RunRecord(Protocol):
@@ -55,17 +57,22 @@ class Moment:
 
     Attributes:
         frame: the earlier of the frames.
-        target: id of the target in the first run, else in the second.
+        pair: ids of the target in the first and in the second run; empty in one that does not have it.
         node: the agent, or the other target of a join; empty for the target as a whole.
         first: what the first run decided; empty when nothing.
         second: what the second run decided.
     """
 
     frame: int
-    target: str
+    pair: Pair
     node: str
     first: tuple[Decision, ...]
     second: tuple[Decision, ...]
+
+    @property
+    def target(self) -> str:
+        """Id of the target in the first run, else in the second."""
+        return self.pair[0] or self.pair[1]
 
 
 @dataclass(frozen=True)
@@ -127,11 +134,10 @@ def compare(first: RunRecord, second: RunRecord) -> Comparison:
     last_frames = (_last_frame(first), _last_frame(second))
     first, second = _Cut(first, min(last_frames)), _Cut(second, min(last_frames))
     pairs = pair_targets(first, second)
-    partner = {b: a for a, b in pairs}
     agreed, moments = _moments(
         [event for event in first.events if isinstance(event, Decision)],
         [event for event in second.events if isinstance(event, Decision)],
-        partner,
+        pairs,
     )
     distances = {pair: _distances(first.metrics, second.metrics, pair) for pair in pairs}
     apart = [one.frame for line in distances.values() for one in line if one.px > 0 or one.iou < 1]
@@ -140,7 +146,7 @@ def compare(first: RunRecord, second: RunRecord) -> Comparison:
         pairs=pairs,
         alone=(
             tuple(target for target in known[0] if target not in dict(pairs)),
-            tuple(target for target in known[1] if target not in partner),
+            tuple(target for target in known[1] if target not in {b for _, b in pairs}),
         ),
         agreed=agreed,
         moments=moments,
@@ -209,10 +215,11 @@ def _by_frame(metrics: Iterable[FrameMetrics], without: set[str]) -> dict[int, l
 
 
 def _moments(
-    first: Sequence[Decision], second: Sequence[Decision], partner: Mapping[str, str]
+    first: Sequence[Decision], second: Sequence[Decision], pairs: Sequence[Pair]
 ) -> tuple[int, tuple[Moment, ...]]:
     agreed, moments = 0, []
-    mine, theirs = _by_place(first, {}), _by_place(second, partner)
+    mine = _by_place(first, {a: (a, b) for a, b in pairs}, lambda target: (target, ""))
+    theirs = _by_place(second, {b: (a, b) for a, b in pairs}, lambda target: ("", target))
     for place in dict.fromkeys([*mine, *theirs]):
         a, b = mine.get(place, []), theirs.get(place, [])
         same, rest_a, rest_b = _matched(a, b, 0)
@@ -223,19 +230,20 @@ def _moments(
             only_a = tuple(event for event in rest_a if event.frame == frame)
             only_b = tuple(event for event in rest_b if event.frame == frame)
             moments.append(Moment(frame, *place, only_a, only_b))
-    return agreed, tuple(sorted(moments, key=lambda moment: (moment.frame, moment.target, moment.node)))
+    return agreed, tuple(sorted(moments, key=lambda moment: (moment.frame, moment.pair, moment.node)))
 
 
 def _by_place(
-    decisions: Iterable[Decision], partner: Mapping[str, str]
-) -> dict[tuple[str, str], list[Decision]]:
-    """(target in the first run's words, node) -> its decisions in order."""
-    found: dict[tuple[str, str], list[Decision]] = defaultdict(list)
+    decisions: Iterable[Decision], pairs: Mapping[str, Pair], alone: Callable[[str], Pair]
+) -> dict[tuple[Pair, str], list[Decision]]:
+    """(ids of the target in both runs, node) -> the decisions of one run in order."""
+    found: dict[tuple[Pair, str], list[Decision]] = defaultdict(list)
     for event in decisions:
         node = getattr(event, "node", "")
         if isinstance(event, Joined | Parted):
-            node = partner.get(event.other, event.other)
-        found[partner.get(event.target, event.target), node].append(event)
+            other = pairs.get(event.other) or alone(event.other)
+            node = other[0] or f"{other[1]} of B"
+        found[pairs.get(event.target) or alone(event.target), node].append(event)
     return found
 
 

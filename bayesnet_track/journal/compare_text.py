@@ -55,7 +55,7 @@ def compare_text(
         for moment in rest[:shown]:
             lines += [
                 f"  {place(moment, comparison)}",
-                *(f"    {one}" for one in sides(first, second, moment, comparison)),
+                *(f"    {one}" for one in sides(first, second, moment)),
             ]
         if len(rest) > shown:
             lines.append(f"  ... and {len(rest) - shown} more; --all tells them all, --html draws them")
@@ -76,7 +76,7 @@ def parting_lines(first: RunRecord, second: RunRecord, comparison: Comparison) -
     moment = comparison.moments[0]
     return [
         f"they part first at {place(moment, comparison)}",
-        *(f"  {one}" for one in sides(first, second, moment, comparison)),
+        *(f"  {one}" for one in sides(first, second, moment)),
         f"  {agreed}; {numbers}",
     ]
 
@@ -84,16 +84,23 @@ def parting_lines(first: RunRecord, second: RunRecord, comparison: Comparison) -
 def place(moment: Moment, comparison: Comparison) -> str:
     """``frame 25, motion``, with the target where there are several."""
     several = len(comparison.pairs) + sum(map(len, comparison.alone)) > 1
-    whose = f", target {moment.target}" if several else ""
+    whose = f", {whose_text(moment.pair)}" if several else ""
     return f"frame {moment.frame}{whose}" + (f", {moment.node}" if moment.node else "")
 
 
-def sides(first: RunRecord, second: RunRecord, moment: Moment, comparison: Comparison) -> tuple[str, str]:
+def whose_text(pair: tuple[str, str]) -> str:
+    """``target 2``, or how it is called in which run."""
+    a, b = pair
+    if a == b:
+        return f"target {a}"
+    return "target " + ", ".join(f"{name} of {run}" for name, run in ((a, "A"), (b, "B")) if name)
+
+
+def sides(first: RunRecord, second: RunRecord, moment: Moment) -> tuple[str, str]:
     """What each of the runs decided and why; where one decided nothing, how it stood."""
-    theirs = dict(comparison.pairs).get(moment.target, moment.target)
     return (
-        f"A  {_said(first, moment.first, moment, moment.target)}",
-        f"B  {_said(second, moment.second, moment, theirs)}",
+        f"A  {_said(first, moment.first, moment, moment.pair[0])}",
+        f"B  {_said(second, moment.second, moment, moment.pair[1])}",
     )
 
 
@@ -105,6 +112,8 @@ def _said(run: RunRecord, decided: Sequence[Decision], moment: Moment, target: s
 
 def _standing(run: RunRecord, moment: Moment, target: str) -> str:
     """Why nothing was decided, as far as the measurements tell."""
+    if not target:
+        return "it has no such target"
     start = bisect_left(run.metrics, moment.frame, key=lambda one: one.frame)
     here = takewhile(lambda one: one.frame == moment.frame, islice(run.metrics, start, None))
     line = next((one for one in here if one.target == target), None)
@@ -172,7 +181,7 @@ def estimate_lines(comparison: Comparison) -> list[str]:
     """How far the estimates of each target are apart, in a line; the farthest first."""
     lines = []
     for (a, b), distances in comparison.distances.items():
-        name = f"target {a}" if a == b else f"target {a} of A, {b} of B"
+        name = whose_text((a, b))
         if not distances:
             lines.append((math.inf, f"{name}: never live in the same frame"))
             continue

@@ -48,7 +48,7 @@ def draw_pair(first: RunRecord, second: RunRecord, compared: Comparison, pair: t
         *_ud(lines, x),
         *_apart(compared.distances.get(pair, ()), x, apart_top),
         *_bars(lines, agents, x, bars_top),
-        *_marks(compared.moments, pair[0], x, bottom),
+        *_marks(compared.moments, pair, x, bottom),
     ]
     height = bottom + FOOT
     told = f"UD, distance of the estimates and active agents of target {pair[0]} in both runs"
@@ -164,11 +164,11 @@ def _bars(lines: Sequence[Sequence[FrameMetrics]], agents: Sequence[str], x: _Sc
     return drawn
 
 
-def _marks(moments: Sequence[Moment], target: str, x: _Scale, bottom: float) -> list[str]:
+def _marks(moments: Sequence[Moment], pair: tuple[str, str], x: _Scale, bottom: float) -> list[str]:
     """A line at each parting, dashed but for the first of all; it leads to the moment's row in the page."""
     drawn, free = [], -math.inf
     for number, moment in enumerate(moments[:MOST_MOMENTS]):
-        if moment.target != target:
+        if moment.pair != pair:
             continue
         at = x(moment.frame)
         told = [

@@ -7,7 +7,15 @@ import hashlib
 from collections.abc import Sequence
 
 from bayesnet_track.journal.compare import Comparison, RunRecord, Total
-from bayesnet_track.journal.compare_text import change, estimate_lines, figure, parting_lines, place, sides
+from bayesnet_track.journal.compare_text import (
+    change,
+    estimate_lines,
+    figure,
+    parting_lines,
+    place,
+    sides,
+    whose_text,
+)
 from bayesnet_track.journal.wording import plural
 from bayesnet_track.view.compare_charts import MOST_MOMENTS, draw_pair
 from bayesnet_track.view.svg import element, text_of
@@ -155,7 +163,7 @@ def _better(one: Total) -> str:
 def _charts(first: RunRecord, second: RunRecord, compared: Comparison) -> list[str]:
     """The targets that differ the most first; some of them open."""
     apart = {
-        pair: sum(one.px for one in line) + 1e6 * sum(m.target == pair[0] for m in compared.moments)
+        pair: sum(one.px for one in line) + 1e6 * sum(m.pair == pair for m in compared.moments)
         for pair, line in compared.distances.items()
     }
     ordered = sorted(compared.pairs, key=lambda pair: -apart[pair])
@@ -166,7 +174,7 @@ def _charts(first: RunRecord, second: RunRecord, compared: Comparison) -> list[s
         "edge of UD: lost (A above, B below).</p>",
     ]
     for number, pair in enumerate(ordered):
-        name = f"Target {pair[0]}" if pair[0] == pair[1] else f"Target {pair[0]} of A, {pair[1]} of B"
+        name = _capital(whose_text(pair))
         chart = f'<div class="wide">{draw_pair(first, second, compared, pair)}</div>'
         if len(ordered) == 1:
             drawn.append(chart)
@@ -182,7 +190,7 @@ def _moments(first: RunRecord, second: RunRecord, compared: Comparison) -> list[
     told = [f"<h2>{_capital(plural(len(compared.moments), 'parting'))}</h2>"]
     for number, moment in enumerate(compared.moments[:MOST_MOMENTS]):
         head = f"<h3>{text_of(_capital(place(moment, compared)))}</h3>"
-        body = "".join(_sided(line) for line in sides(first, second, moment, compared))
+        body = "".join(_sided(line) for line in sides(first, second, moment))
         told.append(f'<div class="moment" id="moment-{number}">{head}{body}</div>')
     if len(compared.moments) > MOST_MOMENTS:
         told.append(f"<p>… and {len(compared.moments) - MOST_MOMENTS} more.</p>")

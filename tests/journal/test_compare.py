@@ -121,21 +121,34 @@ def test_a_cost_that_is_not_declared_is_not_taken_for_nothing():
     assert figures["declared ms per frame"] is None
 
 
+LEFT, RIGHT, FAR = (30.0, 40.0, 20.0, 20.0), (90.0, 40.0, 20.0, 20.0), (200.0, 9.0, 8.0, 8.0)
+
+
+def crowd(name, places, decisions=()):
+    """Targets that were born by detection, each at its place."""
+    events, metrics = [], []
+    for target, box in places.items():
+        events += [CandidateConfirmed(0, target, "plate", "d", 0, 1, 1, 1.0, None), start(target, box)]
+        metrics += [line(frame, target, box) for frame in range(20)]
+    return Record(name, [*events, *decisions], metrics)
+
+
 def test_born_targets_are_paired_by_where_they_are_not_by_id():
-    left, right = (30.0, 40.0, 20.0, 20.0), (90.0, 40.0, 20.0, 20.0)
-
-    def crowd(name, places):
-        events, metrics = [], []
-        for target, box in places.items():
-            events += [CandidateConfirmed(0, target, "plate", "d", 0, 1, 1, 1.0, None), start(target, box)]
-            metrics += [line(frame, target, box) for frame in range(20)]
-        return Record(name, events, metrics)
-
-    found = compare(
-        crowd("a", {"1": left, "2": right}), crowd("b", {"1": right, "2": left, "3": (200.0, 9, 8, 8)})
-    )
+    found = compare(crowd("a", {"1": LEFT, "2": RIGHT}), crowd("b", {"1": RIGHT, "2": LEFT, "3": FAR}))
     assert found.pairs == (("1", "2"), ("2", "1"))
     assert found.alone == ((), ("3",))
     assert found.first_apart is None
     # The start of the third is the only decision that one of them took alone.
     assert [(m.target, len(m.first), len(m.second)) for m in found.moments] == [("3", 0, 1)]
+
+
+def test_a_target_that_only_one_run_has_is_never_taken_for_another_one_of_that_id():
+    a = crowd("a", {"1": LEFT, "2": RIGHT}, [on(5, target="2")])
+    b = crowd("b", {"1": LEFT, "2": FAR, "3": RIGHT}, [on(5, target="2")])
+    found = compare(a, b)
+    assert found.pairs == (("1", "1"), ("2", "3")) and found.alone == ((), ("2",))
+    parted = [(m.frame, m.pair, len(m.first), len(m.second)) for m in found.moments]
+    assert parted == [(0, ("", "2"), 0, 1), (5, ("", "2"), 0, 1), (5, ("2", "3"), 1, 0)]
+    text = compare_text(a, b, found, [])
+    assert "they part first at frame 0, target 2 of B\n  A  frame 0: it has no such target\n" in text
+    assert "frame 5, target 2 of A, 3 of B, motion\n    A  frame 5: UD 210" in text
