@@ -130,7 +130,8 @@ def test_a_page_that_reads_nothing_does_not_slow_the_run():
         feed = view._feed
         for _ in range(3000):
             feed._write("x" * 2000)
-        ask = f"GET /{view._server.token}/feed?from=0 HTTP/1.1\r\nHost: {view.address[7:].split('/')[0]}\r\n\r\n"
+        host, token = view.address.split("/")[2:4]
+        ask = f"GET /{token}/feed?from=0 HTTP/1.1\r\nHost: {host}\r\n\r\n"
         slow = [socket.create_connection(("127.0.0.1", view._server.port)) for _ in range(8)]
         for one in slow:
             one.sendall(ask.encode())
