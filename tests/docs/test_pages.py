@@ -127,3 +127,13 @@ def test_the_cue_of_the_page_works_and_keeps_to_the_contract(tmp_path):
 def test_the_pages_name_every_graph_of_the_library():
     text = "".join(page.read_text("utf-8") for page in PAGES)
     assert [name for name in graph_names() if name not in text] == []
+
+
+def test_the_reference_tells_of_everything_that_the_package_offers():
+    import bayesnet_track
+
+    text = (ROOT / "docs" / "api.md").read_text("utf-8")
+    missing = [
+        name for name in bayesnet_track.__all__ if not re.search(rf"bayesnet_track\.{name}$", text, re.M)
+    ]
+    assert missing == []
