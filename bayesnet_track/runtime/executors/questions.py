@@ -86,7 +86,20 @@ class Sent:
         self._by_id: OrderedDict[int, tuple[Array, int]] = OrderedDict()
         self._by_number: dict[int, Array] = {}
         self._bytes = 0
-        self._forget: list[int] = []
+
+    def question(
+        self,
+        agent: str,
+        method: str,
+        frames: tuple[Any, Any] | None,
+        region: Region | None,
+        arguments: tuple[Any, ...],
+    ) -> Question:
+        """The question, references in `arguments` told."""
+        # First: an array that this question tells or refers to must outlast it.
+        forget = self._forgotten()
+        told = tuple(self.tell(part) if isinstance(part, Mapping) else part for part in arguments)
+        return Question(agent, method, frames, region, told, self.next_number, forget)
 
     def tell(self, reference: Mapping[str, Any]) -> Told:
         """The reference, without the arrays that the worker has."""
@@ -116,15 +129,15 @@ class Sent:
                     assert kept == number
         return reference
 
-    def forgotten(self) -> tuple[int, ...]:
+    def _forgotten(self) -> tuple[int, ...]:
         """Numbers of the arrays that the worker need not keep."""
+        forget: list[int] = []
         while self._bytes > MOST_BYTES and len(self._by_id) > 1:
             _, (array, number) = self._by_id.popitem(last=False)
             del self._by_number[number]
             self._bytes -= array.nbytes
-            self._forget.append(number)
-        forget, self._forget = tuple(self._forget), []
-        return forget
+            forget.append(number)
+        return tuple(forget)
 
     def _keep(self, array: Array) -> int:
         number = self.next_number

@@ -174,9 +174,7 @@ class RayActors:
             raise Late("there was no time left to ask it")
         if not hired.pid:
             hired.pid, hired.node = self._received(hired.ready, START_S, until)
-        sent = hired.sent
-        told = tuple(sent.tell(part) if isinstance(part, Mapping) else part for part in arguments)
-        question = Question(agent, method, frames, region, told, sent.next_number, sent.forgotten())
+        question = hired.sent.question(agent, method, frames, region, arguments)
         is_first = method not in hired.asked
         limit = max(self._limits.first_s, self._limits.answer_s) if is_first else self._limits.answer_s
         answer: Answer = pickle.loads(self._received(hired.actor.answer.remote(question), limit, until))
@@ -186,7 +184,7 @@ class RayActors:
                 f"needs more than {self._limits.memory_mb} MB above what its process starts with"
             )
         if isinstance(answer.value, Told):
-            return Answer(sent.heard(answer.value), seconds=answer.seconds)
+            return Answer(hired.sent.heard(answer.value), seconds=answer.seconds)
         return answer
 
     def _received(self, promised: Any, limit: float, until: float | None) -> Any:

@@ -9,14 +9,13 @@ import signal
 import socket
 import struct
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
 
 from bayesnet_track.executor import AgentUnavailable
 from bayesnet_track.runtime.executors.nursery import Nursery
-from bayesnet_track.runtime.executors.questions import Answer, Question, Sent, Told
+from bayesnet_track.runtime.executors.questions import Answer, Sent, Told
 
 
 class WorkerLost(Exception):
@@ -104,13 +103,11 @@ class Worker:
         """
         if self.busy_with is not None:  # with a question whose answer nobody waited for
             self._receive(deadline)
-        sent = self._sent
-        forget = sent.forgotten()
-        told = tuple(sent.tell(part) if isinstance(part, Mapping) else part for part in arguments)
+        question = self._sent.question(agent, method, frames, region, arguments)
         is_first = (agent, method) not in self._known
         limit = max(self._limits.first_s, self._limits.answer_s) if is_first else self._limits.answer_s
         self.busy_with, self._patience_s, self._until = agent, limit, time.monotonic() + limit
-        self._send(("ask", Question(agent, method, frames, region, told, sent.next_number, forget)))
+        self._send(("ask", question))
         answer = self._receive(deadline)
         self._known.add((agent, method))
         return answer

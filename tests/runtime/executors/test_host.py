@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Mapping
 
 import numpy as np
 import pytest
@@ -23,7 +22,7 @@ from bayesnet_track.runtime.executors.frames import FrameStore, FrameView
 from bayesnet_track.runtime.executors.host import AgentHost
 from bayesnet_track.runtime.executors.proxy import SentFrames
 from bayesnet_track.runtime.executors.proxy import placed as place
-from bayesnet_track.runtime.executors.questions import LEAST_BYTES, Question, Sent, Told
+from bayesnet_track.runtime.executors.questions import LEAST_BYTES, Sent, Told
 
 PROTOCOLS = (Cue, MeasuringCue, ClaimingCue, LocallyAdaptable, Turnable)
 
@@ -44,9 +43,7 @@ class Across:
     def ask(self, agent, method, frames, region, arguments):
         assert not self.is_busy, "a question within a question"
         self.is_busy = True
-        told = tuple(self.sent.tell(part) if isinstance(part, Mapping) else part for part in arguments)
-        forget = self.sent.forgotten()
-        question = Question(agent, method, frames, region, told, self.sent.next_number, forget)
+        question = self.sent.question(agent, method, frames, region, arguments)
         passed = pickle.dumps(question)
         self.bytes.append(len(passed))
         answer = pickle.loads(pickle.dumps(self.host.answer(pickle.loads(passed))))
@@ -106,8 +103,10 @@ def test_answers_are_those_of_the_cue_and_a_reference_crosses_once(placed, acros
     assert desk.bytes[-2] > own["big"].nbytes > 2 * desk.bytes[-1]
 
 
-def test_arrays_that_were_forgotten_are_sent_again(monkeypatch, across, placed):
-    monkeypatch.setattr("bayesnet_track.runtime.executors.questions.MOST_BYTES", 20_000)
+@pytest.mark.parametrize("most", [20_000, 10_000])
+def test_arrays_that_were_forgotten_are_sent_again(monkeypatch, across, placed, most):
+    """The smaller limit is less than the arrays of one question take."""
+    monkeypatch.setattr("bayesnet_track.runtime.executors.questions.MOST_BYTES", most)
     cue, _, proxy = across()
     references = [{"box": np.zeros(4), "big": np.full(1000, float(n))} for n in range(8)]
     for n in (0, 1, 2, 3, 4, 5, 6, 7, 0, 3, 7, 1):
