@@ -9,6 +9,9 @@ from bayesnet_track.starter.task import APART, BELIEF, BUDGET, FOLLOW, HARD, SPE
 Ask = Callable[[str], str]
 Say = Callable[[str], object]
 
+NOTHING = "nothing"
+"""What an empty answer is called, and may be answered, where several are asked for."""
+
 QUESTIONS: tuple[tuple[str, str, Mapping[str, str], bool, str], ...] = (
     ("follow", "What do you want to follow?", FOLLOW, False, "box"),
     (
@@ -34,6 +37,8 @@ def chosen(text: str, choices: Mapping[str, str], several: bool) -> tuple[str, .
     """
     names = list(choices)
     found = set()
+    if several and text.strip() == NOTHING:
+        return ()
     for word in text.replace(",", " ").split():
         name = names[int(word) - 1] if word.isdigit() and 0 < int(word) <= len(names) else word
         if name not in choices:
@@ -54,7 +59,7 @@ def ask_all(given: Mapping[str, str], ask: Ask, say: Say) -> dict[str, str]:
         for number, (word, meaning) in enumerate(choices.items(), 1):
             say(f"  {number} {word:12} {meaning}")
         while True:
-            text = ask(f"[{default or 'nothing'}] ").strip() or default
+            text = ask(f"[{default or NOTHING}] ").strip() or default
             try:
                 answers[name] = ",".join(chosen(text, choices, several))
                 break

@@ -138,6 +138,7 @@ def test_it_asks_until_the_answer_makes_sense():
 
 
 def test_several_words_or_numbers():
+    assert chosen("nothing", HARD, True) == chosen("", HARD, True) == ()
     assert chosen("3 1,color", APART, True) == ("color", "motion")
     assert chosen("", HARD, True) == ()
 
