@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
@@ -10,16 +10,18 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.adapt.backoff import next_try, quarantined
 from bayesnet_track.adapt.guard import watch
 from bayesnet_track.adapt.learn import learn_first
 from bayesnet_track.adapt.memory import Memory, Streak
+from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.cue import Reference
-from bayesnet_track.graph.net import Decision, Quarantined, TargetStarted
+from bayesnet_track.graph.net import Decision, Quarantined, Readmitted, TargetNet, TargetStarted
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.parts import nominal_boxes
 from bayesnet_track.journal.events import FrameMetrics
-from bayesnet_track.machinery import Engine
+from bayesnet_track.machinery import Engine, Machinery
 from bayesnet_track.nets.frame_metrics import first_frame_metrics
 from bayesnet_track.nets.predicting import outlook
 from bayesnet_track.nets.state import TargetState, inside_frame
@@ -49,7 +51,8 @@ def start(
     """A net for the target inside the centre box (4,) of `frame`: references learnt, belief placed.
 
     The belief of the first frame is the box itself; hypotheses spread with the first prediction. An agent
-    that cannot learn its reference, or that needs colour where the frame has none, is out for the whole run.
+    that cannot learn its reference, or that needs colour where the frame has none, is out for the whole run;
+    one that gives no answer for a reason outside of it is out for a while, and learns it then.
     `known` are references that agents have already and need not learn.
     """
     machine = engine.machinery[template]
@@ -60,17 +63,21 @@ def start(
     unknown = {agent: cue for agent, cue in machine.cues.items() if agent not in known}
     cache, roll = PlaneCache(FramePair(frame, previous)), engine.absent.roll(target, "starting")
     learnt, faults = learn_first(unknown, cache, box, own, engine.executor, roll)
-    faults |= {agent: f"gave no first reference: {reason}" for agent, reason in roll.missed.items()}
     references = {**learnt, **known}
     if not frame.has_color:
         faults |= dict.fromkeys(sorted(machine.color_agents), "needs colour, and the source is gray")
     x, y, w, h = (float(v) for v in box)
     decisions: list[Decision] = [
         TargetStarted(frame.index, target, template, (x, y, w, h), active),
-        # Without a reference there is nothing to try again with.
+        # Those that cannot learn a reference have nothing to try again with.
         *(Quarantined(frame.index, target, agent, reason) for agent, reason in faults.items()),
+        *(
+            _later(frame.index, target, agent, why)
+            for agent, why in roll.missed.items()
+            if agent not in faults
+        ),
     ]
-    working = tuple(agent for agent in active if agent not in faults)
+    working = tuple(agent for agent in active if agent not in faults and agent not in roll.missed)
     born = TargetState(
         belief=machine.belief.start(box, Confined(machine.motion, frame.width, frame.height), stream),
         references=references,
@@ -82,6 +89,43 @@ def start(
     )
     metrics = first_frame_metrics(frame, target, len(born.belief), working, box, parts)
     return Born(born, tuple(decisions), metrics)
+
+
+def start_late(
+    engine: Engine,
+    now: Situation,
+    machine: Machinery,
+    cache: PlaneCache,
+    box: Floats,
+    own: Mapping[str, Floats],
+    references: Mapping[str, Reference],
+    decisions: Iterable[Decision],
+) -> tuple[dict[str, Reference], tuple[Quarantined, ...]]:
+    """First references of the agents that are admitted now and gave none when the target started.
+
+    They learn at the estimate `box` (4,), those that look at a part in its box in `own`, and only while the
+    target is tracked by others. Those that still have none are out again.
+    """
+    back = [one.node for one in decisions if isinstance(one, Readmitted) and one.node not in references]
+    if not back:
+        return {}, ()
+    net, frame, target = now.net, now.frame, now.target
+    if net.status != "tracking" or not net.active:
+        why = "gave no first reference, and the target is not tracked, which it could learn from"
+        return {}, tuple(quarantined(net, frame, target, agent, why) for agent in back)
+    roll = engine.absent.roll(target, "starting")
+    cues = {agent: machine.cues[agent] for agent in back}
+    learnt, faults = learn_first(cues, cache, box, own, engine.executor, roll)
+    return learnt, (
+        *(Quarantined(frame, target, agent, reason) for agent, reason in faults.items()),
+        *(_later(frame, target, agent, why, net) for agent, why in roll.missed.items() if agent in cues),
+    )
+
+
+def _later(frame: int, target: str, agent: str, why: str, net: TargetNet | None = None) -> Quarantined:
+    """The agent gave no first reference: it is out for a while."""
+    until, times = next_try(frame, None if net is None else net.faults.get(agent))
+    return Quarantined(frame, target, agent, f"gave no first reference: {why}", until, times)
 
 
 def restart(

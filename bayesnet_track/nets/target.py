@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.backoff import quarantined
-from bayesnet_track.adapt.guard import changes
+from bayesnet_track.adapt.guard import changes, watch
 from bayesnet_track.adapt.learn import learning_rate, over_frames
 from bayesnet_track.adapt.measure import measure
 from bayesnet_track.adapt.parts import part_rates
@@ -37,6 +37,7 @@ from bayesnet_track.nets.predicting import Predicted, predicted
 from bayesnet_track.nets.rivals import rival_seen
 from bayesnet_track.nets.score import most, probability, with_rival
 from bayesnet_track.nets.shedding import within
+from bayesnet_track.nets.starting import start_late
 from bayesnet_track.nets.state import TargetState, applied, inside_frame, with_agents
 from bayesnet_track.planes import Frame, PlaneCache
 
@@ -219,6 +220,9 @@ def conclude(
     references, watched, judged, decisions = learn(
         now, machine, before, rates, cache, at, own, chosen, engine
     )
+    first, still_out = start_late(engine, now, machine, cache, box, own, references, chosen)
+    references, decisions = {**references, **first}, (*decisions, *still_out)
+    watched = replace(watched, slow={**watched.slow, **watch(first, machine.looks, machine.guard).slow})
     _charge(engine, seconds, "learn", started)
 
     ahead = weighed.predicted.after(measures.ud_px2[machine.plate.root], measures.area_px2, quiet)

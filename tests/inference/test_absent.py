@@ -117,7 +117,7 @@ def test_with_every_agent_missing_the_belief_is_prediction_only(fakes):
     assert all(o.metrics[0].status == "lost" and o.metrics[0].score < 0.05 for o in outcomes[4:])
 
 
-def test_one_that_cannot_learn_its_first_reference_is_out(fakes):
+def test_one_that_gives_no_first_reference_is_out(fakes):
     def learn(planes, box):
         raise AgentUnavailable("its process died")
 
@@ -125,5 +125,31 @@ def test_one_that_cannot_learn_its_first_reference_is_out(fakes):
         nodes_of("particles"), {"a": fakes.flat(), "b": fakes.Oracle(fakes.flat(), reference=learn)}
     )[0]
     (start,) = fakes.play(engine, 0)
-    assert start.events[1] == Quarantined(0, "1", "b", "gave no first reference: its process died")
+    assert start.events[1] == Quarantined(0, "1", "b", "gave no first reference: its process died", 10)
     assert engine.absent.events == (AgentMissed(0, "1", "b", "its process died", "starting"),)
+
+
+def test_one_that_gave_no_first_reference_learns_it_later(fakes):
+    """It dies in the first frame, and where it is tried again first; then it learns at the estimate."""
+    dies_in, learnt = {0, 9}, []
+
+    def learn(planes, box):
+        if planes.frame.index in dies_in:
+            raise AgentUnavailable("its process died")
+        learnt.append((planes.frame.index, tuple(box[:2])))
+        return {"box": box}
+
+    see = {"a": fakes.gaussian(52, 41, 6), "b": fakes.Oracle(fakes.gaussian(52, 41, 6), reference=learn)}
+    outcomes = play(fakes, fakes.engine(nodes_of("particles"), see)[0], 34)
+    told = [e for o in outcomes for e in o.events if isinstance(e, Quarantined | Readmitted)]
+    reason = "gave no first reference: its process died"
+    assert told == [
+        Quarantined(0, "1", "b", reason, 10, 1),
+        Readmitted(9, "1", "b", True, 1, 10),
+        Quarantined(9, "1", "b", reason, 29, 2),
+        Readmitted(28, "1", "b", True, 2, 20),
+    ]
+    assert learnt[0] == (28, pytest.approx(outcomes[28].metrics[0].box[:2], abs=0.01))
+    assert [o.metrics[0].active for o in outcomes[27:30]] == [("a",), ("a",), ("a", "b")]
+    missed = [one for o in outcomes for one in o.outside]
+    assert missed == [AgentMissed(9, "1", "b", "its process died", "starting")]
