@@ -59,14 +59,14 @@ def begin(
 
     stop: StopRequest = options.stop
     view.controls.can_switch = getattr(options, "inputs", None) is None
+    if not options.overwrite:
+        RunDirectory.create(str(out), overwrite=False)  # what is wrong there is told before anybody waits
     view.shows(graph, source, out=str(out))
 
     def give_up() -> bool:
         return stop.signal is not None
 
     if not starts and not has_births(graph):
-        if not options.overwrite:
-            RunDirectory.create(str(out), overwrite=False)  # told before a box is drawn for nothing
         first = getattr(source, "first_frame", None)
         assert first is not None
         chosen = view.choose(graph, source, first, give_up)

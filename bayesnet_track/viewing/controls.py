@@ -163,11 +163,13 @@ class Controls:
 def _start(given: Any) -> Start:
     box = given.get("box") if isinstance(given, dict) else None
     plate = given.get("plate") if isinstance(given, dict) else None
-    numbers = isinstance(box, list) and len(box) == 4 and all(type(v) in (int, float) for v in box)
-    if not numbers or not (plate is None or isinstance(plate, str)):
-        raise Refused("a box is four numbers x, y, w, h, with the name of its plate")
+    numbers = box if isinstance(box, list) else []
+    if len(numbers) != 4 or any(type(value) not in (int, float) for value in numbers):
+        raise Refused("a box is four numbers x, y, w, h")
+    if not (plate is None or isinstance(plate, str)):
+        raise Refused("a plate is named by a text")
     try:
-        x, y, w, h = (float(v) for v in box)
+        x, y, w, h = (float(value) for value in numbers)
     except OverflowError as error:
         raise Refused("a box is four numbers of pixels") from error
     return Start((x, y, w, h), plate)

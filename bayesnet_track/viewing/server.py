@@ -202,13 +202,15 @@ class Handler(BaseHTTPRequestHandler):
     def _allowed(self) -> str | None:
         """What is asked for behind the token; None, answered already, where nothing may be."""
         if not self.server.knows(self.headers.get("Host", "")):
-            return self._refuse(HTTPStatus.FORBIDDEN, "not the address of this page")
+            self._refuse(HTTPStatus.FORBIDDEN, "not the address of this page")
+            return None
         try:
             _, token, path = urlsplit(self.path).path.split("/", 2)
         except ValueError:
             token = path = ""
         if not hmac.compare_digest(token.encode(errors="replace"), self.server.token.encode()):
-            return self._refuse(HTTPStatus.FORBIDDEN, "the address lacks its token: copy it whole")
+            self._refuse(HTTPStatus.FORBIDDEN, "the address lacks its token: copy it whole")
+            return None
         return path
 
     def _number(self, name: str) -> int:

@@ -45,7 +45,7 @@ class Spool:
             if not 0 <= first < len(self._ends):
                 return []
             begin = place = self._ends[first - 1] if first else 0
-            ends = []
+            ends: list[int] = []
             for number in range(first, len(self._ends)):
                 if ends and self._ends[number] - begin > most:
                     break
