@@ -187,8 +187,8 @@ function Node({ node, on, silent, index, held, hand }: NodeProps) {
       )}
       {held !== undefined && (
         <g class="badge">
-          <rect x={x + w / 2 - 50} y={y - h / 2 - 9} width={56} height={18} rx={9} />
-          <text x={x + w / 2 - 22} y={y - h / 2 + 4}>
+          <rect x={x + w / 2 - 62} y={y - h / 2 - 9} width={58} height={18} rx={9} />
+          <text x={x + w / 2 - 33} y={y - h / 2 + 4}>
             by hand
           </text>
         </g>

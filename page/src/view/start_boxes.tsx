@@ -259,6 +259,11 @@ export function StartBoxes({ live, about }: { live: Live; about: Asked }) {
             </button>
           </fieldset>
         ))}
+        {live.isCut.value && (
+          <p class="problem" role="alert">
+            The command gives no answer. Is it still there? Trying again …
+          </p>
+        )}
         {live.problem.value !== "" && (
           <p class="problem" role="alert">
             {live.problem.value}
