@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -10,6 +11,8 @@ from bayesnet_track.journal.writer import output_error
 
 PART = ".part"
 """What the name of a file that is not whole yet ends in."""
+CANNOT = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)
+"""What some file systems (of a network, of a container) say of letting the disk have a folder."""
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -36,11 +39,14 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def sync_directory(folder: Path) -> None:
-    """Let the disk have a folder's entries; where the system cannot, it keeps them in its own time."""
+    """Let the disk have a folder's entries; where a system cannot, it keeps them in its own time."""
     if os.name != "posix":
         return
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
+    except OSError as error:
+        if error.errno not in CANNOT:
+            raise
     finally:
         os.close(handle)

@@ -10,7 +10,7 @@ from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
 
 @contextmanager
 def locked(directory: RunDirectory) -> Iterator[None]:
-    """Inside it no other process writes the run; where the system has no such locks, it is not checked.
+    """Inside it no other process writes the run; without locks of the system or its disk it is not checked.
 
     Raises:
         RunDirectoryError: another one does so now.
@@ -24,5 +24,20 @@ def locked(directory: RunDirectory) -> Iterator[None]:
         try:
             flock(file, LOCK_EX | LOCK_NB)
         except BlockingIOError:
-            raise RunDirectoryError(f"{directory.path}: another process is writing this run") from None
+            raise RunDirectoryError(
+                f"{directory.path}: another process is writing this run; wait for it, or give another folder"
+            ) from None
+        except OSError:  # a file system without locks
+            pass
         yield
+
+
+def refuse_written(directory: RunDirectory) -> None:
+    """Refuse a run that another process writes now, before it is overwritten.
+
+    Raises:
+        RunDirectoryError: one does.
+    """
+    if directory.recipe.is_file():
+        with locked(directory):
+            pass

@@ -22,7 +22,7 @@ from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.detection_files import file_detector
 from bayesnet_track.runtime.executors import RETRIES, Executing, make_executor
 from bayesnet_track.runtime.inputs import Asked, as_asked
-from bayesnet_track.runtime.lock import locked
+from bayesnet_track.runtime.lock import locked, refuse_written
 from bayesnet_track.runtime.recipe import Recipe, make_recipe
 from bayesnet_track.runtime.record import Recorder
 from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
@@ -123,6 +123,7 @@ def track(
         told: list[Sink] = list(sinks)
         keeper: Checkpoints | None = None
         if out is not None:
+            refuse_written(RunDirectory(Path(out)))
             directory = RunDirectory.create(str(out), overwrite)
             recipe = make_recipe(
                 checked,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import itertools
 import json
@@ -272,6 +273,27 @@ def test_an_empty_folder_and_one_that_is_being_written_are_refused(tmp_path: Pat
     run = begun(tmp_path / "run", 2)
     with locked(RunDirectory(run)), pytest.raises(RunDirectoryError, match="another process"):
         list(resume(run))
+
+
+def test_a_run_that_is_being_written_is_not_overwritten(tmp_path: Path) -> None:
+    run = begun(tmp_path / "run", 2)
+    before = files(run)
+    with locked(RunDirectory(run)), pytest.raises(RunDirectoryError, match="another process"):
+        begun(run, 2, overwrite=True)
+    assert files(run) == before
+    assert files(begun(run, 2, overwrite=True)).keys() == before.keys()
+
+
+def test_where_a_file_system_has_no_locks_a_run_goes_on_without(
+    tmp_path: Path, whole: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_locks(file: object, operation: int) -> None:
+        raise OSError(errno.EOPNOTSUPP, "Operation not supported")
+
+    monkeypatch.setattr("fcntl.flock", no_locks)
+    run = begun(tmp_path / "run", 9)
+    list(resume(run))
+    assert files(run) == whole
 
 
 def test_a_run_is_told_when_what_its_agents_keep_cannot_be_stored(
