@@ -245,8 +245,8 @@ class CueDeclaration:
         parameters: model of its parameters (a subclass of `CueParameters`), each with a description and unit.
         make: parameters -> implementation; imports what is heavy.
         needs_color: True when it is blind on a gray source.
-        cost_ms: declared price of 1000 hypotheses of 60x60 px, planes included (rules weigh with it, so that
-            a run never depends on a clock).
+        cost_ms: declared price of 1000 hypotheses of 60x60 px, planes included, above 0 (rules weigh with it,
+            so that a run never depends on a clock).
         rate_max: learning rate this cue wants instead of the graph's `learn.rate_max`, or None.
         opaque: True when it keeps something that cannot be stored: a run that is taken up again where it
             stopped is then another than one that went on.
@@ -269,6 +269,10 @@ class CueDeclaration:
     missing: Callable[[Any], str | None] | None = None
     reads_claim: bool = False
     reads_angle: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.cost_ms < float("inf"):
+            raise ValueError(f"cue {self.name!r}: cost_ms {self.cost_ms}; a finite price above 0 is needed")
 
 
 def floored(log_likelihood: Floats, floor: float) -> Floats:
@@ -299,7 +303,7 @@ def blend_arrays(old: Reference, new: Reference, rate: float) -> dict[str, NDArr
 
 
 def installed_cues(named: Iterable[str] = ()) -> Mapping[str, CueDeclaration]:
-    """The built-in cues, and those of `named` that other packages bring and that are allowed; by name, sorted.
+    """The built-in cues, and those of `named` that other packages bring and that are allowed, by name.
 
     A package whose cue cannot be loaded is left out with a warning; see `plugins`.
     """

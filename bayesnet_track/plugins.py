@@ -57,8 +57,9 @@ def installed(
 ) -> Mapping[str, Declaration]:
     """The declarations of `kind` in the group that come with this package, and the allowed ones of `named`.
 
-    By name, sorted; those of other packages that were loaded before are among them. A package whose declaration cannot be loaded is left out with a warning that calls it a
-    `word`: it must not keep the others from working.
+    By name, sorted; those of other packages that were loaded before are among them. A package whose
+    declaration cannot be loaded is left out with a warning that calls it a `word`: it must not keep the
+    others from working.
     """
     found: dict[str, Declaration] = dict(_built_in(group, kind, word))
     for name in sorted({*named} & _allowed - {*found}):

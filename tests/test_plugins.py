@@ -9,7 +9,7 @@ import pytest
 
 from bayesnet_track import Tracker, plugins, track
 from bayesnet_track.cli import main
-from bayesnet_track.cue import installed_cues
+from bayesnet_track.cue import CueDeclaration, CueParameters, installed_cues
 from bayesnet_track.detector import installed_detectors
 from bayesnet_track.graph.messages import GraphError
 from bayesnet_track.runtime.recipe import Recipe
@@ -221,3 +221,10 @@ def test_of_two_with_one_name_neither_is_run(install, graph, capsys):
     assert main(["validate", graph(), "--allow-plugins", "flat"]) == 3
     assert "other-package and second-package both have 'flat'" in capsys.readouterr().err
     assert not mark.exists()
+
+
+@pytest.mark.parametrize("cost_ms", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_cue_without_a_price_is_refused(cost_ms):
+    """Rules divide by it."""
+    with pytest.raises(ValueError, match="'free': cost_ms .* above 0"):
+        CueDeclaration("free", "", CueParameters, lambda parameters: None, cost_ms=cost_ms)
