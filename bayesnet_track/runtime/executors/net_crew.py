@@ -68,6 +68,7 @@ class NetCrew:
 
     def _share_out(self, targets: Mapping[str, TargetState]) -> None:
         """New targets to the workers with the fewest; when shares have grown apart, all anew."""
+        self._returned = {target: state for target, state in self._returned.items() if target in targets}
         self._host_of = {target: host for target, host in self._host_of.items() if target in targets}
         counts = dict.fromkeys(self._hosts, 0)
         for host in self._host_of.values():

@@ -13,6 +13,7 @@ from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.inputs import Toggled
 from bayesnet_track.runtime.executors import make_executor
+from bayesnet_track.runtime.executors.net_crew import NetCrew
 from bayesnet_track.runtime.executors.placing import PlacingError
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.starts import Start, has_births, start_targets
@@ -89,3 +90,11 @@ def test_a_name_that_is_no_agent_and_no_plate_is_refused(crowd):
     ):
         executor.engine(make_engine(crowd), crowd)
     assert str(error.value) == "no agent 'disk'; the graph has color, and the plates disc"
+
+
+def test_nothing_is_kept_of_targets_that_are_gone():
+    crew = NetCrew(None, ("nets 1",), frozenset({"disc"}))
+    crew._returned = {"1": object(), "2": object()}
+    crew._share_out({"2": object()})
+    crew.close()
+    assert set(crew._returned) == {"2"}
