@@ -152,7 +152,9 @@ class Learn(Model):
 
     below: Level = Field(description="level of UD")
     rate_max: Annotated[Number, Field(gt=0, le=1)] = Field(
-        default=0.05, description="largest learning rate per frame"
+        default=0.05,
+        description="largest learning rate per frame, of cues that have none of their own; an agent's "
+        "learn_rate_max overrides both",
     )
     guard: Guard | None = Field(default=None, description="keeps references from drifting away")
 

@@ -493,7 +493,7 @@ def test_why():
         "frame 29 at 1.160 s, target 1: tracking, score 0.62 (uncalibrated)\n"
         "  estimate   centre 154.2, 110.5, 40.0 x 40.0 px; sd 3.1, 2.9, 0.4, 0.4 px\n"
         "  hypotheses 500, of which 212 effective; log evidence -3.21\n"
-        "  UD         square 212 px², color 98 px²; quiet level 94 px²; learning rate 0\n"
+        "  UD         square 212 px², color 98 px²; quiet level 94 px²; learning at 0 % of the full rate\n"
         "  hue        on   KL 0.31, contribution 1.20 nats, its own UD 98 px², strength 2.10 nats\n"
         "             on since frame 0, the start\n"
         "  motion     off  gave no evidence\n"
