@@ -127,6 +127,10 @@ class IsolatedReader:
                 return
             yield item
 
+    def cancel(self) -> None:
+        """End the process, from any thread; who waits for a picture is told that there is none."""
+        self._process.kill()
+
     def close(self) -> None:
         """End the process; safe to call twice."""
         if self._shared < 0:

@@ -134,6 +134,7 @@ class _Listener:
         self._newest: tuple[float, Image] | None = None
         self._came = 0
         self._is_over = self._is_abandoned = False
+        self._feed: Feed | None = None
         # What hangs in a driver cannot be woken: such a thread is left alone, and ends with the process.
         threading.Thread(target=self._listen, name="live source", daemon=True).start()
 
@@ -148,15 +149,20 @@ class _Listener:
             return moment, image, dropped
 
     def abandon(self) -> None:
-        """Read no further."""
+        """Read no further; what reads in a process of its own is ended at once."""
         with self._news:
             self._is_abandoned = self._is_over = True
             self._news.notify_all()
+            cancel = getattr(self._feed, "cancel", None)
+        if cancel is not None:
+            cancel()
 
     def _listen(self) -> None:
         reason = "the connection ended"
         try:
             feed = self._connect()
+            with self._news:
+                self._feed = feed
             try:
                 for image in feed:
                     with self._news:
@@ -166,6 +172,8 @@ class _Listener:
                         self._came += 1
                         self._news.notify_all()
             finally:
+                with self._news:
+                    self._feed = None
                 feed.close()
         except Exception as error:  # whatever a driver says: the connection is made again
             reason = str(error) or type(error).__name__

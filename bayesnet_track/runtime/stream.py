@@ -33,6 +33,12 @@ class Stream:
                     reason = str(error)
         raise OSError(reason)
 
+    def cancel(self) -> None:
+        """Wake the thread that reads, where that can be done from another one."""
+        cancel = getattr(self._reader, "cancel", None)
+        if cancel is not None:
+            cancel()
+
     def close(self) -> None:
         """Let go of the connection."""
         self._reader.close()
