@@ -71,7 +71,7 @@ def _videos(options: argparse.Namespace) -> list[Video]:
     from dataclasses import replace
 
     from bayesnet_track.batch.jobs import read_list, videos_of
-    from bayesnet_track.commands.tracking import parse_start
+    from bayesnet_track.commands.start_boxes import parse_start
 
     if bool(options.source) == (options.list is not None):
         raise UsageError("give the videos by --source or by --list")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import time
 from collections.abc import Generator, Sequence
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayesnet_track.commands.answer import INCOMPLETE, OK, UsageError, complain, say, unheard, users_mistake
+from bayesnet_track.commands.start_boxes import parse_start, read_start
 from bayesnet_track.commands.viewing import begin, viewed
 
 if TYPE_CHECKING:
@@ -96,7 +96,10 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
         say(f"\nagainst the true boxes{' of target 1' if name_target else ''}:")
         say(score_run(out, directory.truth, target="1").text(explained=True))
     told = min(29, source.expected_frames - 1)
-    say(f"\nopen {directory.video} to watch it; `bayesnet-track log {out} --why {told}` explains a frame")
+    say(
+        f"\nopen {directory.video} to watch it; `bayesnet-track report {out}` makes a page of it; "
+        f"`bayesnet-track log {out} --why {told}` explains a frame"
+    )
     return code
 
 
@@ -117,8 +120,12 @@ def run(options: argparse.Namespace) -> int:
             "no start box: give --init X,Y,W,H or --init-from FILE, or --view to draw it, or a graph with "
             "`birth`, whose detectors find the targets"
         )
+    out = Path(options.out)
     with viewed(options) as view, _opened(options) as source:
-        return _track(options, graph, source, starts, Path(options.out), video=options.video, view=view)
+        code = _track(options, graph, source, starts, out, video=options.video, view=view)
+    if code in (OK, INCOMPLETE) and sys.stdout.isatty() and not options.quiet:
+        say(f"`bayesnet-track report {out}` makes a page, `bayesnet-track log {out}` tells its decisions")
+    return code
 
 
 def _opened(options: argparse.Namespace) -> Source:
@@ -140,41 +147,6 @@ def _opened(options: argparse.Namespace) -> Source:
         calibration=options.calibration,
         isolate_decoder=options.isolate_decoder,
     )
-
-
-def read_start(path: Path, frame: int) -> Start:
-    """The start that a ground-truth file has for `frame`.
-
-    Raises:
-        UsageError: the file cannot be read, or has no box for this frame.
-    """
-    from bayesnet_track.evaluate.truth import read_truth
-    from bayesnet_track.runtime.run import Start
-
-    with users_mistake():
-        boxes = read_truth(path)
-    if frame >= len(boxes):
-        raise UsageError(f"{path}: no box for frame {frame}; it has boxes for frames 0 to {len(boxes) - 1}")
-    x, y, w, h = (float(value) for value in boxes[frame])
-    if math.isnan(x):
-        raise UsageError(f"{path}: the target is absent in frame {frame}; choose another --start")
-    return Start((x, y, w, h))
-
-
-def parse_start(text: str) -> Start:
-    """A start from ``x,y,w,h`` or ``plate:x,y,w,h`` (top-left corner, px).
-
-    Raises:
-        UsageError: it is something else.
-    """
-    from bayesnet_track.runtime.run import Start
-
-    plate, _, numbers = text.rpartition(":")
-    try:
-        x, y, w, h = (float(part) for part in numbers.split(","))
-    except ValueError:
-        raise UsageError(f"--init {text!r}: four numbers X,Y,W,H are needed (top-left corner, px)") from None
-    return Start((x, y, w, h), plate or None)
 
 
 def _track(
@@ -205,6 +177,11 @@ def _track(
         if chosen is None:
             return options.stop.exit_code or STOPPED
         starts = chosen
+    opaque = _opaque(graph)
+    if opaque and options.checkpoint_every > 0:
+        complain(
+            f"{out}: what {', '.join(opaque)} keeps cannot be stored: `resume` would begin this run anew"
+        )
     summary = Summary()
     with rerun_sinks(getattr(options, "rerun", None), graph.spec.name, options.overwrite) as sinks:
         results = track(
@@ -224,6 +201,15 @@ def _track(
             checkpoint_every=options.checkpoint_every,
         )
         return follow(options, results, summary, source.expected_frames, out, view)
+
+
+def _opaque(graph: CheckedGraph) -> list[str]:
+    """Agents that keep what no checkpoint can hold."""
+    from bayesnet_track.cue import installed_cues
+
+    agents = {name: one.agent(name).agent.cue for one in graph.targets.values() for name in one.agents}
+    cues = installed_cues(agents.values())
+    return sorted(name for name, cue in agents.items() if cue in cues and cues[cue].opaque)
 
 
 def _budget_ms(options: argparse.Namespace, source: FrameSource) -> float | None:
