@@ -226,5 +226,5 @@ def test_of_two_with_one_name_neither_is_run(install, graph, capsys):
 @pytest.mark.parametrize("cost_ms", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_cue_without_a_price_is_refused(cost_ms):
     """Rules divide by it."""
-    with pytest.raises(ValueError, match="'free': cost_ms .* above 0"):
+    with pytest.raises(ValueError, match=r"'free': cost_ms .* above 0"):
         CueDeclaration("free", "", CueParameters, lambda parameters: None, cost_ms=cost_ms)
