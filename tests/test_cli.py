@@ -30,7 +30,15 @@ from bayesnet_track.runtime.stop import Terminated
 from bayesnet_track.scenes import make_scene, scene_names
 
 ROOT = Path(__file__).parents[1]
-RUN_FILES = {"journal.jsonl", "frames.jsonl", "tracks.txt", "tracks.csv", "timings.jsonl", "graph.yaml"}
+RUN_FILES = {
+    "journal.jsonl",
+    "frames.jsonl",
+    "tracks.txt",
+    "tracks.csv",
+    "timings.jsonl",
+    "graph.yaml",
+    "run.json",
+}
 BOX = "20,14,16,12"
 
 
@@ -188,6 +196,19 @@ def test_a_demo_takes_another_graph_and_seed(cli, tmp_path):
 # ------------------------------------------------------------------------------------ run
 
 
+def test_what_resume_cannot_store_is_told_at_the_start(cli, images, tmp_path):
+    graph = tmp_path / "opaque.yaml"
+    graph.write_text(
+        "bayesnet: 1\nname: opaque\ntargets:\n  box:\n    nodes:\n"
+        "      box: {motion: {random_walk: {sd_px: {x: 3, y: 3}}}}\n"
+        "      mil: {parent: box, agent: opencv_tracker}\n"
+    )
+    line = f"run {graph} --source {images} --init {BOX} --end 2 --quiet --out"
+    code, _, err = cli(line, tmp_path / "run")
+    assert code == 0 and "what mil keeps cannot be stored: `resume` would begin this run anew" in err
+    assert cli(f"{line} {tmp_path / 'no'} --checkpoint-every 0")[2] == ""
+
+
 def test_run_on_a_folder_of_images(cli, images, tmp_path):
     out = tmp_path / "run"
     code, said, progress = cli(f"run general --source {images} --init {BOX} --out", out)
@@ -288,7 +309,7 @@ def test_progress_as_json(cli, images, tmp_path):
     code, _, err = cli(f"run general --source {images} --init {BOX} --log-json --out", tmp_path / "run")
     last = json.loads(err.splitlines()[-1])
     assert code == 0 and (last["progress"], last["total"], last["status"]) == (8, 8, "tracking")
-    assert "filter" in last["active"] and last["ud_px2"] > 0
+    assert "color" in last["active"] and last["ud_px2"] > 0
 
 
 def test_quiet_leaves_the_summary(cli, images, tmp_path):
