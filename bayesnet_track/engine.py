@@ -165,7 +165,7 @@ def step(engine: Engine, state: State, frame: Frame, outside: Iterable[Input] = 
 
 def with_outside(outcome: Outcome, given: Outside) -> Outcome:
     """The outcome with what came from outside, its notices first."""
-    told = (*given.absent.events, *given.refused)
+    told: tuple[Event, ...] = (*given.absent.events, *given.refused)
     return replace(outcome, events=(*told, *outcome.events), outside=given.taken)
 
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.write import graph_sha256
+from bayesnet_track.journal.writer import read_position
 from bayesnet_track.runtime.atomic import write_atomically
 from bayesnet_track.runtime.origin import Origin
 from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
@@ -52,7 +53,7 @@ class GivenFile:
 
     def changes(self) -> tuple[str, ...]:
         """What is not as it was, in words; raises OSError when it cannot be read."""
-        now = _sha256(self.place)
+        now = file_sha256(self.place)
         return () if now == self.sha256 else (f"{self.path}: {self.sha256[:12]}, now {now[:12]}",)
 
 
@@ -215,11 +216,16 @@ def make_recipe(
 
 
 def _given(path: str | PathLike[str]) -> GivenFile:
-    return GivenFile(str(path), str(Path(path).absolute()), _sha256(Path(path)))
+    return GivenFile(str(path), str(Path(path).absolute()), file_sha256(path))
 
 
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def file_sha256(path: str | PathLike[str]) -> str:
+    """The SHA-256 of a file's bytes, in hexadecimal.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    return read_position(Path(path)).sha256
 
 
 def _directory(given: RunDirectory | str | PathLike[str]) -> RunDirectory:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import ExitStack
 from os import PathLike
@@ -23,7 +22,7 @@ from bayesnet_track.runtime.detection_files import file_detector
 from bayesnet_track.runtime.executors import RETRIES, Executing, make_executor
 from bayesnet_track.runtime.inputs import Asked, as_asked
 from bayesnet_track.runtime.lock import locked, refuse_written
-from bayesnet_track.runtime.recipe import Recipe, make_recipe
+from bayesnet_track.runtime.recipe import Recipe, file_sha256, make_recipe
 from bayesnet_track.runtime.record import Recorder
 from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
 from bayesnet_track.runtime.rundir import RunDirectory
@@ -210,15 +209,6 @@ def kept(
 def opaque_agents(engine: Engine) -> tuple[str, ...]:
     """Agents that keep something which cannot be stored."""
     return tuple(agent for machine in engine.machinery.values() for agent in sorted(machine.opaque))
-
-
-def file_sha256(path: str | PathLike[str]) -> str:
-    """The SHA-256 of a file's bytes, in hexadecimal.
-
-    Raises:
-        OSError: it cannot be read.
-    """
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
 def _options(engine: Engine, budget_ms: float | None) -> dict[str, bool | int | float | str]:

@@ -169,9 +169,8 @@ class Processes:
     def _set_apart(self, slot: _Slot, late: str) -> None:
         """Leave the slot's worker to the agent that it still works for: the others are not to wait for it."""
         with self._assigning:
-            own = next(
-                (one for one in self._slots if not one.agents and one.worker is one.coming is None), None
-            )
+            empty = (one for one in self._slots if not one.agents)
+            own = next((one for one in empty if one.worker is None and one.coming is None), None)
             if own is None:
                 own = _Slot()
                 self._slots.append(own)
