@@ -2,7 +2,11 @@
 
 import base64
 import math
+import os
 import shutil
+import subprocess
+import sys
+import threading
 import time
 from pathlib import Path
 
@@ -46,6 +50,19 @@ class Browser:
         self.driver.get_log("browser")
         self.driver.get(Path(path).absolute().as_uri() + hash)
         self.wait("return document.getElementById('page')?.dataset.ready")
+        self.wait("return document.querySelector('.picture canvas')?.dataset.frame ?? null")
+
+    def open_view(self, address, size=DESKTOP):
+        """The page of a run in progress."""
+        self.size(size)
+        self.driver.get("about:blank")
+        self.driver.get_log("browser")
+        self.driver.get_log("performance")
+        self.driver.get(address)
+        self.wait("return document.getElementById('page')?.dataset.ready")
+
+    def wait_for_run(self):
+        self.wait("return document.querySelector('.live.running')", 60)
         self.wait("return document.querySelector('.picture canvas')?.dataset.frame ?? null")
 
     def size(self, size):
@@ -120,8 +137,47 @@ def browser(tmp_path_factory):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     started = webdriver.Chrome(options=options, service=Service(driver))
-    yield Browser(started, tmp_path_factory.mktemp("screenshots"))
+    folder = os.environ.get("BAYESNET_TRACK_SCREENSHOTS")
+    if folder is not None:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    yield Browser(started, tmp_path_factory.mktemp("screenshots") if folder is None else Path(folder))
     started.quit()
+
+
+class Command:
+    """A command that serves a view."""
+
+    def __init__(self, *arguments):
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "bayesnet_track", *map(str, arguments), "--quiet", "--view"],
+            stderr=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            text=True,
+        )
+        self.said = []
+        for line in self.process.stderr:
+            self.said.append(line.strip())
+            if line.startswith("view: "):
+                break
+        assert self.said and self.said[-1].startswith("view: "), self.said
+        self.address = self.said[-1].removeprefix("view: ")
+        threading.Thread(
+            target=lambda: self.said.extend(map(str.strip, self.process.stderr)), daemon=True
+        ).start()
+
+
+@pytest.fixture
+def command():
+    made = []
+
+    def start(*arguments):
+        made.append(Command(*arguments))
+        return made[-1]
+
+    yield start
+    for one in made:
+        one.process.kill()
+        one.process.wait(10)
 
 
 @pytest.fixture(scope="session")

@@ -1,9 +1,6 @@
 """A run in progress in a real browser: where it starts, holding it, switching, looking back, its end."""
 
 import json
-import subprocess
-import sys
-import threading
 
 import cv2
 import numpy as np
@@ -28,51 +25,6 @@ def video(tmp_path_factory):
     for number, frame in enumerate([*frames, *frames[::-1]]):
         cv2.imwrite(str(folder / f"{number:04d}.png"), frame)
     return folder
-
-
-class Command:
-    """A command that serves a view."""
-
-    def __init__(self, *arguments):
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "bayesnet_track", *map(str, arguments), "--quiet", "--view"],
-            stderr=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            text=True,
-        )
-        self.said = []
-        for line in self.process.stderr:
-            self.said.append(line.strip())
-            if line.startswith("view: "):
-                break
-        assert self.said and self.said[-1].startswith("view: "), self.said
-        self.address = self.said[-1].removeprefix("view: ")
-        threading.Thread(
-            target=lambda: self.said.extend(map(str.strip, self.process.stderr)), daemon=True
-        ).start()
-
-
-@pytest.fixture
-def command():
-    made = []
-
-    def start(*arguments):
-        made.append(Command(*arguments))
-        return made[-1]
-
-    yield start
-    for one in made:
-        one.process.kill()
-        one.process.wait(10)
-
-
-def open_view(browser, address, size=DESKTOP):
-    browser.size(size)
-    browser.driver.get("about:blank")
-    browser.driver.get_log("browser")
-    browser.driver.get_log("performance")
-    browser.driver.get(address)
-    browser.wait("return document.getElementById('page')?.dataset.ready")
 
 
 def corner(browser, x, y, width=320, height=240):
@@ -102,11 +54,6 @@ def boxes(browser):
     return [values[k : k + 4] for k in range(0, len(values), 4)]
 
 
-def wait_for_run(browser):
-    browser.wait("return document.querySelector('.live.running')", 60)
-    browser.wait("return document.querySelector('.picture canvas')?.dataset.frame ?? null")
-
-
 def standing(browser):
     return browser.run("return document.querySelector('.live .standing').innerText")
 
@@ -131,7 +78,7 @@ def test_from_a_dragged_box_to_a_run_that_is_held_switched_stopped_and_repeated(
 
     run = tmp_path / "run"
     started = command("run", "two_squares", "--source", video, "--out", run)
-    open_view(browser, started.address)
+    browser.open_view(started.address)
     browser.wait("return document.querySelector('.sheet img')?.complete")
     # Enter without a box says what is missing; Escape takes back what was drawn.
     browser.press(Keys.ENTER)
@@ -156,7 +103,7 @@ def test_from_a_dragged_box_to_a_run_that_is_held_switched_stopped_and_repeated(
             browser.press(key[wanted > now], held)
     assert boxes(browser) == [[x, y, w, h]]
     browser.press(Keys.ENTER)
-    wait_for_run(browser)
+    browser.wait_for_run()
 
     browser.press(" ")
     browser.wait("return document.querySelector('.live.paused')")
@@ -236,7 +183,7 @@ def test_from_a_dragged_box_to_a_run_that_is_held_switched_stopped_and_repeated(
 def test_two_targets_are_drawn_with_a_finger_on_a_phone(browser, command, video, tmp_path):
     run = tmp_path / "run"
     started = command("run", "orange_and_gray", "--source", video, "--out", run, "--end", "60")
-    open_view(browser, started.address, PHONE)
+    browser.open_view(started.address, PHONE)
     browser.wait("return document.querySelector('.sheet img')?.complete")
     touch = {"enabled": True, "maxTouchPoints": 1}
     browser.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", touch)
@@ -274,7 +221,7 @@ def test_a_demo_waits_for_its_page_and_stays_until_it_is_closed(browser, command
     run = tmp_path / "run"
     started = command("demo", "two_squares", "--end", "40", "--out", run)
     assert not (run / "journal.jsonl").exists()
-    open_view(browser, started.address)
+    browser.open_view(started.address)
     browser.wait("return document.querySelector('.live.ended')", 60)
     assert "The run has ended after 40 frames" in standing(browser)
     browser.wait_for_frame(39)
