@@ -193,26 +193,28 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_faulty_measurement_leaves_no_trace_but_its_name(asked, measuring, fault):
+def test_a_faulty_measurement_leaves_no_trace_but_its_name(fakes, asked, measuring, fault):
     wrong, said = FAULTS[fault]
-    sees = {"m": measuring.Measurer(lambda h, w: wrong), "a": values(OTHER)}
-    _, evidence = asked(PRODUCT, sees, BOXES)
-    assert set(evidence.faults) == {"m"}
-    assert evidence.faults["m"].split(":")[0] == said.split(":")[0]
-    assert evidence.faults["m"] == said or fault == "text"
+    sees = {"m": measuring.Measurer(lambda h, w: wrong), "a": fakes.Oracle(values(OTHER))}
+    observer = fakes.observer(sees)
+    _, evidence = asked(PRODUCT, sees, BOXES, observer=observer)
+    assert set(observer.faults) == {"m"}
+    assert observer.faults["m"].split(":")[0] == said.split(":")[0]
+    assert observer.faults["m"] == said or fault == "text"
     np.testing.assert_array_equal(evidence.log_likelihood, OTHER)
     assert "m" not in evidence.messages and "m" not in evidence.measured and not evidence.gaussians
 
 
-def test_one_that_raises_or_meddles(asked, measuring):
+def test_one_that_raises_or_meddles(fakes, asked, measuring):
     def meddling(hypotheses, weights):
         hypotheses.boxes[:] = 0.0
         weights[:] = np.nan
         raise ZeroDivisionError("nothing there")
 
-    sees = {"m": measuring.Measurer(meddling), "a": values(OTHER)}
-    _, evidence = asked(PRODUCT, sees, BOXES.copy())
-    assert evidence.faults == {"m": "raised ZeroDivisionError: nothing there"}
+    sees = {"m": measuring.Measurer(meddling), "a": fakes.Oracle(values(OTHER))}
+    observer = fakes.observer(sees)
+    _, evidence = asked(PRODUCT, sees, BOXES.copy(), observer=observer)
+    assert observer.faults == {"m": "raised ZeroDivisionError: nothing there"}
     np.testing.assert_array_equal(evidence.log_likelihood, OTHER)
 
 
