@@ -33,6 +33,29 @@ for _name, _examples in (("repeatable", 30), ("thorough", 100)):
     )
 settings.load_profile("repeatable")
 
+REAL_TIME = (
+    "tests/browser/",
+    "tests/batch/",
+    "tests/reliability/test_signals.py",
+    "tests/reliability/test_kill.py",
+    "tests/runtime/executors/",
+    "tests/runtime/test_deadline.py",
+    "tests/runtime/test_isolated.py",
+    "tests/runtime/test_live.py",
+    "tests/runtime/test_stop.py",
+    "tests/runtime/test_stream.py",
+    "tests/viewing/",
+)
+"""Tests of what only a real clock shows: a process dies or hangs, a camera stalls, a browser draws."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Ask those again, twice at most: a busy machine may hold up any process for longer than they wait."""
+    for item in items:
+        if item.path.relative_to(item.config.rootpath).as_posix().startswith(REAL_TIME):
+            item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=1))
+
+
 START = (50.0, 40.0, 20.0, 20.0)
 
 

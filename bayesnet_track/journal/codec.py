@@ -47,7 +47,8 @@ def to_json(event: Event | Input | FrameMetrics) -> str:
     Raises:
         JournalError: a value is not of its field's type.
     """
-    begin, members = _writing(type(event))
+    kind: Any = type(event)  # a union of classes is not hashable to mypy
+    begin, members = _writing(kind)
     return f"{{{', '.join([begin, *members(event)])}}}"
 
 
@@ -74,7 +75,7 @@ def from_json(line: str) -> Event | Input | FrameMetrics:
 
 
 @cache
-def _writing(kind: type) -> tuple[str, Callable[[Any], list[str]]]:
+def _writing(kind: Any) -> tuple[str, Callable[[Any], list[str]]]:
     """How the lines of a class begin, and what writes the members after that."""
     name = event_name(kind)
     if event_classes().get(name) is not kind:

@@ -349,8 +349,8 @@ GOLDEN = [
     ),
     (
         DetectorFailed(14, "motion", "raised ValueError: no", 34, 2),
-        "frame 14: detector motion failed: raised ValueError: no → out for 20 frames after 2 failures in a row, "
-        "tried again in frame 34",
+        "frame 14: detector motion failed: raised ValueError: no → out for 20 frames "
+        "after 2 failures in a row, tried again in frame 34",
     ),
     (
         Joined(20, "1", "2", ("person", "box"), 0, 0.1234, 0.05),
