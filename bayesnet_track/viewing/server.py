@@ -166,7 +166,7 @@ class Handler(BaseHTTPRequestHandler):
         elif path == "picture":
             found = served.picture(self._number("frame"))
             if found is None:
-                self._refuse(HTTPStatus.NOT_FOUND, "no picture yet")
+                self._answer(b"", "image/jpeg", {}, HTTPStatus.NO_CONTENT)  # yet
             else:
                 self._answer(found[1], "image/jpeg", {"X-Frame": str(found[0])})
         else:

@@ -94,7 +94,7 @@ export function fromServer(): Pictures {
       if (there !== undefined) return { image: there, frame };
       try {
         const answer = await fetch(`picture?frame=${frame}`, { cache: "no-store" });
-        if (!answer.ok) return null;
+        if (answer.status !== 200) return null;
         const of = Number(answer.headers.get("X-Frame"));
         const image = kept.get(of) ?? (await createImageBitmap(await answer.blob()));
         kept.set(of, image);

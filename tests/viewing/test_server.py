@@ -66,7 +66,7 @@ def test_what_is_served(server):
     assert ask(server, "/TOKEN/feed?from=-7&seen=x")[1] == b"[0, 0]"
     status, body, headers = ask(server, "/TOKEN/picture?frame=9")
     assert (status, body, headers["X-Frame"]) == (200, b"jpeg", "8")
-    assert ask(server, "/TOKEN/picture?frame=0")[0] == 404
+    assert ask(server, "/TOKEN/picture?frame=0")[0] == 204
     assert server.address == f"http://127.0.0.1:{server.port}/{server.token}/"
 
 

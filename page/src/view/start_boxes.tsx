@@ -42,7 +42,7 @@ export function StartBoxes({ live, about }: { live: Live; about: Asked }) {
     const get = async () => {
       const answer = await fetch(`picture?frame=${about.first ?? 0}`, { cache: "no-store" }).catch(() => null);
       if (gone) return;
-      if (!answer?.ok) return void setTimeout(get, 100);
+      if (answer?.status !== 200) return void setTimeout(get, 100);
       address = URL.createObjectURL(await answer.blob());
       picture.value = address;
     };
