@@ -7,9 +7,10 @@ have been, to see the frames.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cache
 from os import PathLike
 from pathlib import Path
@@ -110,7 +111,7 @@ class Recipe:
 
     def text(self) -> str:
         """It as JSON."""
-        return str(_codec().dump_json(self, indent=1), "utf-8") + "\n"
+        return json.dumps(_codec().dump_python(self), indent=1) + "\n"
 
     def write(self, directory: RunDirectory | str | PathLike[str]) -> None:
         """Write it into a run directory, whole or not at all.
@@ -136,8 +137,9 @@ class Recipe:
         except OSError as error:
             raise RecipeError(f"{path}: {error.strerror}") from error
         try:
-            recipe: Recipe = _codec().validate_json(text)
-        except ValueError as error:
+            plain = _changed(json.loads(text), _without_bytes)
+            recipe: Recipe = _changed(_codec().validate_python(plain), _with_bytes)
+        except (ValueError, RecursionError) as error:
             raise RecipeError(
                 f"{path}: not the recipe of a run: {' '.join(str(error).split())[:300]}"
             ) from None
@@ -237,3 +239,30 @@ def _codec() -> Any:
     from pydantic import TypeAdapter
 
     return TypeAdapter(Recipe)
+
+
+BYTES_AT = 0x10FF00
+"""Private characters for bytes in names of files (PEP 383), which pydantic takes for no text."""
+
+
+def _without_bytes(text: str) -> str:
+    return "".join(chr(BYTES_AT + ord(c) - 0xDC00) if "\udc80" <= c <= "\udcff" else c for c in text)
+
+
+def _with_bytes(text: str) -> str:
+    first, last = chr(BYTES_AT + 0x80), chr(BYTES_AT + 0xFF)
+    return "".join(chr(ord(c) - BYTES_AT + 0xDC00) if first <= c <= last else c for c in text)
+
+
+def _changed(value: Any, change: Callable[[str], str]) -> Any:
+    """The value with every text in it changed."""
+    if isinstance(value, str):
+        return change(value)
+    if isinstance(value, Mapping):
+        return {key: _changed(item, change) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)(_changed(item, change) for item in value)
+    if is_dataclass(value) and not isinstance(value, type):
+        own = {item.name: _changed(getattr(value, item.name), change) for item in fields(value)}
+        return replace(value, **own)
+    return value

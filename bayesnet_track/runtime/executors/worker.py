@@ -16,6 +16,7 @@ import signal
 import socket
 import sys
 import time
+from contextlib import suppress
 from multiprocessing.connection import Connection
 
 from bayesnet_track.runtime.executors.memory import limit_memory
@@ -34,13 +35,19 @@ def main(arguments: list[str]) -> None:
     control = socket.socket(fileno=control_number)
     _load()
     children: set[int] = set()
+    with suppress(ConnectionError):  # the engine has gone, perhaps while it waited for an answer
+        _fork_and_reap(control, children, frames, memory_mb)
+    until = time.monotonic() + END_S
+    for child in children:
+        _ended(child, until)
+
+
+def _fork_and_reap(control: socket.socket, children: set[int], frames: int, memory_mb: int) -> None:
+    """Do what the engine asks for until it closes the channel; `children` are those that are left."""
     while True:
-        try:
-            request, files, _, _ = socket.recv_fds(control, 1 + NUMBER.size, 2)
-        except ConnectionError:
-            request, files = b"", []
+        request, files, _, _ = socket.recv_fds(control, 1 + NUMBER.size, 2)
         if not request:
-            break
+            return
         if request[:1] == WORKER:
             child = os.fork()
             if child == 0:
@@ -54,9 +61,6 @@ def main(arguments: list[str]) -> None:
             (child,) = NUMBER.unpack(request[1:])
             children.discard(child)
             control.sendall(NUMBER.pack(_ended(child, time.monotonic() + END_S)))
-    until = time.monotonic() + END_S
-    for child in children:
-        _ended(child, until)
 
 
 def _load() -> None:
