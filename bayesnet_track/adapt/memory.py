@@ -79,6 +79,7 @@ class Memory:
         deactivate: governor -> streak below its deactivation level.
         self_check: agent -> streak above its own level.
         lost: streak of frames that look lost.
+        unfit: the fits of the same frames; minus infinity where UD is too high.
         found: streak of frames that look found.
         seen: streak of frames that do not look lost, where the score says so.
         unsure: streak of frames that look uncertain or lost, where the score says so.
@@ -99,6 +100,7 @@ class Memory:
     helpful: Mapping[str, tuple[float, int]] = field(default_factory=dict)
     worth: Mapping[str, Worth] = field(default_factory=dict)
     missed: Mapping[str, int] = field(default_factory=dict)
+    unfit: Streak = Streak()
 
     def with_contributions(self, contribution: Mapping[str, float]) -> Memory:
         """With this frame's contributions of the active agents counted."""

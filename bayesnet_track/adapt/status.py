@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.situation import Situation, read_ud
-from bayesnet_track.graph.net import Decision, ScoreCause, StatusChanged
+from bayesnet_track.graph.net import Cause, Decision, FitCause, ScoreCause, StatusChanged
 from bayesnet_track.graph.spec import Lost
 
 
@@ -62,6 +62,8 @@ def _by_ud(now: Situation, memory: Memory, rule: Lost, decisions: list[Decision]
     value = 0.0 if reading is None else reading.value
     # On a frame on which nothing fits, no level of UD would have kept the target from looking lost.
     lost = memory.lost.then(too_wide or not fits, value if fits else math.inf, rule.frames)
+    fit = -math.inf if too_wide else now.measures.fit
+    unfit = memory.unfit.then(too_wide or not fits, fit, rule.frames)
     found = memory.found.then(fits and not too_wide, value, rule.frames)
     status, turning = now.net.status, math.inf
     if status != "lost" and lost.count >= rule.frames:
@@ -70,16 +72,24 @@ def _by_ud(now: Situation, memory: Memory, rule: Lost, decisions: list[Decision]
         status, turning = "tracking", max(found.values)
     if status != now.net.status:
         by_ud = reading is not None and turning < math.inf
-        cause = reading.cause(rule.frames, turning) if by_ud and reading is not None else None
-        reason = "" if cause is not None else _reason(now, rule, fits)
+        cause: Cause | FitCause | None = None
+        reason = ""
+        if by_ud and reading is not None:
+            cause = reading.cause(rule.frames, turning)
+        elif blind := _blind(now):
+            reason = blind
+        elif status == "lost":
+            best = max(unfit.values)
+            cause = FitCause(rule.fit_below, now.measures.fit, rule.frames, best if best >= 0.0 else None)
+        else:
+            fitting = f"{now.measures.fit:.3g} of a perfect match ≥ fit_below {rule.fit_below:.3g}"
+            reason = f"the best hypothesis has a likelihood of {fitting}"
         decisions.append(StatusChanged(now.frame, now.target, status, cause, reason))
-    return replace(memory, lost=lost, found=found)
+    return replace(memory, lost=lost, found=found, unfit=unfit)
 
 
-def _reason(now: Situation, rule: Lost, fits: bool) -> str:
+def _blind(now: Situation) -> str:
+    """Why nothing can fit, where nobody looked; else empty."""
     if not now.net.active:
         return "no agent is active, so the belief is prediction only"
-    if now.net.active <= set(now.measures.silent):
-        return "no active agent saw it"
-    fit = f"{now.measures.fit:.3g} of a perfect match {'≥' if fits else '<'} fit_below {rule.fit_below:.3g}"
-    return f"the best hypothesis has a likelihood of {fit}"
+    return "no active agent saw it" if now.net.active <= set(now.measures.silent) else ""

@@ -49,6 +49,23 @@ class ScoreCause:
 
 
 @dataclass(frozen=True)
+class FitCause:
+    """The numbers that made a target be lost because nothing fitted it.
+
+    Attributes:
+        level: the level, `fit_below`: a likelihood as a share of that of a perfect match.
+        fit: the best hypothesis' likelihood at this frame, as such a share.
+        frames: how many consecutive frames it had to be below (UD too high counts as well).
+        turning: the level at or below which it would not have been lost; None when UD alone said so, too.
+    """
+
+    level: float
+    fit: float
+    frames: int
+    turning: float | None
+
+
+@dataclass(frozen=True)
 class Concentration:
     """The numbers of the test whether a belief lies around one mode: a one-sided binomial test.
 

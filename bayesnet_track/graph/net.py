@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
-from bayesnet_track.graph.causes import Cause, Concentration, ScoreCause
+from bayesnet_track.graph.causes import Cause, Concentration, FitCause, ScoreCause
 from bayesnet_track.graph.fault_decisions import Quarantined, Readmitted
 from bayesnet_track.graph.hand_decisions import Released, Toggled
 from bayesnet_track.graph.join_decisions import Joined, Parted
@@ -25,6 +25,7 @@ __all__ = [
     "Deactivated",
     "Decision",
     "Fault",
+    "FitCause",
     "LocallyAdapted",
     "Net",
     "ParticlesLimited",
@@ -123,14 +124,14 @@ class StatusChanged:
         frame: frame whose numbers caused it.
         target: target id.
         status: tracking, uncertain or lost, from now on.
-        cause: the numbers; None when every agent is off or the evidence is degenerate.
+        cause: the numbers; None when every agent is off, or none saw it.
         reason: one sentence when there is no cause.
     """
 
     frame: int
     target: str
     status: str
-    cause: Cause | ScoreCause | None = None
+    cause: Cause | ScoreCause | FitCause | None = None
     reason: str = ""
 
 

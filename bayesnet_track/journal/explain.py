@@ -11,6 +11,7 @@ from bayesnet_track.graph.net import (
     Cause,
     Concentration,
     Deactivated,
+    FitCause,
     ScoreCause,
     SelfStopped,
     StatusChanged,
@@ -164,6 +165,8 @@ def _levels(events: Sequence[Event]) -> list[str]:
             found[f"{event.governor} {switches} {test} (confidence {cause.confidence:g})"] = None
         if isinstance(cause, ScoreCause) and isinstance(event, StatusChanged):
             found[f"{'below' if cause.fell else 'from'} a score of {cause.level:g} {event.status}"] = None
+        if isinstance(cause, FitCause):
+            found[f"lost below a likelihood of {cause.level:g} of a perfect match"] = None
         if not isinstance(cause, Cause):
             continue
         level = f"{cause.level:g}{UNIT[cause.unit]}"

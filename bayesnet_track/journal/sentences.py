@@ -11,6 +11,7 @@ from bayesnet_track.graph.net import (
     Activated,
     Deactivated,
     Decision,
+    FitCause,
     LocallyAdapted,
     ParticlesLimited,
     Quarantined,
@@ -228,6 +229,8 @@ def _status(event: StatusChanged) -> str:
     result = f"target {event.target} {'lost' if lost else 'found again'}"
     if isinstance(event.cause, ScoreCause):
         return _by_score(event, event.cause)
+    if isinstance(event.cause, FitCause):
+        return _by_fit(event.cause, result)
     if event.cause is None:
         return f"{event.reason} → {result}" if event.reason else result
     if not lost:
@@ -235,6 +238,16 @@ def _status(event: StatusChanged) -> str:
     return (
         f"{held(event.cause, '>')} → {result}; would have stayed at lost ≥ {turned_at(event.cause, up=True)}"
     )
+
+
+def _by_fit(cause: FitCause, result: str) -> str:
+    fit, level = told_apart(cause.fit, cause.level)
+    span = f"for {plural(cause.frames, 'frame')}"
+    found = f"the best hypothesis has a likelihood of {fit} of a perfect match < fit_below {level} {span}"
+    if cause.turning is None:
+        return f"{found} → {result}; would have been lost by its UD at any fit_below"
+    turning = rounded(cause.turning, decimals(cause.turning, cause.level), up=False)
+    return f"{found} → {result}; would have stayed at fit_below ≤ {turning}"
 
 
 def _by_score(event: StatusChanged, cause: ScoreCause) -> str:

@@ -16,12 +16,14 @@ from bayesnet_track.graph.net import (
     Activated,
     Cause,
     Deactivated,
+    FitCause,
     LocallyAdapted,
     SelfStopped,
     StatusChanged,
     TargetNet,
 )
 from bayesnet_track.graph.spec import Level
+from bayesnet_track.journal.explain import explain
 
 NEVER_LOST = {"above": {"ud_px2": 1e9}}
 
@@ -411,11 +413,17 @@ def test_lost_and_found_after_their_delay(drive, uds, fits, changes):
 def test_lost_says_why(drive):
     (wide,) = drive(net(lost=LOST), [101, 130, 120]).of(StatusChanged)
     assert wide.cause == Cause("ud_px2", 100.0, 120.0, 3, 101.0, 120.0, 1.0) and wide.reason == ""
-    (bad,) = drive(net(lost=LOST), [10] * 3, fits=[0.01, 0.02, 0.03]).of(StatusChanged)
-    assert bad.cause is None
-    assert bad.reason == "the best hypothesis has a likelihood of 0.03 of a perfect match < fit_below 0.05"
+    (bad,) = drive(net(lost=LOST), [10] * 3, fits=[0.01, 0.03, 0.02]).of(StatusChanged)
+    assert bad.cause == FitCause(0.05, 0.02, 3, 0.03)
+    assert explain(bad) == (
+        "frame 3: the best hypothesis has a likelihood of 0.02 of a perfect match < fit_below 0.05 "
+        "for 3 frames → target 1 lost; would have stayed at fit_below ≤ 0.03"
+    )
     (both,) = drive(net(lost=LOST), [500] * 3, fits=[0.01] * 3).of(StatusChanged)
-    assert both.cause is None  # at no level of UD would it have been kept
+    assert both.cause == FitCause(
+        0.05, 0.01, 3, None
+    )  # at no level of UD, and of the fit, would it have been kept
+    assert explain(both).endswith("; would have been lost by its UD at any fit_below")
     (mixed,) = drive(net(lost=LOST), [10, 500, 400], fits=[0.01, 1.0, 1.0]).of(StatusChanged)
     assert mixed.cause.turning == 400.0
     (nobody,) = drive(
@@ -505,7 +513,7 @@ def test_a_change_of_status_turns_at_turning(drive, data, uds, level, frames, go
         return drive(net(lost=lost), uds, fits=fits, net=start).of(StatusChanged)
 
     made = run(level)
-    if not made or made[0].cause is None:
+    if not made or not isinstance(made[0].cause, Cause):
         return
     first = made[0]
     inside, outside = (0.0, math.inf) if first.status == "lost" else (math.inf, 0.0)
@@ -513,6 +521,26 @@ def test_a_change_of_status_turns_at_turning(drive, data, uds, level, frames, go
     assert (first.frame, first.status) not in [(d.frame, d.status) for d in again]
     kept = run(math.nextafter(first.cause.turning, inside))[0]
     assert (kept.frame, kept.status) == (first.frame, first.status)
+
+
+@given(data=st.data(), uds=UDS, frames=st.integers(1, 4))
+def test_a_loss_by_fit_turns_at_turning(drive, data, uds, frames):
+    some = st.lists(st.sampled_from([0.01, 0.02, 0.04, 1.0]), min_size=len(uds), max_size=len(uds))
+    fits = data.draw(some)
+
+    def run(at):
+        lost = {"above": {"ud_px2": 8.0}, "fit_below": at, "frames": frames}
+        return [d for d in drive(net(lost=lost), uds, fits=fits).of(StatusChanged) if d.status == "lost"]
+
+    made = run(0.05)[:1]
+    if not made or not isinstance(made[0].cause, FitCause):
+        return
+    (first,), turning = made, made[0].cause.turning
+    if turning is None:
+        assert first.frame in [d.frame for d in run(0.0)]
+        return
+    assert first.frame not in [d.frame for d in run(turning)]
+    assert run(math.nextafter(turning, 1.0))[0].frame == first.frame
 
 
 @given(seed=st.integers(0, 1000))
