@@ -13,6 +13,7 @@ from bayesnet_track.engine import State, start_target, step
 from bayesnet_track.graph.net import (
     Activated,
     Deactivated,
+    FitCause,
     LocallyAdapted,
     Quarantined,
     SelfStopped,
@@ -286,7 +287,8 @@ def test_black_frames_lose_the_target_and_it_is_found_again(fakes):
     frames = [fakes.frame(n, value=0 if 5 <= n < 12 else 200) for n in range(25)]
     outcomes = fakes.play(engine, frames)
     changes = [(d.frame, d.status, d.cause) for d in decisions_of(outcomes) if isinstance(d, StatusChanged)]
-    assert changes[0] == (7, "lost", None)  # 3 frames of which nothing fits
+    assert changes[0][:2] == (7, "lost")  # 3 frames of which nothing fits
+    assert changes[0][2] == FitCause(0.05, pytest.approx(0.02), 3, pytest.approx(0.02))
     assert changes[1][:2] == (14, "tracking") and len(changes) == 2
     assert outcomes[11].metrics[0].score < 0.05 < 0.5 < outcomes[20].metrics[0].score
 
