@@ -106,7 +106,7 @@ class IsolatedReader:
         except _Ended as error:
             mend = "check that it is whole, and where it comes from"
             raise SourceError(self._text, str(error), "a source that can be decoded", mend) from None
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             if isinstance(error, SourceError):
                 raise
             mend = "check where it comes from"
@@ -122,7 +122,7 @@ class IsolatedReader:
             except _Ended as error:
                 yield Damage(self._index, str(error))
                 return
-            except (KeyError, TypeError, ValueError):
+            except (KeyError, TypeError, ValueError, OverflowError):  # an index of Infinity overflows
                 yield Damage(self._index, NONSENSE)
                 return
             yield item
@@ -199,7 +199,10 @@ class IsolatedReader:
             if len(self._buffer) > 2 * MAX_LINE:
                 raise _Ended(NONSENSE)
         line, _, self._buffer = self._buffer.partition(b"\n")
-        told = json.loads(line)
+        try:
+            told = json.loads(line)
+        except RecursionError as error:
+            raise ValueError("nested too deeply") from error
         if not isinstance(told, dict):
             raise ValueError
         if told.get("is") == "failed":

@@ -147,6 +147,8 @@ def test_nothing_can_be_written(tmp_path):
         "b'no json' + bytes([10])",
         slow("b'[1]' + bytes([10])"),
         slow("b'{}' + bytes([10])"),
+        "b'[' * 60000 + bytes([10])",
+        'b\'{"is": "damage", "index": Infinity, "reason": ""}\' + bytes([10])',
         slow("bytes(60000)); os.write(pipe, bytes(60000)); os.write(pipe, bytes(60000)"),
         'b\'{"is": "picture", "index": 3, "time": 3.0, "time_s": 1.0, "has_color": true, '
         '"slot": 0, "height": 1000000, "width": 1000000}\' + bytes([10])',
