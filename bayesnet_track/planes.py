@@ -30,7 +30,7 @@ class Frame:
             constant-rate source has time n).
         image: (H, W, 3) uint8, BGR.
         has_color: False when the source is gray and the three channels are copies.
-        time_s: the same time in seconds.
+        time_s: the same time in seconds; NaN where frames come without a clock.
         depth: the rectified right picture or the points that belong to the image; None for a source of one
             eye.
     """

@@ -351,7 +351,7 @@ class FrameMetrics:
 
     Attributes:
         frame: frame index.
-        time_s: frame time in seconds.
+        time_s: frame time in seconds; NaN of a `Tracker`, whose frames come without a clock.
         target: target id.
         box: estimate, centre box x, y, w, h in px.
         map: maximum a posteriori box.

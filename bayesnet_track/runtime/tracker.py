@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from os import PathLike
 
@@ -121,7 +122,10 @@ class Tracker:
         return (x, y, w, h)
 
     def detections(self, lost: bool = False) -> Detections:
-        """The targets of the last frame in the shape of supervision's; `lost` for lost ones, too."""
+        """The targets of the last frame in the shape of supervision's; `lost` for lost ones, too.
+
+        `time_s` is NaN: frames come here without a clock.
+        """
         live = {} if self._state is None else self._state.net.targets
         kinds = {target: net.template for target, net in live.items()}
         return Detections.of(self.targets, kinds, tuple(self._graph.targets), lost)
@@ -181,7 +185,7 @@ def _frame(image: NDArray[np.uint8], index: int, depth: Depth | None) -> Frame:
         other = depth.image if isinstance(depth, RightEye) else depth.points
         if other.shape != picture.shape:
             raise ValueError(f"depth of shape {other.shape} does not fit a picture of {picture.shape}")
-    return Frame(index, float(index), picture, has_color, float(index), depth)
+    return Frame(index, float(index), picture, has_color, math.nan, depth)
 
 
 def _check_alike(now: Frame, before: Frame | None) -> None:

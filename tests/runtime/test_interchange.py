@@ -70,7 +70,9 @@ def test_from_a_result_and_from_a_tracker(tmp_path):
     scene = make_scene("two_squares")
     tracker = Tracker("two_squares")
     tracker.init(scene.frames[0], scene.start_box)
-    (box,) = tracker.detections().xyxy
+    found = tracker.detections()
+    (box,) = found.xyxy
+    assert np.isnan(found.data["time_s"]).all()  # no clock came with the frames
     x, y, w, h = scene.start_box
     assert tuple(box) == (x, y, x + w, y + h)
     folder = tmp_path / "frames"
