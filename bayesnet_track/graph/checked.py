@@ -35,6 +35,10 @@ class CheckedTarget:
     parameters: Mapping[str, CueParameters]
     governor: Mapping[str, str | None]
 
+    def __repr__(self) -> str:
+        """Name and size."""
+        return f"CheckedTarget({self.name}: {len(self.order)} nodes, {len(self.agents)} of them agents)"
+
     @cached_property
     def agents(self) -> tuple[str, ...]:
         """The agent nodes, in `order`."""
@@ -66,6 +70,12 @@ class CheckedGraph:
     spec: GraphSpec
     targets: Mapping[str, CheckedTarget]
     text: str
+
+    def __repr__(self) -> str:
+        """Name and size: the whole specification would fill pages."""
+        agents = sum(len(plate.agents) for plate in self.targets.values())
+        nodes = sum(len(plate.order) for plate in self.targets.values())
+        return f"CheckedGraph({self.spec.name}: {nodes} nodes, {agents} of them agents)"
 
     def _repr_html_(self) -> str:
         """For notebooks: the picture of each net."""

@@ -12,6 +12,7 @@ from typing import Literal
 from bayesnet_track.cue import AnyCue, MeasuringCue
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import AgentNode, Fuse, Given, Latent
+from bayesnet_track.inference.plane_words import plane_words
 from bayesnet_track.planes import Plane
 
 Own = Literal["one", "kernel", "gaussian", "grid"]
@@ -101,7 +102,7 @@ class Plan:
         """For notebooks: what is done in which order, as a table."""
         from bayesnet_track.view.notebook import table
 
-        planes = ", ".join(map(str, self.planes)) or "none"
+        planes = ", ".join(map(plane_words, self.planes)) or "none"
         draws = [("prior down", draw.node, f"drawn from {draw.given_from}") for draw in self.draws]
         asked = [
             (
@@ -225,7 +226,7 @@ def _given(step: Draw) -> str:
 def describe_plan(plan: Plan, agents: Mapping[str, AgentNode] | None = None) -> str:
     """The plan as text, one step a line."""
     lines = [f"target {plan.target}"]
-    lines += [f"  plane    {plane}" for plane in plan.planes]
+    lines += [f"  plane    {plane_words(plane)}" for plane in plan.planes]
     lines += [f"  draw     {step.node} given {_given(step)}" for step in plan.draws]
     for step in plan.observations:
         cue = "" if agents is None else f" ({agents[step.agent].agent.cue})"
@@ -237,6 +238,6 @@ def describe_plan(plan: Plan, agents: Mapping[str, AgentNode] | None = None) -> 
         )
         lines.append(f"  join     {join.node} = {join.kind}({terms}){HELD[join.own]}")
     for agent, planes in plan.idle_planes.items():
-        names = ", ".join(str(plane) for plane in planes)
+        names = ", ".join(map(plane_words, planes))
         lines.append(f"  idle     {agent}: {names} only for a due reference update, on the estimate's crop")
     return "\n".join(lines)

@@ -47,3 +47,9 @@ def test_what_cannot_be_found_says_so(name, said):
     with pytest.raises(GraphError) as error:
         load_graph(name)
     assert str(error.value) == said
+
+
+def test_a_graph_is_shown_by_name_and_size():
+    graph = load_graph("general")
+    assert repr(graph) == "CheckedGraph(general: 3 nodes, 2 of them agents)"
+    assert repr(graph.targets) == "{'target': CheckedTarget(target: 3 nodes, 2 of them agents)}"
