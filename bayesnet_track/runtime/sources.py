@@ -19,6 +19,12 @@ NETWORK_SCHEMES = frozenset({"http", "https", "rtsp", "rtsps"})
 IMAGE_SUFFIXES = frozenset(
     {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".pbm", ".pnm", ".jp2"}
 )
+VIDEO_SUFFIXES = frozenset(
+    {".mp4", ".m4v", ".mov", ".3gp", ".3g2", ".mj2", ".mkv", ".webm", ".avi", ".ts", ".mts", ".m2ts"}
+    | {".mpg", ".mpeg", ".h264", ".264", ".h265", ".265", ".hevc", ".ivf", ".obu", ".ogg", ".ogv", ".flv"}
+    | {".asf", ".wmv", ".mjpg", ".mjpeg", ".gif", ".apng", ".nut", ".dv", ".mxf", ".y4m", ".wtv", ".rm"}
+)
+"""What the neighbours of a missing source are known by; a source that is there may have any name."""
 SEQUENCE_FOLDERS = ("img", "img1")
 _SCHEME = re.compile(r"^([A-Za-z][A-Za-z0-9+.\-]+)(?::|,,)")
 
@@ -194,7 +200,18 @@ def _nearest(path: Path) -> str:
         return f"the folder {str(parent)!r} does not exist either"
     try:
         names = sorted(entry.name for entry in parent.iterdir())
+        near = difflib.get_close_matches(path.name, names, n=20, cutoff=0.5)
+        found = next((name for name in near if _could_be_read(parent / name)), None)
     except OSError:
         return "check the name"
-    near = difflib.get_close_matches(path.name, names, n=1, cutoff=0.5)
-    return f"did you mean {str(parent / near[0])!r}?" if near else "check the name"
+    return "check the name" if found is None else f"did you mean {str(parent / found)!r}?"
+
+
+def _could_be_read(path: Path) -> bool:
+    """True for videos, images and folders of images, by their names."""
+    if not path.is_dir():
+        return path.suffix.lower() in VIDEO_SUFFIXES | IMAGE_SUFFIXES
+    try:
+        return bool(_in_folder(str(path), path))
+    except SourceError:
+        return False

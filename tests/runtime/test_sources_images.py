@@ -190,6 +190,11 @@ def refusal(text, **settings):
 def test_a_missing_file_names_the_nearest(tmp_path):
     save(tmp_path, ["walking.png"])
     assert f"did you mean {str(tmp_path / 'walking.png')!r}?" in refusal(tmp_path / "wakling.png")
+    (tmp_path / "couple.yaml").write_text("no source")
+    (tmp_path / "couples").mkdir()
+    assert "did you mean" not in refusal(tmp_path / "couple.mp4")
+    save(tmp_path / "couples", ["1.png"])
+    assert f"did you mean {str(tmp_path / 'couples')!r}?" in refusal(tmp_path / "couple.mp4")
     assert "does not exist either" in refusal(tmp_path / "none" / "x.mp4")
 
 
