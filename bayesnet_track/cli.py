@@ -23,7 +23,7 @@ from bayesnet_track.parsers.plugins import add_plugins
 from bayesnet_track.parsers.report import add_report
 from bayesnet_track.parsers.resume import add_resume
 from bayesnet_track.parsers.run import add_demo, add_run
-from bayesnet_track.parsers.what_if import add_what_if
+from bayesnet_track.parsers.what_if import add_what_if, as_what_if
 from bayesnet_track.runtime.stop import StopRequest, Terminated
 
 EXIT_CODES = """\
@@ -134,7 +134,7 @@ def _in_streams(arguments: Sequence[str] | None, stop: StopRequest) -> int:
 
 def _main(arguments: Sequence[str] | None, stop: StopRequest) -> int:
     parser = make_parser()
-    options = parser.parse_args(_joined(sys.argv[1:] if arguments is None else arguments))
+    options = parser.parse_args(as_what_if(_joined(sys.argv[1:] if arguments is None else arguments)))
     if options.version:
         from importlib.metadata import version
 

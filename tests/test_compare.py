@@ -42,6 +42,17 @@ def test_what_if_tells_where_it_parts(run, higher, capsys, tmp_path):
     assert "They part first at frame 25, motion" in page.read_text(encoding="utf-8")
 
 
+def test_no_page_is_written_over_another_file_unasked(run, higher, capsys, tmp_path):
+    page = tmp_path / "notes.html"
+    page.write_text("mine")
+    for command in (("compare", run, higher), ("what-if", run, "--seed", "1", "--out", tmp_path / "new")):
+        code, _, err = told(capsys, *command, "--html", page)
+        assert code == 6 and f"{page}: it is there already; --overwrite replaces it" in err
+    assert page.read_text() == "mine" and not (tmp_path / "new").exists()
+    assert told(capsys, "compare", run, higher, "--html", page, "--overwrite")[0] == 0
+    assert page.read_text() != "mine"
+
+
 def test_as_json(run, higher, capsys):
     code, out, _ = told(capsys, "compare", run, higher, "--json")
     read = json.loads(out)
@@ -51,7 +62,7 @@ def test_as_json(run, higher, capsys):
 
 
 def test_nothing_changed_gives_the_same_bytes(run, capsys, tmp_path):
-    code, out, _ = told(capsys, "what-if", run, "--quiet", "--out", tmp_path / "again")
+    code, out, _ = told(capsys, "run", "--what-if", run, "--quiet", "--out", tmp_path / "again")
     assert code == 0 and "they never part" in out
     assert (tmp_path / "again" / "journal.jsonl").read_bytes() == (run / "journal.jsonl").read_bytes()
 

@@ -18,6 +18,7 @@ def compare(options: argparse.Namespace) -> int:
     """Tell where two runs part, and why."""
     from bayesnet_track.runtime.opened import open_run
 
+    check_page(options)
     first, second = open_run(options.first, complain), open_run(options.second, complain)
     apart = sources_apart(first, second)
     if apart and not options.force:
@@ -26,6 +27,14 @@ def compare(options: argparse.Namespace) -> int:
             "the same number do not show the same picture (--force compares them all the same)"
         )
     return tell_comparison(first, second, options)
+
+
+def check_page(options: argparse.Namespace) -> None:
+    """Refuse to write the page over another file, before anything is done for it; raises OutputError."""
+    from bayesnet_track.journal.writer import OutputError
+
+    if options.html is not None and not options.overwrite and Path(options.html).exists():
+        raise OutputError(f"{options.html}: it is there already; --overwrite replaces it")
 
 
 def sources_apart(first: Run, second: Run) -> list[str]:

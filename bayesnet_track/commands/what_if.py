@@ -17,12 +17,13 @@ if TYPE_CHECKING:
 
 def what_if(options: argparse.Namespace) -> int:
     """Run again, then compare."""
-    from bayesnet_track.commands.compare import tell_comparison
+    from bayesnet_track.commands.compare import check_page, tell_comparison
     from bayesnet_track.graph.change import ChangeError, change_graph
     from bayesnet_track.runtime.opened import open_run
     from bayesnet_track.runtime.recipe import Recipe, RecipeError
     from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
 
+    check_page(options)
     try:
         first = open_run(options.run, complain)
     except RunDirectoryError as error:

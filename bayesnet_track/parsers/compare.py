@@ -14,6 +14,7 @@ def add_compare(commands: argparse._SubParsersAction[Any]) -> None:
     compare.add_argument("first", metavar="RUN", help="run directory, called A")
     compare.add_argument("second", metavar="RUN", help="run directory over the same source, called B")
     add_comparison_options(compare)
+    compare.add_argument("--overwrite", action="store_true", help="replace the file of --html if it is there")
     compare.add_argument("--force", action="store_true", help="compare runs of different sources, too")
 
 

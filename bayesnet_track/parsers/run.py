@@ -33,7 +33,11 @@ def add_demo(commands: argparse._SubParsersAction[Any]) -> None:
 
 def add_run(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
-    run = commands.add_parser("run", help="track in a video with a graph")
+    run = commands.add_parser(
+        "run",
+        help="track in a video with a graph",
+        epilog="`run --what-if RUN ...` is `what-if RUN ...`: an earlier run again with something changed.",
+    )
     run.add_argument("graph", metavar="GRAPH", help="path of a YAML file, or name of an installed graph")
     run.add_argument(
         "--source", required=True, help="video file, folder of images, glob, camera index, or URL"
