@@ -1,4 +1,4 @@
-"""Agents as actors on a Ray cluster, local or remote: one actor per agent, wherever Ray has room.
+"""Agents as actors on a Ray cluster, local or remote: one actor per agent, spread over the cluster's nodes.
 
 Ray's actors lose what they know when they are started again, and so may any process: the engine keeps it and
 tells it again, as to the workers of `processes`.
@@ -6,8 +6,10 @@ tells it again, as to the workers of `processes`.
 
 from __future__ import annotations
 
+import os
 import pickle
 import time
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from threading import Lock
@@ -24,7 +26,7 @@ from bayesnet_track.runtime.executors.processes import (
     check_sendable,
 )
 from bayesnet_track.runtime.executors.questions import ADVANCE, Answer, Foreign, Question, Sent, Told
-from bayesnet_track.runtime.executors.ray_cluster import connect
+from bayesnet_track.runtime.executors.ray_cluster import calmest, connect, living
 from bayesnet_track.runtime.executors.ray_frames import RayFrameStore, StoredFrame, fetched
 from bayesnet_track.runtime.executors.workers import Late, Limits, WorkerLost
 
@@ -33,10 +35,6 @@ class AgentActor:
     """What runs in an actor: the cue of one agent, as in a worker process."""
 
     def __init__(self, memory_mb: int) -> None:
-        import os
-
-        import ray
-
         from bayesnet_track.runtime.executors.host import AgentHost
         from bayesnet_track.runtime.executors.memory import limit_memory
         from bayesnet_track.runtime.executors.single import one_thread_inside
@@ -44,12 +42,11 @@ class AgentActor:
         one_thread_inside(opencv=True).__enter__()  # for as long as the actor lives
         limit_memory(memory_mb)
         self._host = AgentHost(fetched, memory_mb > 0)
-        self._at = os.getpid(), ray.get_runtime_context().get_node_id()
 
-    def employ(self, message: bytes) -> tuple[int, str]:
-        """Make the cue of an agent; the process id, and that of the node."""
+    def employ(self, message: bytes) -> int:
+        """Make the cue of an agent; the process id."""
         self._host.employ(*pickle.loads(message))
-        return self._at
+        return os.getpid()
 
     def answer(self, question: Question) -> bytes:
         """What the cue says."""
@@ -58,14 +55,14 @@ class AgentActor:
 
 @dataclass(eq=False)
 class _Hired:
-    """An agent's actor, and what it was told."""
+    """An agent's actor, the node that it is on, and what it was told."""
 
     actor: Any
     ready: Any
+    node: str
     sent: Sent
     asked: set[str]
     pid: int = 0
-    node: str = ""
 
 
 class RayActors:
@@ -74,6 +71,8 @@ class RayActors:
     One whose process or node dies, or which does not answer in time, is replaced by a fresh one, which is
     asked the same again; after `retries` such attempts `AgentUnavailable` says why. Actors ask Ray for no
     processor: else a task of somebody else would wait for ever once there are as many of them as processors.
+    Each begins on the node with the fewest of them, of those that lost the fewest: Ray itself needs a quarter
+    of a minute to see that a node is gone, and puts actors there until then.
 
     Attributes:
         retries: further attempts; 0 where time does not wait for them.
@@ -92,6 +91,8 @@ class RayActors:
         self._owns_ray = connect(address)
         self._store = RayFrameStore()
         self._hired: dict[str, _Hired] = {}
+        self._lost_on: Counter[str] = Counter()
+        self._hiring = Lock()
         self._locks = {agent: Lock() for agent in agents}
         self._asked_in = dict.fromkeys(agents, 0)
         self._frames = 0
@@ -127,6 +128,8 @@ class RayActors:
                     until = None if patience is None else patience.until(agent, began)
                     answer = self._asked(agent, method, frames, region, arguments, until)
                 except WorkerLost as lost:
+                    if (hired := self._hired.get(agent)) is not None:
+                        self._lost_on[hired.node] += 1
                     self._dismiss(agent)
                     reasons.append(str(lost))
                     continue
@@ -173,7 +176,7 @@ class RayActors:
         if until is not None and until <= time.monotonic():
             raise Late("there was no time left to ask it")
         if not hired.pid:
-            hired.pid, hired.node = self._received(hired.ready, START_S, until)
+            hired.pid = self._received(hired.ready, START_S, until)
         question = hired.sent.question(agent, method, frames, region, arguments)
         is_first = method not in hired.asked
         limit = max(self._limits.first_s, self._limits.answer_s) if is_first else self._limits.answer_s
@@ -203,14 +206,19 @@ class RayActors:
 
     def _hire(self, agent: str) -> _Hired:
         import ray
+        from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
         if self._is_closed:
             raise AgentUnavailable("the run is over")
         employed = self._agents[agent]
-        kind = ray.remote(AgentActor).options(num_cpus=0, max_restarts=0, scheduling_strategy="SPREAD")
-        actor = kind.remote(self._limits.memory_mb)
-        ready = actor.employ.remote(pickle.dumps((agent, employed.make, employed.parameters), protocol=5))
-        hired = self._hired[agent] = _Hired(actor, ready, Sent(), set())
+        message = pickle.dumps((agent, employed.make, employed.parameters), protocol=5)
+        with self._hiring:  # two that begin at the same time see each other
+            busy = Counter(hired.node for hired in list(self._hired.values()))
+            node = calmest(living(), self._lost_on, busy)
+            there = NodeAffinitySchedulingStrategy(node, soft=False)
+            kind = ray.remote(AgentActor).options(num_cpus=0, max_restarts=0, scheduling_strategy=there)
+            actor = kind.remote(self._limits.memory_mb)
+            hired = self._hired[agent] = _Hired(actor, actor.employ.remote(message), node, Sent(), set())
         return hired
 
     def _dismiss(self, agent: str) -> None:

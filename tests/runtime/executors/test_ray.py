@@ -69,7 +69,8 @@ def test_no_frame_is_lost_when_a_node_of_the_cluster_dies():
     try:
         second = cluster.add_node(num_cpus=1)
         ray.init(address=cluster.address, log_to_driver=False, logging_level="error")
-        cluster.wait_for_nodes()  # else all actors may begin on the first one
+        cluster.wait_for_nodes()
+        assert ray.get_runtime_context().get_node_id() == cluster.head_node.node_id
         seen = []
 
         def remove(frame, executor):
