@@ -38,7 +38,8 @@ def report(options: argparse.Namespace) -> int:
     data = run_data(events, metrics, read_timings(directory.timings), _graph(directory), truth)
     frames = [line.frame for line in metrics]
     if options.frames == "none" or not frames:
-        _write_one(out, data, None, "" if frames else "no frame was tracked", 0)
+        missing = "left out by --frames none" if frames else "no frame was tracked"
+        _write_one(out, data, None, missing, 0)
     else:
         with pictures_of(directory, events[0], min(frames), max(frames)) as (found, missing):
             if missing:

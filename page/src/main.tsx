@@ -1,6 +1,6 @@
 /** Opens the page's own data and shows it. */
 
-import { render } from "preact";
+import { options, render } from "preact";
 import { bytesOf, open } from "./data/packed";
 import { listen } from "./keys";
 import { Live } from "./live";
@@ -74,8 +74,18 @@ function redraw(state: State): void {
   const again = () => (state.look.value += 1);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
   matchMedia("print").addEventListener("change", again);
-  window.addEventListener("beforeprint", again);
-  window.addEventListener("afterprint", again);
+  // They are drawn before the page is laid out for paper: there is no frame of animation in between.
+  window.addEventListener("beforeprint", () => {
+    document.documentElement.dataset.print = "";
+    const usual = options.requestAnimationFrame;
+    options.requestAnimationFrame = (flush) => flush();
+    again();
+    options.requestAnimationFrame = usual;
+  });
+  window.addEventListener("afterprint", () => {
+    delete document.documentElement.dataset.print;
+    again();
+  });
 }
 
 const root = document.getElementById("page");

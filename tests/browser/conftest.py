@@ -264,12 +264,12 @@ def _made_up_run(frames, source="long", graph="general", target="1", agents=AGEN
 def write_page():
     """Write the page of events and metrics, with as many and as large pictures as there is room for."""
 
-    def write(path, events, metrics, graph="orange_and_gray"):
+    def write(path, events, metrics, graph="orange_and_gray", truth=None):
         timings = [
             {"frame": line.frame, "seconds": 0.004, "parts": {name: 0.001 for name in line.active}}
             for line in metrics
         ]
-        header, columns = run_data(events, metrics, timings, graph and load_graph(graph))
+        header, columns = run_data(events, metrics, timings, graph and load_graph(graph), truth)
         rng = np.random.default_rng(1)
         grain = rng.integers(0, 255, (60, 80, 3), dtype=np.uint8)
         image = cv2.resize(grain, (320, 240), interpolation=cv2.INTER_CUBIC)

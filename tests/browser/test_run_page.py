@@ -2,11 +2,13 @@
 
 import json
 import statistics
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from bayesnet_track.cli import main
+from bayesnet_track.graph.net import FitCause, StatusChanged
 
 pytestmark = pytest.mark.slow
 
@@ -226,6 +228,54 @@ def test_screenshots_light_dark_phone_and_print(browser, demo):
     assert len(inked) == 6 and min(inked) > 1000
     printed = browser.print("page.pdf").read_bytes()
     assert printed.startswith(b"%PDF") and len(printed) > 50_000
+
+
+def test_paper_has_plots_of_its_own_width_and_colours(browser, demo):
+    browser.open(demo("two_squares"), PHONE, dark=True)
+    browser.run(
+        "window.seen = []; addEventListener('beforeprint', () => queueMicrotask(() => seen.push("
+        "document.querySelector('.plot-ud .u-wrap').clientWidth,"
+        "getComputedStyle(document.documentElement).getPropertyValue('--ink'))))"
+    )
+    browser.print("dark_phone.pdf")
+    wide, ink = browser.run("return window.seen")
+    assert wide > 900 and ink == "#17202b"
+    browser.wait("return document.querySelector('.plot-ud .u-wrap').clientWidth < 375")
+
+
+def test_a_loss_says_why_as_long_as_it_lasts(browser, tmp_path, write_page, made_up_run):
+    cause = FitCause(0.05, 0.012, 3, 0.031)
+    events, metrics = made_up_run(40)
+    events = [one for one in events if not isinstance(one, StatusChanged)]
+    events.insert(-1, StatusChanged(9, "1", "lost", cause))
+    metrics = [replace(line, status="lost" if line.frame > 9 else "tracking", ud_px2=4.0) for line in metrics]
+    page = write_page(tmp_path / "lost.html", events, metrics)
+    browser.open(page, hash="#frame=9")
+    assert text_of(browser, ".told.lost dt + dd").startswith("the best hypothesis has a likelihood of 0.012")
+    assert "would have stayed at fit_below ≤ 0.031" in text_of(browser, ".told.lost")
+    browser.open(page, hash="#frame=30")
+    assert text_of(browser, ".since").startswith(
+        "lost since frame 10: the best hypothesis has a likelihood of"
+    )
+    assert "would have stayed at fit_below ≤ 0.031" in text_of(browser, ".since")
+
+
+@pytest.mark.parametrize("width", [1440, 1300, 1161, 1000, 375])
+def test_no_column_of_the_totals_is_cut(browser, tmp_path, width, write_page, made_up_run):
+    events, metrics = made_up_run(400)
+    metrics = [replace(line, status="uncertain") if line.frame % 3 else line for line in metrics]
+    browser.open(
+        write_page(
+            tmp_path / "page.html", events, metrics, truth=np.tile([300.0, 220.0, 60.0, 80.0], (400, 1))
+        ),
+        (width, 900, 1),
+    )
+    wide, shown = browser.run(
+        "const w = document.querySelector('.totals .wide'); return [w.scrollWidth, w.clientWidth]"
+    )
+    assert wide <= shown
+    last = browser.run("return document.querySelector('.totals td:last-child').dataset.name")
+    assert last == "overlap" and text_of(browser, ".totals td:last-child")[:2] == "0."
 
 
 def test_everything_that_is_pressed_has_a_name(browser, demo):

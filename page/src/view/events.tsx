@@ -4,6 +4,7 @@ import { useSignalEffect } from "@preact/signals";
 import { useRef } from "preact/hooks";
 import type { State } from "../state";
 import { Mark, What } from "./moment";
+import { plural } from "./words";
 
 const MOST = 300;
 
@@ -36,7 +37,7 @@ export function Events({ state }: { state: State }) {
               checked={state.notes.value}
               onChange={() => (state.notes.value = !state.notes.value)}
             />
-            with {notes} notes
+            with {plural(notes, "note")}
           </label>
         )}
       </header>

@@ -18,6 +18,7 @@ export function Moment({ state }: { state: State }) {
       {told.map((event, index) => (
         <Told key={index} state={state} event={event} />
       ))}
+      {told.every((event) => event.sort !== "status") && <Since state={state} />}
       {told.length === 0 && <Last state={state} />}
       {rest.map((event, index) => (
         <p key={index} class="aside">
@@ -50,12 +51,11 @@ function Status({ state }: { state: State }) {
 }
 
 function Told({ state, event }: { state: State; event: EventRow }) {
-  const look = event.sort === "switch" ? (event.on ? "on" : "off") : event.status === "lost" ? "lost" : event.sort;
   return (
-    <article class={`told ${look}`}>
+    <article class={`told ${lookOf(event)}`}>
       <h3>
         <Mark event={event} /> <What text={event.what} />
-        {event.sort === "switch" && <small> from frame {event.frame + 1} on</small>}
+        {(event.sort === "switch" || event.sort === "status") && <small> from frame {event.frame + 1} on</small>}
       </h3>
       <dl>
         {event.why !== "" && (
@@ -93,6 +93,20 @@ function Afterwards({ state, event }: { state: State; event: EventRow }) {
         {Number.isFinite(was + is) && `; overlap with the truth ${was.toFixed(2)} → ${is.toFixed(2)}`}
       </dd>
     </>
+  );
+}
+
+/** Why the target has been lost or uncertain until now. */
+function Since({ state }: { state: State }) {
+  const [track, row, frame] = [state.track.value, state.row.value, state.frame.value];
+  const status = track !== undefined && row >= 0 ? track.status(row) : "tracking";
+  const changed = state.events.value.filter((event) => event.sort === "status" && event.frame < frame).at(-1);
+  if (changed === undefined || changed.status !== status || status === "tracking" || changed.why === "") return null;
+  return (
+    <p class="since">
+      {status} since frame {changed.frame + 1}: {changed.why}
+      {changed.unless !== "" && <small>; {changed.unless}</small>}
+    </p>
   );
 }
 
@@ -144,9 +158,14 @@ function Numbers({ state, track, row }: { state: State; track: Track; row: numbe
   );
 }
 
+function lookOf(event: EventRow): string {
+  if (event.sort === "switch") return event.on ? "on" : "off";
+  return event.sort === "status" ? (event.status ?? "tracking") : event.sort;
+}
+
 export function Mark({ event }: { event: EventRow }) {
-  const on = event.sort === "switch" && event.on;
-  const look = event.sort === "switch" ? (on ? "on" : "off") : event.status === "lost" ? "lost" : event.sort;
+  const look = lookOf(event);
+  const on = look === "on";
   const d = event.sort === "switch" ? (on ? "M1 9h10L6 1z" : "M1 3h10L6 11z") : "M6 1l5 5-5 5-5-5z";
   return (
     <svg class={`mark ${look}`} viewBox="0 0 12 12" width="12" height="12" aria-hidden="true">
@@ -155,13 +174,17 @@ export function Mark({ event }: { event: EventRow }) {
   );
 }
 
-/** What happened; how it was chosen stands behind it in brackets, and is said more quietly. */
+/** What happened; how it was chosen stands behind it in brackets, and is said more quietly with what follows. */
 export function What({ text }: { text: string }) {
-  const cut = text.indexOf(" (");
-  if (cut < 0 || !text.endsWith(")")) return <b>{text}</b>;
+  const [, what, choice, rest] = /^(.+?) \((.*)\)(?:(, but .*)|)$/.exec(text) ?? [];
+  if (what === undefined) return <b>{text}</b>;
   return (
     <>
-      <b>{text.slice(0, cut)}</b> <span class="choice">{text.slice(cut + 2, -1)}</span>
+      <b>{what}</b>{" "}
+      <span class="choice">
+        {choice}
+        {rest}
+      </span>
     </>
   );
 }

@@ -70,7 +70,7 @@ export function Stage({ state }: { state: State }) {
   };
   const pictures = state.pictures.value;
   return (
-    <section class="stage" aria-label="Frame">
+    <section class={pictures?.without ? "stage bare" : "stage"} aria-label="Frame">
       <div class="picture">
         <canvas ref={canvas} role="img" aria-label={describe(state)} onClick={pick} />
         {pictures !== null && pictures.without !== "" && <p class="without">No pictures: {pictures.without}</p>}
@@ -119,7 +119,9 @@ function paint(canvas: HTMLCanvasElement, state: State, picture: Picture | null)
   g.setTransform(ratio, 0, 0, ratio, 0, 0);
   g.fillStyle = "#20262e";
   g.fillRect(0, 0, cw, ch);
-  if (picture !== null) {
+  // One of a later frame would show what was not there yet.
+  const isLate = picture !== null && picture.frame > state.frame.value;
+  if (picture !== null && !isLate) {
     g.imageSmoothingQuality = "high";
     g.drawImage(picture.image, -view.x * view.scale, -view.y * view.scale, w * view.scale, h * view.scale);
   }
@@ -136,7 +138,7 @@ function paint(canvas: HTMLCanvasElement, state: State, picture: Picture | null)
   if (picture !== null && picture.frame !== frame) {
     g.font = "11px system-ui, sans-serif";
     g.textBaseline = "alphabetic";
-    const text = `picture of frame ${picture.frame}`;
+    const text = isLate ? "no picture of this frame" : `picture of frame ${picture.frame}`;
     g.fillStyle = "rgba(12,17,24,.7)";
     g.fillRect(cw - g.measureText(text).width - 12, ch - 19, g.measureText(text).width + 12, 19);
     g.fillStyle = "#e8edf3";

@@ -120,18 +120,18 @@ function Row({ state, row, has }: RowProps) {
           </button>
         )}
       </th>
-      <td>{row.frames}</td>
-      <td>{row.lost}</td>
-      {has.hasUncertain && <td>{row.uncertain}</td>}
-      <td>
+      <td data-name="frames">{row.frames}</td>
+      <td data-name="lost">{row.lost}</td>
+      {has.hasUncertain && <td data-name="uncertain">{row.uncertain}</td>}
+      <td data-name="agents">
         {short(row.agentsPerFrame)} <small>of {short(row.agents)}</small>
       </td>
-      <td>{row.switches}</td>
-      <td>{duration(row.spentMs)}</td>
-      <td>
+      <td data-name="switches">{row.switches}</td>
+      <td data-name="agents' time">{duration(row.spentMs)}</td>
+      <td data-name="saved">
         {duration(row.savedMs)} <small>{percent(row.savedMs / Math.max(1e-9, row.savedMs + row.spentMs))}</small>
       </td>
-      {has.hasTruth && <td>{Number.isFinite(row.overlap) ? row.overlap.toFixed(2) : ""}</td>}
+      {has.hasTruth && <td data-name="overlap">{Number.isFinite(row.overlap) ? row.overlap.toFixed(2) : ""}</td>}
     </tr>
   );
 }
