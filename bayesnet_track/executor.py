@@ -7,7 +7,7 @@ is never split: an agent sees all its hypotheses at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import Any, Protocol, TypeVar
 
 from bayesnet_track.graph.net import Net
@@ -15,6 +15,9 @@ from bayesnet_track.planes import FramePair
 
 Piece = TypeVar("Piece")
 Made = TypeVar("Made")
+
+Halves = Generator[bool, None, Made]
+"""Work on one piece in two halves: it yields once, whether what it needs comes from elsewhere."""
 
 
 class AgentUnavailable(Exception):
@@ -43,6 +46,56 @@ class Serial:
         [1, 2]
         """
         return [work(piece) for piece in pieces]
+
+
+def is_elsewhere(cue: Any) -> bool:
+    """Whether a cue is at work in another process, and can be asked now and heard later (`ask_ahead`)."""
+    return hasattr(cue, "ask_ahead")
+
+
+def asked(cue: Any, method: str, *arguments: Any) -> Halves[Any]:
+    """What a method of a cue returns; one elsewhere is asked, and heard in the second half."""
+    if not is_elsewhere(cue):
+        return getattr(cue, method)(*arguments)
+    hear = cue.ask_ahead(method, *arguments)
+    yield True
+    return hear()
+
+
+def each_at_once(
+    executor: Executor, work: Callable[[Piece], Halves[Made]], pieces: Sequence[Piece]
+) -> list[Made]:
+    """`work` done for every piece, the results in the order of the pieces.
+
+    All that are elsewhere are asked before the executor does what is done here, and heard after it.
+
+    >>> def work(number):
+    ...     yield number > 1
+    ...     return -number
+    >>> each_at_once(Serial(), work, [1, 2, 0])
+    [-1, -2, 0]
+    """
+    begun = [work(piece) for piece in pieces]
+    made: dict[int, Made] = {}
+    here: list[int] = []
+    elsewhere: list[int] = []
+    for index, one in enumerate(begun):
+        try:
+            (elsewhere if next(one) else here).append(index)
+        except StopIteration as stop:  # there was nothing to wait for
+            made[index] = stop.value
+    made.update(zip(here, executor.each(_second_half, [begun[index] for index in here]), strict=True))
+    made.update((index, _second_half(begun[index])) for index in elsewhere)
+    return [made[index] for index in range(len(begun))]
+
+
+def _second_half(begun: Halves[Made]) -> Made:
+    try:
+        next(begun)
+    except StopIteration as stop:
+        made: Made = stop.value
+        return made
+    raise RuntimeError("work in two halves has a third")
 
 
 class Crew(Protocol):

@@ -9,7 +9,15 @@ import numpy as np
 
 from bayesnet_track.adapt.conditions import read_level
 from bayesnet_track.cue import AnyCue, Floats, LocallyAdaptable, Reference, Turnable, context_of
-from bayesnet_track.executor import AgentUnavailable, Executor, Serial
+from bayesnet_track.executor import (
+    AgentUnavailable,
+    Executor,
+    Halves,
+    Serial,
+    asked,
+    each_at_once,
+    is_elsewhere,
+)
 from bayesnet_track.graph.spec import Learn
 from bayesnet_track.inference.absent import Missing, Roll
 from bayesnet_track.planes import PlaneCache, region_of_boxes
@@ -59,7 +67,9 @@ def learn_first(
     """
     roll = roll or Roll()
     learning = [agent for agent in cues if roll.misses(agent) is None]
-    outcomes = executor.each(lambda agent: _learnt(cues[agent], cache, own.get(agent, box)), learning)
+    outcomes = each_at_once(
+        executor, lambda agent: _learnt(cues[agent], cache, own.get(agent, box)), learning
+    )
     return _sorted_out(dict(zip(learning, outcomes, strict=True)), roll)
 
 
@@ -85,7 +95,8 @@ def learn_references(
     """
     roll = roll or Roll()
     learning = [agent for agent, rate in rates.items() if rate > 0.0 and roll.misses(agent) is None]
-    outcomes = executor.each(
+    outcomes = each_at_once(
+        executor,
         lambda agent: _learnt(
             cues[agent], cache, own.get(agent, box), references[agent], rates[agent], angle
         ),
@@ -132,16 +143,19 @@ def _learnt(
     old: Reference | None = None,
     rate: float = 1.0,
     angle: float = 0.0,
-) -> Reference | str | Missing:
+) -> Halves[Reference | str | Missing]:
     """What the cue sees in the box, blended into the old reference; or what went wrong."""
+    if not is_elsewhere(cue):
+        yield False
     try:
         region = region_of_boxes(box[None, :], grow=context_of(cue))
         planes = cache.planes(cue.needs, region)
-        if angle != 0.0 and isinstance(cue, Turnable):
-            seen = cue.learn_turned(planes, box.copy(), angle)
-        else:
-            seen = cue.learn(planes, box.copy())
-        return _checked(seen if old is None else cue.blend(old, seen, rate))
+        is_turned = angle != 0.0 and isinstance(cue, Turnable)
+        learn, turned = ("learn_turned", (angle,)) if is_turned else ("learn", ())
+        if old is None:
+            return _checked((yield from asked(cue, learn, planes, box.copy(), *turned)))
+        seen = getattr(cue, learn)(planes, box.copy(), *turned)
+        return _checked((yield from asked(cue, "blend", old, seen, rate)))
     except AgentUnavailable as error:
         return Missing(str(error))
     except Exception as error:  # as in evaluation: a cue's fault must not end the run

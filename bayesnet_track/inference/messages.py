@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.noise import sample_noise
 from bayesnet_track.cue import Hypotheses, Measurement
+from bayesnet_track.executor import each_at_once
 from bayesnet_track.graph.spec import Noise
 from bayesnet_track.inference.absent import Missing
 from bayesnet_track.inference.compile import Plan
@@ -48,8 +49,10 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
     measured: dict[str, Measurement | None] = {}
     faults: dict[str, str] = {}
     region = _region(at)
-    answers = observer.executor.each(
-        lambda step: observe(step, at[step.at], prior_log, region, observer), plan.observations
+    answers = each_at_once(
+        observer.executor,
+        lambda step: observe(step, at[step.at], prior_log, region, observer),
+        plan.observations,
     )
     for step, answer in zip(plan.observations, answers, strict=True):
         remember(step, answer, observer)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Stream
 from bayesnet_track.cue import AnyCue, Hypotheses, Measurement, Reference
-from bayesnet_track.executor import AgentUnavailable, Executor, Serial
+from bayesnet_track.executor import AgentUnavailable, Executor, Halves, Serial, asked, is_elsewhere
 from bayesnet_track.inference.absent import Missing, Roll
 from bayesnet_track.inference.compile import Observe
 from bayesnet_track.planes import PlaneCache, Region
@@ -75,8 +75,8 @@ class Observer:
 
 def observe(
     step: Observe, hypotheses: Hypotheses, prior_log: Floats, region: Region, observer: Observer
-) -> Answer:
-    """What an agent answers about (N,) hypotheses with normalised prior log-weights.
+) -> Halves[Answer]:
+    """What an agent answers about (N,) hypotheses with normalised prior log-weights; see `each_at_once`.
 
     A message to the caller instead of an exception: the cue raised, or returned anything but N
     log-likelihoods of at most 0, one of them above -inf, or a Gaussian over fields of the hypotheses.
@@ -89,7 +89,8 @@ def observe(
         return Missing(observer.missed[step.agent])
     if key in observer.measured:
         return observer.measured[key]
-    return _asked(step, hypotheses, prior_log, region, observer)
+    answer = yield from _asked(step, hypotheses, prior_log, region, observer)
+    return answer
 
 
 def remember(step: Observe, answer: Answer, observer: Observer) -> None:
@@ -110,12 +111,14 @@ def remember(step: Observe, answer: Answer, observer: Observer) -> None:
 
 def _asked(
     step: Observe, hypotheses: Hypotheses, prior_log: Floats, region: Region, observer: Observer
-) -> Answer:
+) -> Halves[Answer]:
     agent, part = step.agent, "planes"
     missing = observer.roll.misses(agent)
     if missing is not None:
         return missing
     cue: Any = observer.cues[agent]
+    if not is_elsewhere(cue):
+        yield False
     # A copy of its own: what it writes there reaches no other agent.
     own = Hypotheses(hypotheses.boxes.copy(), {name: v.copy() for name, v in hypotheses.fields.items()})
     started = observer.clock()
@@ -124,8 +127,9 @@ def _asked(
         started, part = _charge(observer, part, started), agent
         reference = observer.references[agent]
         if step.measures:
-            return _checked_measurement(cue.measure(planes, own, np.exp(prior_log), reference), own)
-        result = cue.log_likelihood(planes, own, reference)
+            measured = yield from asked(cue, "measure", planes, own, np.exp(prior_log), reference)
+            return _checked_measurement(measured, own)
+        result = yield from asked(cue, "log_likelihood", planes, own, reference)
         return _checked(np.array(result, dtype=np.float64), len(own))
     except AgentUnavailable as error:
         return Missing(str(error))

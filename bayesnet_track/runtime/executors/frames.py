@@ -6,6 +6,7 @@ however the processes end.
 
 from __future__ import annotations
 
+import math
 import mmap
 import os
 import tempfile
@@ -146,7 +147,7 @@ class FrameView:
         return PointMap(pixels) if shared.geometry is None else RightEye(pixels, shared.geometry)
 
     def _array(self, block: Block) -> Array:
-        dtype, size = np.dtype(block.dtype), int(np.prod(block.shape))
+        dtype, size = np.dtype(block.dtype), math.prod(block.shape)
         end = block.offset + size * dtype.itemsize
         if self._memory is None or len(self._memory) < end:
             # The old memory stays as long as a frame in it does.

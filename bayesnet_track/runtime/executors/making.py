@@ -104,10 +104,10 @@ class Executing:
         return Processes(employed, self.workers, self._limits, retries)
 
     def _pool(self, waiting: int) -> Executor:
-        """Serial asks agents in processes one after the other; else a thread waits for each of them."""
+        """For the agents in the engine's process; where others are actors, a thread waits for each."""
         if self._is_serial:
             return Serial()
-        threads = self.workers if self.kind == "threads" else min(1 + waiting, MOST_WAITING)
+        threads = min(1 + waiting, MOST_WAITING) if self.kind == "ray" else self.workers
         pool = Threads(threads)
         self._open.callback(pool.close)
         return pool

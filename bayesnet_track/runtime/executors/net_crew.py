@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -15,6 +15,7 @@ from bayesnet_track.nets.state import TargetState
 from bayesnet_track.planes import FramePair, Region
 from bayesnet_track.runtime.executors.net_host import Asked
 from bayesnet_track.runtime.executors.proxy import Desk
+from bayesnet_track.runtime.executors.questions import ADVANCE
 
 REMEMBERED = tuple(item.name for item in fields(TargetState) if item.name != "plan")
 
@@ -24,7 +25,7 @@ class _Shift:
     """What one worker of the crew was asked for in a frame, and the answer to come."""
 
     targets: Mapping[str, TargetState]
-    answer: Future[bytes]
+    answer: Callable[[], bytes]
 
 
 class NetCrew:
@@ -58,8 +59,7 @@ class NetCrew:
         for host in self._hosts:
             own = {target: state for target, state in targets.items() if self._host_of[target] == host}
             if own:
-                answer = self._threads.submit(self._asked, host, net, own, both, whole)
-                shifts.append(_Shift(own, answer))
+                shifts.append(_Shift(own, self._begun(host, net, own, both, whole)))
         return lambda: self._awaited(shifts)
 
     def close(self) -> None:
@@ -84,12 +84,18 @@ class NetCrew:
                 target: self._hosts[number % len(self._hosts)] for number, target in enumerate(targets)
             }
 
-    def _asked(
+    def _begun(
         self, host: str, net: Net, own: Mapping[str, TargetState], both: tuple[Any, Any], whole: Region
-    ) -> bytes:
+    ) -> Callable[[], bytes]:
+        """What waits for the answer of a worker, which is asked now."""
         known = {target: self._is_held(target, state) for target, state in own.items()}
-        answer: bytes = self._desk.ask(host, "advance", both, whole, (_question(net, own, known),))
-        return answer or self._desk.ask(host, "advance", both, whole, (_question(net, own, {}),))
+        question = host, ADVANCE, both, whole, (_question(net, own, known),)
+        if hasattr(self._desk, "begin"):
+            answered = self._desk.begin(*question)
+        else:
+            answered = self._threads.submit(self._desk.ask, *question).result
+        # A fresh worker holds no state: it says nothing, and is told all of them.
+        return lambda: answered() or self._desk.ask(host, ADVANCE, both, whole, (_question(net, own, {}),))
 
     def _is_held(self, target: str, state: TargetState) -> bool:
         """Whether the state is the one that the worker returned last: nobody has changed it since."""
@@ -100,7 +106,7 @@ class NetCrew:
         advanced: dict[str, Advanced] = {}
         for shift in shifts:
             try:
-                made: Mapping[str, Advanced] = pickle.loads(shift.answer.result())
+                made: Mapping[str, Advanced] = pickle.loads(shift.answer())
             except AgentUnavailable:
                 for target in shift.targets:
                     self._returned.pop(target, None)

@@ -1,55 +1,62 @@
-"""Agents in worker processes: which worker has which, and what happens when one dies or hangs."""
+"""Agents in worker processes: all asked before the first is heard, and again when a worker is lost."""
 
 from __future__ import annotations
 
 import pickle
+import select
 import time
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future, wait
-from contextlib import contextmanager
-from dataclasses import dataclass
-from threading import Lock, Thread
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from threading import RLock
 from typing import Any
 
-from bayesnet_track.cue import AnyCue
 from bayesnet_track.executor import AgentUnavailable
 from bayesnet_track.planes import Frame, Region
 from bayesnet_track.runtime.deadline import Patience
 from bayesnet_track.runtime.executors.frames import FrameStore, SharedFrame
-from bayesnet_track.runtime.executors.nursery import Nursery
-from bayesnet_track.runtime.executors.packing import packed, repacked
-from bayesnet_track.runtime.executors.questions import ADVANCE, Foreign
+from bayesnet_track.runtime.executors.questions import ADVANCE, Answer, Foreign
+from bayesnet_track.runtime.executors.staff import IDLE_FRAMES, Employed, Slot, Staff
 from bayesnet_track.runtime.executors.workers import Late, Limits, Worker, WorkerLost
 
-IDLE_FRAMES = 30
-"""After so many frames without a question an agent leaves its worker, and a worker without agents ends."""
-REPACK_EVERY = 50
-"""Frames after which it is looked whether agents should be packed anew."""
-MEMORY_OF_COST = 0.9
-"""Weight of the past in the running mean of what an agent costs a frame."""
+__all__ = ["IDLE_FRAMES", "Employed", "PlacingError", "Processes", "again", "check_sendable"]
+
+COMING_S = 0.002
+"""Seconds after which it is looked whether a worker that is being started is there."""
 
 
 class PlacingError(ValueError):
     """An agent cannot be where it was put; says why."""
 
 
-@dataclass(frozen=True, eq=False)
-class Employed:
-    """How a worker makes an agent's cue, and what it is expected to cost, seconds a frame."""
+@dataclass(eq=False)
+class _Pending:
+    """A question on its way.
 
-    make: Callable[[Any], AnyCue]
-    parameters: Any
-    cost_s: float
+    Attributes:
+        asked: agent, method, frames, region and arguments.
+        patience: for how long its answer is waited for; None for as long as it takes.
+        is_sent: whether a worker has it.
+        until: the moment by which the answer is needed, since it was sent.
+        outcome: the answer, or why there is none.
+        lost: why workers that had it gave none.
+    """
 
+    asked: tuple[Any, ...]
+    patience: Patience | None
+    is_sent: bool = False
+    sent_at: float = 0.0
+    until: float | None = None
+    outcome: Answer | Exception | None = None
+    lost: list[str] = field(default_factory=list)
 
-class _Slot:
-    """A place for a worker, which may be empty, or one that is being started for it."""
+    @property
+    def agent(self) -> str:
+        agent: str = self.asked[0]
+        return agent
 
-    def __init__(self) -> None:
-        self.lock = Lock()
-        self.worker: Worker | None = None
-        self.coming: Future[Worker] | None = None
-        self.agents: set[str] = set()
+    def until_from(self, now: float) -> float | None:
+        return None if self.patience is None else self.patience.until(self.agent, now)
 
 
 class Processes:
@@ -71,28 +78,23 @@ class Processes:
         for agent, employed in agents.items():
             check_sendable(agent, employed)
         self.retries, self.patience = retries, None
-        self._agents, self._limits = agents, limits
-        self._slots = [_Slot() for _ in range(max(1, min(workers, len(agents))))]
         self._store = FrameStore()
-        self._nursery = Nursery(self._store.descriptor, limits.memory_mb)
-        self._assigning = Lock()
-        self._costs = {agent: employed.cost_s for agent, employed in agents.items()}
-        self._spent = dict.fromkeys(agents, 0.0)
-        self._asked_in = dict.fromkeys(agents, 0)
-        self._slot_of: dict[str, _Slot] = {}
+        self._staff = Staff(agents, workers, limits, self._store.descriptor)
+        self._unsent: list[_Pending] = []
         self._frames = 0
-        self._is_closed = False
-        self._assign(packed(self._costs, len(self._slots)))
+        self._asking = RLock()
 
     patience: Patience | None
 
     def send_frame(self, frame: Frame) -> SharedFrame:
         """Where the frame lies in the shared memory; with a new one, agents are placed anew if need be."""
-        shared = self._store.put(frame)
-        if shared.number > self._frames:
-            self._frames = shared.number
-            self._look_after()
-        return shared
+        with self._asking:
+            shared = self._store.put(frame)
+            if shared.number > self._frames:
+                self._frames = shared.number
+                self._unsent.clear()
+                self._staff.look_after(self._frames)
+            return shared
 
     def ask(
         self,
@@ -103,166 +105,183 @@ class Processes:
         arguments: tuple[Any, ...],
     ) -> Any:
         """What the agent's cue returns; raises what it raised, by type name and text, or AgentUnavailable."""
-        reasons: list[str] = []
+        return self.begin(agent, method, frames, region, arguments)()
+
+    def begin(
+        self,
+        agent: str,
+        method: str,
+        frames: tuple[Any, Any] | None,
+        region: Region | None,
+        arguments: tuple[Any, ...],
+    ) -> Callable[[], Any]:
+        """`ask`, in two halves: what waits for the answer is returned, while the agent is at work."""
         # Whole nets that nobody waited for would have to be advanced here.
         patience = None if method == ADVANCE else self.patience
-        with self._held(agent) as slot:
-            for _ in range(1 + self.retries):
+        pending = _Pending((agent, method, frames, region, arguments), patience)
+        with self._asking:
+            if not self._forwarded(pending):
+                self._unsent.append(pending)
+        return partial(self._heard, pending)
+
+    def workers(self) -> dict[int, tuple[str, ...]]:
+        """Process id of every worker -> the agents that it has."""
+        alive = (slot.worker for slot in self._staff.slots)
+        return {w.pid: tuple(sorted(w.agents)) for w in alive if w is not None and not w.is_dead}
+
+    def close(self) -> None:
+        """End all workers."""
+        self._staff.close()
+        self._store.close()
+
+    def _heard(self, pending: _Pending) -> Any:
+        """The answer's value, waited for; the question is asked again of a fresh worker if need be."""
+        agent = pending.agent
+        with self._asking:
+            while len(pending.lost) <= self.retries:
                 began = time.monotonic()
                 try:
-                    until = None if patience is None else patience.until(agent, began)
-                    worker = self._working(slot, agent, until)
-                    if until is not None and until <= time.monotonic():
-                        raise Late("there was no time left to ask it")
-                    answer = worker.ask(agent, method, frames, region, arguments, until)
+                    answer = self._answered(pending)
                 except Late:
-                    self._spent[agent] += time.monotonic() - began
+                    self._staff.spent(agent, time.monotonic() - (pending.sent_at or began))
                     raise
                 except WorkerLost as lost:
-                    slot.worker = None
-                    reasons.append(str(lost))
+                    pending.lost.append(str(lost))
+                    pending.is_sent, pending.outcome = False, None
                     continue
                 finally:
-                    if patience is not None:
-                        patience.waited(agent, time.monotonic() - began)
-                self._spent[agent] += answer.seconds
+                    if pending.patience is not None:
+                        pending.patience.waited(agent, time.monotonic() - began)
+                self._staff.spent(agent, answer.seconds)
                 if answer.raised is not None:
                     raise again(*answer.raised)
                 if isinstance(answer.value, Foreign):
                     return type(answer.value.type_name, (), {})()
                 return answer.value
-            self._start(slot)
-        tries = f", {len(reasons)} times" if len(reasons) > 1 else ""
-        raise AgentUnavailable(f"{reasons[-1]}{tries}")
+            self._staff.start(self._staff.slot(agent))
+        tries = f", {len(pending.lost)} times" if len(pending.lost) > 1 else ""
+        raise AgentUnavailable(f"{pending.lost[-1]}{tries}")
 
-    def workers(self) -> dict[int, tuple[str, ...]]:
-        """Process id of every worker -> the agents that it has."""
-        alive = (slot.worker for slot in self._slots)
-        return {w.pid: tuple(sorted(w.agents)) for w in alive if w is not None and not w.is_dead}
+    def _answered(self, pending: _Pending) -> Answer:
+        """The answer to one attempt; raises WorkerLost, Late or AgentUnavailable."""
+        if not pending.is_sent and pending.outcome is None:
+            if pending in self._unsent:
+                self._unsent.remove(pending)
+            self._send(pending)
+        self._drive(pending)
+        if isinstance(pending.outcome, Exception):
+            raise pending.outcome
+        assert pending.outcome is not None
+        return pending.outcome
 
-    def close(self) -> None:
-        """End all workers."""
-        self._is_closed = True
-        for slot in self._slots:
-            if slot.worker is not None:
-                slot.worker.let_go()
-        self._nursery.close()
-        for slot in self._slots:
-            coming = slot.coming
-            if coming is not None and coming.done() and coming.exception() is None:
-                coming.result().let_go()
-        self._store.close()
+    def _send(self, pending: _Pending) -> None:
+        """Send a question, when its worker is there and free for it."""
+        while (slot := self._staff.slot(pending.agent)).asked is not None:
+            self._drive(slot.asked)
+        until = pending.until_from(time.monotonic())
+        busy_with = None if slot.worker is None else slot.worker.busy_with
+        if slot.worker is not None and busy_with == pending.agent:  # nobody waited for that answer
+            self._drop_answer(slot, slot.worker, until)
+        elif busy_with is not None:
+            self._staff.set_apart(slot, busy_with)
+        worker = self._staff.awaited(slot, until)
+        if until is not None and until <= time.monotonic():
+            raise Late("there was no time left to ask it")
+        self._hand_over(pending, slot, worker, until)
 
-    @contextmanager
-    def _held(self, agent: str) -> Iterator[_Slot]:
-        """The agent's slot, for the one who asks, with a worker that does nothing for another agent."""
-        while True:
-            slot = self._slot(agent)
-            with slot.lock:
-                if self._slot_of.get(agent) is not slot:  # placed elsewhere while it was waited for
-                    continue
-                if slot.worker is not None and slot.worker.busy_with not in (None, agent):
-                    self._set_apart(slot, slot.worker.busy_with)
-                yield slot
-                return
-
-    def _set_apart(self, slot: _Slot, late: str) -> None:
-        """Leave the slot's worker to the agent that it still works for: the others are not to wait for it."""
-        with self._assigning:
-            empty = (one for one in self._slots if not one.agents)
-            own = next((one for one in empty if one.worker is None and one.coming is None), None)
-            if own is None:
-                own = _Slot()
-                self._slots.append(own)
-            own.worker, slot.worker = slot.worker, None
-            slot.agents.discard(late)
-            own.agents.add(late)
-            self._slot_of[late] = own
-
-    def _slot(self, agent: str) -> _Slot:
-        with self._assigning:
-            self._asked_in[agent] = self._frames
-            slot = self._slot_of.get(agent)
-            if slot is None:
-                slot = min(self._slots, key=self._load)
-                slot.agents.add(agent)
-                self._slot_of[agent] = slot
-            return slot
-
-    def _load(self, slot: _Slot) -> float:
-        return sum(self._costs[agent] for agent in slot.agents)
-
-    def _working(self, slot: _Slot, agent: str, until: float | None) -> Worker:
-        """The slot's worker, with the agent in it; raises Late when it is not there by `until`."""
-        if slot.worker is not None and slot.worker.is_dead:
-            slot.worker.close()
-            slot.worker = None
-        if slot.worker is None:
-            coming = self._start(slot)
-            if not wait([coming], None if until is None else max(until - time.monotonic(), 0.0)).done:
-                raise Late("its worker was not there by the deadline")
-            slot.coming = None
-            slot.worker = coming.result()
-        if agent not in slot.worker.agents:
-            employed = self._agents[agent]
-            slot.worker.employ(agent, employed.make, employed.parameters)
-        return slot.worker
-
-    def _start(self, slot: _Slot) -> Future[Worker]:
-        """Have a worker started for the slot, unless one comes already; nobody need wait for it."""
-        if self._is_closed:
-            raise AgentUnavailable("the run is over")
-        if slot.coming is None:
-            coming: Future[Worker] = Future()
-            slot.coming = coming
-
-            def start() -> None:
-                try:
-                    coming.set_result(Worker(self._nursery, self._limits))
-                except BaseException as error:
-                    coming.set_exception(error)
-
-            Thread(target=start, name="worker starts", daemon=True).start()
-        return slot.coming
-
-    def _look_after(self) -> None:
-        """Once a frame: costs, workers with nothing to do, and now and then another packing."""
-        with self._assigning:
-            for agent, spent in self._spent.items():
-                if self._frames > 1:
-                    self._costs[agent] += (1 - MEMORY_OF_COST) * (spent - self._costs[agent])
-                self._spent[agent] = 0.0
-            for agent in list(self._slot_of):
-                if self._frames - self._asked_in[agent] > IDLE_FRAMES:
-                    self._slot_of.pop(agent).agents.discard(agent)
-            if self._frames % REPACK_EVERY == 0:
-                costs = {agent: self._costs[agent] for agent in self._slot_of}
-                better = repacked(costs, [slot.agents for slot in self._slots])
-                if better is not None:
-                    self._assign(better)
-            for slot in self._slots:
-                self._release(slot)
-
-    def _assign(self, packing: list[set[str]]) -> None:
-        for slot, agents in zip(self._slots, packing, strict=True):
-            slot.agents = set(agents)
-            self._slot_of.update(dict.fromkeys(agents, slot))
-
-    def _release(self, slot: _Slot) -> None:
-        worker = slot.worker
-        if worker is None or not slot.lock.acquire(blocking=False):
-            return
+    def _forwarded(self, pending: _Pending) -> bool:
+        """Whether the question could be sent without waiting for anything."""
+        slot = self._staff.slot(pending.agent)
+        if slot.asked is not None or (slot.worker is not None and slot.worker.busy_with is not None):
+            return False
+        now = time.monotonic()
+        until = pending.until_from(now)
+        if until is not None and until <= now:
+            return False
         try:
-            if not slot.agents:
-                worker.close()
-                slot.worker = None
-                return
-            for agent in worker.agents - slot.agents:
-                worker.dismiss(agent)
+            worker = self._staff.come(slot)
+        except AgentUnavailable:  # as it will be when it is waited for
+            return False
+        if worker is None:
+            return False
+        try:
+            self._hand_over(pending, slot, worker, until)
+        except WorkerLost as lost:
+            pending.outcome = lost
+        return True
+
+    def _hand_over(self, pending: _Pending, slot: Slot, worker: Worker, until: float | None) -> None:
+        try:
+            self._staff.employ(worker, pending.agent)
+            worker.ask(*pending.asked)
         except WorkerLost:
             slot.worker = None
-        finally:
-            slot.lock.release()
+            raise
+        slot.asked, pending.is_sent = pending, True
+        pending.until, pending.sent_at = until, time.monotonic()
+
+    def _drive(self, pending: _Pending) -> None:
+        """Receive answers, and send what waits for their workers, until the outcome of `pending` is known."""
+        while pending.outcome is None:
+            working = [slot for slot in self._staff.slots if slot.asked is not None]
+            end = min(_end(slot) for slot in working)
+            is_coming = any(self._staff.slot(one.agent).worker is None for one in self._unsent)
+            left = max(end - time.monotonic(), 0.0)
+            ready = _readable(working, min(left, COMING_S) if is_coming else left)
+            for slot in ready:
+                self._receive(slot)
+            if not ready and left < COMING_S:
+                self._give_up(working)
+            if self._unsent:
+                self._unsent = [one for one in self._unsent if not self._forwarded(one)]
+
+    def _receive(self, slot: Slot) -> None:
+        """Take the answer that is there."""
+        assert slot.worker is not None
+        pending, slot.asked = slot.asked, None
+        try:
+            pending.outcome = slot.worker.answer()
+        except WorkerLost as lost:
+            slot.worker, pending.outcome = None, lost
+
+    def _give_up(self, working: list[Slot]) -> None:
+        """Leave what takes too long: the worker its work, or its life."""
+        now = time.monotonic()
+        for slot in working:
+            pending, worker = slot.asked, slot.worker
+            assert worker is not None
+            if worker.until <= now:
+                slot.worker, slot.asked, pending.outcome = None, None, worker.overdue()
+            elif pending.until is not None and pending.until <= now:
+                slot.asked, pending.outcome = None, Late("gave no answer by the deadline")
+
+    def _drop_answer(self, slot: Slot, worker: Worker, until: float | None) -> None:
+        """Wait for an answer that is too late for its question, but due before the next."""
+        slot.asked = late = _Pending((worker.busy_with,), None, is_sent=True, until=until)
+        self._drive(late)
+        if isinstance(late.outcome, Late):
+            raise late.outcome
+        if isinstance(late.outcome, WorkerLost):
+            raise late.outcome
+
+
+def _end(slot: Slot) -> float:
+    """The moment at which the slot's question is given up."""
+    assert slot.worker is not None
+    until = slot.asked.until
+    return slot.worker.until if until is None else min(slot.worker.until, until)
+
+
+def _readable(slots: list[Slot], seconds: float) -> list[Slot]:
+    """The slots whose worker has answered, or ended, at the latest after so long."""
+    poll = select.poll()
+    by_number = {}
+    for slot in slots:
+        assert slot.worker is not None
+        number = slot.worker.channel.fileno()
+        by_number[number] = slot
+        poll.register(number, select.POLLIN)
+    return [by_number[number] for number, _ in poll.poll(1e3 * seconds)]
 
 
 def again(name: str, text: str) -> Exception:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -35,6 +35,21 @@ class Desk(Protocol):
             AgentUnavailable: it gives no answer.
             Exception: of the type name and the text of what the cue raised.
         """
+        ...
+
+
+class Forwarding(Desk, Protocol):
+    """A desk that can be asked several questions before the first answer is waited for."""
+
+    def begin(
+        self,
+        agent: str,
+        method: str,
+        frames: tuple[Any, Any] | None,
+        region: Region | None,
+        arguments: tuple[Any, ...],
+    ) -> Callable[[], Any]:
+        """`ask`, whose answer what is returned waits for."""
         ...
 
 
@@ -76,12 +91,7 @@ class Placed:
 
     def ask(self, method: str, planes: Planes | None, *arguments: Any) -> Any:
         """A question, about a frame unless `planes` is None."""
-        # Before the desk is busy with this question: what was learnt may have to be asked for.
-        known = tuple(dict(part) if isinstance(part, Learnt) else part for part in arguments)
-        if planes is None:
-            return self.desk.ask(self.agent, method, None, None, known)
-        current, previous = planes[self.sent]
-        return self.desk.ask(self.agent, method, (current, previous), planes.region, known)
+        return self.desk.ask(*self._question(method, planes, arguments))
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """As of a `Cue`."""
@@ -89,11 +99,33 @@ class Placed:
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """As of a `Cue`; what was learnt just now is learnt and blended at once."""
-        if isinstance(new, Learnt) and new.of is self and new.planes is not None:
-            at_once: Reference = self.ask(LEARN_AND_BLEND, new.planes, new.method, old, rate, *new.arguments)
-            return at_once
-        blended: Reference = self.ask("blend", None, old, new, rate)
+        blended: Reference = self.ask(*self._blending(old, new, rate))
         return blended
+
+    def _question(self, method: str, planes: Planes | None, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
+        # Before the desk is busy with this question: what was learnt may have to be asked for.
+        known = tuple(dict(part) if isinstance(part, Learnt) else part for part in arguments)
+        if planes is None:
+            return self.agent, method, None, None, known
+        current, previous = planes[self.sent]
+        return self.agent, method, (current, previous), planes.region, known
+
+    def _blending(self, old: Reference, new: Reference, rate: float) -> tuple[Any, ...]:
+        if isinstance(new, Learnt) and new.of is self and new.planes is not None:
+            return LEARN_AND_BLEND, new.planes, new.method, old, rate, *new.arguments
+        return "blend", None, old, new, rate
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedAhead(Placed):
+    """A proxy that can be asked now and heard later."""
+
+    desk: Forwarding
+
+    def ask_ahead(self, method: str, *arguments: Any) -> Callable[[], Any]:
+        """Ask what the method of that name returns, which what is returned waits for."""
+        asked = self._blending(*arguments) if method == "blend" else (method, *arguments)
+        return self.desk.begin(*self._question(asked[0], asked[1], asked[2:]))
 
 
 class Learnt(Mapping[str, NDArray[Any]]):
@@ -156,6 +188,7 @@ def placed(agent: str, cue: AnyCue, desk: Desk, sent: SentFrames) -> AnyCue:
         own["rule"] = cue.rule
     from bayesnet_track.cue import context_of
 
-    kind = type("Placed" + type(cue).__name__, (Placed,), own)
+    base = PlacedAhead if hasattr(desk, "begin") else Placed
+    kind = type("Placed" + type(cue).__name__, (base,), own)
     proxy: AnyCue = kind(agent, desk, sent, context_of(cue))
     return proxy

@@ -46,7 +46,7 @@ class Threads:
         """
         if len(pieces) < 2 or not self._helpers:
             return [work(piece) for piece in pieces]
-        kind = getattr(work, "__code__", work), len(pieces)
+        kind = getattr(pieces[0], "gi_code", getattr(work, "__code__", work)), len(pieces)
         gain = self._gains.get(kind)
         batch = _Batch(work, pieces)
         if gain is None or gain > HAND_OFF_S:

@@ -11,13 +11,11 @@ from __future__ import annotations
 
 import fcntl
 import os
-import pickle
 import signal
 import socket
 import sys
 import time
 from contextlib import suppress
-from multiprocessing.connection import Connection
 
 from bayesnet_track.runtime.executors.memory import limit_memory
 from bayesnet_track.runtime.executors.nursery import END_S, NUMBER, WORKER
@@ -71,7 +69,8 @@ def _load() -> None:
     import bayesnet_track.inference.compile
     import bayesnet_track.numerics.kinematic_kernels
     import bayesnet_track.runtime.executors.frames
-    import bayesnet_track.runtime.executors.host  # noqa: F401
+    import bayesnet_track.runtime.executors.host
+    import bayesnet_track.runtime.executors.wire  # noqa: F401
 
     cv2.setNumThreads(1)
 
@@ -97,7 +96,7 @@ def _work(channel: int, lifeline: int, frames: int, memory_mb: int) -> None:
     try:
         _die_with(lifeline)
         limit_memory(memory_mb)
-        _serve(Connection(channel), frames, memory_mb > 0)
+        _serve(socket.socket(fileno=channel), frames, memory_mb > 0)
         code = 0
     except BaseException:
         sys.excepthook(*sys.exc_info())
@@ -122,14 +121,17 @@ def _die_with(lifeline: int) -> None:
         os._exit(1)
 
 
-def _serve(channel: Connection, frames: int, is_limited: bool) -> None:
-    from bayesnet_track.runtime.executors.frames import FrameView
+def _serve(channel: socket.socket, frames: int, is_limited: bool) -> None:
+    from bayesnet_track.runtime.executors.frames import SLOTS, FrameView, SharedFrame
     from bayesnet_track.runtime.executors.host import AgentHost
+    from bayesnet_track.runtime.executors.questions import Question
+    from bayesnet_track.runtime.executors.wire import receive, send
 
     host = AgentHost(FrameView(frames).get, is_limited)
+    told: dict[int | None, SharedFrame | None] = {None: None}
     while True:
         try:
-            kind, *message = pickle.loads(channel.recv_bytes())
+            kind, *message = receive(channel)
         except (EOFError, ConnectionError):
             return
         match kind:
@@ -138,9 +140,15 @@ def _serve(channel: Connection, frames: int, is_limited: bool) -> None:
             case "dismiss":
                 host.dismiss(*message)
             case "ask":
-                answer = host.answer(*message)
+                new, agent, method, numbers, *rest = message
+                for frame in new:
+                    told[frame.number] = frame
+                    for number in [n for n in told if n is not None and n <= frame.number - SLOTS]:
+                        del told[number]
+                both = None if numbers is None else (told[numbers[0]], told[numbers[1]])
+                answer = host.answer(Question(agent, method, both, *rest))
                 try:
-                    channel.send_bytes(pickle.dumps(answer, protocol=5))
+                    send(channel, (answer.value, answer.raised, answer.out_of_memory, answer.seconds))
                 except ConnectionError:
                     return
 

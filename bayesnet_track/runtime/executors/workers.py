@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import os
-import pickle
-import select
 import signal
 import socket
 import struct
 import time
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
 from typing import Any
 
 from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.runtime.executors.frames import SLOTS, SharedFrame
 from bayesnet_track.runtime.executors.nursery import Nursery
 from bayesnet_track.runtime.executors.questions import Answer, Sent, Told
+from bayesnet_track.runtime.executors.wire import receive, send
 
 
 class WorkerLost(Exception):
@@ -43,26 +42,28 @@ class Limits:
 
 
 class Worker:
-    """One process with some agents. Not for several threads at a time.
+    """One process with some agents, which is asked one question at a time. Not for several threads at a time.
 
     Attributes:
         pid: its process id.
         agents: those whose cues it has.
-        busy_with: the agent whose question it still works on, though nobody waits; else None.
+        channel: readable when its answer is there, or its end.
+        busy_with: the agent whose question it works on, or whose answer has not been received; else None.
+        until: the moment by which it has to answer.
     """
 
     def __init__(self, nursery: Nursery, limits: Limits) -> None:
         self._nursery = nursery
-        self._socket, self._lifeline, self.pid = nursery.worker()
-        # A worker that is stopped reads nothing: a long question would then wait for ever.
+        self.channel, self._lifeline, self.pid = nursery.worker()
+        # A worker that is stopped reads nothing, or has sent half an answer: neither is waited for for ever.
         patience = struct.pack("@ll", int(limits.answer_s), int(limits.answer_s % 1 * 1e6))
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, patience)
-        self._channel = Connection(os.dup(self._socket.fileno()))
-        self._readable = select.poll()
-        self._readable.register(self._socket, select.POLLIN)
-        self._limits, self._patience_s, self._until = limits, 0.0, 0.0
+        for side in (socket.SO_SNDTIMEO, socket.SO_RCVTIMEO):
+            self.channel.setsockopt(socket.SOL_SOCKET, side, patience)
+        self._limits, self._patience_s, self.until = limits, 0.0, 0.0
         self._sent = Sent()
         self._known: set[tuple[str, str]] = set()
+        self._asked = ("", "")
+        self._frames: dict[int, None] = {}
         self.agents: set[str] = set()
         self.busy_with: str | None = None
 
@@ -70,7 +71,7 @@ class Worker:
     def is_dead(self) -> bool:
         """Whether its end of the channel is closed."""
         try:
-            return self._socket.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT) == b""
+            return self.channel.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT) == b""
         except BlockingIOError:
             return False
         except OSError:
@@ -90,27 +91,51 @@ class Worker:
         self,
         agent: str,
         method: str,
-        frames: tuple[Any, Any] | None,
+        frames: tuple[SharedFrame, SharedFrame | None] | None,
         region: Any,
         arguments: tuple[Any, ...],
-        deadline: float | None = None,
-    ) -> Answer:
-        """The agent's answer, references told in it understood.
-
-        Raises:
-            WorkerLost: it gives none, and never will.
-            Late: it gives none by `deadline`, seconds of the monotonic clock.
-        """
-        if self.busy_with is not None:  # with a question whose answer nobody waited for
-            self._receive(deadline)
+    ) -> None:
+        """Send it a question; raises WorkerLost."""
         question = self._sent.question(agent, method, frames, region, arguments)
         is_first = (agent, method) not in self._known
-        limit = max(self._limits.first_s, self._limits.answer_s) if is_first else self._limits.answer_s
-        self.busy_with, self._patience_s, self._until = agent, limit, time.monotonic() + limit
-        self._send(("ask", question))
-        answer = self._receive(deadline)
-        self._known.add((agent, method))
-        return answer
+        self._patience_s = (
+            max(self._limits.first_s, self._limits.answer_s) if is_first else self._limits.answer_s
+        )
+        self._asked = agent, method
+        self.busy_with, self.until = agent, time.monotonic() + self._patience_s
+        numbers = None if frames is None else tuple(None if one is None else one.number for one in frames)
+        new = () if frames is None else tuple(one for one in frames if one is not None and self._is_new(one))
+        self._send(
+            ("ask", new, agent, method, numbers, region, question.arguments)
+            + (question.next_number, question.forget)
+        )
+
+    def answer(self) -> Answer:
+        """Its answer, which is there; references told in it are understood.
+
+        Raises:
+            WorkerLost: there is none, and never will be.
+        """
+        try:
+            value, raised, out_of_memory, seconds = receive(self.channel)
+        except (EOFError, OSError):
+            raise WorkerLost(self._death()) from None
+        except Exception:  # nor could what follows in the channel
+            self.close()
+            raise WorkerLost("gave an answer that cannot be read") from None
+        self.busy_with = None
+        if out_of_memory:
+            self.close()
+            raise WorkerLost(
+                f"needs more than {self._limits.memory_mb} MB above what its process starts with"
+            )
+        self._known.add(self._asked)
+        return Answer(self._sent.heard(value) if isinstance(value, Told) else value, raised, False, seconds)
+
+    def overdue(self) -> WorkerLost:
+        """Kill it, since it has not answered `until` then; what is to be said of that."""
+        self.close()
+        return WorkerLost(f"gave no answer in {self._patience_s:.3g} s, and was killed")
 
     def close(self) -> int | None:
         """Let it go, and see it off: its exit code, None when nobody knows."""
@@ -119,39 +144,23 @@ class Worker:
 
     def let_go(self) -> None:
         """Close what it is connected by, which ends it, whatever it does."""
-        self._channel.close()
-        self._socket.close()
+        self.channel.close()
         lifeline, self._lifeline = self._lifeline, -1
         if lifeline >= 0:
             os.close(lifeline)
 
-    def _receive(self, deadline: float | None) -> Answer:
-        answer: Answer = pickle.loads(self._received(deadline))
-        self.busy_with = None
-        if answer.out_of_memory:
-            reason = f"needs more than {self._limits.memory_mb} MB above what its process starts with"
-            self.close()
-            raise WorkerLost(reason)
-        if isinstance(answer.value, Told):
-            return Answer(self._sent.heard(answer.value), seconds=answer.seconds)
-        return answer
+    def _is_new(self, frame: SharedFrame) -> bool:
+        """Whether the frame has not been told of; from now on it has."""
+        if frame.number in self._frames:
+            return False
+        self._frames[frame.number] = None
+        for number in [known for known in self._frames if known <= frame.number - SLOTS]:
+            del self._frames[number]
+        return True
 
-    def _received(self, deadline: float | None) -> bytes:
-        end = self._until if deadline is None else min(self._until, deadline)
+    def _send(self, message: tuple[Any, ...]) -> None:
         try:
-            while not self._readable.poll(1e3 * max(end - time.monotonic(), 0.0)):
-                if time.monotonic() >= self._until:
-                    self.close()
-                    raise WorkerLost(f"gave no answer in {self._patience_s:.3g} s, and was killed")
-                if deadline is not None and time.monotonic() >= deadline:
-                    raise Late("gave no answer by the deadline")
-            return self._channel.recv_bytes()
-        except (EOFError, OSError):
-            raise WorkerLost(self._death()) from None
-
-    def _send(self, message: Any) -> None:
-        try:
-            self._channel.send_bytes(pickle.dumps(message, protocol=5))
+            send(self.channel, message)
         except BlockingIOError:
             self.close()
             raise WorkerLost(f"took no question in {self._limits.answer_s:.3g} s, and was killed") from None

@@ -26,6 +26,16 @@ def test_the_same_to_the_last_bit_though_workers_are_killed_in_every_frame(place
         assert told(placed.play(engine, before=kill)) == told(placed.run(TWO))
 
 
+def test_all_agents_are_asked_before_the_first_is_heard(placed, monkeypatch):
+    told, ask, answer = [], Worker.ask, Worker.answer
+    monkeypatch.setattr(Worker, "ask", lambda worker, *asked: told.append(asked[0]) or ask(worker, *asked))
+    monkeypatch.setattr(Worker, "answer", lambda worker: told.append("answer") or answer(worker))
+    with placed.executing(TWO, "processes", workers=2) as (engine, _):
+        placed.play(engine, 3, before=lambda frame: told.clear())
+    both, heard = {"plate.a", "plate.b"}, ["answer", "answer"]
+    assert [set(told[0:2]), told[2:4], set(told[4:6]), told[6:8], told[8:]] == [both, heard, both, heard, []]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["die", "exit"])
 def test_a_worker_that_dies_once_is_asked_again(placed, told, tmp_path, how):
@@ -57,6 +67,7 @@ UNAVAILABLE = {
     "exit": "its process ended with exit code 7, 3 times",
     "hang": TOO_LONG,
     "deaf": TOO_LONG,
+    "garble": "gave an answer that cannot be read, 3 times",
     "eat": "needs more than 200 MB above what its process starts with, 3 times",
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import stat
 import sys
 import time
 from dataclasses import dataclass
@@ -29,6 +30,7 @@ class Parameters(CueParameters):
         "hang",
         "deaf",
         "eat",
+        "garble",
         "short",
         "words",
         "stranger",
@@ -90,6 +92,13 @@ def misbehave(p, index):
                     except (OSError, ValueError):
                         continue
             time.sleep(3600)
+        case "garble":
+            for number in range(3, 32):
+                try:
+                    if stat.S_ISSOCK(os.fstat(number).st_mode):
+                        os.write(number, b"\xff" * 64)
+                except OSError:
+                    continue
         case "eat":
             eaten = [np.ones(1 << 24) for _ in range(64)]
             raise AssertionError(f"{sys.getsizeof(eaten)} were not refused")

@@ -1,0 +1,190 @@
+"""Which worker has which agents: workers started, agents packed, set apart and let go."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, wait
+from dataclasses import dataclass
+from threading import Thread
+from typing import Any
+
+from bayesnet_track.cue import AnyCue
+from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.runtime.executors.nursery import Nursery
+from bayesnet_track.runtime.executors.packing import packed, repacked
+from bayesnet_track.runtime.executors.workers import Late, Limits, Worker, WorkerLost
+
+IDLE_FRAMES = 30
+"""After so many frames without a question an agent leaves its worker, and a worker without agents ends."""
+REPACK_EVERY = 50
+"""Frames after which it is looked whether agents should be packed anew."""
+MEMORY_OF_COST = 0.9
+"""Weight of the past in the running mean of what an agent costs a frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class Employed:
+    """How a worker makes an agent's cue, and what it is expected to cost, seconds a frame."""
+
+    make: Callable[[Any], AnyCue]
+    parameters: Any
+    cost_s: float
+
+
+class Slot:
+    """A place for a worker, which may be empty, or one that is being started for it.
+
+    Attributes:
+        asked: the question that its worker works on, and that is waited for; else None.
+    """
+
+    def __init__(self) -> None:
+        self.worker: Worker | None = None
+        self.coming: Future[Worker] | None = None
+        self.agents: set[str] = set()
+        self.asked: Any = None
+
+
+class Staff:
+    """The slots of some agents. Not for several threads at a time.
+
+    Args:
+        frames: descriptor of the frames' memory.
+    """
+
+    def __init__(self, agents: Mapping[str, Employed], workers: int, limits: Limits, frames: int) -> None:
+        self.slots = [Slot() for _ in range(max(1, min(workers, len(agents))))]
+        self._agents, self._limits = agents, limits
+        self._nursery = Nursery(frames, limits.memory_mb)
+        self._costs = {agent: employed.cost_s for agent, employed in agents.items()}
+        self._spent = dict.fromkeys(agents, 0.0)
+        self._asked_in = dict.fromkeys(agents, 0)
+        self._slot_of: dict[str, Slot] = {}
+        self._frames = 0
+        self._is_closed = False
+        self._assign(packed(self._costs, len(self.slots)))
+
+    def slot(self, agent: str) -> Slot:
+        """Where the agent is, which is to be asked something."""
+        self._asked_in[agent] = self._frames
+        slot = self._slot_of.get(agent)
+        if slot is None:
+            slot = min(self.slots, key=self._load)
+            slot.agents.add(agent)
+            self._slot_of[agent] = slot
+        return slot
+
+    def spent(self, agent: str, seconds: float) -> None:
+        """The agent has worked for so long."""
+        self._spent[agent] += seconds
+
+    def set_apart(self, slot: Slot, late: str) -> None:
+        """Leave the slot's worker to the agent that it still works for: the others are not to wait for it."""
+        empty = (one for one in self.slots if not one.agents)
+        own = next((one for one in empty if one.worker is None and one.coming is None), None)
+        if own is None:
+            own = Slot()
+            self.slots.append(own)
+        own.worker, slot.worker = slot.worker, None
+        slot.agents.discard(late)
+        own.agents.add(late)
+        self._slot_of[late] = own
+
+    def come(self, slot: Slot) -> Worker | None:
+        """The slot's worker, if it is there; else one is being started."""
+        if slot.worker is not None and slot.worker.is_dead:
+            slot.worker.close()
+            slot.worker = None
+        if slot.worker is None:
+            coming = self.start(slot)
+            if coming.done() and coming.exception() is None:
+                slot.coming, slot.worker = None, coming.result()
+        return slot.worker
+
+    def awaited(self, slot: Slot, until: float | None) -> Worker:
+        """The slot's worker; raises Late when it is not there by `until`, and AgentUnavailable."""
+        worker = self.come(slot)
+        if worker is not None:
+            return worker
+        coming = self.start(slot)
+        if not wait([coming], None if until is None else max(until - time.monotonic(), 0.0)).done:
+            raise Late("its worker was not there by the deadline")
+        slot.coming = None
+        slot.worker = worker = coming.result()
+        return worker
+
+    def employ(self, worker: Worker, agent: str) -> None:
+        """See that the worker has the agent; raises WorkerLost."""
+        if agent not in worker.agents:
+            employed = self._agents[agent]
+            worker.employ(agent, employed.make, employed.parameters)
+
+    def start(self, slot: Slot) -> Future[Worker]:
+        """Have a worker started for the slot, unless one comes already; nobody need wait for it."""
+        if self._is_closed:
+            raise AgentUnavailable("the run is over")
+        if slot.coming is None:
+            coming: Future[Worker] = Future()
+            slot.coming = coming
+
+            def start() -> None:
+                try:
+                    coming.set_result(Worker(self._nursery, self._limits))
+                except BaseException as error:
+                    coming.set_exception(error)
+
+            Thread(target=start, name="worker starts", daemon=True).start()
+        return slot.coming
+
+    def look_after(self, frames: int) -> None:
+        """Once a frame: costs, workers with nothing to do, and now and then another packing."""
+        self._frames = frames
+        for agent, spent in self._spent.items():
+            if frames > 1:
+                self._costs[agent] += (1 - MEMORY_OF_COST) * (spent - self._costs[agent])
+            self._spent[agent] = 0.0
+        for agent in list(self._slot_of):
+            if frames - self._asked_in[agent] > IDLE_FRAMES:
+                self._slot_of.pop(agent).agents.discard(agent)
+        if frames % REPACK_EVERY == 0:
+            costs = {agent: self._costs[agent] for agent in self._slot_of}
+            better = repacked(costs, [slot.agents for slot in self.slots])
+            if better is not None:
+                self._assign(better)
+        for slot in self.slots:
+            self._release(slot)
+
+    def close(self) -> None:
+        """End all workers."""
+        self._is_closed = True
+        for slot in self.slots:
+            if slot.worker is not None:
+                slot.worker.let_go()
+        self._nursery.close()
+        for slot in self.slots:
+            coming = slot.coming
+            if coming is not None and coming.done() and coming.exception() is None:
+                coming.result().let_go()
+
+    def _load(self, slot: Slot) -> float:
+        return sum(self._costs[agent] for agent in slot.agents)
+
+    def _assign(self, packing: list[set[str]]) -> None:
+        for slot, agents in zip(self.slots, packing, strict=True):
+            slot.agents = set(agents)
+            self._slot_of.update(dict.fromkeys(agents, slot))
+
+    def _release(self, slot: Slot) -> None:
+        worker = slot.worker
+        if worker is None or slot.asked is not None:
+            return
+        try:
+            if not slot.agents:
+                worker.close()
+                slot.worker = None
+                return
+            for agent in worker.agents - slot.agents:
+                worker.dismiss(agent)
+        except WorkerLost:
+            slot.worker = None
