@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from bayesnet_track.commands.answer import OK, complain, say
 from bayesnet_track.commands.tracking import executor_of, follow
+from bayesnet_track.commands.viewing import begin_again, viewed
 
 if TYPE_CHECKING:
     from bayesnet_track.runtime.recipe import Recipe
@@ -26,15 +27,20 @@ def resume(options: argparse.Namespace) -> int:
         _write_truth(directory, Recipe.read(directory))
         say(f"{directory.path}: it is finished; there is nothing to do")
         return OK
-    summary = Summary()
-    results = resume(
-        directory.path,
-        summary=summary,
-        checkpoint_every=options.checkpoint_every,
-        executor=executor_of(options),
-        notice=lambda text: complain(f"{directory.path}: {text}"),
-    )
-    code = follow(options, results, summary, _expected(directory), directory.path)
+    summary, expected = Summary(), _expected(directory)
+    with viewed(options) as view:
+        if view is not None:
+            begin_again(options, view, directory, expected)
+        results = resume(
+            directory.path,
+            summary=summary,
+            checkpoint_every=options.checkpoint_every,
+            executor=executor_of(options),
+            sinks=[] if view is None else [view],
+            inputs=view if view is not None and view.controls.can_switch else None,
+            notice=lambda text: complain(f"{directory.path}: {text}"),
+        )
+        code = follow(options, results, summary, expected, directory.path, view)
     if summary.complete:
         _write_truth(directory, Recipe.read(directory))
     return code

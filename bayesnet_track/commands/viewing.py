@@ -13,6 +13,7 @@ from bayesnet_track.commands.answer import UsageError, complain, words
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
     from bayesnet_track.runtime.run import FrameSource, Start
+    from bayesnet_track.runtime.rundir import RunDirectory
     from bayesnet_track.runtime.stop import StopRequest
     from bayesnet_track.viewing.view import LiveView
 
@@ -78,6 +79,33 @@ def begin(
         view.wait_for_page(give_up)
     view.controls.to("starting")
     return starts
+
+
+def begin_again(
+    options: argparse.Namespace, view: LiveView, directory: RunDirectory, expected: int | None
+) -> None:
+    """Show what the run that goes on has behind it, and wait for the page."""
+    from bayesnet_track.journal.events import RunEnded, RunStarted
+    from bayesnet_track.journal.reader import read_events, read_metrics
+    from bayesnet_track.runtime.recipe import Recipe
+    from bayesnet_track.runtime.resume import standing
+    from bayesnet_track.view.page_data import read_timings
+
+    stop: StopRequest = options.stop
+    recipe = Recipe.read(directory)
+    view.controls.can_switch = recipe.inputs is None
+    view.shows(recipe.load_graph(directory), out=str(directory.path), expected=expected)
+    last = standing(directory.path).frame
+    if last is not None:  # else it begins anew, and tells all of it
+        events = [one for one in read_events(directory.journal) if not isinstance(one, RunEnded)]
+        view.recall(
+            [one for one in events if isinstance(one, RunStarted) or one.frame <= last],
+            [line for line in read_metrics(directory.frames) if line.frame <= last],
+            [line for line in read_timings(directory.timings) if line["frame"] <= last],
+        )
+    if not options.view_now:
+        view.wait_for_page(lambda: stop.signal is not None)
+    view.controls.to("starting")
 
 
 def _tell(options: argparse.Namespace, view: LiveView) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from bayesnet_track.parsers.executors import add_executor_options
 from bayesnet_track.parsers.plugins import add_plugins
+from bayesnet_track.parsers.view import add_view_options
 
 
 def add_resume(commands: argparse._SubParsersAction[Any]) -> None:
@@ -23,6 +24,7 @@ def add_resume(commands: argparse._SubParsersAction[Any]) -> None:
     add_checkpoints(resume)
     add_plugins(resume)
     add_executor_options(resume)
+    add_view_options(resume)
 
 
 def add_checkpoints(parser: argparse.ArgumentParser) -> None:

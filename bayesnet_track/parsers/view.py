@@ -1,4 +1,4 @@
-"""Options of `run` and `demo` that show the run in a browser while it goes on."""
+"""Options of `run`, `demo` and `resume` that show the run in a browser while it goes on."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def add_view_options(parser: argparse.ArgumentParser) -> None:
         type=_port,
         metavar="PORT",
         help="show the run in a browser while it goes on, and begin when its page is opened; "
-        "a start box can be drawn there (port: default a free one)",
+        "a start box that is missing can be drawn there (port: default a free one)",
     )
     group.add_argument(
         "--view-host",

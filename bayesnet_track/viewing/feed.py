@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.codec import to_json
-from bayesnet_track.journal.events import Event, RunEnded, RunStarted
+from bayesnet_track.journal.events import Event, FrameMetrics, RunEnded, RunStarted
 from bayesnet_track.runtime.run import Result
 from bayesnet_track.view.page_data import run_data
 from bayesnet_track.view.page_events import event_row
@@ -76,6 +77,28 @@ class Feed:
         timing = {"frame": result.frame.index, "seconds": round(result.total_seconds, 7), "parts": spent}
         frames = ",".join(to_json(one) for one in result.targets)
         self._write(f'{{"frames":[{frames}],"timing":{json.dumps(timing)}}}')
+
+    def recall(
+        self, events: Iterable[Event], metrics: Iterable[FrameMetrics], timings: Iterable[Mapping[str, Any]]
+    ) -> None:
+        """Tell of the frames that were tracked before, by another process; they have no pictures."""
+        frames: dict[int, list[str]] = {}
+        for line in metrics:
+            frames.setdefault(line.frame, []).append(to_json(line))
+        clock = {line["frame"]: line for line in timings}
+        told = sorted(frames, reverse=True)
+
+        def tell_up_to(frame: float) -> None:
+            while told and told[-1] < frame:
+                number = told.pop()
+                timing = clock.get(number, {"frame": number, "seconds": 0.0, "parts": {}})
+                self.frames += 1
+                self._write(f'{{"frames":[{",".join(frames[number])}],"timing":{json.dumps(timing)}}}')
+
+        for event in events:
+            tell_up_to(getattr(event, "frame", -math.inf))
+            self.event(event)
+        tell_up_to(math.inf)
 
     def show_newest(self) -> None:
         """See to it that the newest frame has a picture: the run rests here."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from types import TracebackType
 from typing import Any, Self
 
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.journal.events import Event
+from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.journal.inputs import Input
 from bayesnet_track.planes import Frame
 from bayesnet_track.runtime.run import FrameSource, Result
@@ -82,6 +82,12 @@ class LiveView:
                 self._about |= {"source": source.description, "expected": source.expected_frames, **size}
             self.controls.version += 1
             self._news.notify_all()
+
+    def recall(
+        self, events: Iterable[Event], metrics: Iterable[FrameMetrics], timings: Iterable[Mapping[str, Any]]
+    ) -> None:
+        """What a run that goes on has behind it, as its files tell: the page shows it, without pictures."""
+        self._feed.recall(events, metrics, timings)
 
     def wait_for_page(self, give_up: GiveUp = never) -> bool:
         """Wait until the page is opened; whether it was."""

@@ -1,5 +1,6 @@
 """A run in progress in a real browser: where it starts, holding it, switching, looking back, its end."""
 
+import itertools
 import json
 
 import cv2
@@ -8,6 +9,9 @@ import pytest
 
 from bayesnet_track.cli import main
 from bayesnet_track.journal.reader import read_inputs
+from bayesnet_track.runtime.scene_source import SceneSource
+from bayesnet_track.runtime.session import track
+from bayesnet_track.runtime.starts import Start
 from bayesnet_track.scenes import make_scene
 
 pytestmark = pytest.mark.slow
@@ -250,3 +254,24 @@ def test_an_address_without_its_token_shows_nothing(browser, command, tmp_path):
     assert browser.run("return document.scripts.length") == 0
     started.process.terminate()
     assert started.process.wait(10) == 143
+
+
+def test_a_run_that_goes_on_has_what_was_before(browser, command, tmp_path):
+    from selenium.webdriver.common.keys import Keys
+
+    source = SceneSource.named("two_squares", 0, 60)
+    results = track("two_squares", source, [Start(source.scene.start_box)], out=tmp_path / "run")
+    for _ in itertools.islice(results, 30):
+        pass
+    results.close()
+    started = command("resume", tmp_path / "run")
+    browser.open_view(started.address)
+    browser.wait("return document.querySelector('.live.ended')", 60)
+    assert "The run has ended after 60 frames" in standing(browser)
+    at = browser.run("return [...document.querySelectorAll('.events .at')].map(e => +e.textContent)")
+    assert at[:3] == [0, 6, 25]
+    browser.press(Keys.HOME)
+    browser.wait_for_frame(0)
+    assert browser.run("return document.querySelector('.moment .status').innerText").startswith("Frame 0")
+    browser.driver.get("about:blank")
+    assert started.process.wait(20) == 0

@@ -8,11 +8,12 @@ import time
 import pytest
 
 from bayesnet_track.graph.load import load_graph
-from bayesnet_track.journal.reader import read_events
+from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.session import track
 from bayesnet_track.runtime.starts import Start
 from bayesnet_track.scenes import make_scene
+from bayesnet_track.view.page_data import read_timings
 from bayesnet_track.viewing.controls import Controls, Refused
 from bayesnet_track.viewing.view import LiveView
 
@@ -94,6 +95,18 @@ def test_the_page_is_told_every_event_and_every_frame_in_order(watched):
         ("toggled", 3, "color off by hand"),
         ("released", 7, "color given back to the rules"),
     ]
+
+
+def test_a_run_that_goes_on_tells_the_page_what_was_before(watched):
+    out, lines, _, _ = watched
+    timings = read_timings(out / "timings.jsonl")
+    events, metrics = list(read_events(out / "journal.jsonl")), list(read_metrics(out / "frames.jsonl"))
+    with LiveView() as view:
+        view.shows(load_graph("two_squares"))
+        view.recall(events[:-1], metrics, timings)
+        again, status = told(view)
+    assert status["frames"] == FRAMES and status["pictured"] == -1
+    assert again == lines[:-1]
 
 
 def test_repeating_it_from_its_inputs_gives_the_same_bytes(watched, tmp_path):
