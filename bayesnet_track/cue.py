@@ -24,7 +24,7 @@ ENTRY_POINT_GROUP = "bayesnet_track.cues"
 
 Floats = NDArray[np.float64]
 Reference = Mapping[str, NDArray[Any]]
-"""What a cue remembers of its target: arrays by name, so that it can be stored and compared."""
+"""What a cue remembers of its target, as arrays by name, so that it can be stored and compared."""
 
 
 class CueParameters(BaseModel):
@@ -68,7 +68,7 @@ class Hypotheses:
 
 
 ANGLE = "angle"
-"""Name of the field that says how far the target is turned since its first frame: degrees, clockwise."""
+"""Name of the field that says how far the target is turned since its first frame, in degrees, clockwise."""
 
 CONTEXT = 1.0
 """How many box sizes beyond each side of the box a cue may look when it learns, unless it says otherwise."""

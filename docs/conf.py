@@ -53,6 +53,16 @@ sphinx_gallery_conf = {
     "write_computation_times": False,
 }
 
+# Every reference has to lead somewhere. Let pass are types of others, whose pages are not asked for over a
+# network, types in signatures that have no page, and short names of errors under "Raises".
+nitpicky = True
+nitpick_ignore_regex = [
+    (r"py:.*", r"(numpy|collections|os|pathlib|matplotlib)\..*"),
+    (r"py:class", r"bayesnet_track\..*"),
+    (r"py:class", r"CheckedGraph|Motion|Path|PathLike"),
+    (r"py:exc", r"\w+"),
+]
+
 # Words of formats and shells that Pygments does not know are shown plain.
 suppress_warnings = ["misc.highlighting_failure", "config.cache"]
 

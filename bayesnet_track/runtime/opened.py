@@ -78,7 +78,7 @@ class Run:
 
     @cached_property
     def started(self) -> RunStarted:
-        """The journal's first line: source, seed, size, versions.
+        """The journal's first line, with source, seed, size and versions.
 
         Raises:
             JournalError: it is something else.

@@ -139,7 +139,7 @@ class Tracker:
 
     @property
     def metrics(self) -> FrameMetrics:
-        """Everything measured of the first target in the last frame: UD, active agents, KL, sd, ...
+        """Everything measured of the first target in the last frame, as UD, active agents, KL, sd, ...
 
         Raises:
             RuntimeError: `init` was not called, or no target was live.
