@@ -81,7 +81,7 @@ def _by_ud(now: Situation, memory: Memory, rule: Lost, decisions: list[Decision]
         elif status == "lost":
             best = max(unfit.values)
             cause = FitCause(rule.fit_below, now.measures.fit, rule.frames, best if best >= 0.0 else None)
-        else:
+        if status == "tracking" and now.measures.fit >= rule.fit_below and not reason:
             fitting = f"{now.measures.fit:.3g} of a perfect match ≥ fit_below {rule.fit_below:.3g}"
             reason = f"the best hypothesis has a likelihood of {fitting}"
         decisions.append(StatusChanged(now.frame, now.target, status, cause, reason))

@@ -125,7 +125,7 @@ class StatusChanged:
         target: target id.
         status: tracking, uncertain or lost, from now on.
         cause: the numbers; None when every agent is off, or none saw it.
-        reason: one sentence when there is no cause.
+        reason: why, when there is no cause; what else had to be when it was found again.
     """
 
     frame: int

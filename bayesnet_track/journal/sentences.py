@@ -234,7 +234,8 @@ def _status(event: StatusChanged) -> str:
     if event.cause is None:
         return f"{event.reason} → {result}" if event.reason else result
     if not lost:
-        return f"{held(event.cause, '≤')} → {result}"
+        fits = f", and {event.reason}" if event.reason else ""
+        return f"{held(event.cause, '≤')}{fits} → {result}"
     return (
         f"{held(event.cause, '>')} → {result}; would have stayed at lost ≥ {turned_at(event.cause, up=True)}"
     )

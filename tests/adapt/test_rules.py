@@ -439,6 +439,10 @@ def test_found_says_why(drive):
     gone = TargetNet("plate", frozenset("ab"), status="lost")
     (found,) = drive(net(lost=LOST), [50, 70, 60], net=gone).of(StatusChanged)
     assert found.cause == Cause("ud_px2", 100.0, 60.0, 3, 70.0, 60.0, 1.0)
+    assert explain(found) == (
+        "frame 3: UD 60 px² ≤ 100 for 3 frames, and the best hypothesis has a likelihood of 1 of a perfect "
+        "match ≥ fit_below 0.05 → target 1 found again"
+    )
     unknown = {**LOST, "above": {"ud_quiet": 3.0}}
     (found,) = drive(net(lost=unknown), [50] * 3, net=gone, fits=[0.5] * 3).of(StatusChanged)
     assert found.cause is None
