@@ -58,6 +58,8 @@ def report(options: argparse.Namespace) -> int:
 
 def _place(options: argparse.Namespace, directory: RunDirectory) -> Path:
     """The HTML file to write; its folder is there."""
+    from bayesnet_track.view.run_page import is_page
+
     if options.frames == "full":
         folder = Path(options.out) if options.out else directory.path / FOLDER
         if folder.is_dir() and any(folder.iterdir()) and not (folder / INDEX).is_file():
@@ -67,6 +69,11 @@ def _place(options: argparse.Namespace, directory: RunDirectory) -> Path:
         place = Path(options.out) if options.out else directory.report
         if place.is_dir():
             raise UsageError(f"--out {place}: it is a folder; name a file, or ask for --frames full")
+        with users_mistake():
+            if options.out and place.exists() and not is_page(place):
+                raise UsageError(
+                    f"--out {place}: it is there already, and no page of a run; name another file"
+                )
     with users_mistake():
         place.parent.mkdir(parents=True, exist_ok=True)
     return place

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from html import escape
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from bayesnet_track.view.page_data import Columns
 from bayesnet_track.view.page_pictures import Pictures
 
 FRAMES_FOLDER = "frames"
+GENERATOR = '<meta name="generator" content="bayesnet_track">'
 LARGEST = 10_000_000
 """Bytes of a page, unless what was measured alone takes more."""
 LEAST_ROOM = 500_000
@@ -60,6 +62,12 @@ def room_for_pictures(header: Mapping[str, Any], columns: Columns) -> int:
     """Bytes that pictures may take so that the page of `one_file` stays below `LARGEST`."""
     rest = len(pack(header, columns)) * 4 // 3 + len(_built("run_page.js")) + len(_built("run_page.css"))
     return max((LARGEST - rest - 100_000) * 3 // 4, LEAST_ROOM)
+
+
+def is_page(place: Path) -> bool:
+    """Whether a file is a page of a run."""
+    with place.open("rb") as file:
+        return GENERATOR.encode() in file.read(2048)
 
 
 def picture_name(frame: int) -> str:
@@ -107,7 +115,7 @@ def _head(title: str, policy: str, more: str = "") -> Iterator[str]:
     told = policy.replace("; frame-ancestors 'none'", "")
     yield '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
     yield f'<meta http-equiv="Content-Security-Policy" content="{escape(told, quote=True)}">\n'
-    yield '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+    yield f'{GENERATOR}\n<meta name="viewport" content="width=device-width, initial-scale=1">\n'
     yield '<meta name="color-scheme" content="light dark">\n<meta name="referrer" content="no-referrer">\n'
     yield f"{more}<title>{escape(title)}</title>\n"
     yield f"<style>{_built('run_page.css')}</style>\n</head>\n<body>\n"

@@ -79,6 +79,10 @@ def test_report_refuses_folders_of_others_and_what_is_no_run(tracked, tmp_path):
     assert main(["report", str(run), "--frames", "full", "--out", str(images)]) == 2
     assert main(["report", str(tmp_path)]) == 4
     assert main(["report", str(run), "--out", str(images)]) == 2
+    mine, page = tmp_path / "mine.html", tmp_path / "page.html"
+    mine.write_text("<p>mine</p>")
+    assert main(["report", str(run), "--out", str(mine)]) == 2 and mine.read_text() == "<p>mine</p>"
+    assert [main(["report", str(run), "--out", str(page)]) for _ in range(2)] == [0, 0]
     assert main(["report", str(run), "--frames", "full", "--out", str(tmp_path / "page")]) == 0
     names = {path.name for path in (tmp_path / "page" / "frames").iterdir()}
     assert names == {f"{frame:06d}.jpg" for frame in range(2, 8)}
