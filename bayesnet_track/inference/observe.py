@@ -117,10 +117,11 @@ def _asked(
     if missing is not None:
         return missing
     cue: Any = observer.cues[agent]
+    own = hypotheses
     if not is_elsewhere(cue):
         yield False
-    # A copy of its own: what it writes there reaches no other agent.
-    own = Hypotheses(hypotheses.boxes.copy(), {name: v.copy() for name, v in hypotheses.fields.items()})
+        # A copy of its own: what it writes there reaches no other agent.
+        own = Hypotheses(hypotheses.boxes.copy(), {name: v.copy() for name, v in hypotheses.fields.items()})
     started = observer.clock()
     try:
         planes = observer.cache.planes(cue.needs, region)

@@ -6,7 +6,7 @@ import pickle
 import select
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from contextlib import suppress
 from functools import partial
 from threading import RLock
 from typing import Any
@@ -17,7 +17,7 @@ from bayesnet_track.runtime.deadline import Patience
 from bayesnet_track.runtime.executors.frames import FrameStore, SharedFrame
 from bayesnet_track.runtime.executors.questions import ADVANCE, Answer, Foreign
 from bayesnet_track.runtime.executors.staff import IDLE_FRAMES, Employed, Slot, Staff
-from bayesnet_track.runtime.executors.workers import Late, Limits, Worker, WorkerLost
+from bayesnet_track.runtime.executors.workers import Late, Limits, Worker, WorkerGone, WorkerLost
 
 __all__ = ["IDLE_FRAMES", "Employed", "PlacingError", "Processes", "again", "check_sendable"]
 
@@ -29,7 +29,6 @@ class PlacingError(ValueError):
     """An agent cannot be where it was put; says why."""
 
 
-@dataclass(eq=False)
 class _Pending:
     """A question on its way.
 
@@ -42,18 +41,15 @@ class _Pending:
         lost: why workers that had it gave none.
     """
 
-    asked: tuple[Any, ...]
-    patience: Patience | None
-    is_sent: bool = False
-    sent_at: float = 0.0
-    until: float | None = None
-    outcome: Answer | Exception | None = None
-    lost: list[str] = field(default_factory=list)
+    __slots__ = ("agent", "asked", "is_sent", "lost", "outcome", "patience", "sent_at", "until")
 
-    @property
-    def agent(self) -> str:
-        agent: str = self.asked[0]
-        return agent
+    def __init__(self, asked: tuple[Any, ...], patience: Patience | None) -> None:
+        self.agent: str = asked[0]
+        self.asked, self.patience = asked, patience
+        self.is_sent, self.sent_at = False, 0.0
+        self.until: float | None = None
+        self.outcome: Answer | Exception | None = None
+        self.lost: list[str] = []
 
     def until_from(self, now: float) -> float | None:
         return None if self.patience is None else self.patience.until(self.agent, now)
@@ -184,10 +180,12 @@ class Processes:
             self._drop_answer(slot, slot.worker, until)
         elif busy_with is not None:
             self._staff.set_apart(slot, busy_with)
-        worker = self._staff.awaited(slot, until)
-        if until is not None and until <= time.monotonic():
-            raise Late("there was no time left to ask it")
-        self._hand_over(pending, slot, worker, until)
+        while not pending.is_sent:
+            worker = self._staff.awaited(slot, until)
+            if until is not None and until <= time.monotonic():
+                raise Late("there was no time left to ask it")
+            with suppress(WorkerGone):  # a fresh one is never that
+                self._hand_over(pending, slot, worker, until)
 
     def _forwarded(self, pending: _Pending) -> bool:
         """Whether the question could be sent without waiting for anything."""
@@ -206,6 +204,9 @@ class Processes:
             return False
         try:
             self._hand_over(pending, slot, worker, until)
+        except WorkerGone:
+            self._staff.start(slot)
+            return False
         except WorkerLost as lost:
             pending.outcome = lost
         return True
@@ -225,7 +226,9 @@ class Processes:
         while pending.outcome is None:
             working = [slot for slot in self._staff.slots if slot.asked is not None]
             end = min(_end(slot) for slot in working)
-            is_coming = any(self._staff.slot(one.agent).worker is None for one in self._unsent)
+            is_coming = self._unsent and any(
+                self._staff.slot(one.agent).worker is None for one in self._unsent
+            )
             left = max(end - time.monotonic(), 0.0)
             ready = _readable(working, min(left, COMING_S) if is_coming else left)
             for slot in ready:
@@ -257,11 +260,10 @@ class Processes:
 
     def _drop_answer(self, slot: Slot, worker: Worker, until: float | None) -> None:
         """Wait for an answer that is too late for its question, but due before the next."""
-        slot.asked = late = _Pending((worker.busy_with,), None, is_sent=True, until=until)
+        slot.asked = late = _Pending((worker.busy_with,), None)
+        late.until = until
         self._drive(late)
-        if isinstance(late.outcome, Late):
-            raise late.outcome
-        if isinstance(late.outcome, WorkerLost):
+        if isinstance(late.outcome, Exception):
             raise late.outcome
 
 

@@ -104,7 +104,7 @@ class Placed:
 
     def _question(self, method: str, planes: Planes | None, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
         # Before the desk is busy with this question: what was learnt may have to be asked for.
-        known = tuple(dict(part) if isinstance(part, Learnt) else part for part in arguments)
+        known = tuple([dict(part) if type(part) is Learnt else part for part in arguments])
         if planes is None:
             return self.agent, method, None, None, known
         current, previous = planes[self.sent]

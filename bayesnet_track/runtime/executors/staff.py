@@ -93,9 +93,6 @@ class Staff:
 
     def come(self, slot: Slot) -> Worker | None:
         """The slot's worker, if it is there; else one is being started."""
-        if slot.worker is not None and slot.worker.is_dead:
-            slot.worker.close()
-            slot.worker = None
         if slot.worker is None:
             coming = self.start(slot)
             if coming.done() and coming.exception() is None:

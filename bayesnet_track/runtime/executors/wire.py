@@ -23,53 +23,58 @@ Array = NDArray[Any]
 Bytes = NDArray[np.uint8]
 
 HEAD = struct.Struct("=QQ")
-"""Bytes of the description, and of all that follows the head."""
+"""Where the arrays begin, and how many bytes follow the head."""
 ALIGNED = 64
+SMALL = 512
+"""Bytes of an array up to which it stands in the description."""
 MOST_PIECES = 256
 """Pieces of memory that are handed to the kernel at once; it takes 1024."""
 VERSION = 2
 """Of marshal: the last one that does not look for values that occur twice."""
 PLAIN = frozenset({type(None), bool, int, float, str, bytes})
+NUMBERS = frozenset("biufc")
+"""Kinds of arrays whose memory any buffer can be made of."""
 
-ARRAY, TUPLE, FLOAT64, HYPOTHESES, REGION, MEASUREMENT, TOLD, OTHER = range(8)
+EMPLOY, DISMISS, ASK = range(3)
+"""What a message to a worker is for, the first of its plain part."""
+
+SMALL_ARRAY, ARRAY, TUPLE, FLOAT64, HYPOTHESES, REGION, MEASUREMENT, TOLD, OTHER = range(9)
 
 
-def pieces_of(message: tuple[Any, ...]) -> list[Any]:
-    """The memory that makes up a message, in order; arrays are not copied."""
+def send(channel: socket.socket, plain: tuple[Any, ...], *values: Any) -> None:
+    """Send a message: `plain` of what `marshal` takes, and any values; raises OSError."""
     packing = _Packing()
-    description = marshal.dumps([packing.flat(part) for part in message], VERSION)
-    gap = -len(description) % ALIGNED
-    head = HEAD.pack(len(description), len(description) + gap + packing.size)
-    pieces: list[Any] = [head, description, bytes(gap), *packing.pieces]
-    return pieces if len(pieces) <= MOST_PIECES else [b"".join(pieces)]
-
-
-def message_of(body: Bytes, described: int) -> list[Any]:
-    """The parts of a message, given its bytes behind the head; arrays are views of them."""
-    flat = marshal.loads(body[:described].data)
-    arrays = body[described + -described % ALIGNED :]
-    return [_whole(part, arrays) for part in flat]
-
-
-def send(channel: socket.socket, message: tuple[Any, ...]) -> None:
-    """Send a message; raises OSError."""
-    pieces = pieces_of(message)
-    left = sum(len(piece) for piece in pieces) - channel.sendmsg(pieces)
+    flat = [packing.flat(value) for value in values]
+    description = marshal.dumps((plain, flat), VERSION)
+    arrays_at = -(-len(description) // ALIGNED) * ALIGNED
+    size = arrays_at + packing.size
+    pieces = [HEAD.pack(arrays_at, size) + description.ljust(arrays_at, b"\0"), *packing.pieces]
+    if len(pieces) > MOST_PIECES:
+        pieces = [b"".join(pieces)]
+    left = HEAD.size + size - channel.sendmsg(pieces)
     if left:
         channel.sendall(memoryview(b"".join(pieces))[-left:])
 
 
-def receive(channel: socket.socket) -> list[Any]:
-    """The next message, waited for; raises EOFError when the other end has closed, and OSError."""
-    described, size = HEAD.unpack(_received(channel, HEAD.size).data)
-    return message_of(_received(channel, size), described)
+def receive(channel: socket.socket) -> tuple[Any, list[Any]]:
+    """The plain part and the values of the next message, waited for; large arrays are views of it.
+
+    Raises:
+        EOFError: the other end has closed.
+        OSError: it is lost.
+    """
+    arrays_at, size = HEAD.unpack(_received(channel, HEAD.size).data)
+    body = _received(channel, size)
+    plain, flat = marshal.loads(body.data)  # what is behind it is not looked at
+    arrays = body[arrays_at:]
+    return plain, [_whole(part, arrays) for part in flat]
 
 
 def _received(channel: socket.socket, size: int) -> Bytes:
     body = np.empty(size, np.uint8)
-    at = 0
+    at = channel.recv_into(body.data)
     while at < size:
-        came = channel.recv_into(body[at:].data)
+        came = channel.recv_into(body[at:].data) if at else 0
         if not came:
             raise EOFError
         at += came
@@ -88,34 +93,40 @@ class _Packing:
         kind = type(value)
         if kind in PLAIN:
             return value
-        if kind is np.ndarray and not (value.dtype.hasobject or value.dtype.names or value.dtype.subdtype):
+        if kind is np.ndarray:
             return self._array(value)
-        if kind is tuple:
-            return TUPLE, [self.flat(part) for part in value]
-        if kind is np.float64:
-            return FLOAT64, float(value)
         if kind is Hypotheses and type(value.fields) is dict:
             fields = [(self.flat(name), self.flat(own)) for name, own in value.fields.items()]
             return HYPOTHESES, self.flat(value.boxes), fields
+        if kind is Told:
+            return TOLD, [
+                (self.flat(name), number, None if array is None else self.flat(array))
+                for name, (number, array) in value.arrays.items()
+            ]
+        if kind is np.float64:
+            return FLOAT64, float(value)
+        if kind is tuple:
+            return TUPLE, [self.flat(part) for part in value]
         if kind is Region:
             return REGION, value.x0, value.y0, value.x1, value.y1
         if kind is Measurement:
             parts = (value.fields, value.mean, value.covariance, value.floor)
             return MEASUREMENT, [self.flat(part) for part in parts]
-        if kind is Told:
-            return TOLD, [
-                (self.flat(name), number, self.flat(array)) for name, (number, array) in value.arrays.items()
-            ]
         return OTHER, pickle.dumps(value, protocol=5)
 
     def _array(self, array: Array) -> tuple[Any, ...]:
-        is_turned = array.flags.f_contiguous and not array.flags.c_contiguous
-        rows = array.T if is_turned else np.ascontiguousarray(array)
-        self.pieces.append(rows.reshape(-1).view(np.uint8))
+        dtype, flags = array.dtype, array.flags
+        if dtype.kind not in NUMBERS or not (flags.c_contiguous or flags.f_contiguous):
+            return OTHER, pickle.dumps(array, protocol=5)
+        is_turned = not flags.c_contiguous
+        rows = array.T if is_turned else array
+        if rows.nbytes <= SMALL:
+            return SMALL_ARRAY, dtype.str, array.shape, is_turned, rows.tobytes()
+        self.pieces.append(rows)
+        described = ARRAY, dtype.str, array.shape, is_turned, self.size, self.size + rows.nbytes
         gap = -rows.nbytes % ALIGNED
         if gap:
             self.pieces.append(bytes(gap))
-        described = ARRAY, array.dtype.str, array.shape, self.size, is_turned
         self.size += rows.nbytes + gap
         return described
 
@@ -125,33 +136,30 @@ def _whole(flat: Any, arrays: Bytes) -> Any:
     if type(flat) is not tuple:
         return flat
     kind = flat[0]
+    if kind == SMALL_ARRAY:
+        return _shaped(np.array(np.frombuffer(flat[4], flat[1])), flat[2], flat[3])
     if kind == ARRAY:
-        return _array(arrays, *flat[1:])
-    if kind == TUPLE:
-        return tuple([_whole(part, arrays) for part in flat[1]])
-    if kind == FLOAT64:
-        return np.float64(flat[1])
+        return _shaped(arrays[flat[4] : flat[5]].view(flat[1]), flat[2], flat[3])
     if kind == HYPOTHESES:
         own = {_whole(name, arrays): _whole(values, arrays) for name, values in flat[2]}
         return Hypotheses(_whole(flat[1], arrays), own)
+    if kind == TOLD:
+        return Told({_whole(name, arrays): (n, _kept(_whole(one, arrays))) for name, n, one in flat[1]})
+    if kind == FLOAT64:
+        return np.float64(flat[1])
+    if kind == TUPLE:
+        return tuple([_whole(part, arrays) for part in flat[1]])
     if kind == REGION:
         return Region(*flat[1:])
     if kind == MEASUREMENT:
         return Measurement(*[_whole(part, arrays) for part in flat[1]])
-    if kind == TOLD:
-        return Told({_whole(name, arrays): (n, _kept(_whole(one, arrays))) for name, n, one in flat[1]})
     return pickle.loads(flat[1])
 
 
-def _array(arrays: Bytes, dtype: str, shape: tuple[int, ...], at: int, is_turned: bool) -> Array:
-    kind = np.dtype(dtype)
-    count = 1
-    for length in shape:
-        count *= length
-    values = arrays[at : at + count * kind.itemsize].view(kind)
+def _shaped(values: Array, shape: tuple[int, ...], is_turned: bool) -> Array:
     return values.reshape(shape[::-1]).T if is_turned else values.reshape(shape)
 
 
 def _kept(value: Any) -> Any:
     """What outlasts the message, without its other bytes."""
-    return np.array(value) if type(value) is np.ndarray else value
+    return value.copy(order="K") if type(value) is np.ndarray and value.nbytes > SMALL else value

@@ -10,6 +10,7 @@ memory. It has one thread, so that forking is safe.
 from __future__ import annotations
 
 import fcntl
+import gc
 import os
 import signal
 import socket
@@ -73,6 +74,8 @@ def _load() -> None:
     import bayesnet_track.runtime.executors.wire  # noqa: F401
 
     cv2.setNumThreads(1)
+    gc.collect()
+    gc.freeze()  # workers share that memory, and none looks through it again
 
 
 def _ended(child: int, until: float) -> int:
@@ -122,35 +125,39 @@ def _die_with(lifeline: int) -> None:
 
 
 def _serve(channel: socket.socket, frames: int, is_limited: bool) -> None:
-    from bayesnet_track.runtime.executors.frames import SLOTS, FrameView, SharedFrame
+    from bayesnet_track.planes import Region
+    from bayesnet_track.runtime.executors.frames import SLOTS, FrameView, SharedFrame, whole_of
     from bayesnet_track.runtime.executors.host import AgentHost
     from bayesnet_track.runtime.executors.questions import Question
-    from bayesnet_track.runtime.executors.wire import receive, send
+    from bayesnet_track.runtime.executors.wire import DISMISS, EMPLOY, receive, send
 
     host = AgentHost(FrameView(frames).get, is_limited)
     told: dict[int | None, SharedFrame | None] = {None: None}
     while True:
         try:
-            kind, *message = receive(channel)
+            (kind, agent, *plain), values = receive(channel)
         except (EOFError, ConnectionError):
             return
-        match kind:
-            case "employ":
-                host.employ(*message)
-            case "dismiss":
-                host.dismiss(*message)
-            case "ask":
-                new, agent, method, numbers, *rest = message
-                for frame in new:
-                    told[frame.number] = frame
-                    for number in [n for n in told if n is not None and n <= frame.number - SLOTS]:
-                        del told[number]
-                both = None if numbers is None else (told[numbers[0]], told[numbers[1]])
-                answer = host.answer(Question(agent, method, both, *rest))
-                try:
-                    send(channel, (answer.value, answer.raised, answer.out_of_memory, answer.seconds))
-                except ConnectionError:
-                    return
+        if kind == EMPLOY:
+            host.employ(agent, *values)
+            continue
+        if kind == DISMISS:
+            host.dismiss(agent)
+            continue
+        method, numbers, where, next_number, forget, new = plain
+        for known in reversed(new):
+            frame = whole_of(known, values.pop())
+            told[frame.number] = frame
+            for number in [n for n in told if n is not None and n <= frame.number - SLOTS]:
+                del told[number]
+        both = None if numbers is None else (told[numbers[0]], told[numbers[1]])
+        region = None if where is None else Region(*where)
+        question = Question(agent, method, both, region, tuple(values), next_number, forget)
+        answer = host.answer(question)
+        try:
+            send(channel, (answer.raised, answer.out_of_memory, answer.seconds), answer.value)
+        except ConnectionError:
+            return
 
 
 if __name__ == "__main__":

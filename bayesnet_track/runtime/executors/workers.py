@@ -11,14 +11,18 @@ from dataclasses import dataclass
 from typing import Any
 
 from bayesnet_track.executor import AgentUnavailable
-from bayesnet_track.runtime.executors.frames import SLOTS, SharedFrame
+from bayesnet_track.runtime.executors.frames import SLOTS, SharedFrame, parts_of
 from bayesnet_track.runtime.executors.nursery import Nursery
 from bayesnet_track.runtime.executors.questions import Answer, Sent, Told
-from bayesnet_track.runtime.executors.wire import receive, send
+from bayesnet_track.runtime.executors.wire import ASK, DISMISS, EMPLOY, receive, send
 
 
 class WorkerLost(Exception):
     """A worker died, was killed because it did not answer, or needed too much memory; says which."""
+
+
+class WorkerGone(WorkerLost):
+    """A worker that had answered died before it was asked this: nobody's question killed it."""
 
 
 class Late(AgentUnavailable):
@@ -79,12 +83,12 @@ class Worker:
 
     def employ(self, agent: str, make: Any, parameters: Any) -> None:
         """Have it make the cue of an agent."""
-        self._send(("employ", agent, make, parameters))
+        self._send((EMPLOY, agent), make, parameters)
         self.agents.add(agent)
 
     def dismiss(self, agent: str) -> None:
         """Have it drop an agent."""
-        self._send(("dismiss", agent))
+        self._send((DISMISS, agent))
         self.agents.discard(agent)
 
     def ask(
@@ -103,12 +107,14 @@ class Worker:
         )
         self._asked = agent, method
         self.busy_with, self.until = agent, time.monotonic() + self._patience_s
-        numbers = None if frames is None else tuple(None if one is None else one.number for one in frames)
-        new = () if frames is None else tuple(one for one in frames if one is not None and self._is_new(one))
-        self._send(
-            ("ask", new, agent, method, numbers, region, question.arguments)
-            + (question.next_number, question.forget)
-        )
+        numbers, new = None, []
+        if frames is not None:
+            numbers = tuple([None if one is None else one.number for one in frames])
+            new = [parts_of(one) for one in frames if one is not None and self._is_new(one)]
+        where = None if region is None else (region.x0, region.y0, region.x1, region.y1)
+        told = [plain for plain, _ in new]
+        plain = ASK, agent, method, numbers, where, question.next_number, question.forget, told
+        self._send(plain, *question.arguments, *[others for _, others in new])
 
     def answer(self) -> Answer:
         """Its answer, which is there; references told in it are understood.
@@ -117,7 +123,7 @@ class Worker:
             WorkerLost: there is none, and never will be.
         """
         try:
-            value, raised, out_of_memory, seconds = receive(self.channel)
+            (raised, out_of_memory, seconds), (value,) = receive(self.channel)
         except (EOFError, OSError):
             raise WorkerLost(self._death()) from None
         except Exception:  # nor could what follows in the channel
@@ -158,14 +164,14 @@ class Worker:
             del self._frames[number]
         return True
 
-    def _send(self, message: tuple[Any, ...]) -> None:
+    def _send(self, plain: tuple[Any, ...], *values: Any) -> None:
         try:
-            send(self.channel, message)
+            send(self.channel, plain, *values)
         except BlockingIOError:
             self.close()
             raise WorkerLost(f"took no question in {self._limits.answer_s:.3g} s, and was killed") from None
         except OSError:
-            raise WorkerLost(self._death()) from None
+            raise (WorkerGone if self._known else WorkerLost)(self._death()) from None
 
     def _death(self) -> str:
         code = self.close()

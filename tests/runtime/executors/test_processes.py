@@ -81,8 +81,8 @@ def test_what_cannot_be_had_is_told_with_the_reason(placed, monkeypatch, how):
     settings = {"limits": limits, "retries": 0 if is_waited_for else 2}
     send = Worker._send
 
-    def sent_late(worker, message):
-        send(worker, message)
+    def sent_late(worker, *message):
+        send(worker, *message)
         time.sleep(0.05)
 
     monkeypatch.setattr(Worker, "_send", sent_late)
@@ -106,3 +106,18 @@ def test_a_fault_is_told_in_the_same_words(placed, told, how):
     faults = [event.reason for outcome in outcomes for event in outcome.events if hasattr(event, "reason")]
     assert len(faults) == 1
     assert told(outcomes) == told(placed.run(agents))
+
+
+def test_a_worker_that_died_while_it_had_nothing_to_do_costs_no_attempt(placed, told):
+    with placed.executing(TWO, "processes", workers=2, retries=0) as (engine, executor):
+        killed = []
+
+        def kill(frame):
+            for pid in executor.processes.workers() if frame == 3 else ():
+                os.kill(pid, signal.SIGKILL)
+                killed.append(pid)
+            while any(pid in executor.processes.workers() for pid in killed):
+                time.sleep(0.001)
+
+        assert told(placed.play(engine, before=kill)) == told(placed.run(TWO))
+        assert len(killed) == 2
