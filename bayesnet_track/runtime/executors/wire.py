@@ -20,7 +20,6 @@ from bayesnet_track.planes import Region
 from bayesnet_track.runtime.executors.questions import Told
 
 Array = NDArray[Any]
-Bytes = NDArray[np.uint8]
 
 HEAD = struct.Struct("=QQ")
 """Where the arrays begin, and how many bytes follow the head."""
@@ -63,22 +62,22 @@ def receive(channel: socket.socket) -> tuple[Any, list[Any]]:
         EOFError: the other end has closed.
         OSError: it is lost.
     """
-    arrays_at, size = HEAD.unpack(_received(channel, HEAD.size).data)
-    body = _received(channel, size)
-    plain, flat = marshal.loads(body.data)  # what is behind it is not looked at
-    arrays = body[arrays_at:]
-    return plain, [_whole(part, arrays) for part in flat]
-
-
-def _received(channel: socket.socket, size: int) -> Bytes:
-    body = np.empty(size, np.uint8)
-    at = channel.recv_into(body.data)
+    head = channel.recv(HEAD.size)
+    while len(head) < HEAD.size:
+        more = channel.recv(HEAD.size - len(head)) if head else b""
+        if not more:
+            raise EOFError
+        head += more
+    arrays_at, size = HEAD.unpack(head)
+    body = bytearray(size)
+    at = channel.recv_into(body)
     while at < size:
-        came = channel.recv_into(body[at:].data) if at else 0
+        came = channel.recv_into(memoryview(body)[at:]) if at else 0
         if not came:
             raise EOFError
         at += came
-    return body
+    plain, flat = marshal.loads(body)  # what is behind it is not looked at
+    return plain, [part if type(part) is not tuple else _whole(part, body, arrays_at) for part in flat]
 
 
 class _Packing:
@@ -123,7 +122,7 @@ class _Packing:
         if rows.nbytes <= SMALL:
             return SMALL_ARRAY, dtype.str, array.shape, is_turned, rows.tobytes()
         self.pieces.append(rows)
-        described = ARRAY, dtype.str, array.shape, is_turned, self.size, self.size + rows.nbytes
+        described = ARRAY, dtype.str, array.shape, is_turned, self.size, rows.size
         gap = -rows.nbytes % ALIGNED
         if gap:
             self.pieces.append(bytes(gap))
@@ -131,32 +130,39 @@ class _Packing:
         return described
 
 
-def _whole(flat: Any, arrays: Bytes) -> Any:
-    """The value that `_Packing.flat` was given."""
+def _whole(flat: Any, body: bytearray, arrays_at: int) -> Any:
+    """The value that `_Packing.flat` was given; large arrays are views of `body`, from `arrays_at` on."""
     if type(flat) is not tuple:
         return flat
     kind = flat[0]
     if kind == SMALL_ARRAY:
         return _shaped(np.array(np.frombuffer(flat[4], flat[1])), flat[2], flat[3])
     if kind == ARRAY:
-        return _shaped(arrays[flat[4] : flat[5]].view(flat[1]), flat[2], flat[3])
+        return _shaped(np.frombuffer(body, flat[1], flat[5], arrays_at + flat[4]), flat[2], flat[3])
     if kind == HYPOTHESES:
-        own = {_whole(name, arrays): _whole(values, arrays) for name, values in flat[2]}
-        return Hypotheses(_whole(flat[1], arrays), own)
+        own = {_whole(name, body, arrays_at): _whole(values, body, arrays_at) for name, values in flat[2]}
+        return Hypotheses(_whole(flat[1], body, arrays_at), own)
     if kind == TOLD:
-        return Told({_whole(name, arrays): (n, _kept(_whole(one, arrays))) for name, n, one in flat[1]})
+        return Told(
+            {
+                _whole(name, body, arrays_at): (number, _kept(_whole(one, body, arrays_at)))
+                for name, number, one in flat[1]
+            }
+        )
     if kind == FLOAT64:
         return np.float64(flat[1])
     if kind == TUPLE:
-        return tuple([_whole(part, arrays) for part in flat[1]])
+        return tuple([_whole(part, body, arrays_at) for part in flat[1]])
     if kind == REGION:
         return Region(*flat[1:])
     if kind == MEASUREMENT:
-        return Measurement(*[_whole(part, arrays) for part in flat[1]])
+        return Measurement(*[_whole(part, body, arrays_at) for part in flat[1]])
     return pickle.loads(flat[1])
 
 
 def _shaped(values: Array, shape: tuple[int, ...], is_turned: bool) -> Array:
+    if len(shape) == 1:
+        return values
     return values.reshape(shape[::-1]).T if is_turned else values.reshape(shape)
 
 

@@ -148,8 +148,9 @@ def _serve(channel: socket.socket, frames: int, is_limited: bool) -> None:
         for known in reversed(new):
             frame = whole_of(known, values.pop())
             told[frame.number] = frame
-            for number in [n for n in told if n is not None and n <= frame.number - SLOTS]:
-                del told[number]
+            if len(told) > 4 * SLOTS:
+                for number in [n for n in told if n is not None and n <= frame.number - SLOTS]:
+                    del told[number]
         both = None if numbers is None else (told[numbers[0]], told[numbers[1]])
         region = None if where is None else Region(*where)
         question = Question(agent, method, both, region, tuple(values), next_number, forget)

@@ -160,8 +160,9 @@ class Worker:
         if frame.number in self._frames:
             return False
         self._frames[frame.number] = None
-        for number in [known for known in self._frames if known <= frame.number - SLOTS]:
-            del self._frames[number]
+        if len(self._frames) > 3 * SLOTS:
+            for number in [known for known in self._frames if known <= frame.number - SLOTS]:
+                del self._frames[number]
         return True
 
     def _send(self, plain: tuple[Any, ...], *values: Any) -> None:
