@@ -1,10 +1,12 @@
 """A graph on real sequences beside its own variants and OpenCV's trackers, all in turn in one run.
 
     python benchmarks/real_video.py DATA_FOLDER [--seeds 10] [--results FILE] [--peers-python PYTHON]
+                                    [--beside FILE]
 
 DATA_FOLDER holds NAME/img/*.jpg and NAME/groundtruth.txt with x,y,w,h per frame (the layout of the OTB
 benchmark). One pass from the first true box, never started again. Variants: the graph as it is; `always on`,
-without its rules of adaptation; `only NAME`, with one agent. PYTHON is the interpreter of an environment that
+without its rules of adaptation; `only NAME`, with one agent; and the graph of `--beside`, such as one without
+rules whose score `fit` has fitted to itself. PYTHON is the interpreter of an environment that
 has `opencv-contrib-python-headless`; without it only MIL can take part. CSRT and KCF do not depend on a seed
 and run once.
 
@@ -101,6 +103,7 @@ def run_graph(name: str, spec: GraphSpec, sequence: Sequence, seed: int) -> Line
     tracker = Tracker(spec, seed)
     x, y, w, h = (float(value) for value in sequence.truth[0])
     boxes, lost, active, seconds, switched = [(x, y, w, h)], [False], [], [], 0
+    every = boxes[:]
     region50, region90 = [], []
     for index, image in enumerate(sequence.images()):
         started = time.process_time()
@@ -111,6 +114,7 @@ def run_graph(name: str, spec: GraphSpec, sequence: Sequence, seed: int) -> Line
             seconds.append(time.process_time() - started)
             # As trackers are usually scored: while lost, the last box that was held counts.
             boxes.append(box if ok else boxes[-1])
+            every.append(box)
             lost.append(not ok)
             active.append(len(tracker.metrics.active))
             switched += sum(isinstance(event, SWITCHES) for event in tracker.events)
@@ -131,6 +135,7 @@ def run_graph(name: str, spec: GraphSpec, sequence: Sequence, seed: int) -> Line
         switches=100.0 * switched / len(active),
         in50=float(np.mean(found.coverage50 or 0.0)),
         in90=float(np.mean(found.coverage90 or 0.0)),
+        auc_every=score(every, [False] * len(every), sequence.truth).auc,
     )
 
 
@@ -171,6 +176,7 @@ class Elsewhere:
         self.process.stdin.flush()
         answer = self._answer()
         found = score(answer["boxes"], answer["lost"], sequence.truth)
+        every = score(answer["boxes"], [False] * len(answer["boxes"]), sequence.truth)
         return Line(
             name,
             "",
@@ -181,6 +187,7 @@ class Elsewhere:
             found.precision20,
             found.lost_episodes,
             answer["cpu_s"],
+            auc_every=every.auc,
         )
 
 
@@ -232,6 +239,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3, help="number of seeds (3)")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--variants", default="", help="names, separated by commas; default all")
+    parser.add_argument("--beside", metavar="FILE", help="another graph that takes its turn")
     parser.add_argument("--peers", default="CSRT,KCF,MIL", help="names, separated by commas; empty for none")
     parser.add_argument(
         "--peers-python", metavar="PYTHON", help="interpreter that has OpenCV's contrib build"
@@ -252,6 +260,9 @@ def main() -> None:
     if unknown := [name for name in chosen if name not in specs]:
         raise SystemExit(f"no variant {unknown[0]!r}; there are {', '.join(specs)}")
     specs = {name: specs[name] for name in chosen}
+    if options.beside is not None:
+        beside = load_graph(options.beside).spec
+        specs[beside.name] = beside
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     lines = read_lines(options.results)
 

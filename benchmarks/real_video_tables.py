@@ -20,7 +20,8 @@ class Line:
     Attributes:
         tracker: name of the tracker or of the variant of a graph.
         graph: digest of the graph as run; empty for peers.
-        auc: area under the success curve (OTB), frame 0 counted.
+        auc: area under the success curve (OTB), frame 0 counted; the last box held counts while it is lost.
+        auc_every: the same where every frame's own box counts, lost or not.
         cpu_s: CPU seconds of all frames but the first.
         agents: active agents per frame; 0 for peers, and so are the next three.
         switches: agents switched on or off per 100 frames.
@@ -41,6 +42,7 @@ class Line:
     switches: float = 0.0
     in50: float = 0.0
     in90: float = 0.0
+    auc_every: float = float("nan")
 
 
 def names_of(lines: Sequence[Line], field: str) -> list[str]:
@@ -71,9 +73,9 @@ def rate(lines: Sequence[Line], tracker: str) -> float:
     return sum(line.frames - 1 for line in own) / sum(line.cpu_s for line in own)
 
 
-def paired(lines: Sequence[Line], one: str, other: str) -> list[Floats]:
-    """Differences of AUC, an array for each sequence, paired by seed; a peer's one pass meets every seed."""
-    ours, theirs = (by_sequence(lines, name, lambda line: line.auc) for name in (one, other))
+def paired(lines: Sequence[Line], one: str, other: str, what: Callable[[Line], float]) -> list[Floats]:
+    """Differences of a figure, an array per sequence, paired by seed; a peer's one pass meets all seeds."""
+    ours, theirs = (by_sequence(lines, name, what) for name in (one, other))
     found = []
     for sequence in ours:
         beside = theirs.get(sequence, {})
@@ -104,6 +106,11 @@ def interval(differences: Sequence[Floats], sequences: bool, draws: int = DRAWS)
     return float(low), float(high)
 
 
+def total_time(lines: Sequence[Line], one: str, other: str) -> float:
+    """CPU time of one tracker over that of another, a frame, over everything that each tracked."""
+    return rate(lines, other) / rate(lines, one)
+
+
 def relative_time(lines: Sequence[Line], one: str, other: str) -> float:
     """CPU time of one tracker over that of another: the median over sequences of the ratio of means."""
     ours, theirs = (
@@ -122,6 +129,7 @@ def relative_time(lines: Sequence[Line], one: str, other: str) -> float:
 
 FIGURES: Mapping[str, tuple[str, Callable[[Line], float]]] = {
     "AUC": (".3f", lambda line: line.auc),
+    "AUC, every box": (".3f", lambda line: line.auc_every),
     "precision 20 px": (".3f", lambda line: line.precision20),
     "lost episodes": (".1f", lambda line: line.lost_episodes),
     "agents": (".2f", lambda line: line.agents),
@@ -170,21 +178,38 @@ def differences_table(lines: Sequence[Line]) -> str:
     first, *others = names_of(lines, "tracker")
     rows = []
     for other in others:
-        found = paired(lines, first, other)
+        found = paired(lines, first, other, lambda line: line.auc)
         if not found:
             continue
-        middle = float(np.mean([one.mean() for one in found]))
-        here, elsewhere = interval(found, sequences=False), interval(found, sequences=True)
-        time = relative_time(lines, first, other)
+        every = paired(lines, first, other, lambda line: line.auc_every)
         rows.append(
             [
                 f"{first} − {other}",
-                f"{middle:+.3f}",
-                f"{here[0]:+.3f} .. {here[1]:+.3f}",
-                f"{elsewhere[0]:+.3f} .. {elsewhere[1]:+.3f}",
-                f"{time:.2f}",
-                f"{1 / time:.1f}",
+                f"{_middle(found):+.3f}",
+                _range(interval(found, sequences=False)),
+                _range(interval(found, sequences=True)),
+                f"{_middle(every):+.3f}",
+                _range(interval(every, sequences=False)),
+                f"{relative_time(lines, first, other):.2f}",
+                f"{total_time(lines, first, other):.2f}",
             ]
         )
-    head = ["", "AUC", "95 %, these sequences", "95 %, sequences like these", "time", "speed"]
+    head = [
+        "",
+        "AUC",
+        "95 %, these sequences",
+        "95 %, sequences like these",
+        "AUC, every box",
+        "95 %, these sequences",
+        "time, median",
+        "time, all frames",
+    ]
     return table(head, rows)
+
+
+def _middle(differences: Sequence[Floats]) -> float:
+    return float(np.mean([one.mean() for one in differences]))
+
+
+def _range(bounds: tuple[float, float]) -> str:
+    return f"{bounds[0]:+.3f} .. {bounds[1]:+.3f}"
