@@ -76,6 +76,22 @@ NOTHING = Detections(np.empty((0, 4)), np.empty(0), ())
 """No detection."""
 
 
+def checked(found: Detections) -> Detections:
+    """A detector's answer with boxes and scores as float64 arrays: a detector is a guest's code.
+
+    Raises:
+        ValueError: anything but (N, 4) boxes with area and N scores, all finite, and N labels.
+    """
+    boxes, scores = np.asarray(found.boxes, dtype=np.float64), np.asarray(found.scores, dtype=np.float64)
+    labels = tuple(found.labels)
+    if boxes.ndim != 2 or boxes.shape[1] != 4 or scores.shape != (len(boxes),) or len(labels) != len(boxes):
+        counts = f"scores of shape {scores.shape}, {len(labels)} labels"
+        raise ValueError(f"boxes of shape {boxes.shape}, {counts}; allowed: (N, 4), (N,), N")
+    if not (np.isfinite(boxes).all() and np.isfinite(scores).all() and (boxes[:, 2:] > 0).all()):
+        raise ValueError("boxes or scores that are not finite, or boxes without area")
+    return Detections(boxes, scores, labels)
+
+
 @runtime_checkable
 class Detector(Protocol):
     """A detector at work: pure functions of frames and state. Holds no state of its own."""

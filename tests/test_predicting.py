@@ -11,6 +11,7 @@ from bayesnet_track.belief.attached import Attached
 from bayesnet_track.belief.carried import Carried
 from bayesnet_track.belief.jumps import Jumping
 from bayesnet_track.belief.rotating import Rotating
+from bayesnet_track.detector import Detections
 from bayesnet_track.graph.messages import GraphError
 from bayesnet_track.journal.jump_events import Reappeared
 from bayesnet_track.nets.predicting import Outlook, outlook, predicted
@@ -130,6 +131,29 @@ def test_a_detector_that_fails_is_out_and_told(fakes):
     assert isinstance(found.motion, Jumping)
     assert found.outlook.finder is not None and found.outlook.fault.until == found.told[0].until
     assert [event.reason for event in found.told] == ["RuntimeError: no"]
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        (Detections(np.array([[9.0, 9.0, 0.0, 5.0]]), np.ones(1), ("",)), "boxes without area"),
+        (Detections(np.array([[9.0, 9.0, 5.0, 5.0]]), np.ones(1), ()), "0 labels"),
+        (Detections(np.array([[9.0, 9.0, 5.0, 5.0]]), np.ones((1, 1)), ("",)), "scores of shape"),
+        (Detections(np.array([[np.nan, 9.0, 5.0, 5.0]]), np.ones(1), ("",)), "not finite"),
+    ],
+)
+def test_the_answer_of_a_detector_is_checked_as_where_targets_are_born(fakes, answer, reason):
+    class Wrong:
+        def start(self):
+            return {}
+
+        def detect(self, frames, state):
+            return answer, state
+
+    machine = replace(machine_of(fakes, recover={"by": "uniform"}), finder=Wrong())
+    cache = PlaneCache(FramePair(fakes.frame(1), fakes.frame(0)))
+    found = predicted(machine, None, outlook(machine, BOX, cache.frames), True, 1.0, cache)
+    assert [reason in event.reason for event in found.told] == [True]
 
 
 @pytest.mark.parametrize("by", ["agents", "uniform"])

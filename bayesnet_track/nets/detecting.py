@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.backoff import next_try
 from bayesnet_track.adapt.lifecycle import Life
-from bayesnet_track.detector import Detections, Detector, DetectorState, LearningDetector
+from bayesnet_track.detector import Detections, Detector, DetectorState, LearningDetector, checked
 from bayesnet_track.graph.net import Fault
 from bayesnet_track.journal.life_events import DetectorFailed
 from bayesnet_track.machinery import Engine
@@ -93,13 +93,9 @@ def _asked(
     if isinstance(detector, LearningDetector) and shown is not None and not detector.knows_target(now):
         now = detector.learn(pair, shown, now)
     found, after = detector.detect(pair, now)
-    boxes, scores = np.asarray(found.boxes, dtype=np.float64), np.asarray(found.scores, dtype=np.float64)
-    if boxes.ndim != 2 or boxes.shape[1] != 4 or not len(boxes) == len(scores) == len(found.labels):
-        raise ValueError(f"boxes of shape {boxes.shape}, {len(scores)} scores, {len(found.labels)} labels")
-    if not (np.isfinite(boxes).all() and np.isfinite(scores).all() and (boxes[:, 2:] > 0).all()):
-        raise ValueError("boxes or scores that are not finite, or boxes without area")
-    best = np.argsort(-scores, kind="stable")[:MOST_DETECTIONS]
-    return Detections(boxes[best], scores[best], tuple(found.labels[k] for k in best)), after
+    found = checked(found)
+    best = np.argsort(-found.scores, kind="stable")[:MOST_DETECTIONS]
+    return Detections(found.boxes[best], found.scores[best], tuple(found.labels[k] for k in best)), after
 
 
 def _of_plate(engine: Engine, plate: str, found: Detections) -> Found:

@@ -18,11 +18,11 @@ from bayesnet_track.belief.rotating import Rotating
 from bayesnet_track.belief.widened import widened, widening
 from bayesnet_track.detector import (
     NOTHING,
-    Detections,
     Detector,
     DetectorError,
     DetectorState,
     LearningDetector,
+    checked,
 )
 from bayesnet_track.graph.adapt_settings import Level
 from bayesnet_track.graph.motion_settings import Recover
@@ -165,7 +165,7 @@ def _recovering(
     if finder is not None and state is not None and is_in:
         try:
             found, state = finder.detect(cache.frames, state)
-            found = _sound(found)
+            found = checked(found)
         except Exception as error:  # a guest's code: whatever it raises must not end the run
             until, times = next_try(frame.index, fault)
             fault = Fault(times, frame.index, until, True)
@@ -176,20 +176,11 @@ def _recovering(
         hypotheses=settings.hypotheses * min(per_frame / settings.share, 1.0),
         by=settings.by.kind if settings.by.detector is None else settings.by.detector.detector,
         probes=0 if probes is None else probes.most,
-        boxes=np.asarray(found.boxes, dtype=np.float64),
-        scores=np.asarray(found.scores, dtype=np.float64),
+        boxes=found.boxes,
+        scores=found.scores,
         ud_px2=known.ud_px2,
         above_px2=0.0 if now is None else now.level * now.scale_px2,
     )
     share = 1.0 - (1.0 - per_frame) ** dt
     jumping = Jumping(motion, share, frame.width, frame.height, search)
     return Predicted(jumping, replace(known, finder=state, fault=fault), told)
-
-
-def _sound(found: Detections) -> Detections:
-    boxes, scores = np.asarray(found.boxes), np.asarray(found.scores)
-    if boxes.ndim != 2 or boxes.shape[1] != 4 or len(boxes) != len(scores):
-        raise ValueError(f"boxes of shape {boxes.shape} and {len(scores)} scores")
-    if not (np.isfinite(boxes).all() and np.isfinite(scores).all()):
-        raise ValueError("boxes or scores that are not finite")
-    return found
