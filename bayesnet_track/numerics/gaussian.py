@@ -143,18 +143,18 @@ def chi_square_cdf(x: float, degrees: int) -> float:
 
 
 @lru_cache(maxsize=64)
-def chi_square_quantile(share: float, degrees: int) -> float:
-    """x below which a chi-square variable of `degrees` of freedom lies with probability `share`, by halving.
+def chi_square_quantile(probability: float, degrees: int) -> float:
+    """x below which a chi-square variable of `degrees` of freedom lies with a probability, by halving.
 
     >>> round(chi_square_quantile(0.95, 1), 4)
     3.8415
     """
-    if share >= 1:
+    if probability >= 1:
         return math.inf
     low, high = 0.0, 1.0
-    while chi_square_cdf(high, degrees) < share:
+    while chi_square_cdf(high, degrees) < probability:
         high *= 2.0
     for _ in range(80):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if chi_square_cdf(middle, degrees) < share else (low, middle)
+        low, high = (middle, high) if chi_square_cdf(middle, degrees) < probability else (low, middle)
     return 0.5 * (low + high)

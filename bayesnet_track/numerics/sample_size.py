@@ -28,13 +28,14 @@ def normal_quantile(probability: float) -> float:
     return NormalDist().inv_cdf(probability)
 
 
-def chi_square_quantile(degrees: float, probability: float) -> float:
-    """The chi-square quantile of at least one degree of freedom, by Wilson and Hilferty.
+def wilson_hilferty_quantile(probability: float, degrees: float) -> float:
+    """The approximate chi-square quantile of at least one degree of freedom, whole or not.
 
     d (1 - a + z sqrt(a))^3 with a = 2 / (9 d) and z the normal quantile. Within 0.05 of the exact
-    one for probabilities from .9 to .99 and three degrees or more; 0.1 below it at one degree and .95.
+    one (`gaussian.chi_square_quantile`, of whole degrees) for probabilities from .9 to .99 and three
+    degrees or more; 0.1 below it at one degree and .95.
 
-    >>> round(chi_square_quantile(72, 0.95), 1)
+    >>> round(wilson_hilferty_quantile(0.95, 72), 1)
     92.8
     """
     a = 2.0 / (9.0 * degrees)
@@ -69,7 +70,7 @@ def kld(bins: float, error: float, confidence: float) -> float:
     >>> round(kld(72, 0.01, 0.95)), kld(1, 0.01, 0.95)
     (4583, 0.0)
     """
-    return chi_square_quantile(bins - 1, confidence) / (2.0 * error) if bins > 1 else 0.0
+    return wilson_hilferty_quantile(confidence, bins - 1) / (2.0 * error) if bins > 1 else 0.0
 
 
 def variance(values: Floats, weights: Floats) -> float:

@@ -118,7 +118,7 @@ def test_the_worth_of_hypotheses_against_quadrature():
 @pytest.mark.parametrize("degrees", [3, 5, 20, 72, 500])
 def test_chi_square_against_scipy(degrees, probability):
     exact = chi2.ppf(probability, degrees)
-    assert sizes.chi_square_quantile(degrees, probability) == pytest.approx(exact, abs=0.05)
+    assert sizes.wilson_hilferty_quantile(probability, degrees) == pytest.approx(exact, abs=0.05)
     bound = chi2.ppf(probability, degrees) / (2 * 0.1)
     assert sizes.kld(degrees + 1, 0.1, probability) == pytest.approx(bound, abs=0.05 / 0.2)
 
