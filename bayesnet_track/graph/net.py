@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import assert_never
 
 from bayesnet_track.graph.causes import Cause, Concentration, FitCause, ScoreCause
 from bayesnet_track.graph.fault_decisions import Quarantined, Readmitted
@@ -161,6 +162,9 @@ Decision = (
 Switch = Activated | Deactivated | SelfStopped | Quarantined | Readmitted | Toggled | Shed | TakenBack
 """A decision that switches an agent."""
 
+Change = Switch | LocallyAdapted | Released | ParticlesLimited | StatusChanged | Reacquired
+"""A decision that changes the net of a target that lives, and lives on."""
+
 
 @dataclass(frozen=True)
 class Fault:
@@ -280,7 +284,7 @@ def _joins_after(net: Net, decision: Joined | Parted) -> dict[tuple[str, str], J
     return joins
 
 
-def _change(net: TargetNet, decision: Decision) -> TargetNet:
+def _change(net: TargetNet, decision: Change) -> TargetNet:
     match decision:
         case Activated() | TakenBack():
             return replace(net, active=net.active | {decision.node}, shed=_other(net.shed, decision.node))
@@ -324,8 +328,10 @@ def _change(net: TargetNet, decision: Decision) -> TargetNet:
             return replace(net, status=decision.status)
         case Reacquired():
             return replace(net, status="tracking")
-        case _:
+        case LocallyAdapted():
             return net
+        case _:
+            assert_never(decision)
 
 
 def _without_vain_glances(net: TargetNet) -> TargetNet:

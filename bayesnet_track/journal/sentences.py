@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import assert_never
 
 from bayesnet_track.graph.hand_decisions import Released, Toggled
 from bayesnet_track.graph.join_decisions import Joined, Parted
@@ -220,8 +221,10 @@ def happened(
             return ring_changed(event)
         case BeliefReset():
             return _reset(event)
-        case _:
+        case DegenerateBelief():
             return f"no hypothesis of target {event.target} can be used: {event.reason}; the prediction stays"
+        case _:
+            assert_never(event)
 
 
 def _status(event: StatusChanged) -> str:

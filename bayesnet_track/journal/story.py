@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from typing import assert_never
 
 from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
 from bayesnet_track.graph.net import (
     Activated,
     Deactivated,
     LocallyAdapted,
+    Quarantined,
     Readmitted,
     SelfStopped,
     Shed,
@@ -79,7 +81,7 @@ def _condensed(events: Iterable[Event]) -> list[str]:
     return [f"{span}: {'; '.join(parts)}"]
 
 
-def _what(event: Event) -> str:
+def _what(event: Switch) -> str:
     match event:
         case Activated():
             return "on"
@@ -95,8 +97,10 @@ def _what(event: Event) -> str:
             return "on again" if event.on else "let in again"
         case Toggled():
             return f"{'on' if event.on else 'off'} by hand"
-        case _:
+        case Quarantined():
             return "failed"
+        case _:
+            assert_never(event)
 
 
 def _more(done: Sequence[Event]) -> str:

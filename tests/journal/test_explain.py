@@ -1,7 +1,7 @@
 """Every event as the sentence that a person reads; golden."""
 
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import get_args
 
 import pytest
@@ -417,6 +417,19 @@ def test_sentences(event, sentence):
 def test_every_kind_of_event_has_a_sentence():
     told = {type(event) for event, _ in GOLDEN}
     assert told == {*get_args(Event)}
+
+
+def test_an_event_without_a_sentence_is_not_told_as_another():
+    """mypy proves that there is none; were one added unproven, it would not pass for a degenerate belief."""
+
+    @dataclass(frozen=True)
+    class Unlisted:
+        frame: int = 3
+        target: str = "1"
+        reason: str = "new"
+
+    with pytest.raises(AssertionError, match="Unlisted"):
+        explain(Unlisted())
 
 
 def test_the_target_can_be_named():
