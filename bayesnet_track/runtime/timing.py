@@ -79,7 +79,8 @@ def timing_of(stream: Any, stamps: Sequence[int]) -> Timing:
     """
     tick = Fraction(stream.time_base or Fraction(1, 1000))
     rates = (stream.guessed_rate, stream.average_rate, stream.base_rate)
-    declared = [1 / Fraction(rate) for rate in rates if rate is not None and rate > 0]
+    # An unknown rate is None or, from PyAV 19, the untrue 0/0.
+    declared = [1 / Fraction(rate) for rate in rates if rate and rate > 0]
     steps = sorted(after - before for before, after in pairwise(stamps) if after > before)
     # A cut through reordered pictures leaves holes among the last stamps, so few of them prove little.
     if len(steps) < FEW_STEPS:

@@ -32,6 +32,8 @@ PROBE_PACKETS = 300
 MAX_PIXELS = 1 << 27
 MAX_FAILURES = 50
 ATTACHED_PICTURE = 0x0400
+# Titles need not be UTF-8, and are not needed. From PyAV 19 they are always read so, without an option.
+TOLERANT_METADATA = {"metadata_errors": "replace"} if int(av.__version__.split(".")[0]) < 19 else {}
 # In others a packet may hold a picture that is never shown; a transport stream may begin before a key frame.
 ONE_PICTURE_A_PACKET = frozenset({"h264", "hevc", "mpeg4", "mjpeg"})
 FAULTS = (av.error.FFmpegError, ValueError, OverflowError, MemoryError)
@@ -198,17 +200,19 @@ def _open(text: str, network: bool) -> Any:
     name = text if network else f"file:{Path(text).absolute()}"
     timeout = (NETWORK_TIMEOUT_S, NETWORK_TIMEOUT_S) if network else None
     try:
-        return av.open(name, mode="r", options=options, metadata_errors="replace", timeout=timeout)
+        return av.open(name, mode="r", options=options, timeout=timeout, **TOLERANT_METADATA)
     except FAULTS as error:
         raise _not_a_video(text, _words(error)) from error
 
 
 def _video_stream(text: str, container: Any) -> Any:
     for stream in container.streams.video:
+        if stream.codec_context is None:  # and PyAV 12 would say that its flags are None
+            continue
         # A cover picture is a video stream of one frame. Its flag is an enum or, in older versions, absent.
         flags = getattr(stream, "disposition", 0)
         cover = bool(getattr(flags, "value", flags) & ATTACHED_PICTURE)
-        if stream.codec_context is not None and not cover:
+        if not cover:
             return stream
     raise _not_a_video(text, "no video stream that can be decoded in it")
 
