@@ -31,6 +31,7 @@ from bayesnet_track.scenes import make_scene, scene_names
 
 ROOT = Path(__file__).parents[1]
 RUN_FILES = {
+    ".lock",
     "journal.jsonl",
     "frames.jsonl",
     "tracks.txt",

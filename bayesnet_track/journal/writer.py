@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+from bayesnet_track.journal import disk
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.journal.inputs import Input
@@ -65,7 +66,7 @@ class LineFile:
         self._size = 0
         self._digest = hashlib.sha256()
         try:
-            self._file = path.open("wb" if after is None else "r+b", buffering=0)
+            self._file = disk.open_raw(path, "wb" if after is None else "r+b")
         except OSError as error:
             raise output_error(path, error) from error
         if after is not None:
@@ -94,7 +95,7 @@ class LineFile:
     def sync(self) -> None:
         """Let the disk have what was flushed."""
         try:
-            os.fsync(self._file.fileno())
+            disk.sync(self._file)
         except OSError as error:
             raise output_error(self.path, error) from error
 

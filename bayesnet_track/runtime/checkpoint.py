@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from bayesnet_track.depth import PointMap, RightEye
 from bayesnet_track.engine import Engine, State
+from bayesnet_track.journal import disk
 from bayesnet_track.journal.writer import OutputError, Position
 from bayesnet_track.planes import Frame
-from bayesnet_track.runtime.atomic import sync_directory, write_atomically
+from bayesnet_track.runtime.atomic import write_atomically
 from bayesnet_track.runtime.record import Recorder, Written
 from bayesnet_track.runtime.run import Reached
 from bayesnet_track.runtime.rundir import RunDirectory
@@ -259,7 +260,7 @@ def remove(path: Path) -> None:
         OutputError: it cannot be removed.
     """
     try:
-        path.unlink(missing_ok=True)
-        sync_directory(path.parent)
+        disk.unlink(path)
+        disk.sync_folder(path.parent)
     except OSError as error:
         raise OutputError(error.errno, f"cannot remove: {error.strerror}", str(path)) from error

@@ -11,6 +11,7 @@ from pathlib import Path
 from bayesnet_track import plugins
 from bayesnet_track.belief.contract import Motion
 from bayesnet_track.engine import Engine
+from bayesnet_track.journal import disk
 from bayesnet_track.journal.codec import JournalError, from_json
 from bayesnet_track.journal.events import Event, RunEnded
 from bayesnet_track.journal.inputs import Input
@@ -301,10 +302,10 @@ def _clear(directory: RunDirectory, checkpoint: Checkpoint | None) -> None:
         remove(directory.checkpoint)
     try:
         for key, name in FILES.items():
-            (directory.path / (name + PART)).unlink(missing_ok=True)
+            disk.unlink(directory.path / (name + PART))
             # An empty journal says that here is a run.
             if key not in (*kept_files, "journal"):
-                (directory.path / name).unlink(missing_ok=True)
+                disk.unlink(directory.path / name)
     except OSError as error:
         raise OutputError(error.errno, f"cannot remove: {error.strerror}", str(error.filename)) from error
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+from bayesnet_track.journal import disk
 from bayesnet_track.runtime.atomic import PART
 
 FILES = {
@@ -25,6 +25,8 @@ FILES = {
     "ahead": "inputs_ahead.jsonl",
     "checkpoint": "checkpoint",
 }
+LOCK = ".lock"
+"""Beside them, and none of them: nothing replaces or removes it."""
 MARKS = (FILES["recipe"], FILES["journal"])
 """A folder that holds one of them is a run."""
 
@@ -45,27 +47,17 @@ class RunDirectory:
 
     @classmethod
     def create(cls, path: Path | str, overwrite: bool = False) -> Self:
-        """The folder at `path`, made new, or an empty one, or with `overwrite` an earlier run, emptied.
-
-        Only the files of a run (`FILES`) are ever removed.
+        """The folder at `path`, made where there is none; what is in it stays as it is.
 
         Raises:
-            RunDirectoryError: something else is there, or it cannot be made.
+            RunDirectoryError: it cannot be made, or see `refuse`.
         """
         run = cls(Path(path))
         try:
             if run.path.exists() and not run.path.is_dir():
                 raise RunDirectoryError(f"{run.path}: it is a file; give a folder for the run")
             run.path.mkdir(parents=True, exist_ok=True)
-            held = {entry.name for entry in run.path.iterdir()}
-            for name in held & {name + PART for name in FILES.values()}:
-                (run.path / name).unlink()
-                held.remove(name)
-            if held:
-                run._clear(held, overwrite)
-            probe = run.path / FILES["journal"]
-            probe.touch()
-            probe.unlink()
+            run.refuse(overwrite)
         except OSError as error:
             if isinstance(error, RunDirectoryError):
                 raise
@@ -85,7 +77,17 @@ class RunDirectory:
             raise RunDirectoryError(f"{run.path}: not a run directory: {what}")
         return run
 
-    def _clear(self, held: set[str], overwrite: bool) -> None:
+    def refuse(self, overwrite: bool) -> None:
+        """Refuse a folder that holds something else than a run, and without `overwrite` one that holds a run.
+
+        Raises:
+            RunDirectoryError: it does.
+            OSError: it cannot be read.
+        """
+        held = {entry.name for entry in self.path.iterdir()} - {LOCK}
+        held -= {name + PART for name in FILES.values()}
+        if not held:
+            return
         if held.isdisjoint(MARKS):
             raise RunDirectoryError(
                 f"{self.path}: the folder is not empty and not a run; give a new or an empty folder"
@@ -95,13 +97,24 @@ class RunDirectory:
                 f"{self.path}: a run is there already; give another folder, or overwrite it "
                 "(--overwrite, overwrite=True)"
             )
-        # The checkpoint goes first: it must not outlive what it stands for. The journal goes last: a
-        # half-cleared folder still counts as a run.
-        order = [FILES["checkpoint"], FILES["recipe"]]
+
+    def clear(self) -> None:
+        """Remove the files of a run (`FILES`), and parts of them; nothing else.
+
+        Raises:
+            RunDirectoryError: one cannot be removed.
+        """
+        # The manifest and the checkpoint go first: they must not outlive what they stand for. The journal
+        # goes last: a half-cleared folder still counts as a run.
+        order = [*(name + PART for name in FILES.values()), FILES["checkpoint"], FILES["recipe"]]
         order += [name for name in FILES.values() if name not in (*order, FILES["journal"])]
-        for name in (*order, FILES["journal"]):
-            if name in held:
-                (self.path / name).unlink()
+        try:
+            held = {entry.name for entry in self.path.iterdir()}
+            for name in (*order, FILES["journal"]):
+                if name in held:
+                    disk.unlink(self.path / name)
+        except OSError as error:
+            raise RunDirectoryError(f"{self.path}: cannot clear it: {error}") from error
 
     def write_text(self, path: Path, text: str) -> None:
         """Write one of the run's small files as UTF-8 with plain newlines.
@@ -110,13 +123,17 @@ class RunDirectory:
             RunDirectoryError: it cannot be written.
         """
         try:
-            with path.open("w", encoding="utf-8", newline="\n") as file:
-                file.write(text)
-                file.flush()
+            with closing(disk.open_raw(path, "wb")) as file:
+                disk.write_whole(file, text.encode("utf-8"))
                 with suppress(OSError):  # what is no file on a disk
-                    os.fsync(file.fileno())
+                    disk.sync(file)
         except OSError as error:
             raise RunDirectoryError(f"{path}: cannot write: {error.strerror}") from error
+
+    @property
+    def lock(self) -> Path:
+        """The file that is locked while a process writes the run; see `runtime.lock`."""
+        return self.path / LOCK
 
     @property
     def recipe(self) -> Path:

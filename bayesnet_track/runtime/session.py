@@ -21,7 +21,7 @@ from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.detection_files import file_detector
 from bayesnet_track.runtime.executors import RETRIES, Executing, make_executor
 from bayesnet_track.runtime.inputs import Asked, as_asked
-from bayesnet_track.runtime.lock import locked, refuse_written
+from bayesnet_track.runtime.lock import locked
 from bayesnet_track.runtime.recipe import Recipe, file_sha256, make_recipe
 from bayesnet_track.runtime.record import Recorder
 from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
@@ -122,8 +122,10 @@ def track(
         told: list[Sink] = list(sinks)
         keeper: Checkpoints | None = None
         if out is not None:
-            refuse_written(RunDirectory(Path(out)))
             directory = RunDirectory.create(str(out), overwrite)
+            stack.enter_context(locked(directory))
+            directory.refuse(overwrite)  # before the lock was taken, another process could have written here
+            directory.clear()
             recipe = make_recipe(
                 checked,
                 opened,
@@ -136,7 +138,6 @@ def track(
                 options=_options(engine, budget_ms),
             )
             begin(directory, checked, recipe)
-            stack.enter_context(locked(directory))
             recorder = stack.enter_context(Recorder(directory, checked, opened.frame_interval_s, video))
             told.append(recorder)
             keeper = kept(directory, engine, recorder, recipe, checkpoint_every)

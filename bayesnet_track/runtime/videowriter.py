@@ -10,10 +10,23 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.journal import disk
 from bayesnet_track.journal.writer import OutputError
 
-SUFFIXES = (".mkv", ".mp4")
+SUFFIXES = {".mkv": "matroska", ".mp4": "mp4"}
 _CLUSTER_S = 1
+
+
+class _Output:
+    """A file as PyAV writes one: it does not look how much of its bytes was taken."""
+
+    def __init__(self, file: disk.RawFile) -> None:
+        self._file = file
+        self.seek, self.tell = file.seek, file.tell
+
+    def write(self, data: bytes | memoryview) -> int:
+        disk.write_whole(self._file, data)
+        return len(data)
 
 
 class VideoWriter:
@@ -48,8 +61,13 @@ class VideoWriter:
         self._count = 0
         self._container: Any = None
         try:
-            # A plain path could be read as a protocol.
-            self._container = av.open(f"file:{path.absolute()}", mode="w", options=options)
+            self._file = disk.open_raw(path, "wb")
+        except OSError as error:
+            raise self._error(error) from error
+        try:
+            self._container = av.open(
+                _Output(self._file), mode="w", format=SUFFIXES[path.suffix.lower()], options=options
+            )
             self._stream: Any = self._container.add_stream(codec, rate=rate, options=tuning)
             self._stream.width, self._stream.height = self._size
             self._stream.pix_fmt = "yuv420p"
@@ -78,8 +96,22 @@ class VideoWriter:
             self._abandon()
             raise self._error(error) from error
 
+    def finish(self) -> None:
+        """Close the file, and wait until the disk has it."""
+        self._end()
+        try:
+            disk.sync(self._file)
+        except OSError as error:
+            raise self._error(error) from error
+        finally:
+            self._file.close()
+
     def close(self) -> None:
-        """Finish the file; safe to call twice."""
+        """Close the file; safe to call twice."""
+        self._end()
+        self._file.close()
+
+    def _end(self) -> None:
         if self._container is None:
             return
         try:
@@ -102,6 +134,7 @@ class VideoWriter:
         if container is not None:
             with suppress(*self._faults):
                 container.close()
+        self._file.close()
 
     def _error(self, error: Exception) -> OutputError:
         said = getattr(error, "strerror", None) or error

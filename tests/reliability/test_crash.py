@@ -17,6 +17,7 @@ from typing import Any
 import cv2
 import pytest
 
+from bayesnet_track.journal import disk
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.runtime.recipe import RecipeError
@@ -24,6 +25,8 @@ from bayesnet_track.runtime.resume import standing
 from bayesnet_track.runtime.rundir import RunDirectoryError
 
 FRAMES, EVERY_S = 4, 1e-6
+CHANGES = ("sync", "sync_folder", "replace", "unlink", "make_folder", "remove_folder")
+"""Of `disk`, beside what its open files do."""
 Work = Callable[[Path], None]
 
 pytestmark = [
@@ -98,7 +101,6 @@ class Counted:
             self._act()
 
     def install(self) -> None:
-        fsync, replace, unlink, opened = os.fsync, Path.replace, Path.unlink, Path.open
         counted = self
 
         class File(io.FileIO):
@@ -112,20 +114,15 @@ class Counted:
                 return io.FileIO.truncate(self, size)
 
         def before(call: Callable[..., Any]) -> Callable[..., Any]:
-            def wrapped(*arguments: Any, **options: Any) -> Any:
+            def wrapped(*arguments: Any) -> Any:
                 counted.one()
-                return call(*arguments, **options)
+                return call(*arguments)
 
             return wrapped
 
-        def open_counted(path: Path, mode: str = "r", buffering: int = -1, *rest: Any, **options: Any) -> Any:
-            if buffering == 0:
-                return File(str(path), mode.replace("b", ""))
-            return opened(path, mode, buffering, *rest, **options)
-
-        os.fsync = before(fsync)
-        Path.replace, Path.unlink = before(replace), before(unlink)  # type: ignore[method-assign]
-        Path.open = open_counted  # type: ignore[assignment, method-assign]
+        for name in CHANGES:
+            setattr(disk, name, before(getattr(disk, name)))
+        disk.open_raw = lambda path, mode: File(str(path), mode.replace("b", ""))
 
 
 def dies() -> None:
@@ -200,8 +197,8 @@ def test_a_full_disk_at_every_step(
         at += 1
         folder = tmp_path / str(at)
         with monkeypatch.context() as patch:
-            for owner, name in ((os, "fsync"), (Path, "replace"), (Path, "unlink"), (Path, "open")):
-                patch.setattr(owner, name, getattr(owner, name))
+            for name in (*CHANGES, "open_raw"):
+                patch.setattr(disk, name, getattr(disk, name))
             counted = Counted(at, full)
             counted.install()
             try:

@@ -14,6 +14,7 @@ from bayesnet_track.graph.net import TargetStarted
 from bayesnet_track.journal.events import RunEnded, RunStarted
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.writer import LineFile, OutputError
+from bayesnet_track.runtime import session
 from bayesnet_track.runtime.record import Recorder
 from bayesnet_track.runtime.run import Start, run
 from bayesnet_track.runtime.rundir import FILES, RunDirectory, RunDirectoryError
@@ -93,14 +94,13 @@ def test_a_full_disk_is_told_at_once_and_leaves_whole_lines(graph, tmp_path, nam
 def test_a_full_disk_is_exit_code_6(tmp_path, capsys, monkeypatch, name):
     from bayesnet_track.cli import main
 
-    create = RunDirectory.create
+    begin = session.begin
 
-    def with_a_full_disk(*arguments):
-        directory = create(*arguments)
+    def with_a_full_disk(directory, *arguments):
         (directory.path / FILES[name]).symlink_to(FULL)
-        return directory
+        return begin(directory, *arguments)
 
-    monkeypatch.setattr(RunDirectory, "create", with_a_full_disk)
+    monkeypatch.setattr(session, "begin", with_a_full_disk)
     code = main(["demo", "--end", "3", "--quiet", "--out", str(tmp_path / "run")])
     out, err = capsys.readouterr()
     assert (code, out) == (6, "")
@@ -151,4 +151,4 @@ def test_files_are_closed_when_one_cannot_be_made(graph, tmp_path, monkeypatch):
     assert len(opened) == 3 and all(file._file.closed for file in opened)
     # What is left may be overwritten like any run.
     directory.csv.rmdir()
-    RunDirectory.create(directory.path, overwrite=True)
+    RunDirectory.create(directory.path, overwrite=True).clear()

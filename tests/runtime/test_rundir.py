@@ -2,6 +2,7 @@
 
 import pytest
 
+from bayesnet_track.runtime.lock import is_locked, locked
 from bayesnet_track.runtime.rundir import FILES, RunDirectory, RunDirectoryError
 
 
@@ -43,10 +44,34 @@ def test_an_earlier_run_is_refused_and_untouched(tmp_path):
     assert {(tmp_path / name).read_text() for name in FILES.values()} == {"old"}
 
 
-def test_overwriting_removes_the_run_and_nothing_else(tmp_path):
+def test_clearing_removes_the_run_and_nothing_else(tmp_path):
     old_run(tmp_path)
-    RunDirectory.create(tmp_path, overwrite=True)
-    assert [entry.name for entry in tmp_path.iterdir()] == ["notes.txt"]
+    run = RunDirectory.create(tmp_path, overwrite=True)
+    assert {(tmp_path / name).read_text() for name in FILES.values()} == {"old"}
+    with locked(run):
+        run.clear()
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [".lock", "notes.txt"]
+
+
+def test_a_lock_file_alone_is_an_empty_folder(tmp_path):
+    with locked(RunDirectory.create(tmp_path)):
+        pass
+    assert (tmp_path / ".lock").read_bytes() == b""
+    assert RunDirectory.create(tmp_path).path == tmp_path
+
+
+def test_one_lock_at_a_time_before_there_is_a_run_and_after_it_was_cleared(tmp_path):
+    run = RunDirectory.create(tmp_path / "run")
+    for _ in range(2):
+        with locked(run):
+            assert is_locked(run)
+            with pytest.raises(RunDirectoryError, match="another process is writing this run"), locked(run):
+                pytest.fail("two at once")
+            run.write_text(run.journal, "x")
+            run.clear()
+            with pytest.raises(RunDirectoryError, match="another process"), locked(run):
+                pytest.fail("two at once")
+        assert not is_locked(run)
 
 
 def test_a_file_in_the_way_is_refused(tmp_path):
@@ -58,12 +83,16 @@ def test_a_file_in_the_way_is_refused(tmp_path):
 
 
 def test_a_folder_without_permission_is_a_clear_error(tmp_path, monkeypatch):
-    def denied(self, *_, **__):
-        raise PermissionError(13, "Permission denied", str(self))
+    def denied(path, *_):
+        raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr("pathlib.Path.touch", denied)
-    with pytest.raises(RunDirectoryError, match="cannot make the run directory: Permission denied"):
-        RunDirectory.create(tmp_path / "run")
+    monkeypatch.setattr("os.open", denied)
+    run = RunDirectory.create(tmp_path / "run")
+    with (
+        pytest.raises(RunDirectoryError, match="cannot make the run directory: Permission denied"),
+        locked(run),
+    ):
+        pytest.fail("it cannot be locked")
 
 
 def test_text_is_utf8_with_plain_newlines(tmp_path):

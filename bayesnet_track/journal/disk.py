@@ -1,0 +1,103 @@
+"""Every operation by which outputs change on the disk, in one place.
+
+Callers write ``disk.replace(...)``, never ``from ... import replace``: a test that simulates crashes or power
+cuts puts its own functions in this module.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+from typing import Protocol
+
+CANNOT = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)
+"""What some file systems (of a network, of a container) answer when a folder is to be synced."""
+
+
+class RawFile(Protocol):
+    """An open file without a buffer."""
+
+    @property
+    def closed(self) -> bool:
+        """Whether it was closed."""
+        ...
+
+    def read(self, size: int = -1, /) -> bytes | None:
+        """Up to `size` bytes."""
+        ...
+
+    def write(self, data: bytes | memoryview, /) -> int | None:
+        """Write some of `data`; how many bytes."""
+        ...
+
+    def seek(self, offset: int, whence: int = 0, /) -> int:
+        """Go to a position; the new one."""
+        ...
+
+    def tell(self) -> int:
+        """The position, bytes."""
+        ...
+
+    def truncate(self, size: int | None = None, /) -> int:
+        """Cut off what follows `size` bytes."""
+        ...
+
+    def fileno(self) -> int:
+        """The file's descriptor."""
+        ...
+
+    def close(self) -> None:
+        """Close it; safe to call twice."""
+        ...
+
+
+def open_raw(path: Path, mode: str) -> RawFile:
+    """Open `path` without a buffer: ``wb`` or ``w+b`` for a new file, ``r+b`` to continue one."""
+    return path.open(mode, buffering=0)
+
+
+def write_whole(file: RawFile, data: bytes | memoryview) -> None:
+    """Write all of `data`, however often the system takes only a part."""
+    view, done = memoryview(data), 0
+    while done < len(view):
+        done += file.write(view[done:]) or 0
+
+
+def sync(file: RawFile) -> None:
+    """Wait until the disk has what was written to `file`."""
+    os.fsync(file.fileno())
+
+
+def sync_folder(folder: Path) -> None:
+    """Wait until the disk has a folder's entries; some systems cannot, and keep them in their own time."""
+    if os.name != "posix":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in CANNOT:
+            raise
+    finally:
+        os.close(handle)
+
+
+def replace(source: Path, target: Path) -> None:
+    """Rename a file or a folder; a file replaces what has the name `target`."""
+    source.replace(target)
+
+
+def unlink(path: Path) -> None:
+    """Remove a file, if it is there."""
+    path.unlink(missing_ok=True)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder that is not there yet."""
+    path.mkdir()
+
+
+def remove_folder(path: Path) -> None:
+    """Remove an empty folder."""
+    path.rmdir()
