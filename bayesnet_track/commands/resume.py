@@ -36,6 +36,7 @@ def resume(options: argparse.Namespace) -> int:
             summary=summary,
             checkpoint_every=options.checkpoint_every,
             executor=executor_of(options),
+            allow_other_machine=options.allow_other_machine,
             sinks=[] if view is None else [view],
             inputs=view if view is not None and view.controls.can_switch else None,
             notice=lambda text: complain(f"{directory.path}: {text}"),

@@ -17,7 +17,7 @@ from functools import cache
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from bayesnet_track.journal.encoder import NON_FINITE, JournalError, members_encoder, short
-from bayesnet_track.journal.events import Event, FrameMetrics
+from bayesnet_track.journal.events import JOURNAL_VERSION, Event, FrameMetrics, RunStarted
 from bayesnet_track.journal.inputs import Input
 
 __all__ = ["JournalError", "event_classes", "event_name", "from_json", "to_json", "type_hints"]
@@ -68,10 +68,28 @@ def from_json(line: str) -> Event | Input | FrameMetrics:
     kind = event_classes().get(name)
     if kind is None:
         raise JournalError(
-            f"unknown event {name!r}; known: {', '.join(sorted(event_classes()))}: {short(line)}"
+            f"unknown event {name!r} (of a newer version?); known: {', '.join(sorted(event_classes()))}: "
+            f"{short(line)}"
         )
+    if kind is RunStarted:
+        _check_version(values)
     decoded: Event | Input | FrameMetrics = _decode_object(values, kind, name)
     return decoded
+
+
+def _check_version(values: Mapping[str, Any]) -> None:
+    """Refuse a journal of a later format; raises JournalError."""
+    number = values.get("journal")
+    if type(number) is int and number > JOURNAL_VERSION:
+        versions = values.get("versions")
+        writer = versions.get("bayesnet-track") if isinstance(versions, dict) else None
+        told = (
+            f"bayesnet-track {short(str(writer))}, which wrote it" if writer else "the version that wrote it"
+        )
+        raise JournalError(
+            f"format {number} of journals; this version reads formats up to {JOURNAL_VERSION}: read it with "
+            f"{told}, or a newer one"
+        )
 
 
 @cache

@@ -67,25 +67,25 @@ def document_events() -> str:
 def _section(kind: type, title: str) -> str:
     text, described = parts_of(kind)
     rows = [
-        f"| `{name}` | {_words(hint)} | {described[name].replace('|', chr(92) + '|')} |"
+        f"| `{name}` | {words_of(hint)} | {described[name].replace('|', chr(92) + '|')} |"
         for name, hint in type_hints(kind).items()
     ]
     return "\n".join([f"### {title}", "", text, "", "| field | type | meaning |", "|---|---|---|", *rows])
 
 
-def _words(hint: Any) -> str:
+def words_of(hint: Any) -> str:
     """A type in words of JSON."""
     inner = get_args(hint)
     if isinstance(hint, types.UnionType):
-        return " or ".join(_words(part) for part in inner)
+        return " or ".join(words_of(part) for part in inner)
     if not inner:
         return _WORDS.get(hint, event_name(hint))
     if _WORDS.get(inner[0]) == "text" and len(inner) == 2 and inner[1] is not Ellipsis:
-        return f"object: name to {_words(inner[1])}"
+        return f"object: name to {words_of(inner[1])}"
     return (
-        f"list of {_words(inner[0])}"
+        f"list of {words_of(inner[0])}"
         if inner[-1] is Ellipsis
-        else f"list of {len(inner)} {_words(inner[0])}s"
+        else f"list of {len(inner)} {words_of(inner[0])}s"
     )
 
 
@@ -111,7 +111,21 @@ frame: one JSON object a line, ASCII, each line ended by a plain newline.
 - Frames count from 0. A decision made in frame n takes effect in frame n + 1.
 - A killed run leaves a journal without `run_ended`, and perhaps a torn last line, which readers drop.
 - Folding the decisions (`target_started` to `parted`) over the journal rebuilds the net
-  of any frame."""
+  of any frame.
+
+## How the format changes
+
+The field `journal` of the first line is the version of the format. A program reads its own version and every
+earlier one.
+
+- Events and fields are added without a new version. An added field has a default value, so that earlier files
+  stay readable. An earlier program refuses a line that it does not know.
+- No event or field is removed or renamed, and none gets another type, unit or meaning. If one must, the
+  version goes up by one, and the program keeps reading the earlier version.
+- A file of a later version is refused (exit code 4) with the program version that wrote it.
+
+`tests/journal/format_1.json` holds every event and field of version 1, and `tests/runtime/earlier/` runs that
+earlier programs wrote; the tests read both. A [checkpoint](resume.md) is read in its own format only."""
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from bayesnet_track.journal.join_events import (
 )
 from bayesnet_track.journal.jump_events import Reappeared
 from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
+from bayesnet_track.journal.machine_events import MachineChanged
 from bayesnet_track.journal.part_metrics import PartMetrics
 from bayesnet_track.journal.rival_events import RivalSeen
 
@@ -322,6 +323,7 @@ Event = (
     | FramesMissing
     | FrameSizeChanged
     | SourceDamaged
+    | MachineChanged
     | FramesDropped
     | SourceStalled
     | DegenerateBelief

@@ -69,6 +69,7 @@ from bayesnet_track.journal.life_sentences import (
     reacquired,
     returned,
 )
+from bayesnet_track.journal.machine_events import MachineChanged
 from bayesnet_track.journal.rival_events import RivalSeen, rival_seen
 from bayesnet_track.journal.switch_sentences import activated, deactivated, guarded
 from bayesnet_track.journal.wording import decimals, held, plural, rounded, told_apart, turned_at
@@ -98,6 +99,10 @@ def explain(event: Event, name_target: bool = False) -> str:
             return f"frame {event.frame}: the pictures change to {event.width}x{event.height}; {then}"
         case SourceDamaged():
             return f"frame {event.frame}: the source is damaged: {event.reason}"
+        case MachineChanged():
+            changes = "; ".join(event.changes)
+            where = "the run continues on another machine or with other libraries"
+            return f"frame {event.frame}: {where}: {changes}"
         case FramesDropped():
             pictures = plural(event.dropped, "picture")
             return f"frame {event.frame}: {pictures} dropped, since newer ones were there"

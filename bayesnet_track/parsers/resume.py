@@ -21,6 +21,12 @@ def add_resume(commands: argparse._SubParsersAction[Any]) -> None:
     resume.add_argument("run", metavar="RUN", help="run directory")
     resume.add_argument("--quiet", action="store_true", help="no progress line")
     resume.add_argument("--log-json", action="store_true", help="progress as JSON lines")
+    resume.add_argument(
+        "--allow-other-machine",
+        action="store_true",
+        help="go on although the machine, its instruction sets or the libraries are not those that the run "
+        "was computed with; the result then equals no unbroken run's",
+    )
     add_checkpoints(resume)
     add_plugins(resume)
     add_executor_options(resume)

@@ -10,7 +10,7 @@ import hashlib
 import json
 import time
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,12 +26,15 @@ from bayesnet_track.journal import disk
 from bayesnet_track.journal.writer import OutputError, Position
 from bayesnet_track.planes import Frame
 from bayesnet_track.runtime.atomic import write_atomically
+from bayesnet_track.runtime.machine import describe_machine
 from bayesnet_track.runtime.record import Recorder, Written
 from bayesnet_track.runtime.run import Reached
-from bayesnet_track.runtime.rundir import RunDirectory
+from bayesnet_track.runtime.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.state_codec import StateError, decode_state, encode_state, state_format
 
-MAGIC = b"bayesnet_track checkpoint 1"
+CHECKPOINT_FORMAT = 2
+"""Raised when older programs cannot read what is written; each program reads its own format only."""
+MAGIC = b"bayesnet_track checkpoint "
 
 EVERY_S = 1.0
 """Seconds between checkpoints: with the time of a frame and of the disk, less than 2 s of work are lost."""
@@ -53,6 +56,7 @@ class Checkpoint:
         reconfigurations: how many times an agent was switched on or off.
         lost_frames: frames in which a target was lost.
         written: how far the outputs are written.
+        machine: what its numbers were computed on; see `runtime.machine`.
         state: the engine's state, as `encode_state` has it.
     """
 
@@ -63,6 +67,7 @@ class Checkpoint:
     reconfigurations: int
     lost_frames: int
     written: Written
+    machine: Mapping[str, str]
     state: bytes
 
     def reached(self, engine: Engine, frame: Frame) -> Reached:
@@ -94,6 +99,7 @@ def checkpoint_of(now: Reached, written: Written, recipe: str) -> Checkpoint:
         now.reconfigurations,
         now.lost_frames,
         written,
+        describe_machine(),
         encode_state(now.state),
     )
 
@@ -120,14 +126,15 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     """
     at = checkpoint.written.positions
     header = {
-        "format": state_format(),
+        "state": state_format(),
+        "machine": dict(checkpoint.machine),
         **{name: getattr(checkpoint, name) for name in _NUMBERS},
         "outputs": {name: [place.size, place.sha256] for name, place in at.items()},
         "ids": dict(checkpoint.written.ids),
     }
     body = json.dumps(header).encode("ascii") + b"\n" + checkpoint.state
     seal = hashlib.sha256(body).hexdigest().encode("ascii")
-    write_atomically(path, b"\n".join((MAGIC, seal, body)))
+    write_atomically(path, b"\n".join((MAGIC + str(CHECKPOINT_FORMAT).encode(), seal, body)))
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
@@ -139,20 +146,38 @@ def read_checkpoint(path: Path) -> Checkpoint:
     """
     magic, _, rest = path.read_bytes().partition(b"\n")
     seal, _, body = rest.partition(b"\n")
-    if magic != MAGIC:
-        raise CheckpointError(f"{path}: not a checkpoint of this version")
+    if not magic.startswith(MAGIC):
+        raise CheckpointError(f"{path}: not a checkpoint")
+    if magic != MAGIC + str(CHECKPOINT_FORMAT).encode():
+        told = magic[len(MAGIC) :][:20].decode("ascii", "replace")
+        raise CheckpointError(
+            _of_another(path, f"format {told} of checkpoints; this version reads format {CHECKPOINT_FORMAT}")
+        )
     if hashlib.sha256(body).hexdigest().encode("ascii") != seal:
         raise CheckpointError(f"{path}: it is damaged")
     line, _, state = body.partition(b"\n")
     header = json.loads(line)
-    if header["format"] != state_format():
-        raise CheckpointError(f"{path}: its state is of another version of bayesnet-track")
+    if header["state"] != state_format():
+        raise CheckpointError(_of_another(path, "its state has other fields than this version stores"))
     positions = {name: Position(size, sha256) for name, (size, sha256) in header["outputs"].items()}
     return Checkpoint(
         **{name: header[name] for name in _NUMBERS},
         written=Written(positions, header["ids"]),
+        machine=header["machine"],
         state=state,
     )
+
+
+def _of_another(path: Path, what: str) -> str:
+    """What is wrong with a checkpoint of another program version, and which one can resume it."""
+    try:
+        writer = str(json.loads((path.parent / FILES["recipe"]).read_bytes())["versions"]["bayesnet-track"])[
+            :40
+        ]
+        which = f"bayesnet-track {writer}, which wrote it (pip install bayesnet-track=={writer})"
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        which = "the version of bayesnet-track that wrote it"
+    return f"{path}: {what}; resume it with {which}, or start the run again with --overwrite"
 
 
 _NUMBERS = ("recipe", "frame", "pixels", "frames", "reconfigurations", "lost_frames")
@@ -185,6 +210,7 @@ class Checkpoints:
         self._every_s, self._notice, self._clock = every_s, notice, clock
         self._due: float | None = clock() + every_s
         self._last: Reached | None = None
+        describe_machine()  # takes some ms the first time: not between two frames
         self._writer = ThreadPoolExecutor(1, "checkpoints")
         self._writing: Future[None] | None = None
         self._has_made = False

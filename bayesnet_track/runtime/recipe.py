@@ -137,14 +137,16 @@ class Recipe:
         except OSError as error:
             raise RecipeError(f"{path}: {error.strerror}") from error
         try:
-            plain = _changed(json.loads(text), _without_bytes)
+            plain = json.loads(text)
+            _check_format(path, plain)
+            plain = _changed(plain, _without_bytes)
             recipe: Recipe = _changed(_codec().validate_python(plain), _with_bytes)
+        except RecipeError:
+            raise
         except (ValueError, RecursionError) as error:
             raise RecipeError(
                 f"{path}: not the recipe of a run: {' '.join(str(error).split())[:300]}"
             ) from None
-        if recipe.recipe != RECIPE_VERSION:
-            raise RecipeError(f"{path}: version {recipe.recipe} of the format; this is {RECIPE_VERSION}")
         return recipe
 
     def open_source(self) -> Source | SceneSource:
@@ -183,6 +185,19 @@ class Recipe:
         if graph_sha256(text) != self.graph_sha256:
             raise RecipeError(f"{path}: another graph than the one that the run began with")
         return load_graph(path)
+
+
+def _check_format(path: Path, plain: object) -> None:
+    """Refuse a recipe of another format; raises RecipeError."""
+    if not isinstance(plain, dict) or plain.get("recipe", RECIPE_VERSION) == RECIPE_VERSION:
+        return
+    versions = plain.get("versions")
+    writer = versions.get("bayesnet-track") if isinstance(versions, dict) else None
+    told = f"bayesnet-track {str(writer)[:40]}" if writer else "the version of bayesnet-track"
+    raise RecipeError(
+        f"{path}: format {str(plain['recipe'])[:20]} of run.json; this version reads format "
+        f"{RECIPE_VERSION}: use {told}, which wrote it"
+    )
 
 
 def make_recipe(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 
@@ -15,7 +15,8 @@ from bayesnet_track.journal import disk
 from bayesnet_track.journal.codec import JournalError, from_json
 from bayesnet_track.journal.events import Event, RunEnded
 from bayesnet_track.journal.inputs import Input
-from bayesnet_track.journal.writer import OutputError, read_position
+from bayesnet_track.journal.reader import Notice
+from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.planes import Frame
 from bayesnet_track.runtime.ahead import keep_ahead, told_before
 from bayesnet_track.runtime.atomic import PART
@@ -36,18 +37,14 @@ from bayesnet_track.runtime.run import FrameSource, Result, Resumed, Sink, Summa
 from bayesnet_track.runtime.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.session import kept, opaque_agents, placed, prepared
 from bayesnet_track.runtime.stereo_source import check_depth
-from bayesnet_track.runtime.versions import versions
+from bayesnet_track.runtime.unchanged import ResumeError, check_outputs, check_same, permit_move
 
-Notice = Callable[[str], None]
+__all__ = ["ResumeError", "Standing", "resume", "standing"]
 
 BROKEN_OFF = ("interrupted", "error")
 """Reasons in the journal's last line after which there is something left to do."""
 
 TAIL_BYTES = 1 << 16
-
-
-class ResumeError(ValueError):
-    """A run that cannot go on: it, its source or this program is another than it was."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +89,7 @@ def resume(
     executor: str | Executing = "serial",
     workers: int | None = None,
     allow_plugins: Iterable[str] = (),
+    allow_other_machine: bool = False,
     notice: Notice | None = None,
 ) -> Generator[Result, None, None]:
     """Go on with the run in a run directory, yielding one result per frame from its checkpoint on.
@@ -111,6 +109,8 @@ def resume(
         workers: as for `track`.
         allow_plugins: as for `track`. What the run had is not allowed by that alone: its directory is data,
             and may come from elsewhere.
+        allow_other_machine: go on although the machine, its instruction sets or a library is another, which
+            gives other last digits than an unbroken run has; the journal says so (`machine_changed`).
         notice: told of what is worth knowing: a torn line, a run that begins anew and why.
 
     Raises (when the first result is asked for; nothing is changed then):
@@ -131,7 +131,9 @@ def resume(
         if standing(path).is_finished:
             return
         graph = recipe.load_graph(directory)
-        _check_same(recipe, source, motion)
+        check_same(recipe, source, motion)
+        checkpoint = _checkpoint(directory, recipe)
+        moves = permit_move(recipe, checkpoint, allow_other_machine, say)
         opened = stack.enter_context(recipe.opened()) if source is None else source
         detections = None if recipe.detections is None else recipe.detections.place
         engine = prepared(graph, recipe.seed, motion, detections)
@@ -142,11 +144,14 @@ def resume(
         asked = recipe.inputs.place if inputs is None and recipe.inputs is not None else inputs
         before = told_before(directory)
         outside = _outside(before, as_asked(asked))
-        checkpoint = _checkpoint(directory, recipe, engine, say)
+        anew = _why_anew(checkpoint, engine)
+        if anew:
+            say(f"it begins anew: {anew}")
+            checkpoint = None
         after: Resumed | None = None
         if checkpoint is not None:
-            _check_outputs(directory, checkpoint, say)
-            after = _skipped(opened, checkpoint, engine, told, say)
+            check_outputs(directory, checkpoint, say)
+            after = replace(_skipped(opened, checkpoint, engine, told, say), events=moves)
         # From here on files are changed.
         keep_ahead(directory, before, -1 if checkpoint is None else checkpoint.frame)
         _clear(directory, checkpoint)
@@ -191,78 +196,20 @@ def resume(
             remove(directory.ahead)
 
 
-# ------------------------------------------------------------------------------------ what must be the same
-
-
-def _check_same(recipe: Recipe, source: FrameSource | None, motion: Motion | None) -> None:
-    """Refuse another version, another source, other files; raises ResumeError, OSError, SourceError."""
-    if recipe.own_motion and motion is None:
-        raise ResumeError("it was tracked with a motion model of one's own: give it again, in Python")
-    if recipe.origin.only_once is not None:
-        if source is None:
-            raise ResumeError(f"it cannot go on: {recipe.origin.only_once}")
-        if recipe.has_video:
-            raise ResumeError(f"its video cannot be drawn again: {recipe.origin.only_once}")
-    here = versions()
-    names = {**recipe.versions, **here}
-    others = [
-        f"{name} {recipe.versions.get(name, 'none')}, now {here.get(name, 'none')}"
-        for name in names
-        if recipe.versions.get(name) != here.get(name)
-    ]
-    if others:
-        raise ResumeError(f"it began with other versions, which give other numbers: {'; '.join(others)}")
-    changes = [*recipe.origin.changes()] if source is None else []
-    for given in (recipe.detections, recipe.inputs):
-        changes += () if given is None else given.changes()
-    if changes:
-        raise ResumeError(f"what it reads is not what it was: {'; '.join(changes)}")
-
-
-def _checkpoint(directory: RunDirectory, recipe: Recipe, engine: Engine, say: Notice) -> Checkpoint | None:
+def _why_anew(checkpoint: Checkpoint | None, engine: Engine) -> str:
     opaque = opaque_agents(engine)
     if opaque:
-        say(f"it begins anew: what {', '.join(opaque)} keeps cannot be stored")
-        return None
+        return f"what {', '.join(opaque)} keeps cannot be stored"
+    return "there is no checkpoint" if checkpoint is None else ""
+
+
+def _checkpoint(directory: RunDirectory, recipe: Recipe) -> Checkpoint | None:
     if not directory.checkpoint.exists():
-        say("it begins anew: there is no checkpoint")
         return None
     checkpoint = read_checkpoint(directory.checkpoint)
     if checkpoint.recipe != recipe.sha256:
         raise CheckpointError(f"{directory.recipe}: another recipe than that of the checkpoint beside it")
     return checkpoint
-
-
-def _check_outputs(directory: RunDirectory, checkpoint: Checkpoint, say: Notice) -> None:
-    """Refuse outputs whose bytes up to the checkpoint are not those that were written.
-
-    Raises:
-        ResumeError: names the file.
-    """
-    for key, place in checkpoint.written.positions.items():
-        path = directory.path / FILES[key]
-        try:
-            found = read_position(path, place.size)
-            size = path.stat().st_size
-        except OSError as error:
-            raise ResumeError(f"{path}: {error.strerror}") from error
-        if found.size < place.size:
-            raise ResumeError(f"{path}: cut off: {found.size} bytes of {place.size} are left")
-        if found != place:
-            raise ResumeError(
-                f"{path}: changed since it was written: its first {place.size} bytes are others"
-            )
-        if size > place.size and not _ends_with_newline(path):
-            say(f"{path}: the last line is torn and was dropped")
-
-
-def _ends_with_newline(path: Path) -> bool:
-    with path.open("rb") as file:
-        file.seek(-1, 2)
-        return file.read(1) == b"\n"
-
-
-# ------------------------------------------------------------------------------------ going on
 
 
 def _skipped(

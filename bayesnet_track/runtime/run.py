@@ -138,10 +138,12 @@ class Resumed:
     Attributes:
         reached: how far it was.
         items: what the source gives after that.
+        events: what is told first.
     """
 
     reached: Reached
     items: Iterator[SourceItem]
+    events: tuple[Event, ...] = ()
 
 
 class Keeper(Protocol):
@@ -237,6 +239,8 @@ def run(
         told.lost_frames = after.reached.lost_frames
     opened = time.perf_counter()
     try:
+        for event in () if after is None else after.events:
+            tell(event)
         for item in source if after is None else after.items:
             if not isinstance(item, Frame):
                 told.notices.append(item)

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from types import UnionType
 from typing import get_args, get_origin
 
@@ -22,7 +22,7 @@ from bayesnet_track.journal.codec import (
     type_hints,
 )
 from bayesnet_track.journal.encoder import FLOAT_DIGITS
-from bayesnet_track.journal.events import FrameMetrics, RunEnded, SourceDamaged
+from bayesnet_track.journal.events import JOURNAL_VERSION, FrameMetrics, RunEnded, RunStarted, SourceDamaged
 
 SIMPLE = {
     float: st.floats(),
@@ -41,7 +41,9 @@ def strategy_of(hint):
     if isinstance(hint, UnionType):
         return st.one_of(*map(strategy_of, inner))
     if is_dataclass(hint):
-        return st.builds(hint, **{name: strategy_of(part) for name, part in type_hints(hint).items()})
+        made = st.builds(hint, **{name: strategy_of(part) for name, part in type_hints(hint).items()})
+        # A later format is refused.
+        return made.map(lambda event: replace(event, journal=JOURNAL_VERSION)) if hint is RunStarted else made
     if get_origin(hint) is tuple and inner[-1] is Ellipsis:
         return st.lists(strategy_of(inner[0]), max_size=4).map(tuple)
     if get_origin(hint) is tuple:

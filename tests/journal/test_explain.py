@@ -54,6 +54,7 @@ from bayesnet_track.journal.inputs import AgentMissed, InputRefused
 from bayesnet_track.journal.join_events import AttachmentChanged, OcclusionChanged, RingChanged
 from bayesnet_track.journal.jump_events import Reappeared
 from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
+from bayesnet_track.journal.machine_events import MachineChanged
 from bayesnet_track.journal.rival_events import RivalSeen
 
 STARTED = RunStarted(1, "two_squares", "ab" * 32, 0, "scene:two_squares", 320, 240, True, 200, 0.04)
@@ -164,6 +165,11 @@ GOLDEN = [
     (
         ParticlesLimited(176, "1", None, 250, 5.2, 20.0),
         "frame 176: frames took 5.2 ms of 20 → as many hypotheses as asked for, 250 before",
+    ),
+    (
+        MachineChanged(115, ("numpy 2.4.0, now 2.4.6", "NumPy CPU: without AVX2")),
+        "frame 115: the run continues on another machine or with other libraries: numpy 2.4.0, now 2.4.6; "
+        "NumPy CPU: without AVX2",
     ),
     (
         FramesDropped(117, 12),

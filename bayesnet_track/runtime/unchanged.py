@@ -1,0 +1,86 @@
+"""What must be as it was for a run to go on: its source, its outputs, the libraries and the machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bayesnet_track.belief.contract import Motion
+from bayesnet_track.journal.machine_events import MachineChanged
+from bayesnet_track.journal.reader import Notice
+from bayesnet_track.journal.writer import read_position
+from bayesnet_track.runtime.checkpoint import Checkpoint
+from bayesnet_track.runtime.machine import describe_machine, name_differences
+from bayesnet_track.runtime.recipe import Recipe
+from bayesnet_track.runtime.run import FrameSource
+from bayesnet_track.runtime.rundir import FILES, RunDirectory
+from bayesnet_track.runtime.versions import versions
+
+
+class ResumeError(ValueError):
+    """A run that cannot go on: it, its source or this program is another than it was."""
+
+
+def check_same(recipe: Recipe, source: FrameSource | None, motion: Motion | None) -> None:
+    """Refuse another version, another source, other files; raises ResumeError, OSError, SourceError."""
+    if recipe.own_motion and motion is None:
+        raise ResumeError("it was tracked with a motion model of one's own: give it again, in Python")
+    if recipe.origin.only_once is not None:
+        if source is None:
+            raise ResumeError(f"it cannot go on: {recipe.origin.only_once}")
+        if recipe.has_video:
+            raise ResumeError(f"its video cannot be drawn again: {recipe.origin.only_once}")
+    changes = [*recipe.origin.changes()] if source is None else []
+    for given in (recipe.detections, recipe.inputs):
+        changes += () if given is None else given.changes()
+    if changes:
+        raise ResumeError(f"what it reads is not what it was: {'; '.join(changes)}")
+
+
+def permit_move(
+    recipe: Recipe, checkpoint: Checkpoint | None, is_allowed: bool, say: Notice
+) -> tuple[MachineChanged, ...]:
+    """What to write down where the run goes on elsewhere; raises ResumeError where that is not allowed."""
+    if checkpoint is None:
+        changes = name_differences(recipe.versions, versions())
+    else:
+        changes = name_differences(checkpoint.machine, describe_machine())
+    if not changes:
+        return ()
+    told = "; ".join(changes)
+    if not is_allowed:
+        raise ResumeError(
+            "it was computed on another machine or with other libraries, which give other last digits: "
+            f"{told}; --allow-other-machine (allow_other_machine=True) goes on all the same, and the result "
+            "equals no unbroken run's"
+        )
+    say(f"it goes on although the machine or libraries differ: {told}")
+    return () if checkpoint is None else (MachineChanged(checkpoint.frame + 1, changes),)
+
+
+def check_outputs(directory: RunDirectory, checkpoint: Checkpoint, say: Notice) -> None:
+    """Refuse outputs whose bytes up to the checkpoint are not those that were written.
+
+    Raises:
+        ResumeError: names the file.
+    """
+    for key, place in checkpoint.written.positions.items():
+        path = directory.path / FILES[key]
+        try:
+            found = read_position(path, place.size)
+            size = path.stat().st_size
+        except OSError as error:
+            raise ResumeError(f"{path}: {error.strerror}") from error
+        if found.size < place.size:
+            raise ResumeError(f"{path}: cut off: {found.size} bytes of {place.size} are left")
+        if found != place:
+            raise ResumeError(
+                f"{path}: changed since it was written: its first {place.size} bytes are others"
+            )
+        if size > place.size and not _ends_with_newline(path):
+            say(f"{path}: the last line is torn and was dropped")
+
+
+def _ends_with_newline(path: Path) -> bool:
+    with path.open("rb") as file:
+        file.seek(-1, 2)
+        return file.read(1) == b"\n"

@@ -1,0 +1,63 @@
+"""Version 1 of the journal's format keeps every event and field that it ever had."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import MISSING, fields, is_dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+
+from bayesnet_track.journal.codec import JournalError, event_classes, event_name, from_json, type_hints
+from bayesnet_track.journal.document import words_of
+from bayesnet_track.journal.events import JOURNAL_VERSION
+
+FORMAT = Path(__file__).with_name("format_1.json")
+
+
+def within(hint: Any) -> Iterator[Any]:
+    """The dataclasses that a field may hold."""
+    if is_dataclass(hint):
+        yield hint
+    for part in get_args(hint):
+        yield from within(part)
+
+
+def described() -> dict[str, dict[str, list[object]]]:
+    """Object -> field -> its type, and whether it must be there."""
+    waiting, found = list(event_classes().values()), {}
+    while waiting:
+        kind: Any = waiting.pop()
+        name = event_name(kind)
+        if name in found:
+            continue
+        needed = {f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING}
+        hints = type_hints(kind)
+        found[name] = {field: [words_of(hint), field in needed] for field, hint in hints.items()}
+        waiting += [one for hint in hints.values() for one in within(hint)]
+    return found
+
+
+def test_no_event_or_field_is_gone_or_of_another_type_and_added_fields_have_a_default() -> None:
+    assert JOURNAL_VERSION == 1, "pin the new version's format beside this one"
+    then, now = json.loads(FORMAT.read_text()), described()
+    assert then.keys() <= now.keys()
+    for name, before in then.items():
+        after = now[name]
+        assert {field: after.get(field, ["gone"])[0] for field in before} == {
+            field: kind for field, (kind, _) in before.items()
+        }, name
+        must = {field for field, (_, is_needed) in after.items() if is_needed}
+        assert must <= {field for field, (_, is_needed) in before.items() if is_needed}, name
+
+
+def test_a_journal_of_a_later_format_is_refused_with_the_version_that_wrote_it() -> None:
+    line = json.dumps({"event": "run_started", "journal": 2, "versions": {"bayesnet-track": "7.5"}, "x": 1})
+    with pytest.raises(JournalError, match=r"format 2 of journals.*up to 1.*bayesnet-track 7\.5"):
+        from_json(line)
+
+
+if __name__ == "__main__":
+    FORMAT.write_text(json.dumps(dict(sorted(described().items())), indent=1) + "\n")
