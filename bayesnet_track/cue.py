@@ -216,7 +216,9 @@ class LocallyAdaptable(Protocol):
     def adapt(self, reference: Reference, attempt: int) -> Reference | None:
         """A reference (or parameters stored in it) tuned to be sharper; None when nothing is left to try.
 
-        `attempt` counts from 1 within one episode of high uncertainty.
+        `attempt` counts from 1 within one episode of high uncertainty. There may be many of them: together
+        they must go no further than the first, and learning takes the tuning back
+        (`bayesnet_track.numerics.sharpening` does both).
         """
         ...
 

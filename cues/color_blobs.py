@@ -25,14 +25,15 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
+from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.planes import Frame, Plane, Planes
 from bayesnet_track.vision.color_planes import Hue
 
 SHARE = 3
 """Column of a blob that holds its share of the box."""
 
-ATTEMPTS, SHARPER = 3, 0.7
-"""How often blobs can be matched more tightly in all, and by which factor on their standard deviations."""
+STEP = 0.7
+"""Factor of a local action on the standard deviations with which blobs are matched."""
 
 
 class ColorBlobsParameters(SizedCueParameters):
@@ -70,8 +71,8 @@ class ColorBlobs:
 
     A reference holds ``blobs`` (K, 4), each a centre relative to the box's in its widths and heights, a mean
     hue in degrees and a share of the box; ``size`` (2,), w and h in px; and ``sharper`` (), a factor on the
-    standard deviations of centre and hue, from 1 down to ``SHARPER ** ATTEMPTS``. Blobs below the least share
-    are remembered while they fade in or out, and not compared.
+    standard deviations of centre and hue. Blobs below the least share are remembered while they fade in or
+    out, and not compared.
     """
 
     parameters: ColorBlobsParameters
@@ -92,14 +93,13 @@ class ColorBlobs:
         return {
             "blobs": blobs[0, : found[0]],
             "size": np.array(box[2:], dtype=np.float64),
-            "sharper": np.array(1.0),
+            SHARPER: np.array(1.0),
         }
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """Matching blobs linearly (eq. 2.15, the hue round its circle), the size in its logarithm.
 
-        A blob without a match is blended with one of size 0 in its place: old ones fade out, new ones in. How
-        tightly blobs are matched goes back to 1 at the same rate.
+        A blob without a match is blended with one of size 0 in its place: old ones fade out, new ones in.
         """
         from bayesnet_track.numerics.blob_kernels import match_blobs
 
@@ -121,15 +121,12 @@ class ColorBlobs:
         return {
             "blobs": blobs[blobs[:, SHARE] > 0],
             "size": old["size"] * (new["size"] / old["size"]) ** rate,
-            "sharper": np.asarray((1.0 - rate) * old["sharper"] + rate * new["sharper"]),
+            **relax(old, new, rate),
         }
 
     def adapt(self, reference: Reference, attempt: int) -> Reference | None:
-        """A tighter match of the blobs, `ATTEMPTS` times; None at once when there is none to match."""
-        sharper, least = float(reference["sharper"]), SHARPER**ATTEMPTS
-        if attempt > ATTEMPTS or np.isclose(sharper, least) or not len(self._wanted(reference)):
-            return None
-        return {**reference, "sharper": np.array(max(sharper * SHARPER, least))}
+        """A tighter match of the blobs; None at once when there is none to match."""
+        return sharpen(reference, attempt, STEP) if len(self._wanted(reference)) else None
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """Minus the mean cost of the reference's blobs, with the size penalty, over the floor.
@@ -141,7 +138,7 @@ class ColorBlobs:
         from bayesnet_track.numerics.blob_kernels import blob_costs
 
         p, boxes = self.parameters, hypotheses.boxes
-        wanted, sharper = self._wanted(reference), float(reference["sharper"])
+        wanted, sharper = self._wanted(reference), factor_of(reference)
         blobs, found = self._blobs(planes, boxes)
         cost = blob_costs(blobs, found, wanted, sharper * p.sd_offset, sharper * p.sd_hue_deg, p.unmatched)
         cost += p.unmatched * _share_outside(boxes, planes.frame)

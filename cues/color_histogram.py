@@ -26,12 +26,14 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
+from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.planes import Plane, Planes
 from bayesnet_track.vision.color_planes import HueBins
 
 HALF_OVERLAP = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
-SHARPEN = 0.7
-ATTEMPTS = 3
+STEP = 0.7
+"""Factor of a local action on alpha."""
+
 LOG_AT_ZERO = np.logaddexp(0.0, -4.0)
 
 
@@ -66,7 +68,8 @@ class ColorHistogram:
     """The hue histogram at work.
 
     A reference holds ``shares`` (bins + 1,), the share of the box's visible pixels in each hue bin and, last,
-    without colour; ``alpha`` (), the distance at which the likelihood halves; ``size`` (2,), w and h in px.
+    without colour; ``alpha`` (), the distance at which the likelihood halves; ``size`` (2,), w and h in px;
+    ``sharper`` (), a factor on alpha.
     """
 
     parameters: ColorHistogramParameters
@@ -106,27 +109,28 @@ class ColorHistogram:
             "shares": shares,
             "alpha": np.array(max(alpha, self.parameters.alpha_min)),
             "size": np.array(box[2:], dtype=np.float64),
+            SHARPER: np.array(1.0),
         }
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """Shares and alpha linearly (eq. 2.15), the size in its logarithm."""
         size = old["size"] * (new["size"] / old["size"]) ** rate
-        return {**blend_arrays(old, new, rate), "size": size}
+        return {**blend_arrays(old, new, rate), **relax(old, new, rate), "size": size}
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """-log(1 + exp(4 (d - alpha) / alpha)), 0 at d = 0, times the size penalty, over the floor.
 
         Thesis eq. 3.3, corrected, and divided by its value 1 / (1 + e^-4) at distance 0.
         """
-        p, alpha = self.parameters, float(reference["alpha"])
+        p, alpha = self.parameters, float(reference["alpha"]) * factor_of(reference)
         distances, _ = self._distances(planes, hypotheses.boxes, reference["shares"])
         similarity = LOG_AT_ZERO - np.logaddexp(0.0, 4.0 * (distances - alpha) / alpha)
         size = log_size_penalty(hypotheses.boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
         return floored(similarity + size, p.floor)
 
     def adapt(self, reference: Reference, attempt: int) -> Reference | None:
-        """A sharper likelihood: alpha times 0.7, three times at most."""
-        return None if attempt > ATTEMPTS else {**reference, "alpha": reference["alpha"] * SHARPEN}
+        """A sharper likelihood."""
+        return sharpen(reference, attempt, STEP)
 
     def _distances(self, planes: Planes, boxes: Floats, shares: Floats) -> tuple[Floats, Floats]:
         """(N,) distances to the reference's shares, 0..1, and the share of each box outside the frame."""

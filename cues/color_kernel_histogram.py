@@ -25,11 +25,12 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
+from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.planes import Plane, Planes
 from bayesnet_track.vision.color_cells import ColorCells
 
-SHARPEN = 0.7
-ATTEMPTS = 3
+STEP = 0.7
+"""Factor of a local action on the variance."""
 
 
 class ColorKernelHistogramParameters(SizedCueParameters):
@@ -56,7 +57,8 @@ class ColorKernelHistogram:
     """The colour histogram under a kernel at work.
 
     A reference holds ``shares`` (cells,), the target's colours under the kernel, which sum to 1, or to 0
-    where nothing of it could be seen; ``variance`` () of the distance; ``size`` (2,), w and h in px.
+    where nothing of it could be seen; ``variance`` () of the distance; ``size`` (2,), w and h in px;
+    ``sharper`` (), a factor on the variance.
     """
 
     parameters: ColorKernelHistogramParameters
@@ -82,6 +84,7 @@ class ColorKernelHistogram:
             "shares": shares,
             "variance": np.array(self.parameters.variance),
             "size": np.array(box[2:], dtype=np.float64),
+            SHARPER: np.array(1.0),
         }
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
@@ -94,7 +97,7 @@ class ColorKernelHistogram:
         if rate < 1.0 and not new["shares"].any():
             return old
         size = old["size"] * (new["size"] / old["size"]) ** rate
-        return {**blend_arrays(old, new, rate), "size": size}
+        return {**blend_arrays(old, new, rate), **relax(old, new, rate), "size": size}
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """-(1 - rho) / (2 variance), chapter 3.92, corrected, with the size penalty, over the floor.
@@ -104,13 +107,12 @@ class ColorKernelHistogram:
         p = self.parameters
         rho = self.coefficients(planes, hypotheses.boxes, reference)
         size = log_size_penalty(hypotheses.boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
-        return floored((rho - 1.0) / (2.0 * float(reference["variance"])) + size, p.floor)
+        variance = float(reference["variance"]) * factor_of(reference)
+        return floored((rho - 1.0) / (2.0 * variance) + size, p.floor)
 
     def adapt(self, reference: Reference, attempt: int) -> Reference | None:
-        """A sharper likelihood: the variance times 0.7, three times at most."""
-        if attempt > ATTEMPTS:
-            return None
-        return {**reference, "variance": np.asarray(reference["variance"] * SHARPEN)}
+        """A sharper likelihood; None at once when the reference has no colours."""
+        return sharpen(reference, attempt, STEP) if reference["shares"].any() else None
 
     def coefficients(self, planes: Planes, boxes: Floats, reference: Reference) -> Floats:
         """(N,) Bhattacharyya coefficient of each centre box (N, 4) with the reference, 0..1."""

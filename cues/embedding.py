@@ -23,6 +23,7 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
+from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.planes import Plane, Planes
 from bayesnet_track.vision.whole_frame import WholeFrame
 
@@ -30,8 +31,8 @@ if TYPE_CHECKING:
     from bayesnet_track.vision.embedding import Embed
 
 HALF_OVERLAP = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
-ATTEMPTS, SHARPEN = 3, 0.7
-"""How often the cue can be made sharper in all, and by which factor on alpha."""
+STEP = 0.7
+"""Factor of a local action on alpha."""
 
 
 class EmbeddingParameters(SizedCueParameters):
@@ -69,7 +70,7 @@ class Embedding:
     """An embedding at work.
 
     A reference holds ``vector`` (D,), the target's; ``alpha`` (), the distance at which the likelihood
-    halves; ``size`` (2,), w and h in px; ``sharper`` (), a factor on alpha, from 1 to `SHARPEN ** ATTEMPTS`.
+    halves; ``size`` (2,), w and h in px; ``sharper`` (), a factor on alpha.
     """
 
     parameters: EmbeddingParameters
@@ -91,13 +92,13 @@ class Embedding:
             "vector": vector,
             "alpha": np.array(max(alpha, self.parameters.alpha_min)),
             "size": np.array(box[2:]),
-            "sharper": np.array(1.0),
+            SHARPER: np.array(1.0),
         }
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """Linear (eq. 2.15), the size in its logarithm."""
         size = old["size"] * (new["size"] / old["size"]) ** rate
-        return {**blend_arrays(old, new, rate), "size": size}
+        return {**blend_arrays(old, new, rate), **relax(old, new, rate), "size": size}
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """-log(1 + exp(4 (d - alpha) / alpha)), 0 at d = 0, plus the size penalty, over the floor.
@@ -110,7 +111,7 @@ class Embedding:
         p, boxes, size = self.parameters, hypotheses.boxes, reference["size"]
         if not len(boxes) or not reference["vector"].any():
             return np.zeros(len(boxes))
-        alpha = float(reference["alpha"] * reference["sharper"])
+        alpha = float(reference["alpha"]) * factor_of(reference)
         asked, which = representatives(boxes, size, p.step, p.max_crops)
         distances = self._distances(planes, asked, reference["vector"])[which]
         similarity = np.logaddexp(0.0, -4.0) - np.logaddexp(0.0, 4.0 * (distances - alpha) / alpha)
@@ -118,11 +119,8 @@ class Embedding:
         return floored(similarity + penalty, p.floor)
 
     def adapt(self, reference: Reference, attempt: int) -> Reference | None:
-        """A sharper likelihood, `ATTEMPTS` times; None at once when the vector has no length."""
-        sharper, most = float(reference["sharper"]), SHARPEN**ATTEMPTS
-        if attempt > ATTEMPTS or np.isclose(sharper, most) or not reference["vector"].any():
-            return None
-        return {**reference, "sharper": np.array(max(sharper * SHARPEN, most))}
+        """A sharper likelihood; None at once when the vector has no length."""
+        return sharpen(reference, attempt, STEP) if reference["vector"].any() else None
 
     def _vectors(self, planes: Planes, boxes: Floats) -> Floats:
         from bayesnet_track.vision.embedding import crops_at

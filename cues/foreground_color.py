@@ -24,6 +24,7 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
+from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.planes import Frame, Plane, Planes
 from bayesnet_track.vision.whole_frame import WholeFrame
 
@@ -32,8 +33,8 @@ if TYPE_CHECKING:
 
 Bytes = NDArray[np.uint8]
 
-ATTEMPTS, SHARPEN = 3, 1.4
-"""How often the cue can be made sharper in all, and by which factor on the gain."""
+STEP = 1.4
+"""Factor of a local action on the gain."""
 
 
 class ForegroundColorParameters(SizedCueParameters):
@@ -94,7 +95,7 @@ class ForegroundColor:
     A reference holds ``foreground``, ``background`` and ``memory`` (cells,), the share of the box's, the
     ring's and the wide ring's visible pixels in each cell of colour; ``posterior`` (cells,) uint8, the
     probability of the target by colour, of 255; ``contrast`` (), that of the target's own box; ``size`` (2,),
-    w and h in px; ``sharper`` (), a factor on the gain, from 1 to `SHARPEN ** ATTEMPTS`.
+    w and h in px; ``sharper`` (), a factor on the gain.
     """
 
     parameters: ForegroundColorParameters
@@ -117,7 +118,7 @@ class ForegroundColor:
             "background": f.shares(f.counted(frame, cells, f.grown(box, p.surround)) - whole),
             "memory": f.shares(f.counted(frame, cells, f.grown(box, p.wide)) - whole),
             "size": np.array(box[2:]),
-            "sharper": np.array(1.0),
+            SHARPER: np.array(1.0),
         }
         learnt["posterior"] = self._posterior(learnt)
         contrast = self.contrasts(frame, box[None], learnt["posterior"])[0]
@@ -128,10 +129,10 @@ class ForegroundColor:
         slow = {"memory": 1.0 - (1.0 - rate) ** self.parameters.memory_rate}
         blended = {
             name: np.asarray((1.0 - slow.get(name, rate)) * old[name] + slow.get(name, rate) * new[name])
-            for name in ("foreground", "background", "memory", "contrast", "sharper")
+            for name in ("foreground", "background", "memory", "contrast")
         }
         size = old["size"] * (new["size"] / old["size"]) ** rate
-        return {**blended, "size": size, "posterior": self._posterior(blended)}
+        return {**blended, **relax(old, new, rate), "size": size, "posterior": self._posterior(blended)}
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """gain * min(contrast - the target's own contrast, 0), plus the size penalty, over the floor.
@@ -145,16 +146,13 @@ class ForegroundColor:
         if own <= 0.0:
             return np.zeros(len(hypotheses))
         contrast = self.contrasts(planes.frame, hypotheses.boxes, reference["posterior"])
-        log = p.gain * float(reference["sharper"]) * np.minimum(contrast - own, 0.0)
+        log = p.gain * factor_of(reference) * np.minimum(contrast - own, 0.0)
         size = log_size_penalty(hypotheses.boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
         return floored(log + size, p.floor)
 
     def adapt(self, reference: Reference, attempt: int) -> Reference | None:
-        """A larger gain, `ATTEMPTS` times; None at once when the target has no contrast."""
-        sharper, most = float(reference["sharper"]), SHARPEN**ATTEMPTS
-        if attempt > ATTEMPTS or np.isclose(sharper, most) or float(reference["contrast"]) <= 0.0:
-            return None
-        return {**reference, "sharper": np.array(min(sharper * SHARPEN, most))}
+        """A larger gain; None at once when the target has no contrast."""
+        return sharpen(reference, attempt, STEP) if float(reference["contrast"]) > 0.0 else None
 
     def _cells(self, frame: Frame) -> Cells:
         from bayesnet_track.vision.foreground import Cells

@@ -21,6 +21,7 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
+from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.vision.gray_plane import GrayPlane
 
 if TYPE_CHECKING:
@@ -31,10 +32,10 @@ Ints = NDArray[np.int64]
 LOOKS = (("grid", "known"), ("coarse", "coarse_known"))
 """The arrays of a reference: mean gray of cells, and how much of them was seen; the first look's last."""
 
-ATTEMPTS, SHARPEN = 3, 1.2
-"""How often the cue can be made sharper in all, and by which factor on the exponent.
+STEP = 1.2
+"""Factor of a local action on the exponent.
 
-Small steps: the peak is a few px wide as it is, and of a peak that is much narrower too few hypotheses know.
+A small one: the peak is a few px wide as it is, and of a peak that is much narrower too few hypotheses know.
 """
 
 
@@ -99,7 +100,7 @@ class IntensityCue:
 
     Reference: `grid` (G, G) mean gray of each cell, rows top to bottom; `known` (G, G) the share of each cell
     that lay inside the frame when learnt; `size` (2,) width and height in pixels; `sharper` () factor on the
-    exponent, from 1 to `SHARPEN ** ATTEMPTS`; with a first look also `coarse` and `coarse_known` (C, C), the
+    exponent; with a first look also `coarse` and `coarse_known` (C, C), the
     same of its cells.
     """
 
@@ -129,28 +130,22 @@ class IntensityCue:
                 sampling = _sampling(planes, self.gray, np.asarray(box, dtype=np.float64))
                 patch_means(*sampling, means, shares)
             learnt |= {grid: means, known: shares}
-        return {**learnt, "size": np.array(box[2:], dtype=np.float64), "sharper": np.array(1.0)}
+        return {**learnt, "size": np.array(box[2:], dtype=np.float64), SHARPER: np.array(1.0)}
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
-        """Linear (eq. 2.15), cell by cell; what only one of the two has seen counts as far as it was seen.
-
-        How sharp the cue is goes back to 1 at the same rate.
-        """
+        """Linear (eq. 2.15), cell by cell; what only one of the two has seen counts as far as it was seen."""
         blended: dict[str, Floats] = {}
         for _, (grid, known) in zip(self._cells, LOOKS, strict=False):
             weight_old, weight_new = (1.0 - rate) * old[known], rate * new[known]
             total, seen = weight_old * old[grid] + weight_new * new[grid], weight_old + weight_new
             blended[grid] = np.divide(total, seen, out=np.array(old[grid]), where=seen > 0)
             blended[known] = seen
-        rest = {name: np.asarray((1.0 - rate) * old[name] + rate * new[name]) for name in ("size", "sharper")}
-        return {**blended, **rest}
+        size = (1.0 - rate) * old["size"] + rate * new["size"]
+        return {**blended, **relax(old, new, rate), "size": size}
 
     def adapt(self, reference: Reference, attempt: int) -> Reference | None:
-        """A sharper comparison, `ATTEMPTS` times; None at once when the reference has seen nothing."""
-        sharper, most = float(reference["sharper"]), SHARPEN**ATTEMPTS
-        if attempt > ATTEMPTS or np.isclose(sharper, most) or self._weights(reference["known"]).sum() <= 0.0:
-            return None
-        return {**reference, "sharper": np.array(min(sharper * SHARPEN, most))}
+        """A sharper comparison; None at once when the reference has seen nothing."""
+        return sharpen(reference, attempt, STEP) if self._weights(reference["known"]).sum() > 0.0 else None
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """(N,) log-likelihood. Cells outside the frame count as unmatched; a box outside is at the floor.
@@ -163,7 +158,7 @@ class IntensityCue:
             return np.zeros(len(hypotheses))
         boxes = np.ascontiguousarray(hypotheses.boxes, dtype=np.float64)
         penalty = log_size_penalty(boxes, reference["size"], settings.sd_log_area, settings.sd_log_aspect)
-        sharpness = settings.sharpness * float(reference["sharper"])
+        sharpness = settings.sharpness * factor_of(reference)
         if settings.coarse:
             log = self._look(planes, boxes, reference["coarse"], reference["coarse_known"])
             fine = sharpness * log + penalty >= np.log(settings.coarse_below)

@@ -23,16 +23,17 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
+from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.vision.dense_flow_planes import DenseFlowPlane
 from bayesnet_track.vision.motion_planes import CameraPlane, FlowPlane, against_background
 
 if TYPE_CHECKING:
     from bayesnet_track.planes import Plane, Planes
 
-ATTEMPTS, SHARPER = 3, 0.7
-"""How often flows can be compared more strictly in all, and by which factor on their standard deviations.
+STEP = 0.7
+"""Factor of a local action on the standard deviations of flow.
 
-All three leave 0.34 of them: of the default 0.7 px, which is still more than the flow is wrong by.
+All three steps leave 0.34 of them: of the default 0.7 px, which is still more than the flow is wrong by.
 """
 
 
@@ -101,7 +102,7 @@ class MotionCue:
 
     Reference: `flow` (2,) mean of the valid vectors, pixels per frame interval; `valid` () their number;
     `size` (2,) width and height in pixels; `known` () 1, or 0 when no valid vector was seen; `sharper` ()
-    factor on the standard deviations of flow, from 1 down to `SHARPER ** ATTEMPTS`.
+    factor on the standard deviations of flow.
     """
 
     parameters: MotionParameters
@@ -127,26 +128,20 @@ class MotionCue:
             "valid": np.array(counts[0]),
             "size": np.array(box[2:], dtype=np.float64),
             "known": np.array(float(known)),
-            "sharper": np.array(1.0),
+            SHARPER: np.array(1.0),
         }
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
-        """Linear (eq. 2.15); an unknown reference gives way to a known one whole.
-
-        How strict the cue is stays as in `old`: at the rate at which flow is learnt it would be gone at once.
-        """
+        """Linear (eq. 2.15); an unknown reference gives way to a known one whole."""
         if not new["known"]:
             return old
         if not old["known"]:
-            return {**new, "sharper": old["sharper"]}
-        return {**blend_arrays(old, new, rate), "sharper": old["sharper"]}
+            return {**new, **relax(old, new, rate)}
+        return {**blend_arrays(old, new, rate), **relax(old, new, rate)}
 
     def adapt(self, reference: Reference, attempt: int) -> Reference | None:
-        """Flows compared more strictly, `ATTEMPTS` times; None at once when the target's is unknown."""
-        sharper, least = float(reference["sharper"]), SHARPER**ATTEMPTS
-        if attempt > ATTEMPTS or np.isclose(sharper, least) or not reference["known"]:
-            return None
-        return {**reference, "sharper": np.array(max(sharper * SHARPER, least))}
+        """Flows compared more strictly; None at once when the target's is unknown."""
+        return sharpen(reference, attempt, STEP) if reference["known"] else None
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """(N,) log of min(n / n_ref, 1) exp(-(dx^2 / 2 sd_x^2 + dy^2 / 2 sd_y^2)), thesis eq. 3.9, corrected.
@@ -193,7 +188,7 @@ class MotionCue:
         return bool(np.mean(np.sum((vectors[inside, 2:4] - mean) ** 2, axis=1)) <= limit**2)
 
     def _log_agreement(self, flows: Floats, reference: Reference) -> Floats:
-        sd = np.array([self.parameters.sd_x_px, self.parameters.sd_y_px]) * float(reference["sharper"])
+        sd = np.array([self.parameters.sd_x_px, self.parameters.sd_y_px]) * factor_of(reference)
         off = (flows - reference["flow"]) / sd
         return np.asarray(-0.5 * (off**2).sum(axis=1))
 

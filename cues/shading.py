@@ -22,13 +22,14 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
+from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.vision.gray_plane import GrayPlane
 
 if TYPE_CHECKING:
     from bayesnet_track.planes import Plane, Planes
 
-SHARPEN = 1.4
-ATTEMPTS = 3
+STEP = 1.4
+"""Factor of a local action on the exponent."""
 
 
 class ShadingParameters(SizedCueParameters):
@@ -60,7 +61,7 @@ class ShadingCue:
     """Compares the coefficients of smooth brightness.
 
     Reference: `shading` (K,) coefficients in gray levels; `known` () the weight of the cells that lay inside
-    the frame when learnt; `size` (2,) width and height in px; `sharpness` () factor on the log-likelihood.
+    the frame when learnt; `size` (2,) width and height in px; `sharper` () factor on the log-likelihood.
     """
 
     parameters: ShadingParameters
@@ -79,7 +80,7 @@ class ShadingCue:
             "shading": shading[0],
             "known": np.array(known[0]),
             "size": np.array(box[2:], dtype=np.float64),
-            "sharpness": np.array(1.0),
+            SHARPER: np.array(1.0),
         }
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
@@ -90,7 +91,7 @@ class ShadingCue:
             "shading": (1.0 - share) * old["shading"] + share * new["shading"],
             "known": np.asarray(known),
             "size": (1.0 - rate) * old["size"] + rate * new["size"],
-            "sharpness": np.asarray((1.0 - rate) * old["sharpness"] + rate * new["sharpness"]),
+            **relax(old, new, rate),
         }
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
@@ -111,13 +112,11 @@ class ShadingCue:
         log = -(1.0 - np.minimum(share, 1.0) * np.clip(rho, 0.0, 1.0)) / p.sd_pattern**2
         log = np.where(share > 0.0, log, -np.inf)
         penalty = log_size_penalty(hypotheses.boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
-        return floored(reference["sharpness"] * log + penalty, p.floor)
+        return floored(factor_of(reference) * log + penalty, p.floor)
 
     def adapt(self, reference: Reference, attempt: int) -> Reference | None:
-        """A sharper likelihood: 1.4 times the exponent, three times at most."""
-        if attempt > ATTEMPTS:
-            return None
-        return {**reference, "sharpness": np.asarray(reference["sharpness"] * SHARPEN)}
+        """A sharper likelihood; None at once when the reference has seen nothing."""
+        return sharpen(reference, attempt, STEP) if reference["known"] > 0.0 else None
 
     def shading(self, planes: Planes, boxes: Floats) -> tuple[Floats, Floats]:
         """Of centre boxes (N, 4): (N,) weight inside the frame, (N, K) coefficients in gray levels."""

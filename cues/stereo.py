@@ -22,13 +22,14 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
+from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.vision.stereo_planes import Correlation, Matcher, PointsPlane, Range, SemiGlobal
 
 if TYPE_CHECKING:
     from bayesnet_track.planes import Plane, Planes
 
-ATTEMPTS, SHARPER = 3, 0.7
-"""How often the cue can be made sharper, and by which factor on its standard deviations."""
+STEP = 0.7
+"""Factor of a local action on the standard deviations."""
 
 HAIR_M = 0.001
 """Added to width and height before their ratio is taken, so that a blob of one point has one."""
@@ -142,30 +143,25 @@ class StereoCue:
             "features": features[0],
             "size": np.array(box[2:], dtype=np.float64),
             "known": np.array(float(has_blob[0])),
-            "sharper": np.array(1.0),
+            SHARPER: np.array(1.0),
         }
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
-        """Linear (eq. 2.15), the size in its logarithm; an unknown one gives way to a known one whole.
-
-        How sharp the cue is stays as in `old`.
-        """
+        """Linear (eq. 2.15), the size in its logarithm; an unknown one gives way to a known one whole."""
         if not new["known"]:
             return old
         if not old["known"]:
-            return {**new, "sharper": old["sharper"]}
+            return {**new, **relax(old, new, rate)}
         return {
             "features": (1.0 - rate) * old["features"] + rate * new["features"],
             "size": old["size"] * (new["size"] / old["size"]) ** rate,
             "known": old["known"],
-            "sharper": old["sharper"],
+            **relax(old, new, rate),
         }
 
     def adapt(self, reference: Reference, attempt: int) -> Reference | None:
-        """The reference with smaller standard deviations, `ATTEMPTS` times."""
-        if attempt > ATTEMPTS:
-            return None
-        return {**reference, "sharper": np.asarray(reference["sharper"] * SHARPER)}
+        """Smaller standard deviations; None at once when the reference is unknown."""
+        return sharpen(reference, attempt, STEP) if reference["known"] else None
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """(N,) log of the Gaussian of eq. 3.6 over its largest value, and the size penalty, over the floor.
@@ -176,7 +172,7 @@ class StereoCue:
             return np.zeros(len(hypotheses))
         settings, boxes = self.parameters, hypotheses.boxes
         features, has_blob = self._features(planes, boxes)
-        off = (features - reference["features"]) / (self._sd() * float(reference["sharper"]))
+        off = (features - reference["features"]) / (self._sd() * factor_of(reference))
         log = np.where(has_blob, -0.5 * (off**2).sum(axis=1), -np.inf)
         size = log_size_penalty(boxes, reference["size"], settings.sd_log_area, settings.sd_log_aspect)
         return floored(log + size, settings.floor)

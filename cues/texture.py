@@ -23,12 +23,13 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
+from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.planes import Plane, Planes
 from bayesnet_track.vision.texture import TextureCodes
 
 HALF_OVERLAP = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
-ATTEMPTS, SHARPEN = 3, 0.7
-"""How often the cue can be made sharper in all, and by which factor on alpha."""
+STEP = 0.7
+"""Factor of a local action on alpha."""
 
 
 class TextureParameters(SizedCueParameters):
@@ -66,7 +67,7 @@ class Texture:
 
     A reference holds ``shares`` (cells, cells, codes), how often each code occurs in each cell, of all of its
     pixels; ``alpha`` (), the distance at which the likelihood halves; ``size`` (2,), w and h in px;
-    ``sharper`` (), a factor on alpha, from 1 to `SHARPEN ** ATTEMPTS`.
+    ``sharper`` (), a factor on alpha.
     """
 
     parameters: TextureParameters
@@ -97,13 +98,13 @@ class Texture:
             "shares": shares,
             "alpha": np.array(max(alpha, p.alpha_min)),
             "size": np.array(box[2:], dtype=np.float64),
-            "sharper": np.array(1.0),
+            SHARPER: np.array(1.0),
         }
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """Linear (eq. 2.15), the size in its logarithm."""
         size = old["size"] * (new["size"] / old["size"]) ** rate
-        return {**blend_arrays(old, new, rate), "size": size}
+        return {**blend_arrays(old, new, rate), **relax(old, new, rate), "size": size}
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """-log(1 + exp(4 (d - alpha) / alpha)), 0 at d = 0, plus the size penalty, over the floor.
@@ -111,7 +112,7 @@ class Texture:
         d is the Bhattacharyya distance, sqrt(1 - rho), rho the mean over cells; thesis eq. 3.3, corrected.
         All 0 when the reference has seen nothing.
         """
-        p, alpha = self.parameters, float(reference["alpha"] * reference["sharper"])
+        p, alpha = self.parameters, float(reference["alpha"]) * factor_of(reference)
         if not reference["shares"].any():
             return np.zeros(len(hypotheses))
         distances = self._distances(planes, hypotheses.boxes, reference["shares"])
@@ -120,11 +121,8 @@ class Texture:
         return floored(similarity + size, p.floor)
 
     def adapt(self, reference: Reference, attempt: int) -> Reference | None:
-        """A sharper likelihood, `ATTEMPTS` times; None at once when the reference has seen nothing."""
-        sharper, most = float(reference["sharper"]), SHARPEN**ATTEMPTS
-        if attempt > ATTEMPTS or np.isclose(sharper, most) or not reference["shares"].any():
-            return None
-        return {**reference, "sharper": np.array(max(sharper * SHARPEN, most))}
+        """A sharper likelihood; None at once when the reference has seen nothing."""
+        return sharpen(reference, attempt, STEP) if reference["shares"].any() else None
 
     def _distances(self, planes: Planes, boxes: Floats, shares: Floats) -> Floats:
         """(N,) Bhattacharyya distances to the reference's shares, 0..1."""

@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 from pydantic import Field, create_model
 
-from bayesnet_track.cue import Cue, CueDeclaration, Hypotheses, MeasuringCue, Reference, installed_cues
+from bayesnet_track.cue import (
+    Cue,
+    CueDeclaration,
+    Hypotheses,
+    LocallyAdaptable,
+    MeasuringCue,
+    Reference,
+    installed_cues,
+)
 from bayesnet_track.depth import RightEye, StereoGeometry
 from bayesnet_track.planes import Frame, FramePair, PlaneCache, Planes, Region, region_of_boxes
 from bayesnet_track.plugins import allow
@@ -122,7 +130,7 @@ if OTHERS:
 
 
 def _names(kind):
-    """Installed cues of a kind: those that score hypotheses, or those that measure by the picture."""
+    """Installed cues of a kind: they score, measure by the picture, or act on their own uncertainty."""
     found = (n for n, one in installed_cues().items() if isinstance(one.make(one.parameters()), kind))
     return sorted(n for n in found if not installed_cues()[n].reads_claim)
 
@@ -157,6 +165,13 @@ def _declaration(name):
 @pytest.fixture(params=[*_names(Cue), *(pytest.param(name, marks=pytest.mark.slow) for name in VARIANTS)])
 def asked(request):
     declaration = _declaration(request.param)
+    return Asked(declaration, declaration.make(declaration.parameters()))
+
+
+@pytest.fixture(params=_names(LocallyAdaptable))
+def adapting(request):
+    """A cue that acts on its own uncertainty."""
+    declaration = installed_cues()[request.param]
     return Asked(declaration, declaration.make(declaration.parameters()))
 
 

@@ -173,16 +173,6 @@ def test_blend_mixes_shares_and_sizes(ask):
     assert between["size"] == pytest.approx([20 * 2**0.25, 20])
 
 
-def test_three_local_actions_sharpen_alpha(ask):
-    asked = ask("color_histogram")
-    reference = asked.learn(still(picture(60, 60)), np.array([30.0, 30, 20, 20]))
-    for attempt in (1, 2, 3):
-        tuned = asked.cue.adapt(reference, attempt)
-        assert tuned["alpha"] == pytest.approx(0.7 * reference["alpha"])
-        reference = tuned
-    assert asked.cue.adapt(reference, 4) is None
-
-
 def test_alpha_is_learnt_inside_the_frame(ask):
     asked = ask("color_histogram")
     image = picture(120, 160)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cue import Cue, CueParameters, LocallyAdaptable, context_of
+from bayesnet_track.cue import Cue, CueParameters, context_of
 from bayesnet_track.planes import PlaneCache, Region, region_of_boxes
 
 
@@ -249,17 +249,34 @@ def test_blend_goes_from_old_to_new(asked, scene):
     check_values(asked, asked.score(pair, boxes, between), len(boxes))
 
 
-def test_local_action_ends(asked, scene):
-    if not isinstance(asked.cue, LocallyAdaptable):
-        return
-    pair, boxes = scene.pair(), scene.around(scene.start)
-    reference = asked.learn(pair, scene.box())
+def act_locally(asked, reference):
+    """The reference after an episode of uncertainty: the cue does all that it can."""
     for attempt in range(1, 100):
         tuned = asked.cue.adapt(reference, attempt)
         if tuned is None:
-            break
+            return reference
         assert tuned.keys() == reference.keys()
-        check_values(asked, asked.score(pair, boxes, tuned), len(boxes))
         reference = tuned
-    else:
-        pytest.fail("adapt never ran out of attempts")
+    pytest.fail("adapt never ran out of attempts")
+
+
+def test_five_episodes_of_local_action_go_no_further_than_one(adapting, scene):
+    pair, boxes = scene.pair(), scene.around(scene.start)
+    learnt = adapting.learn(pair, scene.box())
+    once = reference = act_locally(adapting, learnt)
+    for _ in range(4):
+        reference = act_locally(adapting, reference)
+    tuned = adapting.score(pair, boxes, reference)
+    check_values(adapting, tuned, len(boxes))
+    np.testing.assert_allclose(tuned, adapting.score(pair, boxes, once), rtol=1e-9)
+    assert np.abs(tuned - adapting.score(pair, boxes, learnt)).max() > 0.1  # it did something
+
+
+def test_certain_frames_take_local_action_back(adapting, scene):
+    pair, boxes = scene.pair(), scene.around(scene.start)
+    learnt = adapting.learn(pair, scene.box())
+    reference = act_locally(adapting, learnt)
+    for _ in range(200):
+        reference = adapting.cue.blend(reference, learnt, 0.05)
+    values = adapting.score(pair, boxes, reference)
+    np.testing.assert_allclose(values, adapting.score(pair, boxes, learnt), atol=1e-3)

@@ -149,4 +149,3 @@ def test_each_attempt_takes_from_boxes_that_are_off_and_ends(ask, scene):
         values.append(asked.score(pair, off, reference)[0])
     assert np.all(np.diff(values) < 0)
     assert asked.cue.adapt(reference, 1) is None  # the next episode cannot go further
-    assert asked.cue.blend(reference, asked.learn(pair, scene.box()), 1.0)["sharper"] == 1.0

@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cue import Hypotheses
+from bayesnet_track.cue import Hypotheses, LocallyAdaptable, installed_cues
 from bayesnet_track.numerics.divergence import uncertainty_deviation
+from bayesnet_track.numerics.sharpening import factor_of
 from bayesnet_track.planes import Frame, FramePair, Planes, Region
 
 STEPS = 3
@@ -126,12 +127,52 @@ def test_nothing_changes_unless_it_is_asked_for(case):
         assert cue.blend(reference, reference, float(rate))["sharper"] == 1.0
 
 
-def test_learning_takes_it_back_where_it_is_slow(case):
-    cue, _, reference = case
+SHARPENING = (
+    "color_blobs",
+    "color_histogram",
+    "color_kernel_histogram",
+    "embedding",
+    "foreground_color",
+    "intensity",
+    "motion",
+    "shading",
+    "stereo",
+    "texture",
+)
+
+
+def test_these_are_all_that_sharpen():
+    adaptable = {
+        name
+        for name, one in installed_cues().items()
+        if isinstance(one.make(one.parameters()), LocallyAdaptable)
+    }
+    assert adaptable == {*SHARPENING, "shape"}  # shape tries other edges instead
+
+
+@pytest.fixture(params=SHARPENING)
+def sharpening(request, ask, scene):
+    """A cue that multiplies a width or an exponent, and what it learnt."""
+    asked = ask(request.param)
+    return asked.cue, asked.learn(scene.pair(), scene.box())
+
+
+def test_many_short_episodes_go_no_further_than_a_long_one(sharpening):
+    cue, reference = sharpening
+    most = factor_of(tuned(cue, reference))
+    for _ in range(5):
+        reference = cue.adapt(reference, 1) or reference
+    assert factor_of(reference) == pytest.approx(most)
+    assert cue.adapt(reference, 1) is None
+
+
+def test_all_go_back_by_the_rate_of_learning_and_a_twentieth_at_most(sharpening):
+    cue, reference = sharpening
     sharpest = tuned(cue, reference)
-    kept = cue.blend(sharpest, reference, 0.25)["sharper"] / sharpest["sharper"]
-    back = (0.75 * sharpest["sharper"] + 0.25) / sharpest["sharper"]
-    assert kept == pytest.approx(1.0 if "flow" in reference else float(back))
+    most = factor_of(sharpest)
+    for rate, share in ((0.0, 0.0), (0.02, 0.02), (0.05, 0.05), (0.3, 0.05), (1.0, 0.05)):
+        back = factor_of(cue.blend(sharpest, reference, rate))
+        assert back == pytest.approx(most + share * (1.0 - most)), rate
 
 
 @pytest.mark.parametrize("name", ["intensity", "color_blobs", "motion"])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cue import Hypotheses
-from bayesnet_track.cues.shading import ATTEMPTS, CUE, SHARPEN, ShadingCue, polynomials
+from bayesnet_track.cues.shading import CUE, ShadingCue, polynomials
 from bayesnet_track.planes import Frame, FramePair, PlaneCache, Planes, Region
 
 BOX = [60.0, 50.0, 40.0, 40.0]
@@ -108,17 +108,3 @@ def test_what_lies_outside_does_not_match_and_is_not_learnt() -> None:
     outside = cue.learn(planes_of(cue, gray), np.array([-100.0, 50, 40, 40]))
     assert scores(cue, gray, [BOX], outside).tolist() == [0.0]
     assert cue.blend(outside, reference, 0.1)["shading"] == pytest.approx(reference["shading"])
-
-
-def test_it_sharpens_itself_and_learning_takes_that_back() -> None:
-    cue, gray = made(), hill(60, 50, (24.0, -8.0), 14.0)
-    first = reference = cue.learn(planes_of(cue, gray), np.array(BOX))
-    beside = [[66.0, 54.0, 40.0, 40.0]]
-    values = [scores(cue, gray, beside, reference)[0]]
-    for attempt in range(1, ATTEMPTS + 1):
-        reference = cue.adapt(reference, attempt)
-        values.append(scores(cue, gray, beside, reference)[0])
-    assert np.all(np.diff(values) < 0)
-    assert reference["sharpness"] == pytest.approx(SHARPEN**ATTEMPTS)
-    assert cue.adapt(reference, ATTEMPTS + 1) is None
-    assert cue.blend(reference, first, 1.0)["sharpness"] == 1.0
