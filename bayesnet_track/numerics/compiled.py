@@ -37,6 +37,8 @@ def plain(array: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _compiled(function: Kernel, relaxed: bool | set[str]) -> Kernel:
+    if numba.config.DISABLE_JIT:  # NUMBA_DISABLE_JIT=1, to debug a kernel: it stays plain Python
+        return function
     # A kernel that another one calls exists twice, alone and within the caller, and sums of the two may be
     # ordered differently. Which of them is called depends on what came from the cache, unless it is inlined.
     settings: dict[str, Any] = {"nogil": True, "fastmath": relaxed, "forceinline": True}

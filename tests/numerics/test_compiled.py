@@ -97,3 +97,10 @@ def test_importing_the_kernels_of_the_library_does_not_need_a_cache(tmp_path):
     folder = Path(__file__).parents[2]
     done = subprocess.run([sys.executable, "-c", code], env=environment, cwd=folder)
     assert done.returncode == 0
+
+
+def test_with_the_jit_off_kernels_stay_plain_python(load, monkeypatch):
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)  # as NUMBA_DISABLE_JIT=1 does
+    kernels = load()
+    assert kernels.double(2.5) == 5.0 and kernels.total([1.0, 2.0]) == 3.0
+    assert type(kernels.double) is type(load)
