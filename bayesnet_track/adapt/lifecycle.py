@@ -206,8 +206,8 @@ def belief_overlap(mean_a: Floats, cov_a: Floats, mean_b: Floats, cov_b: Floats)
     exp(-D), D = d' S^-1 d / 8 + ln(det S / sqrt(det S_a det S_b)) / 2, S = (S_a + S_b) / 2.
 
     >>> box, sure = np.array([50.0, 40, 20, 20]), np.zeros((4, 4))
-    >>> round(belief_overlap(box, sure, box + [4, 0, 0, 0], sure), 6) == round(np.exp(-(4 / 2)**2 / 8), 6)
-    True
+    >>> round(float(belief_overlap(box, sure, box + [4, 0, 0, 0], sure)), 6)  # exp(-(4 / 2)^2 / 8)
+    0.606531
     """
     box = (mean_a[:4] + mean_b[:4]) / 2
     widening = np.diag((SAME_PLACE * np.array([box[2], box[3], box[2], box[3]])) ** 2)

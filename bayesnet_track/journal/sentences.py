@@ -82,6 +82,7 @@ def explain(event: Event, name_target: bool = False) -> str:
     the threshold, rounded away from the one that was set, at which the rule would not have fired.
     `name_target` says whose net it was, for runs of several targets.
 
+    >>> from bayesnet_track.graph.causes import Cause
     >>> cause = Cause("ud_px2", 200.0, 212.4, 3, 212.4, 212.4, 1.0)
     >>> explain(Activated(29, "1", "motion", "square", cause))
     'frame 29: UD 212 px² > 200 for 3 frames → motion on; would have stayed off at activate ≥ 213'

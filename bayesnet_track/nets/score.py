@@ -95,8 +95,8 @@ def probability(rule: Logistic, features: Mapping[str, float]) -> float:
 def most(rule: Logistic, fit: float, doubt: int) -> float:
     """The largest score of a frame: no more than what fits in it, and no more than one half while in doubt.
 
-    >>> most(Logistic(bias=0.0, full_fit=0.1), fit=0.02, doubt=0)
-    0.2
+    >>> most(Logistic(bias=0.0, full_fit=0.25), fit=0.125, doubt=0)
+    0.5
     """
     bound = min(fit / rule.full_fit, 1.0) if rule.full_fit > 0.0 else 1.0
     return min(bound, 0.5) if doubt else bound
