@@ -1,0 +1,48 @@
+"""How fast references follow the target at which uncertainty: equation 2.16 of the thesis, value by value."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from bayesnet_track.adapt.learn import learning_rate
+from bayesnet_track.graph.spec import Learn, Level
+
+SHARES = {0.0: 0.982014, 0.25: 0.952574, 0.5: 0.880797, 0.75: 0.731059, 0.9: 0.598688}
+"""UD as a share of theta -> (1 - tanh(2 (UD - theta) / theta)) / 2, from a table of tanh."""
+
+
+@pytest.mark.parametrize(
+    ("level", "theta_px2"),
+    [(Level(ud_px2=80.0), 80.0), (Level(ud_box=0.05), 200.0), (Level(ud_quiet=1.5), 75.0)],
+)
+def test_the_rate_at_each_uncertainty(level: Level, theta_px2: float) -> None:
+    rule, area_px2, quiet_px2 = Learn(below=level), 4000.0, 50.0
+    for share, rate in SHARES.items():
+        assert learning_rate(rule, share * theta_px2, area_px2, quiet_px2) == pytest.approx(rate, abs=1e-6)
+    assert learning_rate(rule, (1.0 - 1e-9) * theta_px2, area_px2, quiet_px2) == pytest.approx(0.5)
+    for share in (1.0 + 1e-9, 1.5, 100.0, math.inf):
+        assert learning_rate(rule, share * theta_px2, area_px2, quiet_px2) == 0.0
+
+
+def test_nothing_is_learnt_without_a_rule_or_while_the_quiet_level_is_unknown() -> None:
+    assert learning_rate(None, 0.0, 400.0, 50.0) == 0.0
+    assert learning_rate(Learn(below=Level(ud_quiet=1.5)), 10.0, 400.0, None) == 0.0
+
+
+def test_every_frame_of_a_run_learns_by_that_rate_times_the_largest(fakes) -> None:
+    theta, rate_max = 95.0, 0.2
+    root = {
+        "fuse": "product",
+        "ud_fields": ["x", "y"],
+        "learn": {"below": {"ud_px2": theta}, "rate_max": rate_max},
+    }
+    seen = fakes.Oracle(fakes.gaussian(50.0, 40.0, 9.0))
+    engine, _ = fakes.engine({"root": root, "a": "root"}, {"a": seen})
+    metrics = [outcome.metrics[0] for outcome in fakes.play(engine, 30)][1:]
+    shares = [1.0 / (1.0 + math.exp(4.0 * (m.ud_px2 / theta - 1.0))) for m in metrics]  # the same, otherwise
+    expected = [share if m.ud_px2 < theta else 0.0 for share, m in zip(shares, metrics, strict=True)]
+    assert [m.learn_rate for m in metrics] == pytest.approx(expected)
+    assert seen.blended == pytest.approx([rate_max * share for share in expected if share])
+    assert min(expected) == 0.0 and max(expected) - min(e for e in expected if e) > 0.1  # UD varies enough
