@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,7 +159,14 @@ def _make(parameters: ColorBackprojectionParameters) -> Detector:
     detector = ColorBackprojection(parameters, nothing)
     if parameters.picture is None:
         return detector
-    image = cv2.imread(parameters.picture, cv2.IMREAD_COLOR)
+    from bayesnet_track.runtime.frames import PictureError
+    from bayesnet_track.runtime.image_size import read_checked
+
+    try:
+        data = np.frombuffer(read_checked(Path(parameters.picture)), np.uint8)
+        image = cv2.imdecode(data, cv2.IMREAD_COLOR)
+    except (PictureError, cv2.error) as error:
+        raise DetectorError(f"{parameters.picture}: not a picture that can be read: {error}") from error
     if image is None:
         raise DetectorError(f"{parameters.picture}: not a picture that can be read")
     frame = Frame(0, 0.0, np.asarray(image, dtype=np.uint8))

@@ -101,7 +101,7 @@ def check_processors() -> Iterator[Finding]:
     if quota is not None and quota < own:
         told += f", of which the container may use {quota:g}"
     given = [f"{name}={os.environ[name]}" for name in THREAD_SETTINGS if os.environ.get(name)]
-    wrong = [text for text in given if not text.partition("=")[2].isdigit()]
+    wrong = [text for text in given if not text.partition("=")[2].isdecimal()]
     too_many = [text for text in given if text not in wrong and int(text.partition("=")[2]) > own]
     if wrong:
         yield Finding("processors", "broken", f"{told}; {', '.join(wrong)} is no number", "unset it")

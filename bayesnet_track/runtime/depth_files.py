@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.runtime.frames import PictureError, SourceError
+from bayesnet_track.runtime.image_size import check_size, read_checked
 from bayesnet_track.runtime.images import natural_key
 from bayesnet_track.vision.stereo import RectifiedPair
 
@@ -36,22 +37,26 @@ def read_points(path: Path, pair: RectifiedPair | None) -> NDArray[np.float32]:
 
 def _array(path: Path) -> NDArray[np.generic]:
     try:
-        values = np.load(path, allow_pickle=False)
+        # Mapped, so that its shape is known before its values take memory.
+        values = np.load(path, mmap_mode="r", allow_pickle=False)
+        if not isinstance(values, np.ndarray) or values.dtype.kind not in "fui" or values.ndim not in (2, 3):
+            raise PictureError(f"{path.name}: not an array of numbers of shape (H, W) or (H, W, 3)")
+        check_size(path.name, values.shape[1], values.shape[0])
+        return np.array(values)
     except (OSError, ValueError, EOFError) as error:
+        if isinstance(error, PictureError):
+            raise
         raise PictureError(f"{path.name}: {error}") from error
-    if not isinstance(values, np.ndarray) or values.dtype.kind not in "fui":
-        raise PictureError(f"{path.name}: not an array of numbers")
-    return values
 
 
 def _depth_image(path: Path, pair: RectifiedPair | None) -> NDArray[np.generic]:
     import cv2
 
+    data = read_checked(path)
     try:
-        data = path.read_bytes()
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    except (OSError, cv2.error) as error:
-        raise PictureError(f"{path.name}: {getattr(error, 'strerror', None) or error}") from error
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise PictureError(f"{path.name}: {str(error).strip()}") from error
     if image is None or image.ndim != 2 or image.dtype not in (np.uint16, np.float32):
         raise PictureError(f"{path.name}: not a depth image of one channel, 16 bit or float")
     unit = np.float32(1.0 if image.dtype == np.float32 or pair is None else pair.depth_unit_m)

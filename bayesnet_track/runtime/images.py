@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.runtime.frames import Damage, Picture, PictureError
+from bayesnet_track.runtime.image_size import read_checked
 
 IMAGE_INTERVAL_S = 1.0 / 25.0
+ROWS_AT_ONCE = 256
 _DIGITS = re.compile(r"(\d+)")
 _LAST_NUMBER = re.compile(r"^(.*?)(\d+)(\D*)$")
 
@@ -46,7 +48,7 @@ class ImageReader:
 def natural_key(path: Path) -> tuple[tuple[tuple[int, str], ...], str]:
     """Sort key that takes runs of digits as numbers."""
     parts = _DIGITS.split(str(path))
-    return tuple((int(part), "") if part.isdigit() else (-1, part) for part in parts), str(path)
+    return tuple((int(part), "") if n % 2 else (-1, part) for n, part in enumerate(parts)), str(path)
 
 
 def times_of(paths: Sequence[Path]) -> list[float]:
@@ -81,18 +83,16 @@ def read_image(path: Path) -> tuple[NDArray[np.uint8], bool]:
     """The image at `path` as ((H, W, 3) uint8 BGR, has_color), by the rules of `to_bgr`.
 
     Raises:
-        PictureError: it cannot be read, is cut off, or holds values other than 8 or 16 bit.
+        PictureError: it cannot be read, is too large (`image_size`), is cut off, or holds values other than
+            8 or 16 bit.
     """
     import cv2
 
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise PictureError(f"{path.name}: {error.strerror}") from error
+    data = read_checked(path)
     if _is_cut_off(data):
         raise PictureError(f"{path.name}: the image is cut off")
     try:
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
         raise PictureError(f"{path.name}: {str(error).strip()}") from error
     if image is None:
@@ -114,20 +114,28 @@ def to_bgr(image: NDArray[Any]) -> tuple[NDArray[np.uint8], bool]:
     Raises:
         PictureError: values of another type, another number of channels, or no pixel.
     """
-    if image.dtype == np.uint16:
-        image = ((image.astype(np.uint32) + 128) // 257).astype(np.uint8)
     channels = image.shape[-1] if image.ndim == 3 else 1
-    if image.dtype != np.uint8 or image.ndim not in (2, 3) or channels not in (1, 3, 4) or image.size == 0:
+    known = image.dtype in (np.uint8, np.uint16) and image.ndim in (2, 3) and channels in (1, 3, 4)
+    if not known or image.size == 0:
         raise PictureError(
             f"{image.dtype} values of shape {image.shape}; allowed: 8 or 16 bit, 1, 3 or 4 channels"
         )
-    if channels == 1:
-        gray = image.reshape(image.shape[0], image.shape[1], 1)
-        return np.ascontiguousarray(np.repeat(gray, 3, axis=2)), False
-    if channels == 4:
-        alpha = image[..., 3:].astype(np.uint16)
-        image = ((image[..., :3] * alpha + 127) // 255).astype(np.uint8)
-    return np.ascontiguousarray(image), True
+    if image.dtype == np.uint8 and channels == 3:
+        return np.ascontiguousarray(image), True
+    bgr = np.empty((*image.shape[:2], 3), np.uint8)
+    for top in range(0, len(bgr), ROWS_AT_ONCE):  # the steps between need several times its memory
+        rows = slice(top, top + ROWS_AT_ONCE)
+        bgr[rows] = _to_bgr(image[rows].reshape(-1, image.shape[1], channels))
+    return bgr, channels != 1
+
+
+def _to_bgr(rows: NDArray[Any]) -> NDArray[np.uint8]:
+    if rows.dtype == np.uint16:
+        rows = ((rows.astype(np.uint32) + 128) // 257).astype(np.uint8)
+    if rows.shape[2] == 4:
+        alpha = rows[..., 3:].astype(np.uint16)
+        rows = ((rows[..., :3] * alpha + 127) // 255).astype(np.uint8)
+    return rows
 
 
 def _is_cut_off(data: bytes) -> bool:

@@ -89,7 +89,7 @@ def _source(directory: RunDirectory, started: RunStarted) -> FrameSource:
         return replace(origin, allow_network=False).open()
     if started.source.startswith(SCENE):
         return SceneSource(make_scene(started.source[len(SCENE) :], seed=started.seed), started.source)
-    if started.source.isdigit():
+    if started.source.isascii() and started.source.isdigit():
         raise SourceError(started.source, "it was a camera", "a source of files", "keep the video")
     return open_source(started.source)
 

@@ -18,6 +18,7 @@ from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
 from bayesnet_track.runtime.frames import Damage, Picture, PictureError, SourceError
+from bayesnet_track.runtime.image_size import MAX_PIXELS
 from bayesnet_track.runtime.timing import Declared, Timing, declared_by, timing_of
 
 # Playlists and scripts (hls, concat, ...) name other files and hosts: only self-contained formats are read.
@@ -29,7 +30,6 @@ NETWORK_FORMATS = f"{FORMATS},hls,dash,rtsp,sdp,rtp,mpjpeg,live_flv"
 NETWORK_PROTOCOLS = "http,https,httpproxy,tcp,tls,udp,rtp,rtsp"
 NETWORK_TIMEOUT_S = 10.0
 PROBE_PACKETS = 300
-MAX_PIXELS = 1 << 27
 MAX_FAILURES = 50
 ATTACHED_PICTURE = 0x0400
 # Titles need not be UTF-8, and are not needed. From PyAV 19 they are always read so, without an option.

@@ -40,7 +40,7 @@ def chosen(text: str, choices: Mapping[str, str], several: bool) -> tuple[str, .
     if several and text.strip() == NOTHING:
         return ()
     for word in text.replace(",", " ").split():
-        name = names[int(word) - 1] if word.isdigit() and 0 < int(word) <= len(names) else word
+        name = names[int(word) - 1] if word.isdecimal() and 0 < int(word) <= len(names) else word
         if name not in choices:
             raise ValueError(f"{word!r} is not one of {', '.join(names)}")
         found.add(name)

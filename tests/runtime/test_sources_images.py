@@ -77,6 +77,22 @@ def test_names_that_are_no_series_have_times_0_1_2(tmp_path, names):
     assert events == []
 
 
+@pytest.mark.parametrize(
+    ("folder", "names"),
+    [
+        ("s", ["1²0.jpg", "2²0.jpg", "10²0.jpg"]),
+        ("²3²", ["1.jpg", "2.jpg", "10.jpg"]),
+        ("³", ["٣.jpg", "٤.jpg", "١٠.jpg"]),
+    ],
+)
+def test_superscripts_are_no_numbers_and_digits_of_any_script_are(tmp_path, folder, names):
+    for number, name in enumerate(names):
+        save(tmp_path / folder, [name], np.full((20, 30, 3), 100 * number, np.uint8))
+    source, frames, _ = read(tmp_path / folder)
+    assert source.end_reason == "end_of_source"
+    assert [round(float(f.image.mean()), -2) for f in frames] == [0, 100, 200]
+
+
 @pytest.mark.parametrize("content", [b"", b"no image", None], ids=["empty", "text", "cut off"])
 @pytest.mark.parametrize("suffix", ["png", "jpg", "bmp"])
 def test_a_damaged_image_keeps_its_number_and_the_rest_goes_on(tmp_path, content, suffix):
