@@ -18,6 +18,9 @@ from bayesnet_track.planes import Frame
 
 Floats = NDArray[np.float64]
 
+MOST_TIMES = 10
+"""How many times as wide or high as the frame a start box may be: what is near is larger than the picture."""
+
 
 @dataclass(frozen=True)
 class Start:
@@ -59,17 +62,23 @@ def check_box(box: object, width: int, height: int) -> Floats:
     """The corner box as an array (4,), when a tracker could start from it in a frame of this size.
 
     Raises:
-        StartError: it is not four finite numbers, has no area, or does not touch the frame.
+        StartError: it is not four finite numbers, has no area, is more than `MOST_TIMES` as wide or high as
+            the frame, or does not touch it.
     """
     try:
         corner = np.asarray(box, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         corner = np.empty(0)
     if corner.shape != (4,) or not np.isfinite(corner).all():
         raise StartError(f"start box {box!r}: four finite numbers x,y,w,h are needed")
     x, y, w, h = (float(v) for v in corner)
     if w < 1 or h < 1:
         raise StartError(f"start box {x:g},{y:g},{w:g},{h:g}: width and height must be at least 1 px")
+    if w > MOST_TIMES * width or h > MOST_TIMES * height:
+        raise StartError(
+            f"start box {x:g},{y:g},{w:g},{h:g}: at most {MOST_TIMES} times the "
+            f"{width}x{height} frame is allowed, {MOST_TIMES * width}x{MOST_TIMES * height} px"
+        )
     if x >= width or y >= height or x + w <= 0 or y + h <= 0:
         raise StartError(
             f"start box {x:g},{y:g},{w:g},{h:g} lies outside the {width}x{height} frame; "

@@ -155,11 +155,22 @@ def test_init_again_starts_anew():
 # ------------------------------------------------------------------------------------ errors
 
 
+LIMIT = "at most 10 times the 320x240 frame is allowed, 3200x2400 px"
+
+
 @pytest.mark.parametrize(
     ("box", "message"),
     [
         ((10, 10, 0, 5), "start box 10,10,0,5: width and height must be at least 1 px"),
         ((10, 10, 5, -5), "start box 10,10,5,-5: width and height must be at least 1 px"),
+        (
+            (1, 1, 1e308, 1e308),
+            f"start box 1,1,1e+308,1e+308: {LIMIT}",
+        ),
+        (
+            (-5, 1, 1e100, 9),
+            f"start box -5,1,1e+100,9: {LIMIT}",
+        ),
         ((320, 10, 5, 5), "start box 320,10,5,5 lies outside the 320x240 frame; x,y is the top-left corner"),
         (
             (-50, 10, 50, 5),
@@ -177,6 +188,11 @@ def test_boxes_that_are_refused(box, message):
     with pytest.raises(ValueError) as refused:
         Tracker("two_squares").init(SCENE.frames[0], box)
     assert str(refused.value) == message
+
+
+def test_a_box_of_endless_digits_is_refused():
+    with pytest.raises(ValueError, match="four finite numbers x,y,w,h are needed"):
+        Tracker("two_squares").init(SCENE.frames[0], (1, 1, 10**400, 9))
 
 
 def test_before_init():
