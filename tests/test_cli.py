@@ -383,6 +383,20 @@ MISTAKES = {
         2,
         "bayesnet-track run: start box 72,2,5,5 lies outside the 72x56 frame; x,y is the top-left corner",
     ),
+    "run general --source {images} --out {out} --init 1,1,1e308,1e308": (
+        2,
+        "bayesnet-track run: start box 1,1,1e+308,1e+308: at most 10 times the 72x56 frame is allowed, "
+        "720x560 px",
+    ),
+    "run general --source {images} --out {out} --init-from {wrong}/wide.txt": (
+        2,
+        "bayesnet-track run: start box 1,1,1e+100,9: at most 10 times the 72x56 frame is allowed, 720x560 px",
+    ),
+    "detect color_backprojection --source {images} --learn 1,1,1e308,1e308": (
+        2,
+        "bayesnet-track detect: --learn '1,1,1e308,1e308': start box 1,1,1e+308,1e+308: at most 10 times the "
+        "72x56 frame is allowed, 720x560 px",
+    ),
     "run general --source {images} --out {out} --init targt:1,2,5,5": (
         2,
         "bayesnet-track run: no plate 'targt' in graph general; there are target; nearest: target",
@@ -490,6 +504,7 @@ MISTAKES = {
 def places(images, demo_run, tmp_path_factory):
     wrong = tmp_path_factory.mktemp("wrong")
     (wrong / "words.txt").write_text("no,boxes,in,here\n")
+    (wrong / "wide.txt").write_text("1,1,1e100,9\n")
     (wrong / "absent.txt").write_text("nan,nan,nan,nan\n1,2,3,4\n")
     (wrong / "bad.yaml").write_text("bayesnet: 1\nname: bad\ntargts: {}\n")
     for name, text in (("untrue", ""), ("garbled", "[]\n")):
@@ -552,6 +567,43 @@ def test_exit_5_says_how_far_it_came_and_keeps_what_was_read(cli, video, tmp_pat
     assert said.endswith(", the source is truncated\n")
     ended = list(read_events(out / "journal.jsonl"))[-1]
     assert (ended.frames, ended.complete, ended.reason) == (read, False, "source_truncated")
+
+
+LONG = "x" * 300
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        f"demo --end 2 --quiet --out {LONG}",
+        f"run two_squares --source {{images}} --init {BOX} --out {LONG}",
+        f"run two_squares --source {{images}} --init {BOX} --out {{out}} --rerun {LONG}.rrd",
+        f"what-if {{demo}} --seed 1 --quiet --out {LONG}",
+        f"what-if {{demo}} --seed 1 --quiet --out {{out}} --html {LONG}",
+        f"batch two_squares --source {{images}} --init {BOX} --quiet --out {LONG}",
+        f"report {{demo}} --frames none --out {LONG}.html",
+        f"report {{demo}} --frames full --out {LONG}",
+        f"compare {{demo}} {{demo}} --html {LONG}.html",
+        f"export {{demo}} --format csv --out {LONG}",
+        f"init {LONG}.yaml --yes",
+        f"graph two_squares --svg {LONG}.svg",
+        f"detect motion --source {{images}} --out {LONG}",
+        f"detect motion --source {{images}} --out {{out}} --video {LONG}.mkv",
+        f"calibrate {{images}} {{images}} --board 9x6 --square 0.1 --out {LONG}",
+        f"fit two_squares --source {{images}} --truth {{images}}/groundtruth.txt --out {LONG}",
+        f"learn-shape --masks {{images}} --min-support 1e-9 {LONG}.npz",
+    ],
+)
+def test_a_name_too_long_for_an_output_is_told_as_such(cli, demo_run, images, tmp_path, line, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = cli(line.format(images=images, demo=demo_run, out=tmp_path / "out"))
+    assert (code, "File name too long" in err, "Traceback" in err) == (6, True, False), err
+
+
+def test_a_name_too_long_for_a_run_to_look_at_is_a_run_that_cannot_be_read(cli):
+    for line in (f"log {LONG}", f"score {LONG}", f"export {LONG} --format csv"):
+        code, _, err = cli(line)
+        assert code == 4 and "File name too long" in err
 
 
 # ------------------------------------------------------------------------------------ graphs

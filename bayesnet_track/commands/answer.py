@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TextIO
 
 OK, FAILED, USAGE, BAD_GRAPH, BAD_SOURCE, INCOMPLETE, BAD_OUTPUT = range(7)
@@ -26,6 +27,26 @@ def users_mistake() -> Iterator[None]:
         raise
     except (OSError, ValueError) as error:
         raise UsageError(words(error)) from error
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """What the system refuses inside it is about an output: `OutputError`, which names it."""
+    from bayesnet_track.journal.writer import output_error
+
+    try:
+        yield
+    except OSError as error:
+        raise output_error(path, error) from error
+
+
+def check_free(path: Path, overwrite: bool) -> None:
+    """Refuse to write over another file unless that is asked for; raises OutputError."""
+    from bayesnet_track.journal.writer import OutputError
+
+    with writing(path):
+        if path.exists() and not overwrite:
+            raise OutputError(f"{path}: it is there already; --overwrite replaces it")
 
 
 def words(error: Exception) -> str:

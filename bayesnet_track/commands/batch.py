@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesnet_track.commands.answer import INCOMPLETE, OK, UsageError, say, unheard, users_mistake
+from bayesnet_track.commands.answer import INCOMPLETE, OK, UsageError, say, unheard, users_mistake, writing
 
 if TYPE_CHECKING:
     from bayesnet_track.batch.jobs import Job, Video
@@ -38,7 +38,7 @@ def batch(options: argparse.Namespace) -> int:
                 f"{lone.name}: no start box: give --init-from PATTERN, --init, or init in the list"
             )
     out = Path(options.out)
-    with users_mistake():
+    with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     jobs = _jobs(options, videos, out)
     progress = BatchProgress(sys.stderr, jobs, sys.stderr.isatty())

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesnet_track.commands.answer import OK, UsageError, say, users_mistake
+from bayesnet_track.commands.answer import OK, UsageError, check_free, say, users_mistake, writing
 
 if TYPE_CHECKING:
     import numpy as np
@@ -15,21 +15,17 @@ if TYPE_CHECKING:
 
 def calibrate(options: argparse.Namespace) -> int:
     """Calibrate a pair of cameras from pictures of a chessboard."""
-    from bayesnet_track.journal.writer import OutputError
     from bayesnet_track.vision.chessboard import calibrate as fit
     from bayesnet_track.vision.stereo import write_calibration
 
     board = parse_board(options.board)
     out = Path(options.out)
-    if out.exists() and not options.overwrite:
-        raise OutputError(f"{out}: it is there already; --overwrite replaces it")
+    check_free(out, options.overwrite)
     left, right = read_all(options.left), read_all(options.right)
     with users_mistake():
         fitted = fit(left, right, board, options.square_m)
-    try:
+    with writing(out):
         write_calibration(out, fitted.cameras)
-    except OSError as error:
-        raise OutputError(f"{out}: cannot write: {error.strerror}") from error
     x, y, z = (-1000 * value for value in fitted.cameras.translation)
     unused = ", ".join(str(n) for n in range(len(left)) if n not in fitted.used)
     say(f"board whole in {len(fitted.used)} of {len(left)} pairs" + (f", not in {unused}" if unused else ""))

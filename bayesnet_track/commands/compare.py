@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesnet_track.commands.answer import OK, UsageError, complain, say, users_mistake
+from bayesnet_track.commands.answer import OK, UsageError, check_free, complain, say, users_mistake, writing
 
 if TYPE_CHECKING:
     from bayesnet_track.journal.compare import Comparison, Total
@@ -31,10 +31,8 @@ def compare(options: argparse.Namespace) -> int:
 
 def check_page(options: argparse.Namespace) -> None:
     """Refuse to write the page over another file, before anything is done for it; raises OutputError."""
-    from bayesnet_track.journal.writer import OutputError
-
-    if options.html is not None and not options.overwrite and Path(options.html).exists():
-        raise OutputError(f"{options.html}: it is there already; --overwrite replaces it")
+    if options.html is not None:
+        check_free(Path(options.html), options.overwrite)
 
 
 def sources_apart(first: Run, second: Run) -> list[str]:
@@ -83,13 +81,11 @@ def tell_comparison(first: Run, second: Run, options: argparse.Namespace) -> int
     settings = settings_apart(first.started, second.started)
     settings += [str(one) for one in differences(first.graph_text, second.graph_text)]
     if options.html is not None:
-        from bayesnet_track.journal.writer import OutputError
         from bayesnet_track.view.compare_page import compare_page
 
-        try:
-            Path(options.html).write_text(compare_page(first, second, compared, settings), encoding="utf-8")
-        except OSError as error:
-            raise OutputError(f"{options.html}: cannot write: {error.strerror}") from error
+        page = compare_page(first, second, compared, settings)
+        with writing(Path(options.html)):
+            Path(options.html).write_text(page, encoding="utf-8")
     if options.json:
         say(_as_json(first, second, compared, settings))
     else:

@@ -7,7 +7,15 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from bayesnet_track.commands.answer import INCOMPLETE, OK, UsageError, complain, say, users_mistake
+from bayesnet_track.commands.answer import (
+    INCOMPLETE,
+    OK,
+    UsageError,
+    check_free,
+    complain,
+    say,
+    users_mistake,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,7 +62,8 @@ def detect(options: argparse.Namespace) -> int:
     declaration = _declaration(options.name)
     parameters = read_parameters(declaration, options.set)
     for path in (options.out, options.video):
-        _check_free(path, options.overwrite)
+        if path is not None:
+            check_free(Path(path), options.overwrite)
     with users_mistake():
         detector = declaration.make(parameters)
         state = detector.start()
@@ -194,29 +203,25 @@ def _mistakes(error: Any, declaration: DetectorDeclaration | CueDeclaration, nea
     return list(dict.fromkeys(said))
 
 
-def _check_free(path: str | None, overwrite: bool) -> None:
-    from bayesnet_track.journal.writer import OutputError
-
-    if path is not None and Path(path).exists() and not overwrite:
-        raise OutputError(f"{path}: it is there already; --overwrite replaces it")
-
-
 def _shown(
     options: argparse.Namespace, name: str, detector: Any, pair: FramePair, state: DetectorState
 ) -> DetectorState:
     """The state of a detector that learns, with the target of --learn."""
-    import numpy as np
-
     from bayesnet_track.numerics.boxes import centre_from_corner
+    from bayesnet_track.runtime.starts import StartError, check_box
 
     if options.learn is not None:
         try:
-            box = np.array([float(part) for part in options.learn.split(",")])
-            if box.shape != (4,) or not np.isfinite(box).all() or not (box[2:] > 0).all():
+            box = [float(part) for part in options.learn.split(",")]
+            if len(box) != 4:
                 raise ValueError
         except ValueError:
             allowed = "four numbers X,Y,W,H are needed (top-left corner, px)"
             raise UsageError(f"--learn {options.learn!r}: {allowed}") from None
+        try:
+            check_box(box, pair.current.width, pair.current.height)
+        except StartError as error:
+            raise UsageError(f"--learn {options.learn!r}: {error}") from None
         shown: DetectorState = detector.learn(pair, centre_from_corner(box), state)
         return shown
     if not detector.knows_target(state):

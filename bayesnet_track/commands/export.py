@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from bayesnet_track.commands.answer import OK, complain
+from bayesnet_track.commands.answer import OK, check_free, complain, writing
 
 WITH_LOST = ("csv", "jsonl")
 """Formats that say of a box that its target is lost."""
@@ -14,7 +14,6 @@ WITH_LOST = ("csv", "jsonl")
 
 def export(options: argparse.Namespace) -> int:
     """Write the file."""
-    from bayesnet_track.journal.writer import OutputError
     from bayesnet_track.runtime.exports import FORMATS
     from bayesnet_track.runtime.opened import open_run
 
@@ -25,11 +24,8 @@ def export(options: argparse.Namespace) -> int:
         sys.stdout.write(text)
         return OK
     out = Path(options.out)
-    if out.exists() and not options.overwrite:
-        raise OutputError(f"{out}: it is there already; --overwrite replaces it")
-    try:
+    check_free(out, options.overwrite)
+    with writing(out):
         out.write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise OutputError(f"{out}: cannot write: {error.strerror}") from error
     complain(f"wrote {out}")
     return OK

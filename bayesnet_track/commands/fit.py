@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesnet_track.commands.answer import OK, UsageError, complain, say, users_mistake
+from bayesnet_track.commands.answer import OK, UsageError, complain, say, users_mistake, writing
 from bayesnet_track.journal.wording import plural
 
 if TYPE_CHECKING:
@@ -41,8 +41,10 @@ def fit(options: argparse.Namespace) -> int:
     features = _chosen("--features", options.features, tuple(SIGNS))
     graph, text = load_graph(options.graph), graph_text(options.graph)
     out = None if options.out is None else Path(options.out)
-    if out is not None and out.exists() and not options.overwrite:
-        raise UsageError(f"{out} exists; --overwrite replaces it")
+    if out is not None:
+        with writing(out):
+            if out.exists() and not options.overwrite:
+                raise UsageError(f"{out} exists; --overwrite replaces it")
     videos = list(_videos(options))
     witnesses = _witness(graph, videos, options, "temperature" in what)
     with users_mistake():
@@ -224,12 +226,6 @@ def _short(value: float) -> float:
 
 def _write(path: Path, text: str) -> None:
     """The whole file or none of it."""
-    from bayesnet_track.journal.writer import OutputError
+    from bayesnet_track.runtime.atomic import write_atomically
 
-    part = path.with_name(f"{path.name}.part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise OutputError(f"{path}: cannot write: {error.strerror}") from error
+    write_atomically(path, text.encode("utf-8"))

@@ -7,7 +7,7 @@ from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
-from bayesnet_track.commands.answer import BAD_GRAPH, OK, UsageError, complain, say
+from bayesnet_track.commands.answer import BAD_GRAPH, OK, UsageError, complain, say, writing
 from bayesnet_track.graph.messages import GraphError, nearest
 
 if TYPE_CHECKING:
@@ -103,12 +103,8 @@ def _plates(loaded: CheckedGraph, name: str | None) -> list[CheckedTarget]:
 
 
 def _write(path: Path, content: bytes) -> None:
-    from bayesnet_track.journal.writer import OutputError
-
-    try:
+    with writing(path):
         path.write_bytes(content)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot write: {error.strerror}") from error
     say(f"wrote {path}")
 
 

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from bayesnet_track.commands.answer import OK, UsageError, complain, say
+from bayesnet_track.commands.answer import OK, UsageError, complain, say, writing
 from bayesnet_track.starter.ask import QUESTIONS, ask_all, chosen
 from bayesnet_track.starter.compose import graph_text
 from bayesnet_track.starter.task import Task
@@ -20,8 +20,9 @@ NO_NAMES = frozenset({"null", "true", "false"})
 def init(options: argparse.Namespace) -> int:
     """Write a first graph for a task."""
     path = Path(options.file)
-    if path.exists() and not options.overwrite:
-        raise UsageError(f"{path} is there already; `--overwrite` replaces it")
+    with writing(path):
+        if path.exists() and not options.overwrite:
+            raise UsageError(f"{path} is there already; `--overwrite` replaces it")
     given = {name: getattr(options, name) for name, *_ in QUESTIONS if getattr(options, name) is not None}
     if options.yes or not sys.stdin.isatty():
         given = {name: default for name, *_, default in QUESTIONS} | given
@@ -73,9 +74,5 @@ def _check(text: str) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    from bayesnet_track.journal.writer import OutputError
-
-    try:
+    with writing(path):
         path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot write: {error.strerror}") from error

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.commands.answer import INCOMPLETE, OK, UsageError, complain, say, users_mistake
+from bayesnet_track.commands.answer import INCOMPLETE, OK, UsageError, complain, say, users_mistake, writing
 
 if TYPE_CHECKING:
     from bayesnet_track.vision.shape_model import ShapeModel
@@ -57,7 +57,8 @@ def _from_masks(options: argparse.Namespace) -> tuple[int, Examples]:
 
     folder, found = Path(options.masks), []
     with users_mistake():
-        paths = sorted((p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES), key=natural_key)
+        images = (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
+        paths = sorted(images, key=natural_key)
         if not paths:
             raise UsageError(f"{folder}: holds no images")
         for path in paths:
@@ -95,10 +96,7 @@ def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
 
 
 def _write(path: Path, model: ShapeModel) -> None:
-    from bayesnet_track.journal.writer import OutputError
     from bayesnet_track.vision.shape_model import save_model
 
-    try:
+    with writing(path):
         save_model(path, model)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot write: {error.strerror}") from error

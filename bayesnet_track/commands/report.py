@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesnet_track.commands.answer import OK, UsageError, complain, say, users_mistake
+from bayesnet_track.commands.answer import OK, UsageError, complain, say, users_mistake, writing
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -58,6 +58,13 @@ def report(options: argparse.Namespace) -> int:
 
 def _place(options: argparse.Namespace, directory: RunDirectory) -> Path:
     """The HTML file to write; its folder is there."""
+    with writing(Path(options.out or directory.path)):
+        place = _allowed(options, directory)
+        place.parent.mkdir(parents=True, exist_ok=True)
+    return place
+
+
+def _allowed(options: argparse.Namespace, directory: RunDirectory) -> Path:
     from bayesnet_track.view.run_page import is_page
 
     if options.frames == "full":
@@ -74,8 +81,6 @@ def _place(options: argparse.Namespace, directory: RunDirectory) -> Path:
                 raise UsageError(
                     f"--out {place}: it is there already, and no page of a run; name another file"
                 )
-    with users_mistake():
-        place.parent.mkdir(parents=True, exist_ok=True)
     return place
 
 
@@ -113,27 +118,19 @@ def _write_one(out: Path, data: Data, found: Found | None, missing: str, expecte
 
 
 def _write_folder(out: Path, data: Data, found: Found) -> None:
-    from bayesnet_track.journal.writer import OutputError
     from bayesnet_track.view.page_pictures import whole
     from bayesnet_track.view.run_page import FRAMES_FOLDER, picture_name, with_folder
 
     frames = []
-    try:
+    with writing(out.parent):
         (out.parent / FRAMES_FOLDER).mkdir(exist_ok=True)
         for frame, picture in whole(found.images):
             (out.parent / picture_name(frame)).write_bytes(picture)
             frames.append(frame)
-    except OSError as error:
-        raise OutputError(f"{out.parent}: cannot write: {error.strerror}") from error
     _write(out, with_folder(*data, tuple(frames), found.annotated))
 
 
 def _write(out: Path, pieces: Iterable[str]) -> None:
-    from bayesnet_track.journal.writer import OutputError
-
-    try:
-        with out.open("w", encoding="utf-8", errors="replace", newline="\n") as file:
-            for piece in pieces:
-                file.write(piece)
-    except OSError as error:
-        raise OutputError(f"{out}: cannot write: {error.strerror}") from error
+    with writing(out), out.open("w", encoding="utf-8", errors="replace", newline="\n") as file:
+        for piece in pieces:
+            file.write(piece)

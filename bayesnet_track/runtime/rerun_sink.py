@@ -36,7 +36,11 @@ def rerun_sinks(file: str | None, name: str, overwrite: bool = False) -> Iterato
     if file is None:
         yield []
         return
-    if file and Path(file).exists() and not overwrite:
+    try:
+        is_there = bool(file) and Path(file).exists()
+    except OSError as error:  # a name that is too long
+        raise RerunError(f"--rerun: cannot open {file}: {error.strerror}") from error
+    if is_there and not overwrite:
         raise RerunError(f"{file}: it is there already; --overwrite replaces it")
     sink = RerunSink(Path(file) if file else None, name)
     try:

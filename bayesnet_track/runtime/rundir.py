@@ -72,9 +72,14 @@ class RunDirectory:
             RunDirectoryError: there is no journal in it.
         """
         run = cls(Path(path))
-        if not run.journal.is_file():
-            what = "no such folder" if not run.path.exists() else f"no {FILES['journal']} in it"
-            raise RunDirectoryError(f"{run.path}: not a run directory: {what}")
+        try:
+            if not run.journal.is_file():
+                what = "no such folder" if not run.path.exists() else f"no {FILES['journal']} in it"
+                raise RunDirectoryError(f"{run.path}: not a run directory: {what}")
+        except OSError as error:  # a name that is too long
+            if isinstance(error, RunDirectoryError):
+                raise
+            raise RunDirectoryError(f"{run.path}: not a run directory: {error.strerror}") from error
         return run
 
     def refuse(self, overwrite: bool) -> None:
