@@ -569,6 +569,31 @@ def test_exit_5_says_how_far_it_came_and_keeps_what_was_read(cli, video, tmp_pat
     assert (ended.frames, ended.complete, ended.reason) == (read, False, "source_truncated")
 
 
+@pytest.mark.parametrize("first", ["run {graph}", "run {graph} --executor threads"])
+def test_a_run_in_which_no_agent_can_start_is_an_error_that_names_the_cause(cli, images, tmp_path, first):
+    """Color alone, on a gray source: it was lost in every frame, and ended with 0."""
+    graph = yaml.safe_load(find_graph("two_squares").read_text())
+    nodes = graph["targets"]["square"]["nodes"]
+    del nodes["motion"], nodes["square"]["adapt"]
+    (tmp_path / "color.yaml").write_text(yaml.safe_dump(graph, sort_keys=False))
+    (tmp_path / "gray").mkdir()
+    for path in images.glob("*.png"):
+        cv2.imwrite(str(tmp_path / "gray" / path.name), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+    line = f"{first} --source {{gray}} --init {BOX} --init 1,1,9,9 --out {{out}}"
+    code, _, err = cli(
+        line.format(graph=tmp_path / "color.yaml", gray=tmp_path / "gray", out=tmp_path / "run")
+    )
+    why = "color: needs colour, and the source is gray"
+    assert code == 2 and err == (
+        "bayesnet-track run: no agent can start, so that nothing can be tracked; "
+        f"target 1: {why}; target 2: {why}\n"
+    )
+    ended = list(read_events(tmp_path / "run/journal.jsonl"))[-1]
+    assert (ended.frames, ended.complete, ended.reason) == (0, False, "error")
+    code, said, _ = cli("log", tmp_path / "run")
+    assert code == 0 and "color failed: needs colour, and the source is gray" in said
+
+
 LONG = "x" * 300
 
 

@@ -27,7 +27,7 @@ from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.frames import EndReason, SourceItem
 from bayesnet_track.runtime.inputs import Asked, nothing
 from bayesnet_track.runtime.interchange import Detections
-from bayesnet_track.runtime.starts import Start, StartError, check_starts, start_targets
+from bayesnet_track.runtime.starts import Start, StartError, check_started, check_starts, start_targets
 from bayesnet_track.runtime.versions import versions
 
 __all__ = ["FrameSource", "Result", "Sink", "Start", "StartError", "Summary", "run"]
@@ -221,7 +221,8 @@ def run(
     The journal is closed in order also when the caller stops iterating or an error passes through.
 
     Raises:
-        StartError: no target can start so; nothing was told to a sink before.
+        StartError: no target can start so, of which nothing was told to a sink before; or no agent of any
+            target can (`check_started`): then sinks were told why.
     """
     check_starts(graph, starts, source.width, source.height)
     told = summary if summary is not None else Summary()
@@ -264,9 +265,11 @@ def run(
                     deadline.end()
             before, state = state, outcome.state
             spent = time.perf_counter() - began
-            told.frames += 1
             for event in outcome.events:
                 tell(event)
+            if before is None:
+                check_started(graph, outcome)
+            told.frames += 1
             result = _result(item, outcome, spent, before)
             told.reconfigurations += sum(isinstance(event, Switch) for event in result.decisions)
             told.lost_frames += any(metrics.status == "lost" for metrics in result.targets)

@@ -85,7 +85,7 @@ def track(
     Raises (when the first result is asked for; nothing is written then):
         GraphError: every error of the graph.
         SourceError: nothing can be read from the source, or it has no depth where the graph needs it.
-        StartError: no target can start from the box.
+        StartError: no target can start from the box, or no agent of any target in the first frame.
         DetectorError: a detector cannot be made, or the graph and the file of detections do not go together.
         OSError: the file of detections or of inputs cannot be read.
         ValueError: it is malformed; says file and line. Or arguments that do not go together.

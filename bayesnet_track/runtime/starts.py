@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bayesnet_track.engine import Engine, Outcome, State, first_look, start_target, with_outside
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.messages import nearest
+from bayesnet_track.graph.net import Quarantined
 from bayesnet_track.journal.inputs import Input
 from bayesnet_track.nets.outside import sorted_out
 from bayesnet_track.numerics.boxes import centre_from_corner
@@ -36,7 +37,7 @@ class Start:
 
 
 class StartError(ValueError):
-    """A start box or plate from which no target can be tracked."""
+    """A start box, a plate or a first frame from which no target can be tracked."""
 
 
 def check_starts(graph: CheckedGraph, starts: Sequence[Start], width: int, height: int) -> None:
@@ -104,6 +105,30 @@ def start_targets(
         born = start_target(engine, outcome.state, frame, str(number), plate, box)
         outcome = Outcome(born.state, outcome.metrics + born.metrics, outcome.events + born.events)
     return with_outside(first_look(engine, outcome, frame), given)
+
+
+def check_started(graph: CheckedGraph, first: Outcome) -> None:
+    """Refuse a run of which every frame would be without evidence: no agent of any target could start.
+
+    An agent without a first reference learns one later from what the others track; where there are none, and
+    no target is born later either, it never does.
+
+    Raises:
+        StartError: so it is after the outcome of the first frame; says why of every agent.
+    """
+    if has_births(graph):
+        return
+    out: dict[str, dict[str, str]] = {}
+    for event in first.events:
+        if isinstance(event, Quarantined):
+            out.setdefault(event.target, {})[event.node] = event.reason
+    for net in first.state.net.targets.values():
+        if not net.quarantined.issuperset(graph.targets[net.template].agents):
+            return
+    told = (
+        f"target {target}: {agent}: {reason}" for target, why in out.items() for agent, reason in why.items()
+    )
+    raise StartError(f"no agent can start, so that nothing can be tracked; {'; '.join(told)}")
 
 
 def has_births(graph: CheckedGraph) -> bool:

@@ -21,7 +21,7 @@ from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.planes import Frame
 from bayesnet_track.runtime.images import to_bgr
 from bayesnet_track.runtime.interchange import Detections
-from bayesnet_track.runtime.starts import Start, check_starts, start_targets
+from bayesnet_track.runtime.starts import Start, check_started, check_starts, start_targets
 
 CornerBox = tuple[float, float, float, float]
 
@@ -76,12 +76,14 @@ class Tracker:
 
         Raises:
             ValueError: the box is not four finite numbers, has no area or does not touch the frame, there is
-                none and nothing is born, or the frame is no picture.
+                none and nothing is born, the frame is no picture, or no agent can start from it.
         """
         first = _frame(frame, 0, depth)
         starts = [] if box is None else [Start(box)]
         check_starts(self._graph, starts, first.width, first.height)
-        self._last = start_targets(self._graph, self._engine, first, starts)
+        begun = start_targets(self._graph, self._engine, first, starts)
+        check_started(self._graph, begun)
+        self._last = begun
         self._state, self._next_index = self._last.state, 1
 
     def update(self, frame: NDArray[np.uint8], *, depth: Depth | None = None) -> tuple[bool, CornerBox]:

@@ -8,9 +8,11 @@ import threading
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 from bayesnet_track import Tracker
 from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graphs import find_graph
 from bayesnet_track.scenes import make_scene
 
 SCENE = make_scene("two_squares")
@@ -193,6 +195,20 @@ def test_boxes_that_are_refused(box, message):
 def test_a_box_of_endless_digits_is_refused():
     with pytest.raises(ValueError, match="four finite numbers x,y,w,h are needed"):
         Tracker("two_squares").init(SCENE.frames[0], (1, 1, 10**400, 9))
+
+
+def test_a_frame_in_which_no_agent_can_start_is_refused_and_the_tracker_stays_as_it_was():
+    graph = yaml.safe_load(find_graph("two_squares").read_text())
+    nodes = graph["targets"]["square"]["nodes"]
+    del nodes["motion"], nodes["square"]["adapt"]
+    tracker, gray = Tracker(load_graph(graph)), np.ascontiguousarray(SCENE.frames[0][..., 0])
+    tracker.init(SCENE.frames[0], SCENE.start_box)
+    with pytest.raises(ValueError, match="target 1: color: needs colour, and the source is gray"):
+        tracker.init(gray, SCENE.start_box)
+    assert tracker.update(SCENE.frames[1])[0]
+    both = Tracker("two_squares")
+    both.init(gray, SCENE.start_box)
+    assert both.update(gray)[0], "motion can start: the run goes on without color"
 
 
 def test_before_init():
