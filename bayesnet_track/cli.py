@@ -23,6 +23,7 @@ from bayesnet_track.parsers.plugins import add_plugins
 from bayesnet_track.parsers.report import add_report
 from bayesnet_track.parsers.resume import add_resume
 from bayesnet_track.parsers.run import add_demo, add_run
+from bayesnet_track.parsers.verify import add_verify
 from bayesnet_track.parsers.what_if import add_what_if, as_what_if
 from bayesnet_track.runtime.stop import StopRequest, Terminated
 
@@ -32,8 +33,8 @@ exit codes:
   1    an error in bayesnet-track itself; or `doctor` found something broken
   2    wrong arguments
   3    the graph file is wrong
-  4    the source, or the run to look back at, cannot be read
-  5    the source was damaged or truncated; what was read is saved
+  4    the source, or the run to look back at, cannot be read or was changed
+  5    the source was damaged or truncated; what was read is saved; or `verify` found an unfinished run
   6    an output cannot be written
   130  stopped by Ctrl-C; outputs are valid up to the last whole frame
   143  stopped by SIGTERM; the same"""
@@ -100,6 +101,7 @@ def make_parser() -> argparse.ArgumentParser:
     add_doctor(commands)
     add_completion(commands)
     add_resume(commands)
+    add_verify(commands)
     add_batch(commands)
     add_report(commands)
     add_compare(commands)

@@ -39,6 +39,7 @@ RUN_FILES = {
     "timings.jsonl",
     "graph.yaml",
     "run.json",
+    "manifest.json",
 }
 BOX = "20,14,16,12"
 

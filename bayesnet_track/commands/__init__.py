@@ -29,6 +29,7 @@ from bayesnet_track.commands.report import report
 from bayesnet_track.commands.resume import resume
 from bayesnet_track.commands.review import log, score
 from bayesnet_track.commands.tracking import demo, run
+from bayesnet_track.commands.verify import verify
 from bayesnet_track.commands.what_if import what_if
 from bayesnet_track.graph.messages import GraphError
 
@@ -53,6 +54,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "score": score,
     "learn-shape": learn_shape,
     "learn-stereo": learn_stereo,
+    "verify": verify,
     "what-if": what_if,
 }
 
@@ -96,6 +98,7 @@ def _code_of(error: Exception, command: str) -> int | None:
     from bayesnet_track.journal.writer import OutputError
     from bayesnet_track.runtime.checkpoint import CheckpointError
     from bayesnet_track.runtime.frames import SourceError
+    from bayesnet_track.runtime.manifest import ManifestError
     from bayesnet_track.runtime.recipe import RecipeError
     from bayesnet_track.runtime.resume import ResumeError
     from bayesnet_track.runtime.rundir import RunDirectoryError
@@ -105,7 +108,7 @@ def _code_of(error: Exception, command: str) -> int | None:
         return USAGE
     if isinstance(error, SourceError | JournalError | CalibrationError):
         return BAD_SOURCE
-    if isinstance(error, RecipeError | CheckpointError | ResumeError):
+    if isinstance(error, RecipeError | CheckpointError | ResumeError | ManifestError):
         return BAD_SOURCE
     if isinstance(error, RunDirectoryError):
         return BAD_SOURCE if command in ("log", "score", "report", "compare", "export") else BAD_OUTPUT

@@ -7,7 +7,15 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesnet_track.commands.answer import OK, UsageError, complain, say, users_mistake, writing
+from bayesnet_track.commands.answer import (
+    OK,
+    UsageError,
+    complain,
+    say,
+    users_mistake,
+    words,
+    writing,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -48,12 +56,24 @@ def report(options: argparse.Namespace) -> int:
                 _write_folder(out, data, found)
             else:
                 _write_one(out, data, found, missing, len(set(frames)))
+    if out.resolve() == directory.report.resolve():
+        _list(directory)
     say(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
     if options.open:
         import webbrowser
 
         webbrowser.open(out.absolute().as_uri())
     return OK
+
+
+def _list(directory: RunDirectory) -> None:
+    """Let `verify` know the page, where the run has a manifest that can be trusted."""
+    from bayesnet_track.runtime.manifest import ManifestError, add_output
+
+    try:
+        add_output(directory, "report")
+    except (OSError, ManifestError) as error:
+        complain(f"{directory.report}: not listed in {directory.manifest.name}: {words(error)}")
 
 
 def _place(options: argparse.Namespace, directory: RunDirectory) -> Path:

@@ -11,20 +11,19 @@ from bayesnet_track.commands.tracking import executor_of, follow
 from bayesnet_track.commands.viewing import begin_again, viewed
 
 if TYPE_CHECKING:
-    from bayesnet_track.runtime.recipe import Recipe
     from bayesnet_track.runtime.rundir import RunDirectory
 
 
 def resume(options: argparse.Namespace) -> int:
     """Go on with a run."""
-    from bayesnet_track.runtime.recipe import Recipe
     from bayesnet_track.runtime.resume import resume, standing
     from bayesnet_track.runtime.run import Summary
     from bayesnet_track.runtime.rundir import RunDirectory
 
     directory = RunDirectory(Path(options.run))
     if standing(directory.path).is_finished:
-        _write_truth(directory, Recipe.read(directory))
+        for _ in resume(directory.path):  # removes what a kill in the last moment left
+            pass
         say(f"{directory.path}: it is finished; there is nothing to do")
         return OK
     summary, expected = Summary(), _expected(directory)
@@ -41,10 +40,7 @@ def resume(options: argparse.Namespace) -> int:
             inputs=view if view is not None and view.controls.can_switch else None,
             notice=lambda text: complain(f"{directory.path}: {text}"),
         )
-        code = follow(options, results, summary, expected, directory.path, view)
-    if summary.complete:
-        _write_truth(directory, Recipe.read(directory))
-    return code
+        return follow(options, results, summary, expected, directory.path, view)
 
 
 def _expected(directory: RunDirectory) -> int | None:
@@ -58,15 +54,3 @@ def _expected(directory: RunDirectory) -> int | None:
     except (OSError, JournalError):
         return None
     return first.declared_frames if isinstance(first, RunStarted) else None
-
-
-def _write_truth(directory: RunDirectory, recipe: Recipe) -> None:
-    """The truth of a built-in scene, as `demo` writes it in the end."""
-    from bayesnet_track.evaluate.truth import format_truth
-    from bayesnet_track.runtime.scene_source import SceneSource
-
-    if recipe.origin.kind != "scene" or directory.truth.exists():
-        return
-    source = recipe.open_source()
-    assert isinstance(source, SceneSource)
-    directory.write_text(directory.truth, format_truth(source.scene.truth[: source.expected_frames]))

@@ -64,7 +64,6 @@ def demo(options: argparse.Namespace) -> int:
 
 def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     from bayesnet_track.evaluate.runs import score_run
-    from bayesnet_track.evaluate.truth import format_truth
     from bayesnet_track.graph.load import load_graph
     from bayesnet_track.journal.explain import explain, has_several_targets
     from bayesnet_track.journal.reader import read_events
@@ -83,10 +82,9 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     starts = [Start(box, plate) for plate, box in scene.starts if plate in graph.targets]
     starts = [] if has_births(graph) else starts or [Start(scene.start_box)]
     code = _track(options, graph, source, starts, out, video=True, view=view)
-    directory = RunDirectory.open(out)
-    directory.write_text(directory.truth, format_truth(scene.truth[: source.expected_frames]))
     if code != OK:
         return code
+    directory = RunDirectory.open(out)
     say("\nwhat was decided, and why:")
     events = list(read_events(directory.journal))
     name_target = has_several_targets(events)

@@ -19,6 +19,7 @@ def what_if(options: argparse.Namespace) -> int:
     """Run again, then compare."""
     from bayesnet_track.commands.compare import check_page, tell_comparison
     from bayesnet_track.graph.change import ChangeError, change_graph
+    from bayesnet_track.runtime.manifest import add_output
     from bayesnet_track.runtime.opened import open_run
     from bayesnet_track.runtime.recipe import Recipe, RecipeError
     from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
@@ -50,9 +51,10 @@ def what_if(options: argparse.Namespace) -> int:
     if code not in (OK, INCOMPLETE):
         return code
     second = RunDirectory.open(out)
-    if first.directory.truth.is_file():
+    if first.directory.truth.is_file() and not second.truth.exists():
         try:
             shutil.copyfile(first.directory.truth, second.truth)
+            add_output(second, "truth")
         except OSError as error:
             complain(f"{second.truth}: cannot write: {error.strerror}")
             return BAD_OUTPUT

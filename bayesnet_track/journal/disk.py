@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Protocol
 
 CANNOT = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)
-"""What some file systems (of a network, of a container) answer when a folder is to be synced."""
+"""What devices answer to a sync and, for a folder, some file systems (of a network, of a container)."""
 
 
 class RawFile(Protocol):
@@ -65,8 +65,8 @@ def write_whole(file: RawFile, data: bytes | memoryview) -> None:
 
 
 def sync(file: RawFile) -> None:
-    """Wait until the disk has what was written to `file`."""
-    os.fsync(file.fileno())
+    """Wait until the disk has what was written to `file`; a device or a pipe is on none."""
+    _fsync(file.fileno())
 
 
 def sync_folder(folder: Path) -> None:
@@ -75,12 +75,17 @@ def sync_folder(folder: Path) -> None:
         return
     handle = os.open(folder, os.O_RDONLY)
     try:
+        _fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _fsync(handle: int) -> None:
+    try:
         os.fsync(handle)
     except OSError as error:
         if error.errno not in CANNOT:
             raise
-    finally:
-        os.close(handle)
 
 
 def replace(source: Path, target: Path) -> None:

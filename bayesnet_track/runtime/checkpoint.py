@@ -1,7 +1,8 @@
 """Checkpoints: where a run can go on from, kept in the run directory while it goes on.
 
 A checkpoint says how far every output file is written, which bytes are in it, and what the engine's state is.
-It is written whole or not at all, after the outputs have reached the disk, and it is gone when the run ends.
+It is written whole or not at all, after the outputs have reached the disk, and removed once the run is
+finished.
 """
 
 from __future__ import annotations
@@ -213,7 +214,6 @@ class Checkpoints:
         describe_machine()  # takes some ms the first time: not between two frames
         self._writer = ThreadPoolExecutor(1, "checkpoints")
         self._writing: Future[None] | None = None
-        self._has_made = False
 
     def reached(self, now: Reached) -> None:
         """Make a checkpoint when one is due.
@@ -235,15 +235,12 @@ class Checkpoints:
                 self._written()
 
     def ended(self) -> None:
-        """Let the disk have the outputs, and remove the checkpoint.
+        """Wait for the last one; it stays until the run is finished.
 
         Raises:
-            OutputError: an output cannot be written.
+            OutputError: it cannot be written.
         """
         self._written()
-        if self._has_made or self._directory.checkpoint.exists():
-            self._recorder.sync()
-            remove(self._directory.checkpoint)
 
     def close(self) -> None:
         """Wait for the disk; safe to call twice."""
@@ -272,7 +269,7 @@ class Checkpoints:
                 self._notice(f"no checkpoints: {error}; if it is broken off, this run repeats from its start")
             return
         self._writing = self._writer.submit(self._write, made)
-        self._has_made, self._due = True, began + self._every_s
+        self._due = began + self._every_s
 
     def _write(self, made: Checkpoint) -> None:
         self._recorder.sync()

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.scene_source import SceneSource
 
 RECIPE_VERSION = 1
+HAS_MANIFEST = "manifest"
+"""The option by which a recipe says that its run is finished by a manifest; earlier versions wrote none."""
 
 
 class RecipeError(ValueError):
@@ -72,8 +74,8 @@ class Recipe:
         inputs: the file of what came from outside in a run that was repeated, or None.
         has_video: whether the annotated video was asked for.
         own_motion: whether a motion model of one's own stood in for the graph's.
-        options: what else was asked for that changes results, by name: `budget_ms`, and `allow_plugins`, what
-            of other packages was at work. To be named here allows nothing.
+        options: what else was asked for, by name: `budget_ms`; `allow_plugins`, what of other packages was at
+            work (to be named here allows nothing); `manifest`, that the run is finished by one.
         versions: library -> version.
         recipe: version of this format.
     """
@@ -108,6 +110,11 @@ class Recipe:
         """Milliseconds that a frame might take; None for as long as it took."""
         budget = self.options.get("budget_ms")
         return None if budget is None else float(budget)
+
+    @property
+    def has_manifest(self) -> bool:
+        """Whether the run, once finished, has a manifest."""
+        return bool(self.options.get(HAS_MANIFEST, False))
 
     def text(self) -> str:
         """It as JSON."""

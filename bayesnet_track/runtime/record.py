@@ -14,7 +14,7 @@ from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.journal.inputs import Input
 from bayesnet_track.journal.reader import read_metrics
-from bayesnet_track.journal.writer import JournalWriter, LineFile, Position
+from bayesnet_track.journal.writer import JournalWriter, LineFile, Position, output_error, read_position
 from bayesnet_track.planes import Frame
 from bayesnet_track.runtime.run import Result
 from bayesnet_track.runtime.rundir import RunDirectory
@@ -87,6 +87,23 @@ class Recorder:
         """Let the disk have all that is written, but for the video."""
         for file in self._lines().values():
             file.sync()
+
+    def finish(self) -> dict[str, Position]:
+        """Close every file and wait until the disk has it; key in `rundir.FILES` -> how far it is written.
+
+        Raises:
+            OutputError: a file cannot be written.
+        """
+        self.sync()
+        written = dict(self.written.positions)
+        if self._video is not None:
+            self._video.finish()
+            try:
+                written["video"] = read_position(self._directory.video)
+            except OSError as error:
+                raise output_error(self._directory.video, error) from error
+        self._files.close()
+        return written
 
     def redraw(self, frames: Iterable[Frame], until: int) -> None:
         """Write the video of the frames up to number `until`, as frames.jsonl has them."""

@@ -31,6 +31,7 @@ from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.inputs import Asked, as_asked
 from bayesnet_track.runtime.lock import locked
+from bayesnet_track.runtime.manifest import finish, read_manifest, tidy
 from bayesnet_track.runtime.recipe import Recipe
 from bayesnet_track.runtime.record import Recorder
 from bayesnet_track.runtime.run import FrameSource, Result, Resumed, Sink, Summary, run
@@ -52,7 +53,7 @@ class Standing:
     """How a run stands.
 
     Attributes:
-        is_finished: whether its source was read to its end.
+        is_finished: whether its source was read to its end, and every output is whole on the disk.
         frame: last frame of the checkpoint, from which it can go on; None where it begins anew.
         reason: why it ended, in the words of `RunEnded.reason`; None when nothing in the journal says so.
     """
@@ -68,13 +69,17 @@ def standing(path: str | PathLike[str]) -> Standing:
     Raises:
         RecipeError: it is no run that can be done again.
         CheckpointError: the checkpoint is damaged or of another version.
+        ManifestError: the manifest was changed or is of another version.
     """
     directory = RunDirectory(Path(path))
-    Recipe.read(directory)
+    recipe = Recipe.read(directory)
     reason = _ending(directory.journal)
+    if read_manifest(directory.manifest) is not None:
+        return Standing(True, None, reason)
     if directory.checkpoint.exists():
         return Standing(False, read_checkpoint(directory.checkpoint).frame, reason)
-    return Standing(reason is not None and reason not in BROKEN_OFF, None, reason)
+    is_ended = reason is not None and reason not in BROKEN_OFF
+    return Standing(is_ended and not recipe.has_manifest, None, reason)
 
 
 def resume(
@@ -129,6 +134,7 @@ def resume(
         stack.enter_context(locked(directory))
         told = summary if summary is not None else Summary()
         if standing(path).is_finished:
+            tidy(directory)
             return
         graph = recipe.load_graph(directory)
         check_same(recipe, source, motion)
@@ -155,6 +161,9 @@ def resume(
         # From here on files are changed.
         keep_ahead(directory, before, -1 if checkpoint is None else checkpoint.frame)
         _clear(directory, checkpoint)
+        truth = getattr(opened, "truth_text", None)
+        if truth is not None and not directory.truth.exists():  # earlier versions wrote it in the end
+            directory.write_text(directory.truth, truth)
         recorder = stack.enter_context(
             Recorder(
                 directory,
@@ -188,12 +197,8 @@ def resume(
             keeper=keeper,
             after=after,
         )
-        # The source was read to its end: nothing is to come again.
-        if keeper is None and checkpoint is not None:
-            recorder.sync()
-            remove(directory.checkpoint)
-        if directory.ahead.exists():
-            remove(directory.ahead)
+        if told.frames:
+            finish(directory, recorder.finish())
 
 
 def _why_anew(checkpoint: Checkpoint | None, engine: Engine) -> str:

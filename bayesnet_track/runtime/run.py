@@ -158,7 +158,7 @@ class Keeper(Protocol):
         ...
 
     def ended(self) -> None:
-        """The source was read to its end, and the journal is closed."""
+        """The source was read to its end, and the journal has its last line."""
         ...
 
 

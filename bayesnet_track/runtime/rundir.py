@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -24,6 +24,7 @@ FILES = {
     "inputs": "inputs.jsonl",
     "ahead": "inputs_ahead.jsonl",
     "checkpoint": "checkpoint",
+    "manifest": "manifest.json",
 }
 LOCK = ".lock"
 """Beside them, and none of them: nothing replaces or removes it."""
@@ -111,7 +112,8 @@ class RunDirectory:
         """
         # The manifest and the checkpoint go first: they must not outlive what they stand for. The journal
         # goes last: a half-cleared folder still counts as a run.
-        order = [*(name + PART for name in FILES.values()), FILES["checkpoint"], FILES["recipe"]]
+        order = [name + PART for name in FILES.values()]
+        order += [FILES[key] for key in ("manifest", "checkpoint", "recipe")]
         order += [name for name in FILES.values() if name not in (*order, FILES["journal"])]
         try:
             held = {entry.name for entry in self.path.iterdir()}
@@ -130,8 +132,7 @@ class RunDirectory:
         try:
             with closing(disk.open_raw(path, "wb")) as file:
                 disk.write_whole(file, text.encode("utf-8"))
-                with suppress(OSError):  # what is no file on a disk
-                    disk.sync(file)
+                disk.sync(file)
         except OSError as error:
             raise RunDirectoryError(f"{path}: cannot write: {error.strerror}") from error
 
@@ -194,6 +195,11 @@ class RunDirectory:
     def checkpoint(self) -> Path:
         """Where the run can go on from, while it is not at its end."""
         return self.path / FILES["checkpoint"]
+
+    @property
+    def manifest(self) -> Path:
+        """What a finished run left; see `runtime.manifest`."""
+        return self.path / FILES["manifest"]
 
     @property
     def inputs(self) -> Path:

@@ -53,6 +53,13 @@ class SceneSource:
         return self.scene.height
 
     @property
+    def truth_text(self) -> str:
+        """The ground truth of its frames as text: a corner box a line."""
+        from bayesnet_track.evaluate.truth import format_truth
+
+        return format_truth(self.scene.truth[: self.expected_frames])
+
+    @property
     def has_depth(self) -> bool:
         """Whether the frames carry a second eye."""
         return self.scene.stereo is not None

@@ -22,7 +22,8 @@ from bayesnet_track.runtime.detection_files import file_detector
 from bayesnet_track.runtime.executors import RETRIES, Executing, make_executor
 from bayesnet_track.runtime.inputs import Asked, as_asked
 from bayesnet_track.runtime.lock import locked
-from bayesnet_track.runtime.recipe import Recipe, file_sha256, make_recipe
+from bayesnet_track.runtime.manifest import finish
+from bayesnet_track.runtime.recipe import HAS_MANIFEST, Recipe, file_sha256, make_recipe
 from bayesnet_track.runtime.record import Recorder
 from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
 from bayesnet_track.runtime.rundir import RunDirectory
@@ -99,6 +100,7 @@ def track(
             print(result.frame.index, one.box, one.status, one.active)
     """
     plugins.allow(allow_plugins)
+    told_of = summary if summary is not None else Summary()
     checked = load_graph(graph)
     starts = _starts(box)
     read = {} if detections is None else {str(detections): file_sha256(detections)}
@@ -121,6 +123,7 @@ def track(
         engine = placed(stack, executing, engine, None if motion is not None else checked, opened, budget_ms)
         told: list[Sink] = list(sinks)
         keeper: Checkpoints | None = None
+        recorder: Recorder | None = None
         if out is not None:
             directory = RunDirectory.create(str(out), overwrite)
             stack.enter_context(locked(directory))
@@ -137,7 +140,7 @@ def track(
                 inputs=None if callable(inputs) else inputs,
                 options=_options(engine, budget_ms),
             )
-            begin(directory, checked, recipe)
+            begin(directory, checked, recipe, getattr(opened, "truth_text", None))
             recorder = stack.enter_context(Recorder(directory, checked, opened.frame_interval_s, video))
             told.append(recorder)
             keeper = kept(directory, engine, recorder, recipe, checkpoint_every)
@@ -149,13 +152,15 @@ def track(
             starts,
             seed=seed,
             sinks=told,
-            summary=summary,
+            summary=told_of,
             engine=engine,
             inputs=read,
             outside=outside,
             deadline=None if budget_ms is None else Deadline(budget_ms, executing.processes),
             keeper=keeper,
         )
+        if recorder is not None and told_of.frames:
+            finish(directory, recorder.finish())
 
 
 def placed(
@@ -186,8 +191,10 @@ def prepared(
     return make_engine(graph, seed, motion=own, detectors=given)
 
 
-def begin(directory: RunDirectory, graph: CheckedGraph, recipe: Recipe) -> None:
+def begin(directory: RunDirectory, graph: CheckedGraph, recipe: Recipe, truth: str | None = None) -> None:
     """Write down what is asked for, before anything is done; the recipe comes last: with it all is there.
+
+    `truth` is the text of truth.txt, for a built-in scene.
 
     Raises:
         OutputError, RunDirectoryError: it cannot be written.
@@ -195,6 +202,8 @@ def begin(directory: RunDirectory, graph: CheckedGraph, recipe: Recipe) -> None:
     # What holds a journal counts as a run, which may be overwritten.
     LineFile(directory.journal).close()
     directory.write_text(directory.graph, graph.text)
+    if truth is not None:
+        directory.write_text(directory.truth, truth)
     recipe.write(directory)
 
 
@@ -213,8 +222,8 @@ def opaque_agents(engine: Engine) -> tuple[str, ...]:
 
 
 def _options(engine: Engine, budget_ms: float | None) -> dict[str, bool | int | float | str]:
-    """What else the recipe remembers: the budget, and what of other packages is at work."""
-    options: dict[str, bool | int | float | str] = {}
+    """What else the recipe remembers: that a manifest ends it, the budget, what of other packages is used."""
+    options: dict[str, bool | int | float | str] = {HAS_MANIFEST: True}
     if budget_ms is not None:
         options["budget_ms"] = budget_ms
     named: set[str] = set()

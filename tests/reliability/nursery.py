@@ -63,11 +63,13 @@ def prepare(folder: Path, frames: int = FRAMES) -> None:
         cv2.imwrite(str(folder / "pictures" / f"{index:04}.png"), image)
 
 
-def begin(given: Path, folder: Path, every_s: float = EVERY_S) -> None:
+def begin(given: Path, folder: Path, every_s: float = EVERY_S, video: bool = False) -> None:
     graph = given / "graph.yaml"
     with open_source(str(given / "pictures")) as source:
         starts = [Start((*map(float, place(0)), float(SIDE), float(SIDE)))]
-        for _ in track(graph, source, starts, out=folder, checkpoint_every=every_s, overwrite=True):
+        for _ in track(
+            graph, source, starts, out=folder, checkpoint_every=every_s, overwrite=True, video=video
+        ):
             pass
 
 

@@ -23,6 +23,8 @@ from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.runtime.recipe import RecipeError
 from bayesnet_track.runtime.resume import standing
 from bayesnet_track.runtime.rundir import RunDirectoryError
+from bayesnet_track.runtime.verify import verify
+from bayesnet_track.runtime.videowriter import VideoWriter
 
 FRAMES, EVERY_S = 4, 1e-6
 CHANGES = ("sync", "sync_folder", "replace", "unlink", "make_folder", "remove_folder")
@@ -64,7 +66,7 @@ def begin(nursery: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Work
     cv2.setNumThreads(1)
     given = tmp_path_factory.mktemp("given")
     nursery.prepare(given, FRAMES)
-    return lambda folder: nursery.begin(given, folder, EVERY_S)
+    return lambda folder: nursery.begin(given, folder, EVERY_S, video=True)
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +85,7 @@ def files(folder: Path) -> dict[str, str]:
     return {
         path.name: hashlib.sha256(path.read_bytes()).hexdigest()
         for path in folder.iterdir()
-        if path.name != "timings.jsonl"
+        if path.name not in ("timings.jsonl", "manifest.json")
     }
 
 
@@ -153,17 +155,32 @@ def test_a_crash_at_every_step_of_a_run(
         code = forked(begin, folder, at)
         assert code in (0, 137), at
         try:
-            standing(folder)
+            is_finished = standing(folder).is_finished
+            assert verify(folder).status == ("verified" if is_finished else "unfinished"), at
             go_on(folder)
         except RecipeError:
             refused += 1
             begin(folder)
-        assert files(folder) == whole, at
+        assert files(folder) == whole and verify(folder).status == "verified", at
         if code == 0:
             break
     print(f"{at} steps, {refused} of them before there was a run")
     # Files of the start, lines of every frame, checkpoints, and the end.
     assert at > 40 and 0 < refused < 10
+
+
+def test_a_kill_before_the_video_is_closed(
+    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The journal has its last line then, and the video lacks its own last part."""
+    folder = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        for name in ("close", "finish"):
+            patch.setattr(VideoWriter, name, lambda _: dies(), raising=False)
+        assert forked(begin, folder, 0) == 137
+    assert '"run_ended"' in (folder / "journal.jsonl").read_text()
+    go_on(folder)
+    assert files(folder) == whole
 
 
 def test_a_crash_at_every_step_of_going_on(

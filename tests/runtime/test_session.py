@@ -83,6 +83,7 @@ def test_a_run_directory_with_a_video(video, tmp_path):
             break
     assert {path.name for path in (tmp_path / "run").iterdir()} == {".lock", *FILES.values()} - {
         "truth.txt",
+        "manifest.json",
         "inputs.jsonl",
         "inputs_ahead.jsonl",
         "report.html",

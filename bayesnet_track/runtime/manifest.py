@@ -1,0 +1,157 @@
+"""The manifest: which bytes a finished run left. Writing it is what finishes a run.
+
+It is written after every other output is closed and on the disk, whole or not at all. A run without one is
+unfinished, whatever its journal says.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bayesnet_track.journal import disk
+from bayesnet_track.journal.writer import Position, output_error, read_position
+from bayesnet_track.runtime.atomic import PART, write_atomically
+from bayesnet_track.runtime.lock import locked
+from bayesnet_track.runtime.rundir import FILES, RunDirectory
+
+FORMAT = 1
+
+SAME = "inputs"
+"""Such an output has the same bytes for the same graph, source, start boxes, seed and library versions."""
+VARIES = {"recipe": "machine", "video": "machine", "timings": "clock", "report": "clock"}
+"""What the bytes of the others depend on, besides: paths and codecs of the machine, or the clock."""
+PASSING = ("checkpoint", "ahead")
+"""Files that a run needs only until it is finished."""
+
+
+class ManifestError(ValueError):
+    """A ``manifest.json`` that was changed, or is of another version."""
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What a finished run left.
+
+    Attributes:
+        outputs: file, by its key in `rundir.FILES` -> its size and SHA-256.
+    """
+
+    outputs: Mapping[str, Position]
+
+    @property
+    def result(self) -> str:
+        """One SHA-256 for all outputs that equal inputs make equal: compare two runs by it."""
+        same = sorted(key for key in self.outputs if _varies(key) == SAME)
+        lines = "".join(f"{FILES[key]} {self.outputs[key].sha256}\n" for key in same)
+        return hashlib.sha256(lines.encode("ascii")).hexdigest()
+
+    def text(self) -> str:
+        """It as JSON; the last entry is the SHA-256 of the others."""
+        outputs = {
+            FILES[key]: {"size": at.size, "sha256": at.sha256, "varies_with": _varies(key)}
+            for key, at in sorted(self.outputs.items(), key=lambda item: FILES[item[0]])
+        }
+        held: dict[str, Any] = {"manifest": FORMAT, "outputs": outputs, "result": self.result}
+        seal = hashlib.sha256(json.dumps(held).encode("ascii")).hexdigest()
+        return json.dumps({**held, "seal": seal}, indent=1) + "\n"
+
+
+def read_manifest(path: Path) -> Manifest | None:
+    """The manifest in a file; None where there is none.
+
+    Raises:
+        ManifestError: it was changed since it was written, or is of another version.
+        OSError: it cannot be read.
+    """
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    try:
+        held = json.loads(data)
+        version, keys = held["manifest"], {name: key for key, name in FILES.items()}
+        if version != FORMAT:
+            raise ManifestError(f"{path}: version {version} of the format; this program reads {FORMAT}")
+        outputs = held["outputs"].items()
+        found = Manifest({keys[name]: Position(one["size"], one["sha256"]) for name, one in outputs})
+        is_whole = found.text().encode("ascii") == data
+    except ManifestError:
+        raise
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        is_whole = False
+    if not is_whole:
+        raise ManifestError(f"{path}: changed since it was written: it vouches for nothing any more")
+    return found
+
+
+def finish(directory: RunDirectory, written: Mapping[str, Position]) -> None:
+    """Write the manifest, by which the run is finished, and remove what it needed only until then.
+
+    Args:
+        directory: of the run; every file of it is closed.
+        written: key -> how far it was written, for the outputs that the disk has.
+
+    Raises:
+        OutputError: it cannot be written, or an output cannot be read.
+    """
+    held = dict(written)
+    for key in ("recipe", "graph", "truth"):
+        path = directory.path / FILES[key]
+        try:
+            if path.exists():
+                held[key] = read_position(path)
+        except OSError as error:
+            raise output_error(path, error) from error
+    # With it the disk has the entries of the folder, too.
+    write_atomically(directory.manifest, Manifest(held).text().encode("ascii"))
+    tidy(directory)
+
+
+def add_output(directory: RunDirectory, key: str) -> None:
+    """List an output that was made from a finished run, such as its page; an unfinished run lists none.
+
+    Raises:
+        OutputError: the output cannot be read, or the manifest cannot be written.
+        RunDirectoryError: another process is writing the run.
+        ManifestError: the manifest was changed.
+    """
+    if not directory.manifest.exists():
+        return
+    with locked(directory):
+        manifest = read_manifest(directory.manifest)
+        if manifest is not None:
+            path = directory.path / FILES[key]
+            try:
+                outputs = {**manifest.outputs, key: read_position(path)}
+            except OSError as error:
+                raise output_error(path, error) from error
+            write_atomically(directory.manifest, Manifest(outputs).text().encode("ascii"))
+
+
+def tidy(directory: RunDirectory) -> None:
+    """Remove what a run needs only until it is finished.
+
+    Raises:
+        OutputError: it cannot be removed.
+    """
+    try:
+        held = {entry.name for entry in directory.path.iterdir()}
+        for name in sorted(held & passing()):
+            disk.unlink(directory.path / name)
+        disk.sync_folder(directory.path)
+    except OSError as error:
+        raise output_error(directory.path, error) from error
+
+
+def passing() -> set[str]:
+    """The names of files that a finished run does without."""
+    return {FILES[key] for key in PASSING} | {name + PART for name in FILES.values()}
+
+
+def _varies(key: str) -> str:
+    return VARIES.get(key, SAME)
