@@ -10,7 +10,7 @@ import cv2
 import matplotlib.pyplot as plt
 import numpy as np
 from figure_style import BEST, INK, QUIET, Axes, boxes, density, show, surface
-from figures_occlusion import GRAY, GRAY_PLATE
+from figures_occlusion import GRAY
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 from traces import Moment, Trace, trace
@@ -56,7 +56,8 @@ def tracked(sd_pattern: float, frames: int = FRAMES) -> Trace:
     """Both squares from their detections: `color_fusion` on orange, colour and intensity on gray."""
     scene, found = stage()
     orange = load_graph("color_fusion").spec.model_dump(exclude_none=True)["targets"]["square"]
-    nodes: dict[str, Any] = dict(GRAY_PLATE["nodes"])
+    gray = load_graph("gray_square").spec.model_dump(exclude_none=True)["targets"]["square"]
+    nodes: dict[str, Any] = gray["nodes"]
     nodes["intensity"] = {
         "parent": "square",
         "agent": {"intensity": {"floor": FLOOR, "sd_pattern": sd_pattern}},
