@@ -12,9 +12,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from bayesnet_track import Start, track
 from bayesnet_track.graph.net import SelfStopped
+from bayesnet_track.numerics.boxes import centre_from_corner, overlap
+from bayesnet_track.runtime.scene_source import SceneSource
+from bayesnet_track.scenes.occluder import occluder
 
 PLACE = Path(__file__).parents[1] / "benchmarks" / "stories.py"
 
@@ -50,9 +55,27 @@ def test_the_log_tells_the_story(stories: Any, name: str, seed: int) -> None:
 
 @pytest.mark.slow
 def test_color_fusion_tells_its_story_in_most_seeds(stories: Any) -> None:
-    """It was told in 20 of 20 seeds; with a share of 0.95 fewer than 8 of 10 have a probability of 1 %."""
+    """It was told in 19 of 20 seeds; with a share of 0.95 fewer than 8 of 10 have a probability of 1 %."""
     story = stories.STORIES["color_fusion"]
     assert sum(story.is_told(story.played(seed)) for seed in range(10)) >= 8
+
+
+@pytest.mark.slow
+def test_color_fusion_finds_the_square_again_behind_an_occluder() -> None:
+    """It did in 24 of 24 runs; with a share of 0.95 fewer than 9 of 12 have a probability of 0.2 %.
+
+    Seeds of neither the choice of `recover` (100 to 135) nor the report (0 to 23).
+    """
+    again = 0
+    for seed in range(200, 212):
+        scene = occluder(seed, hidden=11)
+        x, y, w, h = scene.start_box
+        results = list(
+            track("color_fusion", SceneSource(scene, "scene:occluder"), [Start((x, y, w, h))], seed=seed)
+        )
+        boxes = np.array([result.targets[0].box for result in results[-10:]])
+        again += overlap(boxes, centre_from_corner(scene.truth[-10:])).mean() > 0.5
+    assert again >= 9
 
 
 @pytest.mark.slow
