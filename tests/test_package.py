@@ -9,6 +9,8 @@ import sys
 import zipfile
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from bayesnet_track import plugins
@@ -249,3 +251,47 @@ def test_the_wheel_works_where_nothing_else_of_the_project_is(wheel, tmp_path):
     assert all(Path(name).is_relative_to(site) for name in json.loads(found.stdout))
     line = ("-m", "bayesnet_track", "demo", "--end", "3", "--out", tmp_path / "run")
     assert python(*line, cwd=tmp_path, env=environment).returncode == 0
+
+
+DECOY = "import os\nwith open({log!r}, 'a') as log: log.write(f'{{__file__}} ran in {{os.getpid()}}\\n')\n"
+
+
+@pytest.mark.slow
+def test_an_installation_imports_nothing_from_the_working_directory(wheel, tmp_path):
+    """Neither the program, nor a process that it starts: of agents, of a batch, of a decoder."""
+    site, here, log = tmp_path / "site", tmp_path / "here", tmp_path / "log"
+    python("-m", "pip", "install", "--no-deps", "--target", site, wheel, check=True)
+    (here / "bayesnet_track").mkdir(parents=True)
+    for name in ("cv2.py", "numpy.py", "numba.py", "av.py", "json.py", "bayesnet_track/__init__.py"):
+        (here / name).write_text(DECOY.format(log=str(log)))
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    images = here / "images"
+    images.mkdir()
+    rng = np.random.default_rng(0)
+    for index in range(3):
+        cv2.imwrite(str(images / f"{index}.png"), rng.integers(0, 255, (60, 80, 3), dtype=np.uint8))
+
+    def command(*line):
+        # As the installed script: where the script is comes first in the path, not the working directory.
+        return python("-P", "-m", "bayesnet_track", *line, cwd=here, env=environment)
+
+    for line in (
+        ("demo", "--end", "3", "--out", "a", "--quiet", "--executor", "processes", "--workers", "1"),
+        (
+            "run",
+            "two_squares",
+            "--source",
+            "images",
+            "--init",
+            "9,9,20,20",
+            "--out",
+            "b",
+            "--isolate-decoder",
+        ),
+        ("batch", "two_squares", "--source", "images", "--init", "9,9,20,20", "--out", "c", "--jobs", "1"),
+    ):
+        done = command(*line)
+        assert (done.returncode, log.exists()) == (0, False), done.stderr
+    journal = (here / "a" / "journal.jsonl").read_text()
+    assert "missed" not in journal and "quarantined" not in journal
+    assert (here / "a" / "tracks.txt").read_text() and not (here / "a" / "inputs.jsonl").exists()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 import tempfile
 import threading
 from collections.abc import Generator, Sequence
@@ -16,6 +15,7 @@ from typing import Protocol
 
 from bayesnet_track.batch.jobs import Job
 from bayesnet_track.batch.work import Row, failed_row
+from bayesnet_track.runtime.child import cut, python, tie
 
 WAIT_S = 0.2
 
@@ -92,11 +92,15 @@ def _supervise(
         return
     row: Row | None = None
     pipe = subprocess.PIPE
-    command = [sys.executable, "-m", "bayesnet_track.batch.worker"]
+    held, lifeline = tie()
+    command = python("from bayesnet_track.batch.worker import main; sys.exit(main())", held=held)
+    files = () if held < 0 else (held,)
     try:
         with (
             tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as complaints,
-            subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=complaints, text=True) as process,
+            subprocess.Popen(
+                command, stdin=pipe, stdout=pipe, stderr=complaints, text=True, pass_fds=files
+            ) as process,
         ):
             running.add(process)
             if is_over.is_set():  # it was not among those that were ended
@@ -118,4 +122,6 @@ def _supervise(
                 row = failed_row(job, f"its process ended with {code}" + (f": {said[-1]}" if said else ""))
     except (OSError, ValueError) as error:
         row = failed_row(job, str(error))
+    finally:
+        cut(held, lifeline)
     heard.put(Told(job, row=row))

@@ -43,7 +43,3 @@ def main() -> int:
     except (OSError, ValueError) as error:
         tell({"row": failed_row(job, " ".join(words(error).split()))})
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

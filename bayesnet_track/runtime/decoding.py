@@ -163,7 +163,3 @@ def _tell(answers: int, message: Mapping[str, Any]) -> None:
     line = json.dumps(message).encode() + b"\n"
     while line:
         line = line[os.write(answers, line) :]
-
-
-if __name__ == "__main__":
-    serve(opened)

@@ -13,7 +13,6 @@ import os
 import select
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.runtime.child import cut, python, tie
 from bayesnet_track.runtime.decoding import OUT_OF_MEMORY, SLOT_BYTES, SLOTS
 from bayesnet_track.runtime.frames import Damage, Picture, PictureError, SourceError
 from bayesnet_track.runtime.images import ImageReader
@@ -60,21 +60,23 @@ class IsolatedReader:
         self.files = files
         self._limits = limits or Limits(picture_s=NETWORK_S if network else Limits.picture_s)
         self._shared = _shared_memory(SLOTS * SLOT_BYTES)
-        run = f"import sys; sys.path[:] = {sys.path!r}; from {MODULE} import opened, serve; serve(opened)"
+        held, self._lifeline = tie()
         environment = {**os.environ, "MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1"}
         try:
             self._process = subprocess.Popen(
-                command or [sys.executable, "-c", run],
+                command or python(f"from {MODULE} import opened, serve; serve(opened)", held=held),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 bufsize=0,
-                pass_fds=[self._shared],
+                pass_fds=[self._shared, held],
                 env=environment,
             )
         except BaseException:
-            os.close(self._shared)
+            cut(self._shared, self._lifeline)
             raise
+        finally:
+            cut(held)
         try:
             self._open(network, start)
         except BaseException:
@@ -140,8 +142,8 @@ class IsolatedReader:
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
                 pipe.close()
-        os.close(self._shared)
-        self._shared = -1
+        cut(self._shared, self._lifeline)
+        self._shared = self._lifeline = -1
 
     def _item(self, told: Mapping[str, Any]) -> Picture | Damage:
         index = int(told["index"])

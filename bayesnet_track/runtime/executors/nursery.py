@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import os
+import select
 import socket
 import struct
 import subprocess
-import sys
+import time
 from collections.abc import Mapping
 from contextlib import suppress
 from threading import Lock
 from types import MappingProxyType
 
 from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.runtime.child import cut, python, tie
+
+MODULE = "bayesnet_track.runtime.executors.worker"
 
 WORKER = b"w"
 END = b"e"
 NUMBER = struct.Struct("=q")
+READY, UNKNOWN = -(1 << 40), -(1 << 41)
+"""What it says when it has imported everything, and of the exit code of a process that it does not know."""
 END_S = 0.5
 """Seconds in which a worker that is let go has ended; then it is killed."""
 ONE_THREAD: Mapping[str, str] = MappingProxyType(
@@ -24,6 +30,8 @@ ONE_THREAD: Mapping[str, str] = MappingProxyType(
 )
 START_S = 60.0
 """Seconds in which the nursery has imported everything, on the slowest machine."""
+LOOK_S = 0.25
+"""Seconds after which it is looked whether a nursery that does not answer is stopped."""
 
 
 class Nursery:
@@ -33,9 +41,16 @@ class Nursery:
     anew takes a second.
     """
 
-    def __init__(self, frames: int, memory_mb: int) -> None:
-        """Start it; it becomes ready while the engine goes on. `frames` is the descriptor of their memory."""
+    def __init__(self, frames: int, memory_mb: int, answer_s: float) -> None:
+        """Start it; it becomes ready while the engine goes on.
+
+        Args:
+            frames: descriptor of the frames' memory.
+            memory_mb: what a worker may take above what it starts with; 0 for no limit.
+            answer_s: seconds for which a nursery that hangs, or is stopped, is waited for.
+        """
         self._frames, self._memory_mb = frames, memory_mb
+        self._patience_s = answer_s + 2 * END_S  # it may wait END_S for a worker's end itself
         self._lock = Lock()
         self._is_closed = False
         self._start()
@@ -47,7 +62,7 @@ class Nursery:
             AgentUnavailable: none can be started.
         """
         ours, theirs = socket.socketpair()
-        held, lifeline = os.pipe()
+        held, lifeline = tie()
         try:
             with self._lock:
                 pid = self._told(WORKER, (theirs.fileno(), held))
@@ -57,10 +72,10 @@ class Nursery:
                     pid = self._told(WORKER, (theirs.fileno(), held))
         finally:
             theirs.close()
-            os.close(held)
+            cut(held)
         if pid is None:
             ours.close()
-            os.close(lifeline)
+            cut(lifeline)
             raise AgentUnavailable("no worker process can be started")
         return ours, lifeline, pid
 
@@ -70,7 +85,8 @@ class Nursery:
         It is killed if need be; None when nobody knows.
         """
         with self._lock:
-            return self._told(END + NUMBER.pack(pid), ())
+            code = self._told(END + NUMBER.pack(pid), ())
+        return None if code == UNKNOWN else code
 
     def close(self) -> None:
         """End it, and the workers that are left."""
@@ -82,32 +98,66 @@ class Nursery:
 
     def _start(self) -> None:
         self._control, theirs = socket.socketpair()
-        self._control.settimeout(START_S)
+        self._is_ready = False
+        held, self._lifeline = tie()
         numbers = (theirs.fileno(), self._frames, self._memory_mb)
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "bayesnet_track.runtime.executors.worker", *map(str, numbers)],
+                python(f"from {MODULE} import main; main{numbers}", held=held),
                 stdin=subprocess.DEVNULL,
-                pass_fds=numbers[:2],
-                env={**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+                pass_fds=(*numbers[:2], held),
+                env={**os.environ, **ONE_THREAD},
                 # Ctrl-C in a terminal reaches the engine only, which then ends its workers.
                 start_new_session=True,
             )
         finally:
             theirs.close()
+            cut(held)
 
     def _told(self, request: bytes, files: tuple[int, ...]) -> int | None:
+        """What it answers; None when it has ended, and when it hangs, for which it is killed."""
         try:
+            if not self._is_ready:
+                self._received()
+                self._is_ready = True
             socket.send_fds(self._control, [request], files)
-            reply = self._control.recv(NUMBER.size)
-        except OSError:
+            return self._received()
+        except (OSError, ValueError):  # ValueError: closed here
             return None
-        return NUMBER.unpack(reply)[0] if reply else None
+
+    def _received(self) -> int:
+        """The next number that it sends; raises OSError."""
+        began = time.monotonic()
+        poll = select.poll()
+        poll.register(self._control, select.POLLIN)
+        # While it imports, it is waited for longer, unless it is stopped and imports nothing.
+        while not poll.poll(1e3 * LOOK_S):
+            waited = time.monotonic() - began
+            if waited > START_S or (waited > self._patience_s and (self._is_ready or self._is_stopped())):
+                self._process.kill()
+                raise TimeoutError
+        reply = self._control.recv(NUMBER.size)
+        if not reply:
+            raise ConnectionError
+        number: int = NUMBER.unpack(reply)[0]
+        return number
+
+    def _is_stopped(self) -> bool:
+        if not hasattr(os, "waitid"):
+            return False
+        stopped = os.WSTOPPED | os.WNOHANG | os.WNOWAIT
+        with suppress(ChildProcessError):
+            return os.waitid(os.P_PID, self._process.pid, stopped) is not None
+        return False
 
     def _end(self) -> None:
         self._control.close()
+        if self._is_stopped():
+            self._process.kill()
         try:
             self._process.wait(2 * END_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        lifeline, self._lifeline = self._lifeline, -1
+        cut(lifeline)

@@ -56,7 +56,7 @@ class Staff:
     def __init__(self, agents: Mapping[str, Employed], workers: int, limits: Limits, frames: int) -> None:
         self.slots = [Slot() for _ in range(max(1, min(workers, len(agents))))]
         self._agents, self._limits = agents, limits
-        self._nursery = Nursery(frames, limits.memory_mb)
+        self._nursery = Nursery(frames, limits.memory_mb, limits.answer_s)
         self._costs = {agent: employed.cost_s for agent, employed in agents.items()}
         self._spent = dict.fromkeys(agents, 0.0)
         self._asked_in = dict.fromkeys(agents, 0)

@@ -1,6 +1,5 @@
 """The program of the nursery and of the worker processes that it forks, which answer questions about agents.
 
-``python -m bayesnet_track.runtime.executors.worker CONTROL FRAMES MEMORY_MB``, open files and a number;
 `nursery.Nursery` starts it.
 
 The nursery imports once what cues need. A worker forked from it is ready within milliseconds, and shares that
@@ -9,7 +8,6 @@ memory. It has one thread, so that forking is safe.
 
 from __future__ import annotations
 
-import fcntl
 import gc
 import os
 import signal
@@ -18,15 +16,21 @@ import sys
 import time
 from contextlib import suppress
 
+from bayesnet_track.runtime.child import die_with
 from bayesnet_track.runtime.executors.memory import limit_memory
-from bayesnet_track.runtime.executors.nursery import END_S, NUMBER, WORKER
+from bayesnet_track.runtime.executors.nursery import END_S, NUMBER, READY, UNKNOWN, WORKER
 
 POLL_S = 0.002
 
 
-def main(arguments: list[str]) -> None:
-    """Fork workers, and see them off, until the control channel closes."""
-    control_number, frames, memory_mb = (int(argument) for argument in arguments)
+def main(control_number: int, frames: int, memory_mb: int) -> None:
+    """Fork workers, and see them off, until the control channel closes.
+
+    Args:
+        control_number: descriptor of that channel.
+        frames: descriptor of the frames' memory.
+        memory_mb: what a worker may take above what it starts with; 0 for no limit.
+    """
     for descriptor in (control_number, frames):
         os.set_inheritable(descriptor, False)
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -35,6 +39,7 @@ def main(arguments: list[str]) -> None:
     _load()
     children: set[int] = set()
     with suppress(ConnectionError):  # the engine has gone, perhaps while it waited for an answer
+        control.sendall(NUMBER.pack(READY))
         _fork_and_reap(control, children, frames, memory_mb)
     until = time.monotonic() + END_S
     for child in children:
@@ -79,12 +84,15 @@ def _load() -> None:
 
 
 def _ended(child: int, until: float) -> int:
-    """The exit code of a child, minus the signal that killed it; after `until` it is killed."""
+    """The exit code of a child, minus the signal that killed it; after `until` it is killed.
+
+    UNKNOWN where it is no child of this nursery but of one before it.
+    """
     while True:
         try:
             found, status = os.waitpid(child, os.WNOHANG)
         except ChildProcessError:
-            return 0
+            return UNKNOWN
         if found:
             return os.waitstatus_to_exitcode(status)
         if time.monotonic() >= until:
@@ -97,7 +105,7 @@ def _work(channel: int, lifeline: int, frames: int, memory_mb: int) -> None:
     """Be a worker; does not return."""
     code = 1
     try:
-        _die_with(lifeline)
+        die_with(lifeline)
         limit_memory(memory_mb)
         _serve(socket.socket(fileno=channel), frames, memory_mb > 0)
         code = 0
@@ -105,23 +113,6 @@ def _work(channel: int, lifeline: int, frames: int, memory_mb: int) -> None:
         sys.excepthook(*sys.exc_info())
     finally:
         os._exit(code)
-
-
-def _die_with(lifeline: int) -> None:
-    """End when the other end of `lifeline` closes, even amid a computation: the kernel sends a signal then.
-
-    A worker that waits notices its closed channel; one that computes for long, or hangs, would not.
-    """
-    signal.signal(signal.SIGIO, signal.SIG_DFL)
-    fcntl.fcntl(lifeline, fcntl.F_SETOWN, os.getpid())
-    flags = fcntl.fcntl(lifeline, fcntl.F_GETFL)
-    fcntl.fcntl(lifeline, fcntl.F_SETFL, flags | os.O_ASYNC | os.O_NONBLOCK)
-    try:
-        gone = os.read(lifeline, 1) == b""
-    except BlockingIOError:
-        gone = False
-    if gone:  # before the signal was asked for
-        os._exit(1)
 
 
 def _serve(channel: socket.socket, frames: int, is_limited: bool) -> None:
@@ -159,7 +150,3 @@ def _serve(channel: socket.socket, frames: int, is_limited: bool) -> None:
             send(channel, (answer.raised, answer.out_of_memory, answer.seconds), answer.value)
         except ConnectionError:
             return
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

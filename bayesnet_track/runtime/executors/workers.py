@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import socket
 import struct
@@ -11,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.runtime.child import cut
 from bayesnet_track.runtime.executors.frames import SLOTS, SharedFrame, parts_of
 from bayesnet_track.runtime.executors.nursery import Nursery
 from bayesnet_track.runtime.executors.questions import Answer, Sent, Told
@@ -152,8 +152,7 @@ class Worker:
         """Close what it is connected by, which ends it, whatever it does."""
         self.channel.close()
         lifeline, self._lifeline = self._lifeline, -1
-        if lifeline >= 0:
-            os.close(lifeline)
+        cut(lifeline)
 
     def _is_new(self, frame: SharedFrame) -> bool:
         """Whether the frame has not been told of; from now on it has."""

@@ -39,6 +39,7 @@ def is_there(pid):
 def run(tmp_path):
     """A run of the command line in worker processes, under way."""
     command = ["demo", "two_squares", "--out", str(tmp_path / "run"), "--executor", "processes"]
+    command += ["--agent-timeout", "3"]
     with subprocess.Popen(
         [sys.executable, "-m", "bayesnet_track", *command, "--workers", "2"],
         stdout=subprocess.PIPE,
@@ -67,13 +68,17 @@ def test_no_worker_outlives_a_run_that_is_ended(run, way):
     assert set(Path("/dev/shm").glob("*")) <= shared
 
 
+@pytest.mark.parametrize("are_all", [False, True])
 @pytest.mark.parametrize("way", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_a_run_whose_agents_hang_ends_as_soon(run, way):
-    """All workers are stopped, so that the frame never ends: neither does the run wait, nor are they left."""
+def test_a_run_whose_agents_hang_ends_as_soon(run, way, are_all):
+    """All workers are stopped, so that the frame never ends: neither does the run wait, nor are they left.
+
+    Nor is the process that forks them, where it is stopped, too.
+    """
     nursery = children(run.pid)
     workers = [pid for pid in nursery if any(pid in children(other) for other in nursery)]
     assert len(workers) >= 2
-    for pid in workers:
+    for pid in nursery if are_all else workers:
         os.kill(pid, signal.SIGSTOP)
     time.sleep(0.5)
     assert run.poll() is None
@@ -84,6 +89,19 @@ def test_a_run_whose_agents_hang_ends_as_soon(run, way):
         assert time.monotonic() < ended + LEFT_S, [pid for pid in nursery if is_there(pid)]
         time.sleep(0.01)
     assert code == {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGKILL: -9}[way]
+
+
+def test_a_run_goes_on_soon_though_what_forks_its_workers_is_stopped(run):
+    """It is given up after the time that an agent has, and another one forks the workers that are missing."""
+    all_of_them = children(run.pid)
+    (nursery,) = [pid for pid in all_of_them if children(pid)]
+    os.kill(nursery, signal.SIGSTOP)
+    for pid in all_of_them:
+        if pid != nursery:
+            os.kill(pid, signal.SIGKILL)
+    output = run.communicate(timeout=90)[0].decode()
+    assert run.returncode == 0, output
+    assert not is_there(nursery)
 
 
 def test_no_worker_outlives_a_run_that_comes_to_its_end(run):

@@ -1,0 +1,109 @@
+"""Python processes that are started here import what this one imports, and end when this one ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+
+import pytest
+
+from bayesnet_track.batch import places
+from bayesnet_track.batch.jobs import Job, Video
+from bayesnet_track.runtime.child import cut, python, tie
+from bayesnet_track.runtime.executors.nursery import Nursery
+from bayesnet_track.runtime.isolated import IsolatedReader
+from bayesnet_track.runtime.sandbox import Limits
+
+TOLD = "import json, sys; print(json.dumps(sys.path))"
+posix = pytest.mark.skipif(os.name != "posix", reason="nothing of the kind is known elsewhere")
+
+
+def started_by(monkeypatch, start):
+    """The command lines that `start` would run in processes."""
+    lines = []
+
+    def refuse(command, **settings):
+        lines.append(list(command))
+        raise OSError("not started")
+
+    monkeypatch.setattr(subprocess, "Popen", refuse)
+    with suppress(OSError):
+        start()
+    return lines
+
+
+@posix
+@pytest.mark.parametrize("kind", ["nursery", "decoder", "batch"])
+def test_every_process_looks_in_no_folder_but_those_of_this_one(monkeypatch, tmp_path, kind):
+    """The first lines of each process, run in a folder of decoys, say where it imports from."""
+    job = Job("g", Video("v", "v"), 0, str(tmp_path))
+    start = {
+        "nursery": lambda: Nursery(0, 0, 1.0),
+        "decoder": lambda: IsolatedReader("missing.mp4", limits=Limits()),
+        "batch": lambda: list(places.Processes(1).run([job])),
+    }
+    monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path / "of this run only")])
+    (command,) = started_by(monkeypatch, start[kind])
+    assert command[0] == sys.executable and "-P" in command and "-m" not in command
+    code = command[command.index("-c") + 1]
+    first, second, *_ = code.splitlines()
+    assert first == f"import sys; sys.path[:] = {sys.path!a}" and "die_with" in second
+
+
+def test_a_child_has_the_path_of_its_parent_and_no_other(tmp_path):
+    """Also where the environment names another one, and the working directory holds a library's name."""
+    (tmp_path / "json.py").write_text("raise SystemExit('the decoy ran')")
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path / "elsewhere")}
+    done = subprocess.run(python(TOLD), cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads(done.stdout) == sys.path
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere one that is stopped stays")
+@pytest.mark.parametrize("is_stopped", [False, True])
+def test_a_child_that_is_tied_ends_though_it_is_stopped(is_stopped):
+    held, lifeline = tie()
+    command = python("import os, time; os.write(1, b'.'); time.sleep(60)", held=held)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, pass_fds=(held,)) as child:
+        cut(held)
+        assert child.stdout.read(1) == b"."
+        if is_stopped:
+            child.send_signal(signal.SIGSTOP)
+            assert os.waitid(os.P_PID, child.pid, os.WSTOPPED | os.WNOWAIT)
+        cut(lifeline)
+        assert child.wait(10.0) == -signal.SIGKILL
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere one that is stopped stays")
+def test_a_nursery_that_is_stopped_is_given_up_within_its_patience():
+    """Not after a minute for each question; and a worker of the next one ends though it is stopped."""
+    frames = os.open(os.devnull, os.O_RDONLY)
+    nursery = Nursery(frames, 0, 3.0)
+    try:
+        channel, lifeline, pid = nursery.worker()
+        stopped = nursery._process.pid
+        os.kill(stopped, signal.SIGSTOP)
+        began = time.monotonic()
+        channel.close()
+        cut(lifeline)
+        assert nursery.ended(pid) is None
+        assert time.monotonic() - began < 20.0
+        channel, lifeline, pid = nursery.worker()
+        assert nursery._process.pid != stopped
+        assert time.monotonic() - began < 40.0
+        poll = select.poll()
+        poll.register(channel, select.POLLIN)
+        os.kill(pid, signal.SIGSTOP)
+        cut(lifeline)
+        assert poll.poll(10e3) and channel.recv(1) == b""
+    finally:
+        channel.close()
+        nursery.close()
+        os.close(frames)
