@@ -46,7 +46,7 @@ def integral_of_cells(image: Bytes, tables: NDArray[np.int32], levels: Bytes, in
         total = 0
         for x in range(image.shape[1]):
             cell = tables[0, image[y, x, 0]] + tables[1, image[y, x, 1]] + tables[2, image[y, x, 2]]
-            total += levels[cell]
+            total += np.int64(levels[cell])
             integral[y + 1, x + 1] = integral[y, x + 1] + total
 
 

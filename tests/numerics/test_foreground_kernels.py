@@ -1,0 +1,83 @@
+"""Cells are counted pixel by pixel; means of boxes and rings are those of an image sixteen times finer."""
+
+import numpy as np
+import pytest
+
+from bayesnet_track.numerics.foreground_kernels import (
+    STEPS,
+    box_and_ring_means,
+    count_cells,
+    integral_of_cells,
+)
+
+TABLES = np.stack([16 * (np.arange(256) // 64), 4 * (np.arange(256) // 64), np.arange(256) // 64]).astype(
+    np.int32
+)
+
+
+@pytest.fixture
+def image():
+    return np.random.default_rng(1).integers(0, 256, (5, 7, 3), dtype=np.uint8)
+
+
+def cells_of(image):
+    b, g, r = np.moveaxis(image.astype(int) // 64, 2, 0)
+    return 16 * b + 4 * g + r
+
+
+def test_every_pixel_is_counted_in_its_cell(image):
+    counts = np.ones(64)
+    count_cells(image, TABLES, counts)
+    np.testing.assert_array_equal(counts - 1, np.bincount(cells_of(image).ravel(), minlength=64))
+
+
+def test_the_integral_sums_levels_above_and_left(image):
+    levels = np.random.default_rng(3).integers(0, 256, 64).astype(np.uint8)
+    integral = np.full((6, 8), -1, np.int64)
+    integral_of_cells(image, TABLES, levels, integral)
+    expected = np.zeros((6, 8), np.int64)
+    expected[1:, 1:] = levels[cells_of(image)].astype(int).cumsum(0).cumsum(1)
+    np.testing.assert_array_equal(integral, expected)
+
+
+@pytest.mark.parametrize(
+    ("box", "ring"),
+    [
+        ((10.0, 8.0, 5.0, 4.0), 0.5),
+        ((10.125, 8.25, 5.5, 3.5), 0.25),
+        ((1.0, 0.5, 6.0, 5.0), 0.5),  # over the frame's corner
+        ((18.5, 15.0, 5.0, 6.0), 0.5),  # over the opposite one
+        ((-30.0, 8.0, 4.0, 4.0), 0.5),  # outside
+        ((10.0, 8.0, 40.0, 40.0), 0.5),  # around the frame: no ring is left
+    ],
+)
+def test_means_of_a_box_and_its_ring(box, ring):
+    width, height = 20, 16
+    levels = np.random.default_rng(4).integers(0, 256, (height, width))
+    fine = np.kron(levels, np.ones((STEPS, STEPS), int))
+
+    def inside(grown):
+        x, y, w, h = box
+        edges = [
+            x + 0.5 - w / 2 - grown,
+            y + 0.5 - h / 2 - grown,
+            x + 0.5 + w / 2 + grown,
+            y + 0.5 + h / 2 + grown,
+        ]
+        left, top, right, bottom = (round(edge * STEPS) for edge in edges)
+        return np.s_[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
+
+    own, grown = fine[inside(0.0)], fine[inside(ring * (box[2] + box[3]) / 2)]
+    around = grown.size - own.size
+    expected = [
+        own.sum() / (box[2] * box[3] * STEPS**2),
+        (grown.sum() - own.sum()) / around if around else 0.0,
+    ]
+    for x0, y0 in ((0, 0), (0, 2), (3, 0)):
+        if own.size and (x0 or y0) and min(box[0] - box[2], box[1] - box[3]) < 3:
+            continue  # the crop must cover the ring
+        integral = np.zeros((height - y0 + 1, width - x0 + 1), np.int64)
+        integral[1:, 1:] = levels[y0:, x0:].cumsum(0).cumsum(1)
+        means = np.full((1, 2), np.nan)
+        box_and_ring_means(integral, np.array([box]), ring, x0, y0, width, height, means)
+        np.testing.assert_allclose(means[0], expected, rtol=1e-12)
