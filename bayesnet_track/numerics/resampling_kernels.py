@@ -69,7 +69,7 @@ def look_up_even(weights: Floats, shifts: Floats, count: int) -> Ancestors:
         share = cumulative / total
         k = int(share * count)
         if 1 <= k < count - 1:
-            k += (positions[k - 1] < share) + (positions[k] < share) + (positions[k + 1] < share) - 1
+            k += int(positions[k - 1] < share) + int(positions[k] < share) + int(positions[k + 1] < share) - 1
         else:
             k = min(max(k - 1, 0), count)
             while k < count and positions[k] < share:

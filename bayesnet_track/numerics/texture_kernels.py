@@ -33,8 +33,10 @@ def binary_patterns(gray: Bytes, noise: int, codes: Bytes) -> None:
             a, b, c = gray[y, x] > level, gray[y, x + 1] > level, gray[y, x + 2] > level
             d, e, f = gray[y + 1, x + 2] > level, gray[y + 2, x + 2] > level, gray[y + 2, x + 1] > level
             g, h = gray[y + 2, x] > level, gray[y + 1, x] > level
-            changes = (a != b) + (b != c) + (c != d) + (d != e) + (e != f) + (f != g) + (g != h) + (h != a)
-            codes[y, x] = a + b + c + d + e + f + g + h if changes <= 2 else 9
+            changes = int(a != b) + int(b != c) + int(c != d) + int(d != e)
+            changes += int(e != f) + int(f != g) + int(g != h) + int(h != a)
+            brighter = int(a) + int(b) + int(c) + int(d) + int(e) + int(f) + int(g) + int(h)
+            codes[y, x] = brighter if changes <= 2 else 9
 
 
 @compiled

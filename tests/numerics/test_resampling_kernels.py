@@ -53,3 +53,31 @@ def test_so_are_many_weights(spread):
 def test_weights_that_are_no_numbers_are_not_read_past_their_end():
     found = look_up_even(np.array([0.5, np.nan, 0.5]), np.array([0.5]), 4)
     assert np.all((found >= 0) & (found < 3))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 40])
+@pytest.mark.parametrize(
+    "weights",
+    [
+        [1.0],
+        [0.0, 1.0],
+        [1.0, 0.0],
+        [0.0, 0.3, 0.0, 0.7, 0.0],
+        [0.25] * 4,
+        [0.9, 0.05, 0.05],
+        [1e-9, 1.0, 1e-9, 3.0],
+    ],
+)
+def test_so_are_few_weights(weights, count):
+    rng = np.random.default_rng(count)
+    weights = np.array(weights)
+    for shifts in (
+        np.zeros(1),
+        np.array([0.5]),
+        np.array([ALMOST]),
+        rng.random(count),
+        np.full(count, ALMOST),
+    ):
+        positions = (np.arange(count) + shifts) / count
+        assert look_up_even(weights, shifts, count).tolist() == searched(weights, positions)
+        assert look_up(weights, positions).tolist() == searched(weights, positions)
