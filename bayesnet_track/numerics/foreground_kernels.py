@@ -43,7 +43,7 @@ def integral_of_cells(image: Bytes, tables: NDArray[np.int32], levels: Bytes, in
     integral[0, :] = 0
     for y in range(image.shape[0]):
         integral[y + 1, 0] = 0
-        total = 0
+        total = np.int64(0)
         for x in range(image.shape[1]):
             cell = tables[0, image[y, x, 0]] + tables[1, image[y, x, 1]] + tables[2, image[y, x, 2]]
             total += np.int64(levels[cell])
