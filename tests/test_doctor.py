@@ -13,7 +13,7 @@ import packaging.requirements  # noqa: F401 - loaded before the folder of packag
 import pytest
 
 import bayesnet_track
-from bayesnet_track.doctor import examine, libraries, machine, packages, selftest
+from bayesnet_track.doctor import examine, libraries, machine, own_paths, packages, selftest
 from bayesnet_track.doctor.finding import Finding, try_code
 
 ROOT = Path(__file__).parents[1]
@@ -170,6 +170,68 @@ def test_a_broken_library(monkeypatch, tmp_path, name, check, code, text, cure):
     replaced(monkeypatch, tmp_path, name, code)
     found = only(check())
     assert found.level == "broken" and text in found.text and cure in found.cure
+
+
+def patched(monkeypatch, tmp_path, code):
+    """What runs first in the processes in which a check tries things out."""
+    (tmp_path / "first").mkdir()
+    (tmp_path / "first" / "sitecustomize.py").write_text(code)
+    monkeypatch.setattr(sys, "path", [str(tmp_path / "first"), *sys.path])
+
+
+NEW_AV = """
+import av
+old = av.open
+def newer(file, mode="r", **settings):
+    if mode == "r":
+        raise TypeError("open() got an unexpected keyword argument")
+    return old(file, mode, **settings)
+av.open = newer
+"""
+
+
+@pytest.mark.parametrize(
+    ("check", "code", "text"),
+    [
+        (own_paths.check_video, NEW_AV, "cannot be written and read: TypeError: open() got an unexpected"),
+        pytest.param(
+            own_paths.check_kernel,
+            "import numba\ndef no(*_, **__): raise ImportError('no LLVM')\nnumba.njit = no",
+            "cannot be compiled: ImportError: no LLVM",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            own_paths.check_cue,
+            "import importlib.metadata as m\nm.entry_points = lambda **_: ()",
+            "cannot score a frame: KeyError: 'color_histogram'",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            own_paths.check_worker,
+            "import subprocess as s, os\nold = s.Popen\n"
+            "class Refused(old):\n"
+            "    def __init__(self, *a, **k): raise PermissionError(1, 'no process for you')\n"
+            "s.Popen = Refused\n"
+            "def fork(): raise PermissionError(1, 'no process for you')\n"
+            "os.fork = fork",
+            "agents cannot work in processes: ",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_a_library_that_is_there_and_that_the_program_cannot_use(monkeypatch, tmp_path, check, code, text):
+    """As PyAV 19 was: it could be imported, knew all codecs, and opened no video for this program."""
+    patched(monkeypatch, tmp_path, code)
+    found = only(check())
+    assert found.level == "broken" and text in found.text and found.cure
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "check", [own_paths.check_video, own_paths.check_kernel, own_paths.check_cue, own_paths.check_worker]
+)
+def test_the_programs_own_ways_work_here(check):
+    assert only(check()).level == "ok"
 
 
 def test_every_part_of_opencv_that_is_asked_for_is_used():

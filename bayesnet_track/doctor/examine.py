@@ -8,7 +8,7 @@ from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
 
-from bayesnet_track.doctor import libraries, machine, packages, selftest
+from bayesnet_track.doctor import libraries, machine, own_paths, packages, selftest
 from bayesnet_track.doctor.finding import Finding
 
 CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
@@ -20,13 +20,17 @@ CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
     libraries.check_opencv,
     libraries.check_numba,
     libraries.check_av,
+    own_paths.check_video,
+    own_paths.check_kernel,
     selftest.check_plugins,
     machine.check_cache,
     machine.check_folders,
     machine.check_processors,
     machine.check_clock,
     packages.check_extras,
+    own_paths.check_cue,
     selftest.check_tracking,
+    own_paths.check_worker,
 )
 
 MARKS = {"ok": "ok     ", "note": "note   ", "broken": "BROKEN "}
