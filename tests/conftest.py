@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
@@ -54,6 +54,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.path.relative_to(item.config.rootpath).as_posix().startswith(REAL_TIME):
             item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=1))
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _nothing_said_of_compiling() -> Iterator[None]:
+    """What a command prints here is the same whether kernels come from the cache or not."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bayesnet_track.commands.tell_of_compiling", lambda options: lambda: None)
+        yield
 
 
 START = (50.0, 40.0, 20.0, 20.0)

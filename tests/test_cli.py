@@ -12,6 +12,7 @@ import threading
 import xml.etree.ElementTree as ET
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 
 import av
 import cv2
@@ -26,6 +27,8 @@ from bayesnet_track.cue import installed_cues
 from bayesnet_track.graph.net import Activated, Deactivated
 from bayesnet_track.graphs import find_graph, graph_names
 from bayesnet_track.journal.reader import read_events, read_metrics
+from bayesnet_track.numerics.compile_watch import WATCH
+from bayesnet_track.runtime.starts import start_targets
 from bayesnet_track.runtime.stop import Terminated
 from bayesnet_track.scenes import make_scene, scene_names
 
@@ -217,7 +220,7 @@ def test_run_on_a_folder_of_images(cli, images, tmp_path):
     assert code == 0
     assert {file.name for file in out.iterdir()} == RUN_FILES
     assert re.fullmatch(
-        rf"{re.escape(str(out))}: 8 frames in \d+\.\d s \(\d+ per second\), \d+ reconfigurations?\n", said
+        rf"{re.escape(str(out))}: 8 frames in \d+\.\d s \(\d+ per second.*\), \d+ reconfigurations?\n", said
     )
     assert re.fullmatch(
         r"frame 8/8 \| [\d.]+ fps \| 0:00 left \| [a-z, ]+ \| UD \d+ px² \| tracking\n", progress
@@ -333,6 +336,64 @@ def test_a_change_of_size_stops_or_is_rescaled(cli, images, tmp_path, option, co
     action = "the run stops" if code else "they are scaled to the first frame's size"
     assert err == f"frame 4: the pictures change to 144x112; {action}\n"
     assert ("stopped where the pictures change size" in said) == bool(code)
+
+
+TELL_OF_COMPILING = commands.tell_of_compiling
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("list", f"{commands.COMPILING}\n"),
+        ("demo --quiet", ""),
+        ("demo --log-json", ""),
+        ("score x --json", ""),
+    ],
+)
+def test_it_is_said_once_that_kernels_are_compiled(cli, monkeypatch, line, told):
+    def command(options):
+        for kernel in ("one", "two"):
+            WATCH.begins(kernel)
+            WATCH.ends(kernel)
+        return 0
+
+    monkeypatch.setattr(commands, "COMMANDS", dict.fromkeys(commands.COMMANDS, command))
+    monkeypatch.setattr(commands, "tell_of_compiling", TELL_OF_COMPILING)
+    assert cli(line) == (0, "", told)
+    monkeypatch.setattr(commands, "COMMANDS", dict.fromkeys(commands.COMMANDS, lambda options: 0))
+    assert cli(line) == (0, "", ""), "nothing is compiled"
+
+
+def test_the_rate_is_without_the_seconds_of_compiling(cli, images, tmp_path, monkeypatch):
+    """As at the first run: 20 seconds of compiling in the first frame, and none of it in any rate."""
+    begun = []
+
+    def first(*arguments):
+        if not begun:
+            begun.append(WATCH.seconds)
+            monkeypatch.setattr(WATCH, "seconds", WATCH.seconds + 20.0)
+        return start_targets(*arguments)
+
+    monkeypatch.setattr("bayesnet_track.runtime.run.start_targets", first)
+    ticking = iter(range(0, 10**6, 3))
+    monkeypatch.setattr(
+        "bayesnet_track.runtime.run.time", SimpleNamespace(perf_counter=lambda: next(ticking))
+    )
+    code, said, _ = cli(f"run general --source {images} --init {BOX} --quiet --end 2 --out", tmp_path / "run")
+    seconds, rate = re.search(r"2 frames in (\d+)\.0 s \((\d+) per second without 20\.0 s", said).groups()
+    assert code == 0 and begun
+    assert int(rate) == round(2 / (int(seconds) - 20.0))
+
+
+@pytest.mark.slow
+def test_the_first_run_says_that_it_compiles_and_the_second_one_does_not(tmp_path):
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    for first in (True, False):
+        out = tmp_path / f"run {first}"
+        line = [sys.executable, "-m", "bayesnet_track", "demo", "--end", "6", "--out", str(out)]
+        done = subprocess.run(line, capture_output=True, text=True, check=True, env=environment)
+        assert done.stderr.count(commands.COMPILING) == first
+        assert (" s of compiling" in done.stdout) == first
 
 
 # ------------------------------------------------------------------------------------ exit codes

@@ -32,6 +32,11 @@ from bayesnet_track.commands.tracking import demo, run
 from bayesnet_track.commands.verify import verify
 from bayesnet_track.commands.what_if import what_if
 from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.numerics.compile_watch import WATCH
+
+COMPILING = "compiling kernels, once, about 20 s"
+SILENT = ("quiet", "log_json", "json")
+"""Options with which nothing is said of it: somebody reads by program, or does not want to know."""
 
 COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "demo": demo,
@@ -66,7 +71,8 @@ def call(options: argparse.Namespace) -> int:
     """
     try:
         _allow(options)
-        return COMMANDS[options.command](options)
+        with WATCH.told(tell_of_compiling(options)):
+            return COMMANDS[options.command](options)
     except GraphError as error:
         complain(str(error))
         return BAD_GRAPH
@@ -76,6 +82,17 @@ def call(options: argparse.Namespace) -> int:
             raise
         complain(f"bayesnet-track {options.command}: {words(error)}")
         return code
+
+
+def tell_of_compiling(options: argparse.Namespace) -> Callable[[], None]:
+    """Says once that kernels are compiled, where that is wanted: else the first run seems to hang."""
+    waiting = [] if any(getattr(options, name, False) for name in SILENT) else [COMPILING]
+
+    def tell() -> None:
+        if waiting:
+            complain(waiting.pop())
+
+    return tell
 
 
 def _allow(options: argparse.Namespace) -> None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from bayesnet_track.commands.answer import INCOMPLETE, OK, UsageError, complain, say, unheard, users_mistake
 from bayesnet_track.commands.start_boxes import parse_start, read_start
 from bayesnet_track.commands.viewing import begin, viewed
+from bayesnet_track.numerics.compile_watch import WATCH
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
@@ -293,7 +294,9 @@ def _show(progress: Progress, summary: Summary, result: Result) -> None:
     if lost and len(result.targets) > 1:
         status = f"lost: {', '.join(lost)} of {len(result.targets)}"
     ud_px2 = max((metrics.ud_px2 for metrics in result.targets), default=0.0)
-    unheard(partial(progress.update, time.monotonic(), summary.frames, tuple(active), ud_px2, status))
+    # As if no time passed while kernels are compiled: the rate is that of frames.
+    now = time.monotonic() - WATCH.seconds
+    unheard(partial(progress.update, now, summary.frames, tuple(active), ud_px2, status))
 
 
 def _say_end(out: Path, summary: Summary) -> None:
@@ -305,8 +308,11 @@ def _say_end(out: Path, summary: Summary) -> None:
         complain(
             f"... and {len(summary.notices) - SHOWN_NOTICES} more; `bayesnet-track log {out}` tells them all"
         )
-    rate = summary.frames / summary.seconds if summary.seconds > 0 else 0.0
-    parts = [f"{_count(summary.frames, 'frame')} in {summary.seconds:.1f} s ({rate:.0f} per second)"]
+    at_work = summary.seconds - summary.compiling_s
+    rate = f"{summary.frames / at_work if at_work > 0 else 0.0:.0f} per second"
+    if summary.compiling_s >= 0.05:
+        rate += f" without {summary.compiling_s:.1f} s of compiling"
+    parts = [f"{_count(summary.frames, 'frame')} in {summary.seconds:.1f} s ({rate})"]
     parts.append(_count(summary.reconfigurations, "reconfiguration"))
     if summary.lost_frames:
         parts.append(f"lost in {_count(summary.lost_frames, 'frame')}")

@@ -9,6 +9,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.compile_watch import WATCH
+
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 
@@ -48,8 +50,19 @@ def _compiled(function: Kernel, relaxed: bool | set[str]) -> Kernel:
         kernel = numba.njit(cache=False, **settings)(function)
     # Numba itself lets a full disk or a damaged file end the call that only wanted the kernel.
     cache = kernel._cache
-    for name in ("load_overload", "save_overload"):
-        setattr(cache, name, _at_best(getattr(cache, name)))
+    load, save = _at_best(cache.load_overload), _at_best(cache.save_overload)
+
+    def load_or_begin(*arguments: Any) -> Any:
+        found = load(*arguments)
+        if found is None:
+            WATCH.begins(function)
+        return found
+
+    def save_at_the_end(*arguments: Any) -> Any:
+        WATCH.ends(function)
+        return save(*arguments)
+
+    cache.load_overload, cache.save_overload = load_or_begin, save_at_the_end
     compiled_kernel: Kernel = kernel
     return compiled_kernel
 

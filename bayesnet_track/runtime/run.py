@@ -22,6 +22,7 @@ from bayesnet_track.journal.events import (
     RunStarted,
 )
 from bayesnet_track.journal.inputs import Input
+from bayesnet_track.numerics.compile_watch import WATCH
 from bayesnet_track.planes import Frame
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.frames import EndReason, SourceItem
@@ -81,7 +82,7 @@ class Result:
         covariances: target id -> covariance (D, D) of its belief.
         decisions: what was decided in this frame, working from the next on.
         seconds: seconds per agent and stage.
-        total_seconds: seconds of the whole step, without decoding and writing.
+        total_seconds: seconds of the whole step, without decoding, writing and compiling.
         outside: what came from outside, such as a person's switches.
         kinds: target id -> name of its plate, for all in `targets`.
     """
@@ -173,6 +174,7 @@ class Summary:
         complete: whether the source was read to its end.
         reason: why it ended, in the words of `RunEnded.reason`.
         seconds: wall-clock seconds, decoding and writing included.
+        compiling_s: seconds of them in which kernels were compiled here, as at the first run on a machine.
         notices: what was wrong with the source.
     """
 
@@ -182,6 +184,7 @@ class Summary:
     complete: bool = False
     reason: str = "error"
     seconds: float = 0.0
+    compiling_s: float = 0.0
     notices: list[Event] = field(default_factory=list)
 
 
@@ -238,7 +241,7 @@ def run(
         state, has_started = after.reached.state, True
         told.frames, told.reconfigurations = after.reached.frames, after.reached.reconfigurations
         told.lost_frames = after.reached.lost_frames
-    opened = time.perf_counter()
+    opened, compiled_before = time.perf_counter(), WATCH.seconds
     try:
         for event in () if after is None else after.events:
             tell(event)
@@ -248,7 +251,7 @@ def run(
                 if has_started:
                     tell(item)
                 continue
-            began = time.perf_counter()
+            began, compiled = time.perf_counter(), WATCH.seconds
             if state is None:
                 has_started = True
                 # What was found wrong before the first frame comes after the journal's first line.
@@ -264,7 +267,7 @@ def run(
                 if deadline is not None:
                     deadline.end()
             before, state = state, outcome.state
-            spent = time.perf_counter() - began
+            spent = time.perf_counter() - began - (WATCH.seconds - compiled)
             for event in outcome.events:
                 tell(event)
             if before is None:
@@ -291,6 +294,7 @@ def run(
         raise
     finally:
         told.seconds = time.perf_counter() - opened
+        told.compiling_s = WATCH.seconds - compiled_before
         if has_started:
             tell(RunEnded(told.frames, source.expected_frames, told.complete, told.reason))
     if keeper is not None and has_started:

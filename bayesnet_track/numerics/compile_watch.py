@@ -1,0 +1,56 @@
+"""How long kernels were compiled in this process, and who is told that it begins.
+
+A kernel is compiled when it is called with types for which there is nothing in the cache on disk: all of them
+at the first run on a machine, none later. Numba compiles under one lock, so that spans never overlap; those
+of kernels that another one calls lie within its own.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
+
+Listener = Callable[[], object]
+
+
+class CompileWatch:
+    """Adds up the spans in which something was compiled.
+
+    Attributes:
+        seconds: of all spans that are over.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
+        self.seconds = 0.0
+        self._clock = clock
+        self._open: list[tuple[Hashable, float]] = []
+        self._listeners: list[Listener] = []
+
+    def begins(self, kernel: Hashable) -> None:
+        """A kernel was not in the cache, and is compiled now."""
+        self._open.append((kernel, self._clock()))
+        for listener in self._listeners:
+            listener()
+
+    def ends(self, kernel: Hashable) -> None:
+        """It is compiled; those that failed within it are forgotten."""
+        while self._open:
+            one, began = self._open.pop()
+            if one == kernel:
+                if not self._open:
+                    self.seconds += self._clock() - began
+                return
+
+    @contextmanager
+    def told(self, listener: Listener) -> Iterator[None]:
+        """Inside it `listener` is called whenever a kernel begins to be compiled, in whatever thread."""
+        self._listeners.append(listener)
+        try:
+            yield
+        finally:
+            self._listeners.remove(listener)
+
+
+WATCH = CompileWatch()
+"""That of this process."""

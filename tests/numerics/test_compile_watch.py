@@ -1,0 +1,58 @@
+"""Compiling is noticed when it happens, added up without what lies within, and told to whom it concerns."""
+
+import importlib.util
+
+import numpy as np
+
+from bayesnet_track.numerics.compile_watch import WATCH, CompileWatch
+
+KERNELS = """
+from bayesnet_track.numerics.compiled import compiled
+
+@compiled
+def inner(values):
+    return values[0] + 1.0
+
+@compiled
+def outer(values):
+    return 2.0 * inner(values)
+"""
+
+
+def module_of(path):
+    spec = importlib.util.spec_from_file_location("kernels_for_a_test", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_spans_within_a_span_do_not_count_twice_and_what_failed_is_forgotten():
+    times = iter([10.0, 11.0, 12.0, 13.0, 20.0, 20.5])
+    watch = CompileWatch(lambda: next(times))
+    told = []
+    with watch.told(lambda: told.append(1)):
+        watch.begins("outer")
+        watch.begins("inner")
+        watch.ends("inner")
+        watch.begins("wrong types")
+        watch.ends("outer")
+    assert watch.seconds == 3.0 and len(told) == 3
+    watch.begins("another")
+    watch.ends("another")
+    watch.ends("nothing began")
+    assert watch.seconds == 3.5 and len(told) == 3
+
+
+def test_a_kernel_is_compiled_once_and_then_comes_from_the_cache(tmp_path):
+    (tmp_path / "kernels.py").write_text(KERNELS)
+    told, before = [], WATCH.seconds
+    with WATCH.told(lambda: told.append(1)):
+        module = module_of(tmp_path / "kernels.py")
+        assert not told, "nothing is compiled before it is called"
+        assert module.outer(np.ones(3)) == 4.0
+        assert len(told) >= 1 and WATCH.seconds > before
+        spent = WATCH.seconds
+        told.clear()
+        assert module.outer(np.ones(3)) == 4.0
+        assert module_of(tmp_path / "kernels.py").outer(np.ones(3)) == 4.0, "from the cache on disk"
+    assert told == [] and WATCH.seconds == spent
