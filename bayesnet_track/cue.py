@@ -105,9 +105,9 @@ class Cue(Protocol):
 
         At most 0, the value of a perfect match, and at least ``log(floor)``. `planes` covers every
         hypothesis' box as far as it lies inside the frame. The part of a box outside the frame counts
-        as not matching. A cue that raises, or returns NaN, anything above 0 or no value above -inf, is left
-        out of the frame, and its agent is out for a while: it is tried again after 10 frames, and after twice
-        as many with each failure in a row.
+        as not matching. A cue that raises, or returns anything but real numbers, NaN, anything above 0 or no
+        value above -inf, is left out of the frame, and its agent is out for a while: it is tried again after
+        10 frames, and after twice as many with each failure in a row.
         """
         ...
 

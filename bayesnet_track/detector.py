@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from bayesnet_track.guests import real_numbers
 from bayesnet_track.planes import FramePair
 from bayesnet_track.plugins import installed
 
@@ -80,9 +81,13 @@ def checked(found: Detections) -> Detections:
     """A detector's answer with boxes and scores as float64 arrays: a detector is a guest's code.
 
     Raises:
-        ValueError: anything but (N, 4) boxes with area and N scores, all finite, and N labels.
+        ValueError: anything but real numbers: (N, 4) boxes with area and N scores, all finite, and N labels.
     """
-    boxes, scores = np.asarray(found.boxes, dtype=np.float64), np.asarray(found.scores, dtype=np.float64)
+    boxes, scores = real_numbers(found.boxes), real_numbers(found.scores)
+    for name, one in (("boxes", boxes), ("scores", scores)):
+        if isinstance(one, str):
+            raise ValueError(f"{name} of type {one}; allowed: real numbers")
+    assert not isinstance(boxes, str) and not isinstance(scores, str)
     labels = tuple(found.labels)
     if boxes.ndim != 2 or boxes.shape[1] != 4 or scores.shape != (len(boxes),) or len(labels) != len(boxes):
         counts = f"scores of shape {scores.shape}, {len(labels)} labels"

@@ -117,20 +117,33 @@ def test_the_detector_is_shown_the_target_and_looks_for_it(fakes):
     assert found.told == ()
 
 
-def test_a_detector_that_fails_is_out_and_told(fakes):
+class MuteError(Exception):
+    def __str__(self):
+        raise TypeError("nor does this")
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (RuntimeError("no"), "RuntimeError: no"),
+        (SystemExit(3), "SystemExit: 3"),
+        (MuteError(), "MuteError: (without a text: its __str__ raised TypeError)"),
+    ],
+)
+def test_a_detector_that_fails_is_out_and_told(fakes, error, reason):
     class Broken:
         def start(self):
             return {}
 
         def detect(self, frames, state):
-            raise RuntimeError("no")
+            raise error
 
     machine = replace(machine_of(fakes, recover={"by": "uniform"}), finder=Broken())
     cache = PlaneCache(FramePair(fakes.frame(1), fakes.frame(0)))
     found = predicted(machine, None, outlook(machine, BOX, cache.frames), True, 1.0, cache)
     assert isinstance(found.motion, Jumping)
     assert found.outlook.finder is not None and found.outlook.fault.until == found.told[0].until
-    assert [event.reason for event in found.told] == ["RuntimeError: no"]
+    assert [event.reason for event in found.told] == [reason]
 
 
 @pytest.mark.parametrize(
@@ -140,6 +153,9 @@ def test_a_detector_that_fails_is_out_and_told(fakes):
         (Detections(np.array([[9.0, 9.0, 5.0, 5.0]]), np.ones(1), ()), "0 labels"),
         (Detections(np.array([[9.0, 9.0, 5.0, 5.0]]), np.ones((1, 1)), ("",)), "scores of shape"),
         (Detections(np.array([[np.nan, 9.0, 5.0, 5.0]]), np.ones(1), ("",)), "not finite"),
+        (Detections(np.full((1, 4), 9.0 + 1j), np.ones(1), ("",)), "boxes of type array of complex128"),
+        (Detections(np.full((1, 4), "9"), np.ones(1), ("",)), "boxes of type array of <U1"),
+        (Detections(np.full((1, 4), 9.0), np.ma.masked_less([1.0], 0.0), ("",)), "scores of type masked"),
     ],
 )
 def test_the_answer_of_a_detector_is_checked_as_where_targets_are_born(fakes, answer, reason):

@@ -15,6 +15,7 @@ from bayesnet_track.adapt.learn import NO_PARTS, blended
 from bayesnet_track.cue import AnyCue, Cue, Floats, Hypotheses, Reference, context_of
 from bayesnet_track.executor import AgentUnavailable
 from bayesnet_track.graph.spec import Guard
+from bayesnet_track.guests import FAULTS, text_of
 from bayesnet_track.inference.absent import Missing, Roll
 from bayesnet_track.journal.events import Event, ReferenceGuarded
 from bayesnet_track.planes import PlaneCache, region_of_boxes
@@ -95,8 +96,8 @@ def judge(
             gaps[agent] = own, other
         except AgentUnavailable as error:
             roll.note(agent, Missing(str(error)))
-        except Exception as error:  # as in evaluation: a cue's fault must not end the run
-            faults[agent] = f"raised {type(error).__name__} while guarded: {error}"
+        except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
+            faults[agent] = f"raised {type(error).__name__} while guarded: {text_of(error)}"
     parted = {agent for agent, (own, slow) in gaps.items() if own - slow > rule.apart_nats}
     unchecked = {agent for agent in watched.parted if agent not in gaps}
     return Judged(gaps, frozenset(parted | unchecked), faults)

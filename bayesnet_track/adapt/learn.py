@@ -19,6 +19,7 @@ from bayesnet_track.executor import (
     is_elsewhere,
 )
 from bayesnet_track.graph.spec import Learn
+from bayesnet_track.guests import FAULTS, text_of
 from bayesnet_track.inference.absent import Missing, Roll
 from bayesnet_track.planes import PlaneCache, region_of_boxes
 
@@ -112,8 +113,8 @@ def blended(cue: AnyCue, old: Reference, new: Reference, rate: float) -> Referen
         return _checked(cue.blend(old, new, rate))
     except AgentUnavailable as error:
         return Missing(str(error))
-    except Exception as error:  # as in evaluation: a cue's fault must not end the run
-        return f"raised {type(error).__name__} while blending: {error}"
+    except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
+        return f"raised {type(error).__name__} while blending: {text_of(error)}"
 
 
 def adapt_reference(
@@ -132,8 +133,8 @@ def adapt_reference(
     except AgentUnavailable as error:
         roll.note(agent, Missing(str(error)))
         return None
-    except Exception as error:  # as in evaluation: a cue's fault must not end the run
-        return f"raised {type(error).__name__} while adapting: {error}"
+    except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
+        return f"raised {type(error).__name__} while adapting: {text_of(error)}"
 
 
 def _learnt(
@@ -158,8 +159,8 @@ def _learnt(
         return _checked((yield from asked(cue, "blend", old, seen, rate)))
     except AgentUnavailable as error:
         return Missing(str(error))
-    except Exception as error:  # as in evaluation: a cue's fault must not end the run
-        return f"raised {type(error).__name__} while learning: {error}"
+    except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
+        return f"raised {type(error).__name__} while learning: {text_of(error)}"
 
 
 def _checked(reference: Reference) -> Reference | str:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import BOX_FIELDS, Stream
 from bayesnet_track.cue import AnyCue, Hypotheses, Measurement, Reference
 from bayesnet_track.executor import AgentUnavailable, Executor, Halves, Serial, asked, is_elsewhere
+from bayesnet_track.guests import FAULTS, foreign_part, real_numbers, said
 from bayesnet_track.inference.absent import Missing, Roll
 from bayesnet_track.inference.compile import Observe
 from bayesnet_track.planes import PlaneCache, Region
@@ -131,11 +132,11 @@ def _asked(
             measured = yield from asked(cue, "measure", planes, own, np.exp(prior_log), reference)
             return _checked_measurement(measured, own)
         result = yield from asked(cue, "log_likelihood", planes, own, reference)
-        return _checked(np.array(result, dtype=np.float64), len(own))
+        return _checked(real_numbers(result), len(own))
     except AgentUnavailable as error:
         return Missing(str(error))
-    except Exception as error:  # a cue is a guest's code: whatever it raises must not end the run
-        return f"raised {type(error).__name__}: {error}"
+    except FAULTS as error:  # a cue is a guest's code: whatever it raises must not end the run
+        return f"raised {said(error)}"
     finally:
         _charge(observer, part, started)
 
@@ -150,8 +151,10 @@ def _charge(observer: Observer, part: str, started: float) -> float:
 def _checked_measurement(measured: Any, hypotheses: Hypotheses) -> Measurement | str | None:
     if measured is None:
         return None
-    if not isinstance(measured, Measurement):
-        return f"returned a {type(measured).__name__}, not a Measurement or None"
+    is_measurement = isinstance(measured, Measurement)
+    foreign = foreign_part(measured) if is_measurement else type(measured).__name__
+    if foreign:
+        return f"returned a {foreign}, not a Measurement of real numbers or None"
     fields = tuple(measured.fields)
     known = (*BOX_FIELDS, *hypotheses.fields)
     unknown = [str(name) for name in fields if name not in known]
@@ -174,7 +177,9 @@ def _checked_measurement(measured: Any, hypotheses: Hypotheses) -> Measurement |
     return Measurement(fields, mean, covariance, float(measured.floor))
 
 
-def _checked(log_likelihood: Floats, size: int) -> Floats | str:
+def _checked(log_likelihood: Floats | str, size: int) -> Floats | str:
+    if isinstance(log_likelihood, str):
+        return f"returned a value of type {log_likelihood}, not {size} real numbers"
     if log_likelihood.shape != (size,):
         return f"returned an array of shape {log_likelihood.shape} for {size} hypotheses"
     if size and log_likelihood.max() <= ROUNDING and log_likelihood.min() >= ZERO_BELOW:  # neither when NaN

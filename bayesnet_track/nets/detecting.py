@@ -12,6 +12,7 @@ from bayesnet_track.adapt.backoff import next_try
 from bayesnet_track.adapt.lifecycle import Life
 from bayesnet_track.detector import Detections, Detector, DetectorState, LearningDetector, checked
 from bayesnet_track.graph.net import Fault
+from bayesnet_track.guests import FAULTS, said
 from bayesnet_track.journal.life_events import DetectorFailed
 from bayesnet_track.machinery import Engine
 from bayesnet_track.planes import Frame, FramePair
@@ -70,10 +71,10 @@ def look(
         at = None if shown is None else boxes([shown])[0]
         try:
             found[name], states[name] = _asked(engine.detectors[name], states.get(name), pair, at)
-        except Exception as error:  # a detector is a guest's code: whatever it raises must not end the run
+        except FAULTS as error:  # a detector is a guest's code: whatever it raises must not end the run
             until, times = next_try(frame.index, life.failed.get(name))
             word = _word(engine, plates[0])
-            failed.append(DetectorFailed(frame.index, word, _reason(error), until, times))
+            failed.append(DetectorFailed(frame.index, word, said(error), until, times))
             fault = Fault(times, frame.index, until, True)
             life = replace(life, failed={**life.failed, name: fault})
     given = {plate: _of_plate(engine, plate, found[name]) for plate, name in due.items() if name in found}
@@ -109,7 +110,3 @@ def _word(engine: Engine, plate: str) -> str:
     life = engine.machinery[plate].life
     assert life is not None and life.birth is not None
     return life.birth.detector.detector
-
-
-def _reason(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}"

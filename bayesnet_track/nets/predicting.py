@@ -19,7 +19,6 @@ from bayesnet_track.belief.widened import widened, widening
 from bayesnet_track.detector import (
     NOTHING,
     Detector,
-    DetectorError,
     DetectorState,
     LearningDetector,
     checked,
@@ -27,6 +26,7 @@ from bayesnet_track.detector import (
 from bayesnet_track.graph.adapt_settings import Level
 from bayesnet_track.graph.motion_settings import Recover
 from bayesnet_track.graph.net import Fault
+from bayesnet_track.guests import FAULTS, said
 from bayesnet_track.journal.life_events import DetectorFailed
 from bayesnet_track.machinery import Machinery
 from bayesnet_track.planes import FramePair, PlaneCache, Region
@@ -89,12 +89,12 @@ def outlook(machine: Machinery, box: Floats, frames: FramePair) -> Outlook | Non
         return None
     state: DetectorState | None = None
     if machine.finder is not None:
-        state = machine.finder.start()
-        if isinstance(machine.finder, LearningDetector):
-            try:
+        try:
+            state = machine.finder.start()
+            if isinstance(machine.finder, LearningDetector):
                 state = machine.finder.learn(frames, box, state)
-            except DetectorError:
-                state = None
+        except FAULTS:
+            state = None
     return Outlook(np.array(box[2:4]), 0.0, float(box[2] * box[3]), None, state)
 
 
@@ -166,10 +166,10 @@ def _recovering(
         try:
             found, state = finder.detect(cache.frames, state)
             found = checked(found)
-        except Exception as error:  # a guest's code: whatever it raises must not end the run
+        except FAULTS as error:  # a guest's code: whatever it raises must not end the run
             until, times = next_try(frame.index, fault)
             fault = Fault(times, frame.index, until, True)
-            name, reason = type(finder).__name__, f"{type(error).__name__}: {error}"
+            name, reason = type(finder).__name__, said(error)
             found, told = NOTHING, (DetectorFailed(frame.index, name, reason, until, times),)
     probes = settings.by.agents
     search = Search(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -57,6 +59,19 @@ def meddling(planes, hypotheses, reference):
     raise KeyError("hue")
 
 
+class Mute(Exception):
+    def __str__(self):
+        raise TypeError("nor does this")
+
+
+def mute(planes, hypotheses, reference):
+    raise Mute
+
+
+def leaving(planes, hypotheses, reference):
+    sys.exit(3)
+
+
 def one(value):
     return lambda planes, h, reference: np.where(np.arange(len(h)) == 3, value, -1.0)
 
@@ -70,11 +85,21 @@ HOSTILE = {
         "returned an array of shape (60, 2) for 60 hypotheses",
     ),
     "a number": (lambda p, h, r: 0.0, "returned an array of shape () for 60 hypotheses"),
-    "nothing": (lambda p, h, r: None, "returned an array of shape () for 60 hypotheses"),
-    "words": (
-        lambda p, h, r: ["good"] * len(h),
-        "raised ValueError: could not convert string to float: 'good'",
-    ),
+    "mute": (mute, "raised Mute: (without a text: its __str__ raised TypeError)"),
+    "leaves": (leaving, "raised SystemExit: 3"),
+    **{
+        name: (returned, f"returned a value of type {kind}, not 60 real numbers")
+        for name, returned, kind in (
+            ("nothing", lambda p, h, r: None, "NoneType"),
+            ("words", lambda p, h, r: ["good"] * len(h), "array of <U4"),
+            ("digits", lambda p, h, r: ["-1"] * len(h), "array of <U2"),
+            ("complex", lambda p, h, r: np.full(len(h), -1.0 + 1j), "array of complex128"),
+            ("objects", lambda p, h, r: np.full(len(h), -1.0).astype(object), "array of object"),
+            ("masked", lambda p, h, r: np.ma.masked_less(np.full(len(h), -1.0), -2.0), "masked array"),
+            ("truths", lambda p, h, r: np.zeros(len(h), bool), "array of bool"),
+            ("times", lambda p, h, r: np.zeros(len(h), "m8[s]"), "array of timedelta64[s]"),
+        )
+    },
     "NaN": (one(np.nan), "returned a log-likelihood of nan, not at most 0, for 1 of 60 hypotheses"),
     "infinity": (one(np.inf), "returned a log-likelihood of inf, not at most 0, for 1 of 60 hypotheses"),
     "more than perfect": (

@@ -157,9 +157,10 @@ def test_nobody_sees_anything(asked, measuring):
     assert evidence.sampled is None and not evidence.gaussians
 
 
+REAL = "not a Measurement of real numbers or None"
 GOOD = Measurement(("x", "y"), np.array([1.0, 2.0]), np.eye(2))
 FAULTS = {
-    "another type": (np.zeros(2), "returned a ndarray, not a Measurement or None"),
+    "another type": (np.zeros(2), "returned a ndarray, not a Measurement of real numbers or None"),
     "no field": (replace(GOOD, fields=()), "measured nothing; the hypotheses have x, y, w, h"),
     "unknown": (replace(GOOD, fields=("x", "vx")), "measured vx; the hypotheses have x, y, w, h"),
     "twice": (replace(GOOD, fields=("x", "x")), "measured a field twice: x, x"),
@@ -185,10 +186,20 @@ FAULTS = {
     "negative floor": (replace(GOOD, floor=-0.1), "measured with a floor of -0.1, not in 0..1"),
     "floor NaN": (replace(GOOD, floor=float("nan")), "measured with a floor of nan, not in 0..1"),
     "floor 1": (replace(GOOD, floor=1.0), "measured with a floor of 1, not in 0..1"),
-    "text": (
-        replace(GOOD, mean=np.array(["a", "b"])),
-        "raised ValueError: could not convert string to float: np.str_('a')",
-    ),
+    **{
+        f"{part} {kind}": (
+            replace(GOOD, **{part: value}),
+            f"returned a Measurement whose {part} is of type {kind}, {REAL}",
+        )
+        for part, value, kind in (
+            ("mean", np.array(["a", "b"]), "array of <U1"),
+            ("mean", np.array([1.0, 2j]), "array of complex128"),
+            ("mean", np.ma.masked_invalid([1.0, 2.0]), "masked array"),
+            ("covariance", np.eye(2).astype(object), "array of object"),
+            ("floor", "low", "array of <U3"),
+            ("floor", None, "NoneType"),
+        )
+    },
 }
 
 

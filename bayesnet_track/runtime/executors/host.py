@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.cue import AnyCue, Measurement
+from bayesnet_track.guests import FAULTS, foreign_part, real_numbers, text_of
 from bayesnet_track.planes import Frame, FramePair, PlaneCache
 from bayesnet_track.runtime.executors.questions import (
     LEARN_AND_BLEND,
@@ -53,11 +54,11 @@ class AgentHost:
         try:
             value = self._asked(question)
             return Answer(value, seconds=time.perf_counter() - started)
-        except Exception as error:  # a guest's code: the engine decides what comes of it
+        except FAULTS as error:  # a guest's code: the engine decides what comes of it
             seconds = time.perf_counter() - started
             if self._is_limited and _is_shortage(error):
                 return Answer(out_of_memory=True, seconds=seconds)
-            return Answer(raised=(type(error).__name__, str(error)), seconds=seconds)
+            return Answer(raised=(type(error).__name__, text_of(error)), seconds=seconds)
 
     def _asked(self, question: Question) -> Any:
         received = self._received
@@ -77,7 +78,8 @@ class AgentHost:
             returned = getattr(cue, question.method)(*arguments)
         match question.method:
             case "log_likelihood":
-                return np.array(returned, dtype=np.float64)
+                numbers = real_numbers(returned)
+                return Foreign(numbers) if isinstance(numbers, str) else numbers
             case "measure":
                 return _measurement(returned)
             case "advance":  # whole nets: bytes
@@ -105,12 +107,14 @@ def _measurement(returned: Any) -> Measurement | Foreign | None:
     """A measurement of plain arrays, which the engine checks; another object as what it is not."""
     if returned is None:
         return None
-    if not isinstance(returned, Measurement):
-        return Foreign(type(returned).__name__)
+    is_measurement = isinstance(returned, Measurement)
+    foreign = foreign_part(returned) if is_measurement else type(returned).__name__
+    if foreign:
+        return Foreign(foreign)
     fields = tuple(str(name) for name in returned.fields)
-    floor = returned.floor if isinstance(returned.floor, str) else float(returned.floor)
-    return Measurement(fields, np.array(returned.mean, float), np.array(returned.covariance, float), floor)
+    mean, covariance = np.array(returned.mean, float), np.array(returned.covariance, float)
+    return Measurement(fields, mean, covariance, returned.floor)
 
 
-def _is_shortage(error: Exception) -> bool:
-    return isinstance(error, MemoryError) or "Insufficient memory" in str(error)
+def _is_shortage(error: BaseException) -> bool:
+    return isinstance(error, MemoryError) or "Insufficient memory" in text_of(error)

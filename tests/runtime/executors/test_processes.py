@@ -99,7 +99,9 @@ def test_what_cannot_be_had_is_told_with_the_reason(placed, monkeypatch, how):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("how", ["raise", "own error", "short", "words"])
+@pytest.mark.parametrize(
+    "how", ["raise", "own error", "mute", "leave", "short", "words", "complex", "masked", "objects"]
+)
 def test_a_fault_is_told_in_the_same_words(placed, told, how):
     agents = {"a": ("placed", {"how": how, "engine": 0}), "b": ("placed_measurer", {})}
     outcomes = placed.run(agents, "processes", workers=1)

@@ -25,6 +25,11 @@ class Parameters(CueParameters):
         "well",
         "raise",
         "own error",
+        "mute",
+        "leave",
+        "complex",
+        "masked",
+        "objects",
         "die",
         "exit",
         "hang",
@@ -62,6 +67,11 @@ class OwnError(Exception):
         return "of my own"
 
 
+class MuteError(Exception):
+    def __str__(self):
+        raise RuntimeError("mute")
+
+
 def misbehave(p, index):
     """What is done in frame `at`, or from -`at` on; with `times`, a file, only as often as it has lines."""
     if p.how == "slow" and index >= p.at and os.getpid() != p.engine:
@@ -78,6 +88,10 @@ def misbehave(p, index):
             raise ValueError(f"no good in frame {index}")
         case "own error":
             raise OwnError
+        case "mute":
+            raise MuteError
+        case "leave":
+            sys.exit(3)
         case "die":
             os.kill(os.getpid(), signal.SIGKILL)
         case "exit":
@@ -124,6 +138,12 @@ class Placed:
             return np.zeros(len(hypotheses) - 1)
         if what == "words":
             return ["good"] * len(hypotheses)
+        if what == "complex":
+            return np.full(len(hypotheses), -1.0 + 1.0j)
+        if what == "masked":
+            return np.ma.masked_less(np.full(len(hypotheses), -1.0), -2.0)
+        if what == "objects":
+            return np.full(len(hypotheses), -1.0).astype(object)
         now, before = planes[self.needs[0]]
         away = hypotheses.boxes[:, 0] - p.x - 0.1 * now + 0.1 * before + 0.001 * reference["big"][7]
         return np.log(0.02 + 0.98 * np.exp(-0.5 * (away / 15.0) ** 2))
