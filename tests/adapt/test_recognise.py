@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.adapt.claims import NOBODY, claim, pair_up
+from bayesnet_track.adapt.claims import NOBODY, alike, claim, distances, pair_up
 from bayesnet_track.adapt.lifecycle import Identity, belief_overlap, refusals_to_tell
 from bayesnet_track.adapt.recognise import LOOKALIKE, Compared, looks, match, placed
 from bayesnet_track.belief.motion import make_motion
@@ -31,6 +31,39 @@ def test_one_detection_is_claimed_and_near_ones_are_nobodys():
     # An unsure target reaches farther for its one detection: 20 px are a side, 2 sd of 5 px half of one.
     owner, free = claim(boxes[:1], live, np.array([5.0]), 0.5)
     assert owner.tolist() == [0] and free.tolist() == [False]
+
+
+def test_distances_are_in_mean_sides():
+    """Sides of 6 and 4 px, the second box 4 px across and 3 px down; and one at the first one's centre."""
+    a, b = np.array([[10.0, 20, 9, 4]]), np.array([[14.0, 23, 2, 8], [10, 20, 27, 3]])
+    np.testing.assert_allclose(distances(a, b), [[1.0, 0.0]])
+    np.testing.assert_allclose(distances(b, a), [[1.0], [0.0]])
+
+
+def test_boxes_are_alike_that_are_near_or_cover_each_other():
+    a = np.array([[50.0, 50, 20, 40]])
+    b = np.array(
+        [[55.0, 60, 10, 20], [60, 50, 10, 20], [60, 70, 10, 20], [61, 70, 10, 20], [60, 70.1, 10, 20]]
+    )
+    # The smaller box has 200 px; it lies inside, half inside, a quarter inside and less.
+    assert alike(a, b, 0.0).tolist() == [[True, True, False, False, False]]
+    assert alike(a, b, 0.0, 0.25).tolist() == [[True, True, True, False, False]]
+    assert alike(b, a, 0.0, 0.25).tolist() == [[True], [True], [True], [False], [False]]
+    assert alike(a, np.array([[90.0, 50, 20, 40]]), np.sqrt(2.0)).tolist() == [[True]]
+    assert alike(a, np.array([[90.0, 50, 20, 40]]), 1.41).tolist() == [[False]]
+
+
+def test_of_equal_costs_the_lower_row_and_column_come_first():
+    assert pair_up(np.ones((2, 3)), np.float64(1.0)).tolist() == [0, 1]
+    assert pair_up(np.ones((2, 3)), np.array([[0.5], [1.0]])).tolist() == [NOBODY, 0]
+
+
+def test_nobody_claims_where_nobody_is():
+    boxes = np.array([[70.0, 50, 20, 20]])
+    owner, free = claim(boxes, np.empty((0, 4)), np.empty(0), 0.5)
+    assert owner.tolist() == [NOBODY] and free.tolist() == [True]
+    owner, free = claim(np.empty((0, 4)), boxes, np.array([1.0]), 0.5)
+    assert owner.shape == free.shape == (0,)
 
 
 def test_overlap_of_beliefs_is_the_integral_of_the_root_of_their_product():

@@ -1,0 +1,93 @@
+"""An agent that fails stays out for 10 frames, twice as long with each failure in a row, 1280 at most."""
+
+import pytest
+
+from bayesnet_track.adapt.backoff import MISSED_FRAMES, give_up_on_missing, next_try, quarantined, readmitted
+from bayesnet_track.adapt.measure import Measures
+from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.situation import Situation
+from bayesnet_track.graph.net import Fault, Readmitted, TargetNet
+
+OUT = TargetNet(
+    "plate",
+    frozenset("c"),
+    quarantined=frozenset("ab"),
+    faults={"a": Fault(3, 5, 20, True), "c": Fault(1, 1, 11, True)},
+)
+NOTHING = Measures({}, {}, {}, {}, {}, 0.0, 400.0)
+
+
+@pytest.fixture
+def now(fakes):
+    """The situation of a target with agents a, b and c in a frame."""
+
+    def make(frame, net=OUT, missed=None):
+        plate, _ = fakes.plate({"root": {"fuse": "product"}, "a": "root", "b": "root", "c": "root"})
+        return Situation(frame, "7", plate, net, NOTHING, {}, frozenset(), missed=missed or {})
+
+    return make
+
+
+def test_waits_double_up_to_a_limit():
+    waits, fault, frame = [], None, 100
+    for _ in range(10):
+        until, times = next_try(frame, fault)
+        waits.append(until - frame)
+        fault, frame = Fault(times, frame, until, True), until
+    assert waits == [10, 20, 40, 80, 160, 320, 640, 1280, 1280, 1280]
+    assert times == 10
+    assert next_try(50, Fault(5000, 10, 40, True)) == (50 + 1280, 5001)
+
+
+def test_an_agent_that_worked_ten_times_as_long_as_it_was_out_has_not_failed_in_a_row():
+    fault = Fault(2, 100, 120, True)  # out for 20 frames
+    assert next_try(319, fault) == (319 + 40, 3)
+    assert next_try(320, fault) == (320 + 10, 1)
+    assert next_try(320, Fault(2, 100, None, True)) == (330, 1)
+
+
+def test_the_decision_names_the_agent_and_the_reason():
+    one = quarantined(OUT, 25, "7", "a", "raised")
+    assert (one.frame, one.target, one.node, one.reason, one.until, one.times) == (
+        25,
+        "7",
+        "a",
+        "raised",
+        105,
+        4,
+    )
+    two = quarantined(OUT, 25, "7", "b", "hung")
+    assert (two.until, two.times) == (35, 1)
+
+
+def test_it_is_back_in_the_first_frame_after_its_time(now):
+    assert readmitted(now(18)) == []
+    assert readmitted(now(19)) == [Readmitted(19, "7", "a", True, 3, 15)]
+
+
+def test_a_person_has_the_last_word_and_some_never_come_back(now):
+    assert readmitted(now(19, TargetNet(**{**vars(OUT), "by_hand": {"a": False}})))[0].on is False
+    was_off = TargetNet(**{**vars(OUT), "faults": {"a": Fault(1, 5, 15, False)}})
+    assert readmitted(now(19, was_off))[0].on is False
+    for_good = TargetNet(**{**vars(OUT), "faults": {"a": Fault(1, 5, None, True)}})
+    assert readmitted(now(1000, for_good)) == []
+
+
+def test_the_order_is_that_of_the_plate(now):
+    both = TargetNet(**{**vars(OUT), "faults": {"b": Fault(1, 5, 15, True), "a": Fault(1, 6, 16, True)}})
+    assert [one.node for one in readmitted(now(40, both))] == ["a", "b"]
+
+
+def test_three_frames_in_a_row_without_an_answer(now):
+    memory, decisions = Memory(), []
+    live = TargetNet("plate", frozenset("abc"))
+    for frame in range(1, MISSED_FRAMES):
+        memory = give_up_on_missing(now(frame, live, {"a": "late"}), memory, decisions)
+        assert memory.missed == {"a": frame} and decisions == []
+    memory = give_up_on_missing(now(3, live, {"a": "gone", "b": "late"}), memory, decisions)
+    assert memory.missed == {"b": 1}
+    (one,) = decisions
+    assert (one.frame, one.target, one.node, one.until) == (3, "7", "a", 13)
+    assert one.reason == "gave no answer in 3 frames in a row, the last time: gone"
+    memory = give_up_on_missing(now(4, live), memory, decisions)
+    assert memory.missed == {} and len(decisions) == 1
