@@ -35,6 +35,7 @@ from bayesnet_track.graph.messages import GraphError
 from bayesnet_track.numerics.compile_watch import WATCH
 
 COMPILING = "compiling kernels, once, about 20 s"
+TRACKING = ("demo", "run", "resume", "batch", "what-if")
 SILENT = ("quiet", "log_json", "json")
 """Options with which nothing is said of it: somebody reads by program, or does not want to know."""
 
@@ -71,6 +72,7 @@ def call(options: argparse.Namespace) -> int:
     """
     try:
         _allow(options)
+        _say_what_is_missing(options)
         with WATCH.told(tell_of_compiling(options)):
             return COMMANDS[options.command](options)
     except GraphError as error:
@@ -93,6 +95,16 @@ def tell_of_compiling(options: argparse.Namespace) -> Callable[[], None]:
             complain(waiting.pop())
 
     return tell
+
+
+def _say_what_is_missing(options: argparse.Namespace) -> None:
+    """At the start of a run, on a system that is not tested."""
+    from bayesnet_track.runtime import system
+
+    if options.command in TRACKING and not options.quiet and not getattr(options, "log_json", False):
+        missing = system.told()
+        if missing:
+            complain(missing)
 
 
 def _allow(options: argparse.Namespace) -> None:

@@ -265,7 +265,10 @@ def follow(
 def executor_of(options: argparse.Namespace) -> Executing:
     """How agents are asked, by the options of `add_executor_options`; raises UsageError."""
     from bayesnet_track.runtime.executors import Limits, PlacingError, make_executor, parse_places
+    from bayesnet_track.runtime.system import NO_WORKERS, has_workers
 
+    if options.executor == "processes" and not has_workers():
+        raise UsageError(NO_WORKERS)
     patience, least = options.agent_timeout, Limits()
     limits = Limits(
         least.answer_s if patience is None else patience,

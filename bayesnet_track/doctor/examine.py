@@ -13,6 +13,7 @@ from bayesnet_track.doctor.finding import Finding
 
 CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
     packages.check_python,
+    packages.check_system,
     packages.check_this_package,
     packages.check_versions,
     packages.check_wheels,

@@ -43,6 +43,17 @@ def check_python() -> Iterator[Finding]:
         yield Finding("python", "ok", text)
 
 
+def check_system() -> Iterator[Finding]:
+    """Whether this system is the tested one, and what is missing on it."""
+    from bayesnet_track.runtime import system
+
+    missing = system.told()
+    if missing:
+        yield Finding("system", "note", missing, "please report what else does not work")
+    else:
+        yield Finding("system", "ok", f"{' '.join(system.TESTED)}, which is tested")
+
+
 def check_this_package() -> Iterator[Finding]:
     """Whether the code that runs is the code that is installed."""
     here = Path(bayesnet_track.__file__).resolve().parent

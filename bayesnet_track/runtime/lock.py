@@ -68,8 +68,10 @@ def _lock(handle: int) -> None:
     try:
         import fcntl
     except ImportError:
-        import msvcrt
-
+        try:
+            import msvcrt
+        except ImportError:  # `runtime.system` says so at the start of a run
+            return
         os.lseek(handle, AT_BYTE, os.SEEK_SET)
         msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
     else:

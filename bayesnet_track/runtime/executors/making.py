@@ -22,11 +22,12 @@ from bayesnet_track.runtime.executors.placing import (
     plates_elsewhere,
     with_proxies,
 )
-from bayesnet_track.runtime.executors.processes import Employed, Processes
+from bayesnet_track.runtime.executors.processes import Employed, PlacingError, Processes
 from bayesnet_track.runtime.executors.ray_actors import RayActors
 from bayesnet_track.runtime.executors.single import one_thread_inside
 from bayesnet_track.runtime.executors.threads import Threads
 from bayesnet_track.runtime.executors.workers import Limits
+from bayesnet_track.runtime.system import NO_WORKERS, has_workers
 
 NO_PLACES: Mapping[str, Place] = MappingProxyType({})
 RETRIES = 2
@@ -101,6 +102,8 @@ class Executing:
     def _staff(self, employed: Mapping[str, Employed], retries: int) -> Processes | RayActors:
         if self.kind == "ray":
             return RayActors(employed, self._limits, retries, self._ray_address)
+        if not has_workers():
+            raise PlacingError(NO_WORKERS)
         return Processes(employed, self.workers, self._limits, retries)
 
     def _pool(self, waiting: int) -> Executor:

@@ -1,0 +1,55 @@
+"""What this operating system lacks of what the program uses; tested is Linux x86-64.
+
+Found by what is there, not by the system's name. Nothing heavy is imported: `doctor` asks, too.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import socket
+import sys
+from collections.abc import Iterator
+from importlib.util import find_spec
+
+TESTED = ("Linux", "x86_64")
+NO_WORKERS = (
+    "this system cannot start worker processes (it has no fork); take --executor threads or serial, and no "
+    "--place AGENT=process"
+)
+
+
+def has_workers() -> bool:
+    """Whether agents can be in processes of their own: forked, with descriptors handed over a socket."""
+    return hasattr(os, "fork") and hasattr(socket, "send_fds")
+
+
+def has_sandbox() -> bool:
+    """Whether a decoding process can be limited."""
+    return os.name == "posix" and find_spec("resource") is not None
+
+
+def lacking() -> Iterator[str]:
+    """What is missing here, and what that means, one clause each."""
+    if not has_workers():
+        yield "no worker processes (--executor processes)"
+    if not has_sandbox():
+        yield "no sandbox (--isolate-decoder)"
+    elif sys.platform == "darwin":
+        yield "no limit on memory (--isolate-decoder limits time only, --agent-memory nothing)"
+    if find_spec("fcntl") is None and find_spec("msvcrt") is None:
+        yield "no lock on files (two runs may write one folder)"
+    if sys.platform == "win32":
+        yield "no SIGTERM (a run that is ended from outside closes no file; `resume` goes on from there)"
+    if os.name != "posix":
+        yield "no sync of folders (a power cut may lose the newest files)"
+
+
+def told() -> str:
+    """One sentence for who begins a run here; empty on the system that is tested."""
+    here = (platform.system(), platform.machine())
+    missing = ", ".join(lacking())
+    if here == TESTED and not missing:
+        return ""
+    name = " ".join(part for part in here if part) or sys.platform
+    return f"{name} is not tested ({' '.join(TESTED)} is); missing here: {missing or 'nothing that is known'}"
