@@ -20,7 +20,6 @@ WHEEL = "opencv-python-headless"
 OPENCV_WHEELS = (WHEEL, "opencv-python", "opencv-contrib-python-headless", "opencv-contrib-python")
 EXTRAS = {
     "matplotlib": ("figures and plots", "figures"),
-    "scipy": ("scores of several targets", "scores"),
     "rerun-sdk": ("the viewer Rerun", "rerun"),
     "ray": ("agents on several machines", "ray"),
 }

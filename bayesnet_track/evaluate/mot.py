@@ -107,7 +107,6 @@ def score_mot(truth: Tracks, tracks: Tracks) -> MotScore:
 
     Raises:
         ValueError: the truth has no box.
-        NeedsScipy: it is not installed.
     """
     if not len(truth):
         raise ValueError("the truth has no box")
@@ -145,6 +144,5 @@ def score_mot_files(tracks_path: str | Path, truth_path: str | Path) -> MotScore
     Raises:
         OSError: a file cannot be read.
         ValueError: a malformed file; says file and line.
-        NeedsScipy: it is not installed.
     """
     return score_mot(read_mot_truth(truth_path), read_mot_tracks(tracks_path))

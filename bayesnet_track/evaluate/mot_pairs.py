@@ -16,10 +16,6 @@ EPSILON = float(np.finfo(np.float64).eps)
 """What an overlap may lack of a threshold: equal ones count as reaching it."""
 
 
-class NeedsScipy(ValueError):
-    """The assignment problem cannot be solved: scipy is not installed."""
-
-
 @dataclass(frozen=True, eq=False)
 class Tracks:
     """Boxes of several targets, in any order; no identity twice in a frame.
@@ -84,15 +80,9 @@ def pair(truth: Tracks, tracks: Tracks) -> Pairs:
 
 
 def assign(gains: Floats) -> tuple[Integers, Integers]:
-    """Rows and columns of the one-to-one assignment with the largest sum of gains (G, K).
+    """Rows and columns of the one-to-one assignment with the largest sum of gains (G, K)."""
+    from scipy.optimize import linear_sum_assignment  # here, because it takes long to import
 
-    Raises:
-        NeedsScipy: it is not installed.
-    """
-    try:
-        from scipy.optimize import linear_sum_assignment
-    except ImportError:
-        raise NeedsScipy("scores of several targets need scipy: pip install scipy") from None
     rows, columns = linear_sum_assignment(gains, maximize=True)
     return np.asarray(rows, dtype=np.int64), np.asarray(columns, dtype=np.int64)
 

@@ -33,7 +33,9 @@ PROBE_PACKETS = 300
 MAX_FAILURES = 50
 ATTACHED_PICTURE = 0x0400
 # Titles need not be UTF-8, and are not needed. From PyAV 19 they are always read so, without an option.
-TOLERANT_METADATA = {"metadata_errors": "replace"} if int(av.__version__.split(".")[0]) < 19 else {}
+TOLERANT_METADATA: dict[str, Any] = (
+    {"metadata_errors": "replace"} if int(av.__version__.split(".")[0]) < 19 else {}
+)
 # In others a packet may hold a picture that is never shown; a transport stream may begin before a key frame.
 ONE_PICTURE_A_PACKET = frozenset({"h264", "hevc", "mpeg4", "mjpeg"})
 FAULTS = (av.error.FFmpegError, ValueError, OverflowError, MemoryError)
