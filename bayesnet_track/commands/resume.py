@@ -16,11 +16,13 @@ if TYPE_CHECKING:
 
 def resume(options: argparse.Namespace) -> int:
     """Go on with a run."""
+    from bayesnet_track.runtime.replace import settle_broken
     from bayesnet_track.runtime.resume import resume, standing
     from bayesnet_track.runtime.run import Summary
     from bayesnet_track.runtime.rundir import RunDirectory
 
     directory = RunDirectory(Path(options.run))
+    settle_broken(directory)
     if standing(directory.path).is_finished:
         for _ in resume(directory.path):  # removes what a kill in the last moment left
             pass

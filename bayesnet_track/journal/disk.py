@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
 from pathlib import Path
 from typing import Protocol
 
@@ -62,6 +63,35 @@ def write_whole(file: RawFile, data: bytes | memoryview) -> None:
     view, done = memoryview(data), 0
     while done < len(view):
         done += file.write(view[done:]) or 0
+
+
+class LostFileError(OSError):
+    """A file that is being written, and that something else removed, renamed, replaced or changed."""
+
+
+def check_held(file: RawFile, path: Path, size: int) -> None:
+    """Refuse to go on with an open file whose name is gone or another's, or that has not `size` bytes.
+
+    What was written to a removed file is lost without any error of the system. A device or a pipe is not
+    checked.
+
+    Raises:
+        LostFileError: says what happened to it.
+        OSError: the system cannot say.
+    """
+    own = os.fstat(file.fileno())
+    if not stat.S_ISREG(own.st_mode):
+        return
+    try:
+        named = path.stat()
+    except FileNotFoundError:
+        raise LostFileError("it was removed or renamed while it was being written") from None
+    if not os.path.samestat(own, named):
+        raise LostFileError("another file has taken its place while it was being written")
+    if own.st_size != size:
+        raise LostFileError(
+            f"something else changed it while it was being written: it has {own.st_size} bytes, not {size}"
+        )
 
 
 def sync(file: RawFile) -> None:

@@ -57,11 +57,13 @@ class LineFile:
         after: continue after so many bytes; what follows them is cut off. None begins anew.
 
     Raises:
-        OutputError: the file cannot be created, is shorter than `after`, or, at `flush`, cannot be written.
+        OutputError: the file cannot be created, is shorter than `after`, or, at `flush`, cannot be written or
+            was removed, replaced or changed by something else.
     """
 
     def __init__(self, path: Path, after: int | None = None) -> None:
         self.path = path
+        self._place = path.absolute()
         self._lines: list[str] = []
         self._size = 0
         self._digest = hashlib.sha256()
@@ -99,6 +101,17 @@ class LineFile:
         except OSError as error:
             raise output_error(self.path, error) from error
 
+    def check(self) -> None:
+        """Refuse to go on where something else removed, replaced or changed the file.
+
+        Raises:
+            OutputError: it did; says what.
+        """
+        try:
+            disk.check_held(self._file, self._place, self._size)
+        except OSError as error:
+            raise output_error(self.path, error) from error
+
     def append(self, line: str) -> None:
         """Add a line (without its newline) to the next flush."""
         self._lines.append(line)
@@ -109,6 +122,7 @@ class LineFile:
             return
         data = memoryview("".join(f"{line}\n" for line in self._lines).encode("utf-8"))
         self._lines.clear()
+        self.check()
         done = 0
         try:
             while done < len(data):
@@ -152,6 +166,8 @@ def output_error(path: Path, error: OSError) -> OutputError:
     """What the system said of a file that cannot be written."""
     if isinstance(error, OutputError):
         return error
+    if isinstance(error, disk.LostFileError):
+        return OutputError(f"{path}: {error}")
     return OutputError(
         error.errno, f"cannot write: {error.strerror or os.strerror(error.errno or 0)}", str(path)
     )

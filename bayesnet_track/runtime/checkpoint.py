@@ -119,8 +119,8 @@ def pixels_of(frame: Frame) -> int:
     return checksum
 
 
-def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
-    """Write it whole or not at all.
+def write_checkpoint(directory: RunDirectory, checkpoint: Checkpoint) -> None:
+    """Write it whole or not at all; the one before it is kept as `checkpoint.previous`.
 
     Raises:
         OutputError: it cannot be written; the one before it is as it was.
@@ -135,7 +135,47 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     }
     body = json.dumps(header).encode("ascii") + b"\n" + checkpoint.state
     seal = hashlib.sha256(body).hexdigest().encode("ascii")
-    write_atomically(path, b"\n".join((MAGIC + str(CHECKPOINT_FORMAT).encode(), seal, body)))
+    data = b"\n".join((MAGIC + str(CHECKPOINT_FORMAT).encode(), seal, body))
+    write_atomically(directory.checkpoint, data, directory.previous)
+
+
+def newest_checkpoint(directory: RunDirectory, say: Callable[[str], None] | None = None) -> Checkpoint | None:
+    """The last checkpoint of a run, or the one before where that is damaged or gone; None without any.
+
+    `say` is told when it is not the last one, and why.
+
+    Raises:
+        CheckpointError: there are only damaged ones, or ones of another version.
+    """
+    wrong: CheckpointError | None = None
+    for path in (directory.checkpoint, directory.previous):
+        try:
+            found = read_checkpoint(path)
+        except FileNotFoundError:
+            continue
+        except CheckpointError as error:
+            wrong = wrong or error
+            continue
+        if wrong is not None and say is not None:
+            say(f"{wrong}; the checkpoint before it is used, of frame {found.frame}")
+        return found
+    if wrong is not None:
+        raise wrong
+    return None
+
+
+def drop_damaged(directory: RunDirectory) -> None:
+    """Remove checkpoints that cannot be read: a new one must not push a good one out by renaming them.
+
+    Raises:
+        OutputError: one cannot be removed.
+    """
+    for path in (directory.checkpoint, directory.previous):
+        try:
+            if path.exists():
+                read_checkpoint(path)
+        except CheckpointError:
+            remove(path)
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
@@ -273,7 +313,7 @@ class Checkpoints:
 
     def _write(self, made: Checkpoint) -> None:
         self._recorder.sync()
-        write_checkpoint(self._directory.checkpoint, made)
+        write_checkpoint(self._directory, made)
 
 
 def remove(path: Path) -> None:

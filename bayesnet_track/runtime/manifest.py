@@ -25,7 +25,7 @@ SAME = "inputs"
 """Such an output has the same bytes for the same graph, source, start boxes, seed and library versions."""
 VARIES = {"recipe": "machine", "video": "machine", "timings": "clock", "report": "clock"}
 """What the bytes of the others depend on, besides: paths and codecs of the machine, or the clock."""
-PASSING = ("checkpoint", "ahead")
+PASSING = ("checkpoint", "previous", "ahead")
 """Files that a run needs only until it is finished."""
 
 

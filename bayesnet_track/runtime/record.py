@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
@@ -14,7 +15,14 @@ from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.journal.inputs import Input
 from bayesnet_track.journal.reader import read_metrics
-from bayesnet_track.journal.writer import JournalWriter, LineFile, Position, output_error, read_position
+from bayesnet_track.journal.writer import (
+    JournalWriter,
+    LineFile,
+    OutputError,
+    Position,
+    output_error,
+    read_position,
+)
 from bayesnet_track.planes import Frame
 from bayesnet_track.runtime.run import Result
 from bayesnet_track.runtime.rundir import RunDirectory
@@ -49,6 +57,7 @@ class Recorder:
         with_video: write the annotated video.
         after: how far the files of a run are written that goes on here; what follows is cut off. The video
             begins anew: see `redraw`.
+        before_first: called before the first frame is written; until then no file is opened, and events wait.
 
     Raises:
         OutputError: a file cannot be created or written.
@@ -61,14 +70,24 @@ class Recorder:
         frame_interval_s: float,
         with_video: bool = False,
         after: Written | None = None,
+        before_first: Callable[[], None] | None = None,
     ) -> None:
         self._directory, self._interval, self._with_video = directory, frame_interval_s, with_video
+        self._has_ids = not has_births(graph)
+        self._before_first, self._waiting = before_first, list[Event]()
+        self._files = ExitStack()
+        self._video: VideoWriter | None = None
+        if before_first is None:
+            self._open(after)
+
+    def _open(self, after: Written | None = None) -> None:
+        directory = self._directory
         at = {} if after is None else {name: place.size for name, place in after.positions.items()}
         ids = NO_IDS if after is None else after.ids
         with ExitStack() as files:
             self._journal = files.enter_context(JournalWriter(directory.journal, at.get("journal")))
             self._frames = files.enter_context(JournalWriter(directory.frames, at.get("frames")))
-            mot = MotWriter(directory.mot, not has_births(graph), at.get("mot"), ids)
+            mot = MotWriter(directory.mot, self._has_ids, at.get("mot"), ids)
             self._mot = files.enter_context(mot)
             self._csv = files.enter_context(CsvWriter(directory.csv, at.get("csv")))
             self._timings = files.enter_context(LineFile(directory.timings, at.get("timings")))
@@ -76,7 +95,7 @@ class Recorder:
             if "inputs" in at:
                 self._inputs = files.enter_context(JournalWriter(directory.inputs, at["inputs"]))
             self._files = files.pop_all()
-        self._video: VideoWriter | None = None
+        self._before_first = None
 
     @property
     def written(self) -> Written:
@@ -96,12 +115,13 @@ class Recorder:
         """
         self.sync()
         written = dict(self.written.positions)
+        for file in self._lines().values():
+            file.check()
+            if file.path.is_file() and _read(file.path) != file.position:
+                raise OutputError(f"{file.path}: something else changed it while it was being written")
         if self._video is not None:
             self._video.finish()
-            try:
-                written["video"] = read_position(self._directory.video)
-            except OSError as error:
-                raise output_error(self._directory.video, error) from error
+            written["video"] = _read(self._directory.video)
         self._files.close()
         return written
 
@@ -122,11 +142,19 @@ class Recorder:
 
     def event(self, event: Event) -> None:
         """Append to the journal."""
+        if self._before_first is not None:
+            self._waiting.append(event)
+            return
         self._journal.write(event)
         self._journal.flush()
 
     def frame(self, result: Result) -> None:
         """Append what one frame gave to every file, and let the system have it."""
+        if self._before_first is not None:
+            self._before_first()
+            self._open()
+            for event in self._waiting:
+                self.event(event)
         if result.outside:
             self._take(result.outside)
         for metrics in result.targets:
@@ -171,3 +199,10 @@ class Recorder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._files.__exit__(kind, error, trace)
+
+
+def _read(path: Path) -> Position:
+    try:
+        return read_position(path)
+    except OSError as error:
+        raise output_error(path, error) from error

@@ -24,7 +24,8 @@ from bayesnet_track.runtime.checkpoint import (
     EVERY_S,
     Checkpoint,
     CheckpointError,
-    read_checkpoint,
+    drop_damaged,
+    newest_checkpoint,
     remove,
 )
 from bayesnet_track.runtime.deadline import Deadline
@@ -34,6 +35,7 @@ from bayesnet_track.runtime.lock import locked
 from bayesnet_track.runtime.manifest import finish, read_manifest, tidy
 from bayesnet_track.runtime.recipe import Recipe
 from bayesnet_track.runtime.record import Recorder
+from bayesnet_track.runtime.replace import settle, settle_broken
 from bayesnet_track.runtime.run import FrameSource, Result, Resumed, Sink, Summary, run
 from bayesnet_track.runtime.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.session import kept, opaque_agents, placed, prepared
@@ -72,12 +74,15 @@ def standing(path: str | PathLike[str]) -> Standing:
         ManifestError: the manifest was changed or is of another version.
     """
     directory = RunDirectory(Path(path))
+    if directory.is_replacing:  # nothing of it was tracked yet
+        return Standing(False)
     recipe = Recipe.read(directory)
     reason = _ending(directory.journal)
     if read_manifest(directory.manifest) is not None:
         return Standing(True, None, reason)
-    if directory.checkpoint.exists():
-        return Standing(False, read_checkpoint(directory.checkpoint).frame, reason)
+    checkpoint = newest_checkpoint(directory)
+    if checkpoint is not None:
+        return Standing(False, checkpoint.frame, reason)
     is_ended = reason is not None and reason not in BROKEN_OFF
     return Standing(is_ended and not recipe.has_manifest, None, reason)
 
@@ -128,17 +133,19 @@ def resume(
     """
     plugins.allow(allow_plugins)
     directory = RunDirectory(Path(path))
+    settle_broken(directory)
     recipe = Recipe.read(directory)
     say: Notice = notice if notice is not None else lambda text: None
     with ExitStack() as stack:
         stack.enter_context(locked(directory))
+        settle(directory)
         told = summary if summary is not None else Summary()
         if standing(path).is_finished:
             tidy(directory)
             return
         graph = recipe.load_graph(directory)
         check_same(recipe, source, motion)
-        checkpoint = _checkpoint(directory, recipe)
+        checkpoint = _checkpoint(directory, recipe, say)
         moves = permit_move(recipe, checkpoint, allow_other_machine, say)
         opened = stack.enter_context(recipe.opened()) if source is None else source
         detections = None if recipe.detections is None else recipe.detections.place
@@ -208,11 +215,9 @@ def _why_anew(checkpoint: Checkpoint | None, engine: Engine) -> str:
     return "there is no checkpoint" if checkpoint is None else ""
 
 
-def _checkpoint(directory: RunDirectory, recipe: Recipe) -> Checkpoint | None:
-    if not directory.checkpoint.exists():
-        return None
-    checkpoint = read_checkpoint(directory.checkpoint)
-    if checkpoint.recipe != recipe.sha256:
+def _checkpoint(directory: RunDirectory, recipe: Recipe, say: Notice) -> Checkpoint | None:
+    checkpoint = newest_checkpoint(directory, say)
+    if checkpoint is not None and checkpoint.recipe != recipe.sha256:
         raise CheckpointError(f"{directory.recipe}: another recipe than that of the checkpoint beside it")
     return checkpoint
 
@@ -245,13 +250,16 @@ def _outside(before: Mapping[int, Sequence[Input]], later: Asked) -> Asked:
 def _clear(directory: RunDirectory, checkpoint: Checkpoint | None) -> None:
     """Remove what no part of the run up to the checkpoint is; raises OutputError.
 
-    The checkpoint goes first where there is no going on from it: it must not outlive its outputs.
+    Checkpoints go first where there is no going on from them: they must not outlive their outputs.
     """
     kept_files = {"recipe", "graph", "truth", "ahead"}
     if checkpoint is not None:
-        kept_files |= {"checkpoint", *checkpoint.written.positions}
-    elif directory.checkpoint.exists():
-        remove(directory.checkpoint)
+        kept_files |= {"checkpoint", "previous", *checkpoint.written.positions}
+        drop_damaged(directory)
+    else:
+        for path in (directory.checkpoint, directory.previous):
+            if path.exists():
+                remove(path)
     try:
         for key, name in FILES.items():
             disk.unlink(directory.path / (name + PART))

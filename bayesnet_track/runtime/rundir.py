@@ -24,11 +24,14 @@ FILES = {
     "inputs": "inputs.jsonl",
     "ahead": "inputs_ahead.jsonl",
     "checkpoint": "checkpoint",
+    "previous": "checkpoint.previous",
     "manifest": "manifest.json",
 }
 LOCK = ".lock"
 """Beside them, and none of them: nothing replaces or removes it."""
-MARKS = (FILES["recipe"], FILES["journal"])
+STAGED, REPLACING = ".staged", ".replacing"
+"""Folders of a run that is about to replace the one beside them; see `runtime.replace`."""
+MARKS = (FILES["recipe"], FILES["journal"], REPLACING)
 """A folder that holds one of them is a run."""
 
 
@@ -74,6 +77,11 @@ class RunDirectory:
         """
         run = cls(Path(path))
         try:
+            if run.is_replacing:
+                raise RunDirectoryError(
+                    f"{run.path}: a new run is replacing the one that was here; if it was broken off, "
+                    f"`bayesnet-track resume {run.path}` goes on with it"
+                )
             if not run.journal.is_file():
                 what = "no such folder" if not run.path.exists() else f"no {FILES['journal']} in it"
                 raise RunDirectoryError(f"{run.path}: not a run directory: {what}")
@@ -90,7 +98,7 @@ class RunDirectory:
             RunDirectoryError: it does.
             OSError: it cannot be read.
         """
-        held = {entry.name for entry in self.path.iterdir()} - {LOCK}
+        held = {entry.name for entry in self.path.iterdir()} - {LOCK, STAGED}
         held -= {name + PART for name in FILES.values()}
         if not held:
             return
@@ -113,7 +121,7 @@ class RunDirectory:
         # The manifest and the checkpoint go first: they must not outlive what they stand for. The journal
         # goes last: a half-cleared folder still counts as a run.
         order = [name + PART for name in FILES.values()]
-        order += [FILES[key] for key in ("manifest", "checkpoint", "recipe")]
+        order += [FILES[key] for key in ("manifest", "checkpoint", "previous", "recipe")]
         order += [name for name in FILES.values() if name not in (*order, FILES["journal"])]
         try:
             held = {entry.name for entry in self.path.iterdir()}
@@ -195,6 +203,21 @@ class RunDirectory:
     def checkpoint(self) -> Path:
         """Where the run can go on from, while it is not at its end."""
         return self.path / FILES["checkpoint"]
+
+    @property
+    def previous(self) -> Path:
+        """The checkpoint before that, for when it is damaged."""
+        return self.path / FILES["previous"]
+
+    @property
+    def is_replacing(self) -> bool:
+        """Whether a new run is taking the place of an earlier one here; see `runtime.replace`."""
+        return (self.path / REPLACING).is_dir()
+
+    @property
+    def holds_run(self) -> bool:
+        """Whether a run is here, in whatever state."""
+        return any((self.path / name).exists() for name in MARKS)
 
     @property
     def manifest(self) -> Path:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import cast
@@ -16,6 +17,7 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.writer import LineFile
+from bayesnet_track.runtime.atomic import write_atomically
 from bayesnet_track.runtime.checkpoint import EVERY_S, Checkpoints
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.detection_files import file_detector
@@ -25,8 +27,9 @@ from bayesnet_track.runtime.lock import locked
 from bayesnet_track.runtime.manifest import finish
 from bayesnet_track.runtime.recipe import HAS_MANIFEST, Recipe, file_sha256, make_recipe
 from bayesnet_track.runtime.record import Recorder
+from bayesnet_track.runtime.replace import replace_run, settle
 from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
-from bayesnet_track.runtime.rundir import RunDirectory
+from bayesnet_track.runtime.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.sources import open_source
 from bayesnet_track.runtime.starts import Start, StartError, check_starts
 from bayesnet_track.runtime.stereo_source import check_depth
@@ -66,7 +69,7 @@ def track(
         seed: seed of all randomness.
         motion: a motion model of one's own in place of every plate's, such as `FunctionMotion`.
         detections: a file of detections, MOT or JSON Lines, for births by `detections`.
-        overwrite: replace an earlier run in `out`.
+        overwrite: replace an earlier run in `out`, which stays as it is until the first frame is tracked.
         video: write the annotated video into `out` too.
         executor: how agents are asked, which changes no result: serial, threads, processes, or what
             `make_executor` made.
@@ -127,8 +130,8 @@ def track(
         if out is not None:
             directory = RunDirectory.create(str(out), overwrite)
             stack.enter_context(locked(directory))
+            settle(directory)
             directory.refuse(overwrite)  # before the lock was taken, another process could have written here
-            directory.clear()
             recipe = make_recipe(
                 checked,
                 opened,
@@ -140,8 +143,15 @@ def track(
                 inputs=None if callable(inputs) else inputs,
                 options=_options(engine, budget_ms),
             )
-            begin(directory, checked, recipe, getattr(opened, "truth_text", None))
-            recorder = stack.enter_context(Recorder(directory, checked, opened.frame_interval_s, video))
+            files = small_files(checked, recipe, getattr(opened, "truth_text", None))
+            take_place: Callable[[], None] | None = None
+            if directory.holds_run:
+                take_place = partial(replace_run, directory, files)
+            else:
+                directory.clear()
+                begin(directory, files)
+            recorder = Recorder(directory, checked, opened.frame_interval_s, video, before_first=take_place)
+            stack.enter_context(recorder)
             told.append(recorder)
             keeper = kept(directory, engine, recorder, recipe, checkpoint_every)
             if keeper is not None:
@@ -191,20 +201,22 @@ def prepared(
     return make_engine(graph, seed, motion=own, detectors=given)
 
 
-def begin(directory: RunDirectory, graph: CheckedGraph, recipe: Recipe, truth: str | None = None) -> None:
+def small_files(graph: CheckedGraph, recipe: Recipe, truth: str | None = None) -> dict[str, bytes]:
+    """What is asked for, as files by their key in `FILES`; `truth` is the truth.txt of a built-in scene."""
+    texts = {"graph": graph.text, "truth": truth, "recipe": recipe.text()}
+    return {key: text.encode("utf-8") for key, text in texts.items() if text is not None}
+
+
+def begin(directory: RunDirectory, files: Mapping[str, bytes]) -> None:
     """Write down what is asked for, before anything is done; the recipe comes last: with it all is there.
 
-    `truth` is the text of truth.txt, for a built-in scene.
-
     Raises:
-        OutputError, RunDirectoryError: it cannot be written.
+        OutputError: it cannot be written.
     """
     # What holds a journal counts as a run, which may be overwritten.
     LineFile(directory.journal).close()
-    directory.write_text(directory.graph, graph.text)
-    if truth is not None:
-        directory.write_text(directory.truth, truth)
-    recipe.write(directory)
+    for key, data in files.items():
+        write_atomically(directory.path / FILES[key], data)
 
 
 def kept(

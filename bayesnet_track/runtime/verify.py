@@ -13,7 +13,7 @@ from bayesnet_track.journal.writer import Position, read_position
 from bayesnet_track.runtime.lock import is_locked
 from bayesnet_track.runtime.manifest import Manifest, passing, read_manifest
 from bayesnet_track.runtime.resume import standing
-from bayesnet_track.runtime.rundir import FILES, LOCK, RunDirectory
+from bayesnet_track.runtime.rundir import FILES, LOCK, STAGED, RunDirectory
 
 Finding = Literal["ok", "missing", "truncated", "changed", "extra"]
 Status = Literal["verified", "changed", "unfinished", "running", "unknown"]
@@ -51,6 +51,8 @@ def verify(path: str | PathLike[str]) -> Verified:
     directory = RunDirectory(Path(path))
     if is_locked(directory):
         return Verified("running")
+    if directory.is_replacing:
+        return Verified("unfinished")
     manifest = read_manifest(directory.manifest)
     if manifest is None:
         return Verified("unknown" if standing(path).is_finished else "unfinished")
@@ -62,7 +64,7 @@ def verify(path: str | PathLike[str]) -> Verified:
 def _outputs(directory: RunDirectory, manifest: Manifest) -> dict[str, Finding]:
     names = {FILES[key]: place for key, place in manifest.outputs.items()}
     found = {name: _finding(directory.path / name, names[name]) for name in sorted(names)}
-    known = {*names, FILES["manifest"], LOCK, *passing(), *MADE_LATER}
+    known = {*names, FILES["manifest"], LOCK, STAGED, *passing(), *MADE_LATER}
     others = sorted(entry.name for entry in directory.path.iterdir() if entry.name not in known)
     return {**found, **dict.fromkeys(others, "extra")}
 

@@ -21,11 +21,12 @@ class _Output:
     """A file as PyAV writes one: it does not look how much of its bytes was taken."""
 
     def __init__(self, file: disk.RawFile) -> None:
-        self._file = file
+        self._file, self.size = file, 0
         self.seek, self.tell = file.seek, file.tell
 
     def write(self, data: bytes | memoryview) -> int:
         disk.write_whole(self._file, data)
+        self.size = max(self.size, self._file.tell())
         return len(data)
 
 
@@ -42,7 +43,7 @@ class VideoWriter:
     def __init__(self, path: Path, width: int, height: int, frame_interval_s: float) -> None:
         import av
 
-        self.path = path
+        self.path, self._place = path, path.absolute()
         self._faults = (av.error.FFmpegError, OSError, ValueError)
         if path.suffix.lower() not in SUFFIXES:
             raise OutputError(f"{path}: a video is written as {' or '.join(SUFFIXES)}")
@@ -65,8 +66,9 @@ class VideoWriter:
         except OSError as error:
             raise self._error(error) from error
         try:
+            self._output = _Output(self._file)
             self._container = av.open(
-                _Output(self._file), mode="w", format=SUFFIXES[path.suffix.lower()], options=options
+                self._output, mode="w", format=SUFFIXES[path.suffix.lower()], options=options
             )
             self._stream: Any = self._container.add_stream(codec, rate=rate, options=tuning)
             self._stream.width, self._stream.height = self._size
@@ -87,6 +89,7 @@ class VideoWriter:
 
         width, height = self._size
         try:
+            disk.check_held(self._file, self._place, self._output.size)
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image[:height, :width]), format="bgr24")
             frame.pts, frame.time_base = self._count, self._time_base
             self._count += 1
@@ -100,6 +103,7 @@ class VideoWriter:
         """Close the file, and wait until the disk has it."""
         self._end()
         try:
+            disk.check_held(self._file, self._place, self._output.size)
             disk.sync(self._file)
         except OSError as error:
             raise self._error(error) from error
@@ -137,5 +141,7 @@ class VideoWriter:
         self._file.close()
 
     def _error(self, error: Exception) -> OutputError:
+        if isinstance(error, disk.LostFileError):
+            return OutputError(f"{self.path}: {error}")
         said = getattr(error, "strerror", None) or error
         return OutputError(f"{self.path}: cannot write the video: {said}")

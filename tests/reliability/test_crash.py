@@ -17,12 +17,14 @@ from typing import Any
 import cv2
 import pytest
 
+from bayesnet_track import Start, track
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.runtime.recipe import RecipeError
 from bayesnet_track.runtime.resume import standing
 from bayesnet_track.runtime.rundir import RunDirectoryError
+from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.verify import verify
 from bayesnet_track.runtime.videowriter import VideoWriter
 
@@ -199,6 +201,36 @@ def test_a_crash_at_every_step_of_going_on(
             break
     print(f"{at} steps")
     assert at > 15
+
+
+def test_a_crash_at_every_step_of_an_overwrite(
+    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str]
+) -> None:
+    """Until a step it is the earlier run, untouched; from there on the new one, which goes on."""
+    source = SceneSource.named("two_squares", 0, 2)
+    list(track("two_squares", source, [Start(source.scene.start_box)], out=tmp_path / "old"))
+    old, at, untouched = files(tmp_path / "old"), 0, 0
+    while True:
+        at += 1
+        folder = shutil.copytree(tmp_path / "old", tmp_path / str(at))
+        code = forked(begin, folder, at)
+        assert code in (0, 137), at
+        found = verify(folder)
+        if found.status == "verified" and "truth.txt" in found.outputs:
+            assert at == untouched + 1, "once it is the new run, it stays that"
+            untouched = at
+            shutil.rmtree(folder / ".staged", ignore_errors=True)
+            assert files(folder) == old, at
+            begin(folder)
+        else:
+            assert found.status == ("verified" if standing(folder).is_finished else "unfinished"), at
+            go_on(folder)
+        assert files(folder) == whole and verify(folder).status == "verified", at
+        shutil.rmtree(folder)
+        if code == 0:
+            break
+    print(f"{at} steps, {untouched} of them before the new run took the place of the old one")
+    assert at > 60 and 5 < untouched < 20
 
 
 def full() -> None:

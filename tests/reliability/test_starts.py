@@ -48,12 +48,9 @@ def at_once(commands: Sequence[Sequence[str]], told: Path, apart_s: float = 0.0)
         if child == 0:
             code = 1
             try:
-                handle = os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-                os.dup2(handle, 1)
-                os.dup2(handle, 2)
+                sys.stdout = sys.stderr = said.open("w", buffering=1)
                 time.sleep(max(0.0, start + number * apart_s - time.time()))
                 code = main(arguments)
-                sys.stdout.flush()
                 sys.stderr.flush()
             finally:
                 os._exit(code)

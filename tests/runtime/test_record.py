@@ -97,7 +97,8 @@ def test_a_full_disk_is_exit_code_6(tmp_path, capsys, monkeypatch, name):
     begin = session.begin
 
     def with_a_full_disk(directory, *arguments):
-        (directory.path / FILES[name]).symlink_to(FULL)
+        part = ".part" if name == "graph" else ""
+        (directory.path / (FILES[name] + part)).symlink_to(FULL)
         return begin(directory, *arguments)
 
     monkeypatch.setattr(session, "begin", with_a_full_disk)
