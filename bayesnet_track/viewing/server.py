@@ -17,13 +17,13 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any, Protocol
 from urllib.parse import parse_qs, urlsplit
 
+from bayesnet_track.viewing.connections import Connections
 from bayesnet_track.viewing.controls import Refused
 
 FIRST_PORT, PORTS = 8760, 20
 LARGEST_REQUEST = 64_000
-MOST_CONNECTIONS = 32
 PATIENCE_S = 20.0
-"""Seconds after which a client that neither sends nor takes is let go."""
+"""Seconds after which a client that neither sends nor takes is let go, with the token or without."""
 
 HEADERS = {
     "Cache-Control": "no-store",
@@ -75,7 +75,7 @@ class Server(socketserver.ThreadingMixIn, HTTPServer):
         self.served, self.host = served, host
         self.token = secrets.token_urlsafe(18)
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        self.connections = Connections()
         # Elsewhere it means that a port is free again at once; on Windows, that two may share one.
         self.allow_reuse_address = sys.platform != "win32"
         tried = [port] if port is not None else [*range(FIRST_PORT, FIRST_PORT + PORTS), 0]
@@ -124,18 +124,20 @@ class Server(socketserver.ThreadingMixIn, HTTPServer):
         self.server_name, self.server_port = self.host, int(self.server_address[1])
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Hand it to a thread, unless there are too many already."""
-        if self._free.acquire(blocking=False):
-            super().process_request(request, client_address)
-        else:
-            self.shutdown_request(request)
+        """Hand it to a thread."""
+        self.connections.enters(request, str(client_address[0]))
+        super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """In its own thread."""
         try:
             super().process_request_thread(request, client_address)
         finally:
-            self._free.release()
+            self.connections.leaves(request)
+
+    def service_actions(self) -> None:
+        """Several times a second."""
+        self.connections.sweep()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A client that went away, or speaks something else, concerns nobody."""
@@ -210,6 +212,9 @@ class Handler(BaseHTTPRequestHandler):
             token = path = ""
         if not hmac.compare_digest(token.encode(errors="replace"), self.server.token.encode()):
             self._refuse(HTTPStatus.FORBIDDEN, "the address lacks its token: copy it whole")
+            return None
+        if not self.server.connections.proves(self.connection):
+            self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections: close other pages of it")
             return None
         return path
 

@@ -1,5 +1,6 @@
 """Only who knows the token, comes under this machine's name and from the page itself gets anything."""
 
+import contextlib
 import http.client
 import json
 import re
@@ -9,8 +10,14 @@ import time
 import pytest
 
 from bayesnet_track.viewing import server as serving
+from bayesnet_track.viewing.connections import (
+    MOST_PROVEN,
+    MOST_UNPROVEN,
+    MOST_UNPROVEN_OF_ONE,
+    Connections,
+)
 from bayesnet_track.viewing.controls import Refused
-from bayesnet_track.viewing.server import MOST_CONNECTIONS, Handler, Server
+from bayesnet_track.viewing.server import Handler, Server
 
 
 class Served:
@@ -142,7 +149,7 @@ def test_a_client_that_says_nothing_is_let_go_and_never_bars_the_others(monkeypa
     monkeypatch.setattr(Handler, "timeout", 0.3)
     made = Server(Served())
     try:
-        silent = [socket.create_connection(("127.0.0.1", made.port)) for _ in range(MOST_CONNECTIONS + 5)]
+        silent = [socket.create_connection(("127.0.0.1", made.port)) for _ in range(37)]
         # Those beyond the limit are closed at once, the others when their time is over.
         for one in silent:
             one.settimeout(5)
@@ -151,6 +158,96 @@ def test_a_client_that_says_nothing_is_let_go_and_never_bars_the_others(monkeypa
         assert ask(made, "/TOKEN/")[0] == 200
     finally:
         made.close()
+
+
+def opened(server, sent=b""):
+    one = socket.create_connection(("127.0.0.1", server.port), timeout=10)
+    one.sendall(sent)
+    return one
+
+
+def test_who_lacks_the_token_never_bars_who_has_it(server):
+    """It held all connections for as long as it sent a byte now and then: nobody else was served."""
+    slow = [opened(server, b"GET /guess/ HTTP/1.1\r\nX-Long: ") for _ in range(60)]
+    try:
+        for number in range(5):
+            assert ask(server, f"/TOKEN/feed?from={number}")[:2] == (200, b"[%d, 0]" % number)
+            for one in slow:
+                with contextlib.suppress(OSError):
+                    one.send(b"x")
+    finally:
+        for one in slow:
+            one.close()
+
+
+def test_who_trickles_without_the_token_is_closed_in_time(monkeypatch):
+    monkeypatch.setattr(serving, "Connections", lambda: Connections(0.4))
+    made = Server(Served())
+    try:
+        slow, held = opened(made, b"GET / HTTP/1.1\r\n"), opened(made)
+        held.sendall(f"GET /{made.token}/ HTTP/1.1\r\nHost: 127.0.0.1:{made.port}\r\n\r\n".encode())
+        assert held.recv(12) == b"HTTP/1.1 200"
+        began = time.monotonic()
+        with contextlib.suppress(OSError):
+            while time.monotonic() - began < 10:
+                slow.sendall(b"X")
+                time.sleep(0.05)
+        assert time.monotonic() - began < 8
+        slow.close()
+        # With the token a connection stays.
+        held.sendall(f"GET /{made.token}/feed HTTP/1.1\r\nHost: 127.0.0.1:{made.port}\r\n\r\n".encode())
+        answer = b""
+        while b"[0, 0]" not in answer:
+            part = held.recv(4096)
+            assert part, "it was closed"
+            answer += part
+        held.close()
+    finally:
+        made.close()
+
+
+class Pipe:
+    """A socket, as far as it can be shut."""
+
+    def __init__(self):
+        self.is_shut = False
+
+    def shutdown(self, how):
+        self.is_shut = True
+
+
+def test_the_oldest_of_whoever_holds_most_gives_way():
+    now = [0.0]
+    connections = Connections(5.0, lambda: now[0])
+    browser, proven = Pipe(), Pipe()
+    connections.enters(browser, "a")
+    connections.enters(proven, "a")
+    assert connections.proves(proven) and connections.proves(proven)
+    others = [Pipe() for _ in range(60)]
+    for number, one in enumerate(others):
+        connections.enters(one, f"b{number % 4}")
+    assert not browser.is_shut and sum(not one.is_shut for one in others) == MOST_UNPROVEN - 1
+    own = [Pipe() for _ in range(MOST_UNPROVEN_OF_ONE)]
+    for one in own:
+        connections.enters(one, "a")
+    assert browser.is_shut and not own[-1].is_shut, "now it is the one that holds most, and its newest is in"
+    assert sum(not one.is_shut for one in (browser, *own, *others)) == MOST_UNPROVEN
+    now[0] = 5.1
+    connections.sweep()
+    assert all(one.is_shut for one in (*others, *own)) and not proven.is_shut
+    assert not connections.proves(browser), "too late"
+
+
+def test_those_with_the_token_are_counted_too():
+    connections = Connections()
+    pipes = [Pipe() for _ in range(MOST_PROVEN + 1)]
+    shown = []
+    for one in pipes:
+        connections.enters(one, "a")
+        shown.append(connections.proves(one))
+    assert shown == [True] * MOST_PROVEN + [False]
+    connections.leaves(pipes[0])
+    assert connections.proves(pipes[-1])
 
 
 def test_a_taken_port_is_passed_over_and_a_named_one_is_refused(monkeypatch):
