@@ -232,6 +232,18 @@ class Turnable(Protocol):
         ...
 
 
+@runtime_checkable
+class Residual(Protocol):
+    """A cue whose standard deviations can be estimated from ground truth (`fit --what sds`)."""
+
+    def residuals(self, planes: Planes, box: Floats, reference: Reference) -> Mapping[str, Floats]:
+        """Parameter -> (n,) differences of the centre box (4,) from the reference, in the parameter's unit.
+
+        Each is an error whose standard deviation the parameter is; empty when the box shows nothing of it.
+        """
+        ...
+
+
 def context_of(cue: AnyCue) -> float:
     """How many box sizes beyond each side of the box the cue looks when it learns."""
     return float(getattr(cue, "context", CONTEXT))

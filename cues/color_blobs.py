@@ -145,6 +145,23 @@ class ColorBlobs:
         size = log_size_penalty(boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
         return floored(size - cost, p.floor)
 
+    def residuals(self, planes: Planes, box: Floats, reference: Reference) -> dict[str, Floats]:
+        """What eq. 3.4 compares: the reference's blobs and those of the centre box (4,), nearest pairs.
+
+        Offsets of their centres in both axes (widths and heights of the box), differences of hue (degrees).
+        """
+        from bayesnet_track.numerics.blob_kernels import match_blobs
+
+        p, wanted = self.parameters, self._wanted(reference)
+        blobs, found = self._blobs(planes, np.asarray(box, dtype=np.float64)[None])
+        seen = blobs[0, : found[0]]
+        match, _ = match_blobs(wanted, seen, p.sd_offset, p.sd_hue_deg, np.inf)
+        off = seen[match[match >= 0]] - wanted[match >= 0]
+        return {
+            "sd_offset": off[:, :2].ravel(),
+            "sd_hue_deg": np.asarray((off[:, 2] + 180.0) % 360.0 - 180.0),
+        }
+
     def _wanted(self, reference: Reference) -> Floats:
         """(K, 4) blobs that are compared."""
         blobs = reference["blobs"]

@@ -169,6 +169,17 @@ class MotionCue:
         )
         return floored(settings.sharpness * log + penalty, settings.floor)
 
+    def residuals(self, planes: Planes, box: Floats, reference: Reference) -> dict[str, Floats]:
+        """What eq. 3.9 compares: the flow of the centre box (4,) less the target's, px per frame interval."""
+        found = self.vectors(planes)
+        if self.parameters.compare == "each":
+            flows = found[(np.abs(found[:, :2] - box[:2]) <= box[2:] / 2).all(axis=1), 2:4]
+        else:
+            counts, means = self._inside(found, np.asarray(box, dtype=np.float64)[None], planes)
+            flows = means[counts > 0]
+        off = flows - reference["flow"] if reference["known"] else np.empty((0, 2))
+        return {"sd_x_px": off[:, 0], "sd_y_px": off[:, 1]}
+
     def vectors(self, planes: Planes) -> Floats:
         """(P, 4) x, y, dx, dy of the valid vectors, the camera's motion taken off."""
         vectors = planes[self.flow]

@@ -35,7 +35,7 @@ def data(tmp_path: Path) -> Path:
         (folder / "img").mkdir(parents=True)
         lines = []
         for k in range(16):
-            x, y = (20 + 3 * k, 30) if k < 10 else (110, 70)
+            x, y = (20 + 3 * k + k % 2, 30 + k % 3) if k < 10 else (110 + k % 2, 70 + k % 3)
             picture = np.full((100, 140, 3), 60, np.uint8)
             picture[y : y + 20, x : x + 20] = pattern
             cv2.imwrite(str(folder / "img" / f"{k:04d}.png"), picture)
@@ -62,6 +62,45 @@ def test_a_graph_is_calibrated_and_keeps_its_comments(data, capsys):
     assert main(["fit", str(out), *arguments[2:], "--out", str(out), "--overwrite"]) == 0
     assert out.read_text().count("# fit: probability") == 1
     assert not (data / "fitted.yaml.part").exists()
+
+
+ADAPTIVE = GRAPH.replace(
+    "  # moves\n",
+    """
+        fuse: product
+        adapt:
+          activate: {above: {ud_px2: 40}}  # on
+          deactivate: {below: {ud_px2: 20}, frames: 1}
+""",
+).replace("agent: intensity}", "agent: intensity}\n      flow: {parent: target, agent: motion}  # flows")
+
+
+def test_sds_and_policy_are_written_before_the_score_is_fitted(data, capsys):
+    (data / "g.yaml").write_text(ADAPTIVE)
+    out = data / "fitted.yaml"
+    arguments = ["fit", str(data / "g.yaml"), "--folder", str(data / "data"), "--seeds", "1"]
+    assert main([*arguments, "--what", "sds,policy,score", "--out", str(out)]) == 0
+    text, said = out.read_text(), capsys.readouterr().err
+    assert "# on" in text and "# flows" in text and "# my graph" in text
+    assert "# fit: sd_x_px, sd_y_px: residuals at true boxes, 26 in 2 videos" in text
+    assert "# fit: probability of IoU > 0.5; 30 frames of 2 videos" in text
+    plate = load_graph(out).targets["target"]
+    sds = plate.agent("flow").agent.parameters
+    assert 1 < sds["sd_x_px"] < 4 and 1 < sds["sd_y_px"] < 4  # its flow changes by 2 px in x, by 1 to 3 in y
+    adapt = plate.inference("target").adapt
+    assert adapt.deactivate.below.settings < adapt.activate.above.settings
+    assert "policy: on above" in said and "chosen from" in said
+    # Again, from what was written: the same comments once more, not twice.
+    assert main(["fit", str(out), *arguments[2:], "--what", "sds", "--out", str(out), "--overwrite"]) == 0
+    assert out.read_text().count("# fit: sd_x_px") == 1
+
+
+@pytest.mark.parametrize("what", ["sds", "policy"])
+def test_one_video_is_too_few(data, capsys, what):
+    (data / "g.yaml").write_text(ADAPTIVE)
+    one = ("--source", "DATA/one/img", "--truth", "DATA/one/groundtruth.txt", "--what", what)
+    assert wrong(data, *one) == 2
+    assert f"{what}: one video; two or more are needed" in capsys.readouterr().err
 
 
 def test_leaving_one_out_prints_a_row_a_video(data, capsys):
@@ -95,8 +134,26 @@ CASES = [
     ),
     (
         ("--folder", "DATA", "--what", "score,sizes"),
-        "--what: no 'sizes'; there are score, slack, lost, ud, temperature",
+        "--what: no 'sizes'; there are score, slack, lost, ud, temperature, sds, policy",
     ),
+    (
+        ("--folder", "DATA", "--what", "sds"),
+        "sds: no agent of the target has any to estimate; color_blobs and motion have",
+    ),
+    (
+        ("--folder", "DATA", "--what", "policy"),
+        "policy: the root needs `adapt` with `activate: {above: ...}` and `deactivate: {below: ...}`, "
+        "levels of UD in the same unit",
+    ),
+    (
+        ("--folder", "DATA", "--what", "policy,ud"),
+        "--what: ud and policy both set the levels of `activate` and `deactivate`; choose one",
+    ),
+    (
+        ("--folder", "DATA", "--what", "score,sds", "--leave-one-out"),
+        "--leave-one-out judges score and regions; fit sds and policy to other videos first",
+    ),
+    (("--what", "sds"), "no video: give --source with --truth, or --folder"),
     (
         ("--folder", "DATA", "--features", "luck"),
         "--features: no 'luck'; there are log_ud_box, evidence, log_fit, agreement, log_size",

@@ -3,32 +3,23 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.commands.answer import OK, UsageError, complain, say, users_mistake, writing
+from bayesnet_track.commands.fit_tracking import check_text, fit_policy, fit_sds
+from bayesnet_track.commands.fit_videos import Video, find_videos, frames_of
 from bayesnet_track.journal.wording import plural
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from bayesnet_track.evaluate.fitting import Checked, Fitted
     from bayesnet_track.evaluate.witness import Witness
     from bayesnet_track.graph.checked import CheckedGraph
 
-WHAT = ("score", "slack", "lost", "ud", "temperature")
-
-
-@dataclass(frozen=True, eq=False)
-class Video:
-    """A source and its true corner boxes (n, 4)."""
-
-    name: str
-    source: str
-    truth: NDArray[np.float64]
+WHAT = ("score", "slack", "lost", "ud", "temperature", "sds", "policy")
+BEFORE = ("sds", "policy")
+"""What changes the tracking, and is fitted before the rest."""
 
 
 def fit(options: argparse.Namespace) -> int:
@@ -45,7 +36,21 @@ def fit(options: argparse.Namespace) -> int:
         with writing(out):
             if out.exists() and not options.overwrite:
                 raise UsageError(f"{out} exists; --overwrite replaces it")
-    videos = list(_videos(options))
+    if options.leave_one_out and not set(what).isdisjoint(BEFORE):
+        raise UsageError("--leave-one-out judges score and regions; fit sds and policy to other videos first")
+    if "ud" in what and "policy" in what:
+        raise UsageError(
+            "--what: ud and policy both set the levels of `activate` and `deactivate`; choose one"
+        )
+    videos = list(find_videos(options))
+    if "sds" in what:
+        text = fit_sds(text, graph, videos, options.end)
+        graph = check_text(text, str(out or options.graph))
+    if "policy" in what:
+        text = fit_policy(text, graph, videos, options.end, options.seeds)
+        graph = check_text(text, str(out or options.graph))
+    if set(what) <= set(BEFORE):
+        return _put(out, text, f"fitted to {plural(len(videos), 'video')}")
     witnesses = _witness(graph, videos, options, "temperature" in what)
     with users_mistake():
         if options.leave_one_out:
@@ -54,12 +59,16 @@ def fit(options: argparse.Namespace) -> int:
             return OK
         fitted = estimate(witnesses, features)
     written = write_fitted(text, graph, fitted, what)
-    load_written(written, str(out or options.graph))
+    check_text(written, str(out or options.graph))
+    return _put(out, written, f"fitted to {fitted.frames} frames of {plural(fitted.videos, 'video')}")
+
+
+def _put(out: Path | None, text: str, said: str) -> int:
     if out is None:
-        say(written.removesuffix("\n"))
+        say(text.removesuffix("\n"))
     else:
-        _write(out, written)
-        say(f"{out}: fitted to {fitted.frames} frames of {plural(fitted.videos, 'video')}")
+        _write(out, text)
+        say(f"{out}: {said}")
     return OK
 
 
@@ -68,14 +77,6 @@ def graph_text(graph: str) -> str:
     from bayesnet_track.graphs import find_graph, graph_names
 
     return (find_graph(graph) if graph in graph_names() else Path(graph)).read_text(encoding="utf-8")
-
-
-def load_written(text: str, name: str) -> None:
-    """Check a graph's text against every law, as a run of it would; raises GraphError."""
-    from bayesnet_track.graph.laws import check
-    from bayesnet_track.graph.read import read_graph
-
-    check(*read_graph(text, name))
 
 
 def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[str]) -> str:
@@ -169,51 +170,16 @@ def _chosen(option: str, text: str, known: Sequence[str]) -> tuple[str, ...]:
     return names
 
 
-def _videos(options: argparse.Namespace) -> Iterator[Video]:
-    from bayesnet_track.evaluate.truth import read_truth
-
-    if len(options.source) != len(options.truth):
-        raise UsageError(
-            f"{len(options.source)} --source and {len(options.truth)} --truth: every video needs its truth"
-        )
-    pairs = [(_name(s), s, Path(t)) for s, t in zip(options.source, options.truth, strict=True)]
-    if options.folder is not None:
-        found = sorted(Path(options.folder).glob("*/groundtruth.txt"))
-        pairs += [(f.parent.name, str(f.parent / "img"), f) for f in found if (f.parent / "img").is_dir()]
-        if not found:
-            raise UsageError(f"{options.folder}: no NAME/groundtruth.txt beside NAME/img")
-    if not pairs:
-        raise UsageError("no video: give --source with --truth, or --folder")
-    seen: dict[str, int] = {}
-    for name, source, file in pairs:
-        seen[name] = seen.get(name, 0) + 1
-        with users_mistake():
-            yield Video(name if seen[name] == 1 else f"{name} {seen[name]}", source, read_truth(file))
-
-
-def _name(source: str) -> str:
-    """What a source is called: a folder of pictures of a sequence is called as the sequence is."""
-    path = Path(source)
-    return (path.parent if path.name in ("img", "img1") else path).name or source
-
-
 def _witness(
     graph: CheckedGraph, videos: Sequence[Video], options: argparse.Namespace, temperatures: bool
 ) -> list[Witness]:
     from bayesnet_track.evaluate.witness import with_features, witness
-    from bayesnet_track.planes import Frame
-    from bayesnet_track.runtime.sources import open_source
 
     measuring, found = with_features(graph), []
     for video in videos:
         for seed in range(options.seeds):
-            with open_source(video.source, 0, options.end) as source:
-                expected = source.expected_frames
-                if expected is not None and options.end is None and expected != len(video.truth):
-                    raise UsageError(f"{video.name}: {expected} frames, and {len(video.truth)} true boxes")
-                frames = (item for item in source if isinstance(item, Frame))
-                with users_mistake():
-                    one = witness(measuring, video.name, frames, video.truth, seed, temperatures)
+            with frames_of(video, options.end) as frames, users_mistake():
+                one = witness(measuring, video.name, frames, video.truth, seed, temperatures)
             complain(f"{video.name}, seed {seed}: {one.frames} frames, mean IoU {one.iou.mean():.3f}")
             found.append(one)
     return found

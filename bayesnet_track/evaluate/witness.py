@@ -47,6 +47,7 @@ class Witness:
         surprise: agent -> (25,) mean over the frames on target of -log of the density that the agent, at each
             of `TEMPERATURES` times its own temperature, gives to the true centre; empty unless asked for.
         most: (n,) what the score can be at most, whatever its coefficients; None for 1.
+        cost_ms: declared cost of the agents that looked, milliseconds, mean over frames.
     """
 
     video: str
@@ -58,6 +59,7 @@ class Witness:
     status: tuple[str, ...]
     surprise: Mapping[str, Floats] = field(default_factory=dict)
     most: Floats | None = None
+    cost_ms: float = 0.0
 
     @property
     def frames(self) -> int:
@@ -117,6 +119,7 @@ def witness(
     if not lines:
         raise ValueError(f"{video}: no frame after the first has a true box")
     at = np.array([line.box for line in lines])
+    costs = next(iter(engine.machinery.values())).costs_ms
     return Witness(
         video,
         overlap(at, np.array(boxes)),
@@ -127,6 +130,7 @@ def witness(
         tuple(line.status for line in lines),
         curves.means(),
         np.array([line.features["most"] for line in lines]),
+        float(np.mean([sum(costs[agent] for agent in line.active) for line in lines])),
     )
 
 

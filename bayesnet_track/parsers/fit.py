@@ -30,7 +30,7 @@ def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
         "--what",
         default="score,slack,lost",
         metavar="LIST",
-        help="of score, slack, lost, ud, temperature (default score,slack,lost)",
+        help="of score, slack, lost, ud, temperature, sds, policy (default score,slack,lost)",
     )
     fit.add_argument(
         "--features",

@@ -1,0 +1,144 @@
+"""Choose when agents are switched on and off by what it costs and how well the target is held."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from bayesnet_track.graph.spec import Adapt
+
+SCALES = (1.0, 1.5, 3.0)
+"""Factors on both levels: the higher they are, the less often agents work."""
+
+SPARED = 0.005
+"""Success AUC that a cheaper policy may lose on the videos it is chosen on: half of what it may elsewhere."""
+
+FIRST_VIDEOS = 3
+"""Videos on which every candidate is tried; each later round doubles them."""
+
+
+@dataclass(frozen=True)
+class Policy:
+    """Levels of UD in the graph's own units, and how often an agent that is off still looks."""
+
+    activate: float
+    deactivate: float
+    glance: int | None
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What a policy gave on one video: success AUC, and declared ms of the agents that looked, per frame."""
+
+    auc: float
+    cost_ms: float
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The outcome of a search.
+
+    Attributes:
+        policy: the cheapest that keeps within `SPARED` of the graph's own AUC.
+        own: mean of the graph's own rules over all videos.
+        trial: the same of the chosen policy.
+        candidates: how many were tried.
+        runs: in how many runs.
+    """
+
+    policy: Policy
+    own: Trial
+    trial: Trial
+    candidates: int
+    runs: int
+
+
+def policy_of(adapt: Adapt | None) -> Policy:
+    """The graph's own policy.
+
+    Raises:
+        ValueError: the rule that switches on, or the one that switches off, is missing or goes by no level of
+            UD, or their levels differ in unit.
+    """
+    on = None if adapt is None or adapt.activate is None else adapt.activate.above
+    off = None if adapt is None or adapt.deactivate is None else adapt.deactivate.below
+    if adapt is None or on is None or off is None or on.kind != off.kind:
+        raise ValueError(
+            "policy: the root needs `adapt` with `activate: {above: ...}` and `deactivate: {below: ...}`, "
+            "levels of UD in the same unit"
+        )
+    assert adapt.deactivate is not None
+    return Policy(float(on.settings), float(off.settings), adapt.deactivate.glance)
+
+
+def candidates(own: Policy) -> tuple[Policy, ...]:
+    """The graph's own policy, and those around it that ask for less."""
+    glances = (None, 3) if own.glance is None else (own.glance, own.glance + 1, 2 * own.glance)
+    found = [
+        Policy(_short(scale * own.activate), _short(scale * own.deactivate), glance)
+        for scale, glance in product(SCALES, glances)
+    ]
+    return tuple(dict.fromkeys([own, *found]))
+
+
+def _short(value: float) -> float:
+    """Three digits, which is more than is known."""
+    return float(f"{value:.3g}")
+
+
+def search(
+    tried: Sequence[Policy], videos: int, run: Callable[[Policy, int], Trial], seed: int = 0
+) -> Chosen:
+    """Successive halving: all candidates on a few videos, the better half on twice as many, and so on.
+
+    Of the places of a round one half goes to the cheapest of those that keep within `SPARED` of the first
+    candidate's mean AUC on the same videos, the other half to those that lose least: on few videos a cheap
+    policy that loses too much can look good. The first candidate, the graph's own policy, stays to the end
+    and is chosen when no other that keeps within `SPARED` on all videos is cheaper.
+
+    Args:
+        tried: the candidates, the graph's own policy first.
+        videos: how many there are.
+        run: policy and number of a video -> what it gave.
+        seed: of the order in which videos are taken.
+
+    Raises:
+        ValueError: fewer than two videos.
+    """
+    if videos < 2:
+        raise ValueError(
+            "policy: one video; two or more are needed, since what one can do without, another needs"
+        )
+    order = [int(k) for k in np.random.default_rng(seed).permutation(videos)]
+    known: dict[tuple[Policy, int], Trial] = {}
+    own, left, count = tried[0], list(tried), min(FIRST_VIDEOS, videos)
+
+    def mean(policy: Policy) -> Trial:
+        for video in order[:count]:
+            if (policy, video) not in known:
+                known[policy, video] = run(policy, video)
+        trials = [known[policy, video] for video in order[:count]]
+        return Trial(
+            float(np.mean([one.auc for one in trials])), float(np.mean([one.cost_ms for one in trials]))
+        )
+
+    while True:
+        means = {policy: mean(policy) for policy in left}
+        least = means[own].auc - SPARED
+
+        def worth(policy: Policy) -> tuple[float, float]:
+            return max(least - means[policy].auc, 0.0), means[policy].cost_ms  # noqa: B023  called in this round
+
+        cheap = sorted(left, key=worth)
+        if count == videos:
+            best = cheap[0] if means[cheap[0]].cost_ms < means[own].cost_ms else own
+            return Chosen(best, means[own], means[best], len(tried), len(known))
+        places = (len(left) + 1) // 2
+        kept = cheap[: (places + 1) // 2]
+        accurate = sorted(left, key=lambda policy: (-means[policy].auc, means[policy].cost_ms))
+        kept += [one for one in accurate if one not in kept][: places - len(kept)]
+        left = kept if own in kept else [*kept, own]
+        count = min(2 * count, videos)

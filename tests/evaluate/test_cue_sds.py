@@ -1,0 +1,114 @@
+"""Standard deviations of cues: found as they were drawn, whatever a few gross errors say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bayesnet_track.cue import Residual
+from bayesnet_track.cues import color_blobs, motion
+from bayesnet_track.evaluate.cue_sds import fit_sd, fit_sds, residuals_of, shares_inside
+from bayesnet_track.graph.laws import check_graph
+from bayesnet_track.planes import Frame
+
+BOX = (30.0, 30.0, 24.0, 24.0)
+
+
+@pytest.mark.parametrize("gross", [0.0, 0.02])
+def test_the_sd_that_residuals_were_drawn_with(gross):
+    rng = np.random.default_rng(3)
+    videos = [rng.normal(0, 1.7, 2000) for _ in range(3)]
+    for one in videos:
+        one[: int(gross * len(one))] = 300.0
+    # 6000 residuals: the sd of the estimate is 1.2 %; 4 of them, 1 % of the grid, and 3 % for the gross ones.
+    assert fit_sd(videos).value == pytest.approx(1.7, rel=0.058 + 1.5 * gross)
+    assert shares_inside(videos, 1.7) == pytest.approx((0.5, 0.9), abs=0.045)
+
+
+def test_every_video_counts_the_same_however_long_it_is():
+    rng = np.random.default_rng(4)
+    narrow, wide = rng.normal(0, 1, 4000), rng.normal(0, 3, 400)
+    alone = fit_sd([narrow, wide]).value
+    assert fit_sd([np.tile(narrow, 5), wide]).value == pytest.approx(alone)
+    assert 1.2 < alone < 2.8
+
+
+def test_too_few_residuals_or_none_that_vary_make_no_estimate():
+    rng = np.random.default_rng(5)
+    assert fit_sd([rng.normal(size=19)]) is None
+    assert fit_sd([np.zeros(50), rng.normal(size=5)]) is None
+
+
+def test_both_cues_of_the_thesis_say_what_they_differ_by():
+    for declaration in (motion.CUE, color_blobs.CUE):
+        assert isinstance(declaration.make(declaration.parameters()), Residual)
+
+
+def graph(agent):
+    root = {"belief": {"particles": {"size": 50}}, "motion": {"random_walk": {"sd_px": {"x": 4, "y": 4}}}}
+    return check_graph(
+        {"name": "g", "targets": {"t": {"nodes": {"t": root, "a": {"parent": "t", "agent": agent}}}}}
+    )
+
+
+def painted(draw, frames):
+    """Frames with a target of two colours in `BOX`, as `draw` paints each."""
+    for k in range(frames):
+        image = np.full((90, 120, 3), 100, np.uint8)
+        draw(image, k)
+        yield Frame(k, float(k), image)
+
+
+def test_hue_of_blobs_is_found_as_it_was_painted():
+    """Red whose hue is drawn with an sd of 6 degrees; one degree of hue is 255 / 60 gray levels of green."""
+    rng = np.random.default_rng(6)
+    videos = []
+    for _ in range(2):
+        # Green above or blue above: hue on either side of 0 degrees. The first frame is the reference.
+        hue = np.concatenate([[0.0], rng.normal(0, 6, 99)])
+        level = np.rint(np.abs(hue) * 255 / 60).astype(np.uint8)
+
+        def draw(image, k, hue=hue, level=level):
+            image[18:42, 18:42] = (0, level[k], 255) if hue[k] >= 0 else (level[k], 0, 255)
+
+        truth = np.tile([18.0, 18, 24, 24], (100, 1))
+        videos.append(residuals_of(graph("color_blobs"), painted(draw, 100), truth))
+    value = fit_sd([one["a", "sd_hue_deg"] for one in videos]).value
+    assert value == pytest.approx(6.0, rel=0.35)  # 198 residuals: 7 %, four of them, and rounding
+
+
+def test_flow_at_true_boxes_is_found_as_the_target_was_moved():
+    """A patterned square that jitters: the reference is the flow before, so residuals are changes of flow."""
+    rng = np.random.default_rng(7)
+    pattern = np.kron(rng.integers(0, 255, (8, 8, 3)), np.ones((4, 4, 1))).astype(np.uint8)
+    videos = []
+    for _ in range(2):
+        steps = np.rint(rng.normal(0, 2.5, (100, 2))).clip(-6, 6).astype(int)
+        place = np.clip(np.cumsum(steps, axis=0) + (45, 28), 5, (80, 50))
+
+        def draw(image, k, place=place):
+            x, y = place[k]
+            image[y : y + 32, x : x + 32] = pattern
+
+        truth = np.column_stack([place, np.full((100, 2), 32)]).astype(float)
+        found = residuals_of(graph("motion"), painted(draw, 100), truth)
+        flow = np.diff(place, axis=0).astype(float)
+        change = np.diff(flow, axis=0)
+        assert len(found["a", "sd_x_px"]) > 80
+        assert np.median(np.abs(found["a", "sd_x_px"])) == pytest.approx(
+            np.median(np.abs(change[:, 0])), abs=0.8
+        )
+        videos.append(found)
+    fitted = fit_sds(videos)
+    assert set(fitted) == {("a", "sd_x_px"), ("a", "sd_y_px")}
+
+
+def test_what_cannot_be_estimated_is_said():
+    rng = np.random.default_rng(8)
+    one = {("a", "sd_x_px"): rng.normal(size=100)}
+    with pytest.raises(ValueError, match="one video; two or more"):
+        fit_sds([one])
+    with pytest.raises(ValueError, match="no agent of the target has any"):
+        fit_sds([{}, {}])
+    with pytest.raises(ValueError, match="sd_y_px of a cannot be estimated from 3 residuals: 20 are needed"):
+        fit_sds([{**one, ("a", "sd_y_px"): np.zeros(3)}, one])
