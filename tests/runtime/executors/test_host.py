@@ -147,7 +147,14 @@ def test_frames_and_depth_cross_whole_whatever_their_size():
 SAID = {
     "raise": ("ValueError", "no good in frame 3"),
     "own error": ("OwnError", "of my own"),
-    "words": ("ValueError", "could not convert string to float: 'good'"),
+    "mute": ("MuteError", "(without a text: its __str__ raised RuntimeError)"),
+    "leave": ("SystemExit", "3"),
+}
+NO_NUMBERS = {
+    "words": "array of <U4",
+    "complex": "array of complex128",
+    "masked": "masked array",
+    "objects": "array of object",
 }
 
 
@@ -158,6 +165,14 @@ def test_what_a_cue_raises_is_told_by_name_and_text(placed, across, how):
     with pytest.raises(RuntimeError) as raised:
         proxy.log_likelihood(planes, placed.hypotheses, {"big": np.ones(9)})
     assert raised.value.args[0] == SAID[how]
+
+
+@pytest.mark.parametrize("how", NO_NUMBERS)
+def test_what_is_no_real_number_is_told_by_its_type(placed, across, how):
+    _, _, proxy = across(how=how)
+    planes = PlaneCache(FramePair(placed.frames(4)[3], None)).planes(proxy.needs, Region(0, 0, 9, 9))
+    answer = proxy.log_likelihood(planes, placed.hypotheses, {"big": np.ones(9)})
+    assert answer.type_name == NO_NUMBERS[how]
 
 
 def test_only_a_measurement_is_one(placed, across):
