@@ -1,4 +1,4 @@
-"""The weights of second passes and other proposals, one by one, against what they could have been drawn by."""
+"""The weights of second passes and other proposals, against what could have drawn them."""
 
 from __future__ import annotations
 
@@ -135,10 +135,8 @@ def test_evidence_that_says_nothing_edits_nothing(inputs_of, first_of):
 
 
 def test_a_part_of_a_pass_has_its_part_of_all_evidence():
-    evidence = Evidence(
-        np.arange(4.0), {"a": np.arange(4.0) + 10}, {"n": Hypotheses(np.arange(16.0).reshape(4, 4), {"v": np.arange(4.0)})},
-        sampled=np.arange(4.0) + 20,
-    )  # fmt: skip
+    latent = {"n": Hypotheses(np.arange(16.0).reshape(4, 4), {"v": np.arange(4.0)})}
+    evidence = Evidence(np.arange(4.0), {"a": np.arange(4.0) + 10}, latent, sampled=np.arange(4.0) + 20)
     one = Pass(np.arange(20.0).reshape(4, 5), -np.arange(4.0), np.array([3, 2, 1, 0]), evidence)
     part = selected(one, np.array([2, 0]))
     assert part.states.tolist() == [[10, 11, 12, 13, 14], [0, 1, 2, 3, 4]]
@@ -204,11 +202,6 @@ def test_a_mixture_never_weighs_more_than_the_plain_draws(inputs_of):
     assert len(one) == 40 and one.prior_log.max() <= -np.log(30)
     plain = mixture_pass(inputs_of(), 40, LikelihoodMixture(share=0.001))  # rounds to none
     np.testing.assert_allclose(plain.prior_log, -np.log(40))
-    away = (
-        np.linalg.norm(one.states[:, :2] - PLACE, axis=1),
-        np.linalg.norm(plain.states[:, :2] - PLACE, axis=1),
-    )
-    assert np.sort(away[0])[:10].mean() < np.sort(away[1])[:10].mean()
 
 
 # ------------------------------------------------------------------------------------ two passes
@@ -245,10 +238,9 @@ def test_parents_that_did_well_are_drawn_more_often(inputs_of, first_of):
     drawn_by = np.bincount(first.ancestors, ratio, SIZE)
     counts = np.bincount(draws.ancestors, minlength=SIZE)
     assert np.abs(counts - drawn_by).max() < 2.0  # each parent twice in the first pass, at most
-    np.testing.assert_allclose(
-        np.sort(np.unique(draws.log_ratio)),
-        np.sort(np.log(np.unique(ratio[np.isin(np.log(ratio), draws.log_ratio)]))),
-    )
+    of_parent = [np.log(ratio[first.ancestors == parent]) for parent in range(SIZE)]
+    for parent, log in zip(draws.ancestors, draws.log_ratio, strict=True):
+        assert np.isclose(of_parent[parent], log).any()
 
 
 def test_mixed_with_the_prior_a_ratio_has_a_floor():
