@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
@@ -131,6 +132,16 @@ def unlink(path: Path) -> None:
 def make_folder(path: Path) -> None:
     """Make a folder that is not there yet."""
     path.mkdir()
+
+
+def make_folders(path: Path) -> None:
+    """Make a folder and those above it where they are missing, and wait until the disk has them."""
+    missing = [folder for folder in (path, *path.parents) if not folder.exists()]
+    for folder in reversed(missing):
+        with suppress(FileExistsError):  # another process made it meanwhile
+            make_folder(folder)
+        with suppress(PermissionError):  # where entries may be added, but not be read
+            sync_folder(folder.parent)
 
 
 def remove_folder(path: Path) -> None:

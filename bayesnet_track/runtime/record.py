@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Self
 
 from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.journal import disk
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.journal.inputs import Input
@@ -103,9 +104,13 @@ class Recorder:
         return Written({name: file.position for name, file in self._lines().items()}, dict(self._mot.ids))
 
     def sync(self) -> None:
-        """Let the disk have all that is written, but for the video."""
+        """Let the disk have all that is written, but for the video, and every file's name."""
         for file in self._lines().values():
             file.sync()
+        try:
+            disk.sync_folder(self._directory.path)
+        except OSError as error:
+            raise output_error(self._directory.path, error) from error
 
     def finish(self) -> dict[str, Position]:
         """Close every file and wait until the disk has it; key in `rundir.FILES` -> how far it is written.

@@ -60,7 +60,7 @@ class RunDirectory:
         try:
             if run.path.exists() and not run.path.is_dir():
                 raise RunDirectoryError(f"{run.path}: it is a file; give a folder for the run")
-            run.path.mkdir(parents=True, exist_ok=True)
+            disk.make_folders(run.path)
             run.refuse(overwrite)
         except OSError as error:
             if isinstance(error, RunDirectoryError):

@@ -19,6 +19,8 @@ from bayesnet_track.batch import places
 from bayesnet_track.batch.jobs import BatchError, Job, Video, read_list, videos_of
 from bayesnet_track.batch.work import ROW, do
 from bayesnet_track.cli import main
+from bayesnet_track.runtime.lock import locked
+from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.session import track
 from bayesnet_track.scenes import make_scene
 
@@ -105,6 +107,15 @@ def test_a_run_that_was_asked_for_otherwise_is_not_taken_for_this_one(data: Path
         with pytest.raises(BatchError, match=f"{folder}: .*{what}.*another --out"):
             do(replace(job, **changed), lambda done, expected: None)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_a_run_that_another_process_writes_is_left_alone(data: Path, tmp_path: Path) -> None:
+    truth = str(data / "one" / "groundtruth.txt")
+    job = Job("two_squares", Video(str(data / "one" / "img"), "one", None, truth), 0, str(tmp_path / "run"))
+    with locked(RunDirectory.create(job.out)):
+        with pytest.raises(RunDirectoryError, match="another process is writing this run"):
+            do(job, lambda done, expected: None)
+        assert [path.name for path in (tmp_path / "run").iterdir()] == [".lock"]
 
 
 def test_a_job_that_begins_while_the_batch_is_ended_ends_with_it(
