@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesnet_track.commands.answer import BAD_OUTPUT, INCOMPLETE, OK, UsageError, complain
+from bayesnet_track.commands.answer import BAD_OUTPUT, INCOMPLETE, OK, UsageError, complain, users_mistake
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
@@ -35,7 +35,8 @@ def what_if(options: argparse.Namespace) -> int:
         raise UsageError(str(error)) from error
     if recipe.only_once is not None:
         raise UsageError(f"{options.run}: it cannot be run again: {recipe.only_once}")
-    changes = recipe.origin.changes()
+    with users_mistake():
+        changes = recipe.origin.changes()
     if changes and not options.force:
         raise UsageError(
             f"{options.run}: the source has changed: {'; '.join(changes)} (--force goes on all the same)"

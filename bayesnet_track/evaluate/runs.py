@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from bayesnet_track.evaluate.scores import Score, score
 from bayesnet_track.evaluate.truth import read_truth
 from bayesnet_track.journal.events import FrameMetrics
 from bayesnet_track.journal.reader import read_metrics
+from bayesnet_track.journal.timings import read_seconds
 from bayesnet_track.numerics.boxes import corner_from_centre
 
 
@@ -53,14 +53,7 @@ def _of_target(lines: list[FrameMetrics], target: str | None, folder: Path) -> l
 def _seconds(path: Path, frames: list[int]) -> list[float] | None:
     if not path.exists():
         return None
-    taken: dict[int, float] = {}
-    # What follows the last newline is what a killed process leaves of a line.
-    for number, line in enumerate(path.read_text(encoding="utf-8").split("\n")[:-1], start=1):
-        try:
-            entry = json.loads(line)
-            taken[int(entry["frame"])] = float(entry["seconds"])
-        except (ValueError, KeyError, TypeError):
-            raise ValueError(f"{path}:{number}: expected an object with frame and seconds") from None
+    taken = dict(read_seconds(path))
     missing = [frame for frame in frames if frame not in taken]
     if missing:
         raise ValueError(f"{path}: no time for frame {missing[0]}")

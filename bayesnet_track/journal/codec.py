@@ -12,6 +12,7 @@ import json
 import re
 import types
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from typing import Any, Union, get_args, get_origin, get_type_hints
@@ -123,7 +124,8 @@ def _decode(value: Any, hint: Any, where: str) -> Any:
     elif hint is float and isinstance(value, str) and value in NON_FINITE:
         return NON_FINITE[value]
     elif hint is float and isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
+        with suppress(OverflowError):  # an integer of more than 308 digits
+            return float(value)
     elif hint in (int, bool, str) and type(value) is hint:
         return value
     raise JournalError(f"{where}: {short(repr(value))} is not {getattr(hint, '__name__', hint)}")

@@ -164,7 +164,7 @@ def figure(value: float | None) -> str:
     """Three or four significant digits, whole numbers whole."""
     if value is None or math.isnan(value):
         return "-"
-    if value == int(value) and abs(value) < 1e9:
+    if abs(value) < 1e9 and value == int(value):
         return f"{value:.0f}"
     return f"{value:.4g}" if abs(value) < 1000 else f"{value:.0f}"
 

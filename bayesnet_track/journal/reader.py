@@ -8,6 +8,7 @@ from pathlib import Path
 from bayesnet_track.journal.codec import JournalError, event_name, from_json
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.journal.inputs import Input
+from bayesnet_track.journal.laws import check_line
 
 Notice = Callable[[str], None]
 
@@ -55,6 +56,8 @@ def _read(path: Path, notice: Notice | None) -> Iterator[tuple[str, Event | Inpu
                     notice(f"{where}: the last line is torn ({len(line)} bytes) and was dropped")
                 return
             try:
-                yield where, from_json(line[:-1].decode("utf-8"))
+                event = from_json(line[:-1].decode("utf-8"))
+                check_line(event)
             except (JournalError, UnicodeDecodeError) as error:
                 raise JournalError(f"{where}: {error}") from error
+            yield where, event

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from bayesnet_track.journal.codec import JournalError
 from bayesnet_track.runtime.tables import TRACK_COLUMNS, Row, track_rows
 
 if TYPE_CHECKING:
@@ -53,6 +54,9 @@ def as_coco(run: Run, lost: bool = False) -> str:
     started = run.started
     numbers = _numbers(run)
     plates = {name: number for number, name in enumerate(run.spec.targets, 1)}
+    strange = set(run.kinds.values()) - plates.keys()
+    if strange:
+        raise JournalError(f"{run.directory.journal}: no target type {min(strange)!r} in the run's graph")
     frames = sorted({line.frame for line in run.metrics} | run.seconds.keys())
     annotations = [
         {

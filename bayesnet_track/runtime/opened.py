@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
@@ -17,6 +16,7 @@ from bayesnet_track.graph.spec import AgentNode, GraphSpec
 from bayesnet_track.journal.codec import JournalError
 from bayesnet_track.journal.events import Event, FrameMetrics, RunStarted
 from bayesnet_track.journal.reader import Notice, read_events, read_metrics
+from bayesnet_track.journal.timings import read_seconds
 from bayesnet_track.journal.wording import plural
 from bayesnet_track.runtime.interchange import Detections
 from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
@@ -48,7 +48,13 @@ def open_run(path: str | PathLike[str], notice: Notice | None = None) -> Run:
         raise RunDirectoryError(f"{error.filename}: missing from the run directory") from error
     except UnicodeDecodeError as error:
         raise JournalError(f"{directory.graph}: not a text: {error}") from error
-    return Run(directory, events, metrics, text)
+    run = Run(directory, events, metrics, text)
+    unknown = {line.target for line in metrics} - run.kinds.keys()
+    if unknown:
+        raise JournalError(
+            f"{directory.frames}: target {min(unknown)!r} never starts in {directory.journal.name}"
+        )
+    return run
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,7 +127,7 @@ class Run:
         Raises:
             JournalError: a line of timings.jsonl is malformed.
         """
-        return dict(_timings(self.directory.timings))
+        return dict(read_seconds(self.directory.timings))
 
     @property
     def targets(self) -> tuple[str, ...]:
@@ -167,15 +173,3 @@ class Run:
         if wanted not in self.targets:
             raise KeyError(f"no target {target!r}; there are {', '.join(self.targets) or 'none'}")
         return tuple(line for line in self.metrics if line.target == wanted)
-
-
-def _timings(path: Path) -> Iterator[tuple[int, float]]:
-    if not path.is_file():
-        return
-    # What follows the last newline is what a killed process leaves of a line.
-    for number, line in enumerate(path.read_text(encoding="utf-8").split("\n")[:-1], start=1):
-        try:
-            entry = json.loads(line)
-            yield int(entry["frame"]), float(entry["seconds"])
-        except (ValueError, KeyError, TypeError):
-            raise JournalError(f"{path}:{number}: expected an object with frame and seconds") from None

@@ -6,7 +6,9 @@ import hashlib
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from errno import EINVAL
 from pathlib import Path
+from stat import S_ISREG
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
@@ -138,7 +140,8 @@ class Origin:
         from bayesnet_track.runtime.stereo_source import open_stereo_source
 
         at = self._places()
-        window = (self.start, self.end, self.allow_network, self.on_resize)
+        # What is read again are files, however they are named: a run directory is data and allows nothing.
+        window = (self.start, self.end, False, self.on_resize)
         if self.kind == "plain":
             source = open_source(at[self.text], *window, self.isolate_decoder)
         else:
@@ -190,7 +193,7 @@ def fingerprint(files: Sequence[Path]) -> Fingerprint:
     Raises:
         OSError: one cannot be read.
     """
-    sizes = [path.stat().st_size for path in files]
+    sizes = [_size(path) for path in files]
     digest = hashlib.sha256()
     if len(files) > 1:
         for path, size in zip(files, sizes, strict=True):
@@ -200,6 +203,14 @@ def fingerprint(files: Sequence[Path]) -> Fingerprint:
         for sample in _samples(files[chosen], sizes[chosen]):
             digest.update(sample)
     return Fingerprint(len(files), sum(sizes), digest.hexdigest())
+
+
+def _size(path: Path) -> int:
+    """Of a plain file: a device or a pipe might never end."""
+    found = path.stat()
+    if not S_ISREG(found.st_mode):
+        raise OSError(EINVAL, "not a plain file", str(path))
+    return found.st_size
 
 
 def _samples(path: Path, size: int) -> Iterable[bytes]:

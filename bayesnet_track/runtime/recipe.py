@@ -11,6 +11,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from errno import EINVAL
 from functools import cache
 from os import PathLike
 from pathlib import Path
@@ -56,6 +57,8 @@ class GivenFile:
 
     def changes(self) -> tuple[str, ...]:
         """What is not as it was, in words; raises OSError when it cannot be read."""
+        if not self.place.is_file():  # a device or a pipe might never end
+            raise OSError(EINVAL, "not a plain file", str(self.place))
         now = file_sha256(self.place)
         return () if now == self.sha256 else (f"{self.path}: {self.sha256[:12]}, now {now[:12]}",)
 

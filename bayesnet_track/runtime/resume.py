@@ -40,7 +40,7 @@ from bayesnet_track.runtime.run import FrameSource, Result, Resumed, Sink, Summa
 from bayesnet_track.runtime.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.session import kept, opaque_agents, placed, prepared
 from bayesnet_track.runtime.stereo_source import check_depth
-from bayesnet_track.runtime.unchanged import ResumeError, check_outputs, check_same, permit_move
+from bayesnet_track.runtime.unchanged import ResumeError, check_outputs, check_plain, check_same, permit_move
 
 __all__ = ["ResumeError", "Standing", "resume", "standing"]
 
@@ -143,6 +143,7 @@ def resume(
         if standing(path).is_finished:
             tidy(directory)
             return
+        check_plain(directory)
         graph = recipe.load_graph(directory)
         check_same(recipe, source, motion)
         checkpoint = _checkpoint(directory, recipe, say)
@@ -186,7 +187,7 @@ def resume(
         keeper = kept(directory, engine, recorder, recipe, checkpoint_every)
         if keeper is not None:
             stack.enter_context(keeper)
-        yield from run(
+        results = run(
             graph,
             opened,
             recipe.starts,
@@ -204,8 +205,35 @@ def resume(
             keeper=keeper,
             after=after,
         )
+        yield from results if after is None else _first_guarded(results, after.reached.frame.index)
         if told.frames:
             finish(directory, recorder.finish())
+
+
+def _first_guarded(results: Generator[Result, None, None], frame: int) -> Generator[Result, None, None]:
+    """The same results; a state with which the first one cannot be computed is an error of the checkpoint.
+
+    Raises:
+        CheckpointError: it cannot.
+    """
+    try:
+        first = next(results, None)
+    except Exception as error:
+        if type(error).__module__.startswith("bayesnet_track") or isinstance(error, OSError):
+            raise
+        what = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+        raise CheckpointError(
+            f"no frame can be tracked from the checkpoint of frame {frame}: {what}; its state was edited, or "
+            "this is an error in bayesnet-track; without its checkpoints the run begins anew"
+        ) from error
+    if first is None:
+        return
+    try:
+        yield first
+    except GeneratorExit:
+        results.close()
+        raise
+    yield from results
 
 
 def _why_anew(checkpoint: Checkpoint | None, engine: Engine) -> str:

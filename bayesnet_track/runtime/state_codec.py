@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
@@ -73,6 +74,8 @@ CLASSES: tuple[type, ...] = (
 
 PLAIN = frozenset((bool, int, float, str, type(None)))
 DTYPES = "biufc"
+MOST_BYTES = 1 << 28
+"""What an array with gaps between its values may take."""
 
 
 class StateError(ValueError):
@@ -121,7 +124,7 @@ def decode_state(data: bytes, engine: Engine, frame: Frame | None) -> State:
         state = decoder.value(json.loads(rest[:length]))
     except StateError:
         raise
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError) as error:
+    except Exception as error:  # whatever a class says of values that are not its own
         raise StateError(f"damaged: {type(error).__name__}: {error}") from error
     if not isinstance(state, State):
         raise StateError(f"damaged: a {type(state).__name__} in place of the state")
@@ -185,7 +188,9 @@ def _arrays(places: list[list[Any]], data: memoryview) -> list[Any]:
         kind = np.dtype(name)
         if kind.kind not in DTYPES:
             raise StateError(f"damaged: an array of {name}")
-        count = int(np.prod(shape, dtype=np.int64))
+        if any(type(size) is not int or size < 0 for size in shape):
+            raise StateError(f"damaged: an array of shape {shape}")
+        count = math.prod(shape)
         array: Array = np.frombuffer(data, kind, count, at).reshape(shape)
         at += count * kind.itemsize
         array = array.copy() if order == "C" else _laid_out(array, order)
@@ -200,7 +205,10 @@ def _laid_out(values: Array, strides: list[int]) -> Array:
     """The values in memory as they were: with the same strides."""
     steps = [(size - 1) * stride for size, stride in zip(values.shape, strides, strict=True)]
     first = -sum(step for step in steps if step < 0)
-    room = np.zeros(first + sum(step for step in steps if step > 0) + values.itemsize, dtype=np.uint8)
+    size = first + sum(step for step in steps if step > 0) + values.itemsize
+    if size > MOST_BYTES:
+        raise StateError(f"damaged: an array laid out over {size} bytes")
+    room = np.zeros(size, dtype=np.uint8)
     array: Array = np.ndarray(values.shape, values.dtype, room, first, strides)
     array[...] = values
     return array

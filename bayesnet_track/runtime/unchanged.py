@@ -9,6 +9,7 @@ from bayesnet_track.journal.machine_events import MachineChanged
 from bayesnet_track.journal.reader import Notice
 from bayesnet_track.journal.writer import read_position
 from bayesnet_track.runtime.checkpoint import Checkpoint
+from bayesnet_track.runtime.frames import SourceError
 from bayesnet_track.runtime.machine import describe_machine, name_differences
 from bayesnet_track.runtime.recipe import Recipe
 from bayesnet_track.runtime.run import FrameSource
@@ -20,6 +21,18 @@ class ResumeError(ValueError):
     """A run that cannot go on: it, its source or this program is another than it was."""
 
 
+def check_plain(directory: RunDirectory) -> None:
+    """Refuse files that are links or no files: what is written here must not end up elsewhere.
+
+    Raises:
+        ResumeError: names the file.
+    """
+    for name in FILES.values():
+        path = directory.path / name
+        if path.is_symlink() or (path.exists() and not path.is_file()):
+            raise ResumeError(f"{path}: it is a link or no plain file; put the file itself there")
+
+
 def check_same(recipe: Recipe, source: FrameSource | None, motion: Motion | None) -> None:
     """Refuse another version, another source, other files; raises ResumeError, OSError, SourceError."""
     if recipe.own_motion and motion is None:
@@ -29,9 +42,16 @@ def check_same(recipe: Recipe, source: FrameSource | None, motion: Motion | None
             raise ResumeError(f"it cannot go on: {recipe.origin.only_once}")
         if recipe.has_video:
             raise ResumeError(f"its video cannot be drawn again: {recipe.origin.only_once}")
-    changes = [*recipe.origin.changes()] if source is None else []
-    for given in (recipe.detections, recipe.inputs):
-        changes += () if given is None else given.changes()
+    try:
+        changes = [*recipe.origin.changes()] if source is None else []
+        for given in (recipe.detections, recipe.inputs):
+            changes += () if given is None else given.changes()
+    except SourceError:
+        raise
+    except OSError as error:
+        raise ResumeError(
+            f"{error.filename}: it reads this file, and it cannot be read: {error.strerror}"
+        ) from error
     if changes:
         raise ResumeError(f"what it reads is not what it was: {'; '.join(changes)}")
 

@@ -94,11 +94,11 @@ def read_timings(path: Path) -> list[dict[str, Any]]:
             try:
                 line = json.loads(text)
                 line = {
-                    "frame": int(line["frame"]),
+                    "frame": np.int32(line["frame"]).item(),
                     "seconds": float(line["seconds"]),
                     "parts": {str(name): float(value) for name, value in line["parts"].items()},
                 }
-            except (ValueError, TypeError, KeyError, AttributeError):
+            except (ValueError, TypeError, KeyError, AttributeError, ArithmeticError, RecursionError):
                 break
             found.append(line)
     return found
