@@ -238,7 +238,7 @@ def make_recipe(
         inputs=None if inputs is None else _given(inputs),
         has_video=has_video,
         own_motion=own_motion,
-        options=dict(sorted(options.items())),
+        options=dict(sorted({**options, HAS_MANIFEST: True}.items())),
     )
 
 

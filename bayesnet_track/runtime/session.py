@@ -25,7 +25,7 @@ from bayesnet_track.runtime.executors import RETRIES, Executing, make_executor
 from bayesnet_track.runtime.inputs import Asked, as_asked
 from bayesnet_track.runtime.lock import locked
 from bayesnet_track.runtime.manifest import finish
-from bayesnet_track.runtime.recipe import HAS_MANIFEST, Recipe, file_sha256, make_recipe
+from bayesnet_track.runtime.recipe import Recipe, file_sha256, make_recipe
 from bayesnet_track.runtime.record import Recorder
 from bayesnet_track.runtime.replace import replace_run, settle
 from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
@@ -234,8 +234,8 @@ def opaque_agents(engine: Engine) -> tuple[str, ...]:
 
 
 def _options(engine: Engine, budget_ms: float | None) -> dict[str, bool | int | float | str]:
-    """What else the recipe remembers: that a manifest ends it, the budget, what of other packages is used."""
-    options: dict[str, bool | int | float | str] = {HAS_MANIFEST: True}
+    """What else the recipe remembers: the budget, and what of other packages is at work."""
+    options: dict[str, bool | int | float | str] = {}
     if budget_ms is not None:
         options["budget_ms"] = budget_ms
     named: set[str] = set()
