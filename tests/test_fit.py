@@ -129,6 +129,10 @@ CASES = [
         "one: the truth has no box in the first frame",
     ),
     (
+        ("--source", "DATA/one/img", "--truth", "DATA/wide.txt"),
+        "start box 1,1,1e+308,1e+308: at most 10 times the 140x100 frame is allowed, 1400x1000 px",
+    ),
+    (
         ("--folder", "DATA", "--end", "6"),
         "every frame is on target (IoU above 0.5): nothing tells what losing it looks like",
     ),
@@ -167,6 +171,7 @@ CASES = [
 
 @pytest.mark.parametrize(("arguments", "said"), CASES)
 def test_mistakes(data, capsys, arguments, said):
+    (data / "data" / "wide.txt").write_text("1,1,1e308,1e308\n" * 16)
     (data / "data" / "short.txt").write_text("1,1,9,9\n" * 3)
     (data / "data" / "absent.txt").write_text("nan,nan,nan,nan\n" + "1,1,9,9\n" * 15)
     assert wrong(data, *arguments) == 2

@@ -17,7 +17,7 @@ from bayesnet_track.nets.score import FEATURES, marginal_points
 from bayesnet_track.nets.target import weigh
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.planes import Frame, FramePair, PlaneCache
-from bayesnet_track.runtime.starts import Start, check_started, start_targets
+from bayesnet_track.runtime.starts import Start, check_started, check_starts, start_targets
 
 Floats = NDArray[np.float64]
 
@@ -101,7 +101,9 @@ def witness(
             if not np.isfinite(truth[number]).all():
                 raise ValueError(f"{video}: the truth has no box in the first frame")
             x, y, w, h = (float(v) for v in truth[number])
-            begun = start_targets(graph, engine, frame, [Start((x, y, w, h))])
+            starts = [Start((x, y, w, h))]
+            check_starts(graph, starts, frame.width, frame.height)
+            begun = start_targets(graph, engine, frame, starts)
             check_started(graph, begun)
             state = begun.state
             continue
