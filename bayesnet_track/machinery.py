@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -35,6 +34,7 @@ from bayesnet_track.graph.spec import Guard, Join, Learn
 from bayesnet_track.graph.write import as_plain, flow_text
 from bayesnet_track.inference.absent import Absent
 from bayesnet_track.inference.parts import part_of_agents
+from bayesnet_track.numerics.compile_watch import working_clock
 from bayesnet_track.numerics.streams import Streams
 
 
@@ -98,7 +98,7 @@ class Engine:
 
     machinery: Mapping[str, Machinery]
     streams: Streams
-    clock: Callable[[], float] = time.perf_counter
+    clock: Callable[[], float] = working_clock
     detectors: Mapping[str, Detector] = field(default_factory=dict)
     joins: tuple[Join, ...] = ()
     executor: Executor = field(default_factory=Serial)

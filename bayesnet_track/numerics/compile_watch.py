@@ -7,6 +7,7 @@ of kernels that another one calls lie within its own.
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
@@ -25,6 +26,7 @@ class CompileWatch:
         self.seconds = 0.0
         self._clock = clock
         self._open: list[tuple[Hashable, float]] = []
+        self._of_thread = threading.local()
         self._listeners: list[Listener] = []
 
     def begins(self, kernel: Hashable) -> None:
@@ -39,8 +41,15 @@ class CompileWatch:
             one, began = self._open.pop()
             if one == kernel:
                 if not self._open:
-                    self.seconds += self._clock() - began
+                    spent = self._clock() - began
+                    self.seconds += spent
+                    self._of_thread.seconds = self.seconds_here + spent
                 return
+
+    @property
+    def seconds_here(self) -> float:
+        """Of the spans that are over in the calling thread."""
+        return float(getattr(self._of_thread, "seconds", 0.0))
 
     @contextmanager
     def told(self, listener: Listener) -> Iterator[None]:
@@ -54,3 +63,8 @@ class CompileWatch:
 
 WATCH = CompileWatch()
 """That of this process."""
+
+
+def working_clock() -> float:
+    """Seconds that the calling thread did not compile, of any origin: what an agent's work is timed by."""
+    return time.perf_counter() - WATCH.seconds_here

@@ -1,10 +1,13 @@
 """Compiling is noticed when it happens, added up without what lies within, and told to whom it concerns."""
 
 import importlib.util
+import threading
+from types import SimpleNamespace
 
 import numpy as np
 
-from bayesnet_track.numerics.compile_watch import WATCH, CompileWatch
+from bayesnet_track.numerics import compile_watch
+from bayesnet_track.numerics.compile_watch import WATCH, CompileWatch, working_clock
 
 KERNELS = """
 from bayesnet_track.numerics.compiled import compiled
@@ -56,3 +59,21 @@ def test_a_kernel_is_compiled_once_and_then_comes_from_the_cache(tmp_path):
         assert module.outer(np.ones(3)) == 4.0
         assert module_of(tmp_path / "kernels.py").outer(np.ones(3)) == 4.0, "from the cache on disk"
     assert told == [] and WATCH.seconds == spent
+
+
+def test_the_clock_of_an_agent_stands_still_while_its_own_thread_compiles(monkeypatch):
+    watch = CompileWatch(lambda: now[0])
+    now = [100.0]
+    monkeypatch.setattr(compile_watch, "WATCH", watch)
+    monkeypatch.setattr(compile_watch, "time", SimpleNamespace(perf_counter=lambda: now[0]))
+    assert working_clock() == 100.0
+    watch.begins("kernel")
+    now[0] = 120.0
+    watch.ends("kernel")
+    now[0] = 121.0
+    assert working_clock() == 101.0
+    other = []
+    thread = threading.Thread(target=lambda: other.append(working_clock()))
+    thread.start()
+    thread.join()
+    assert other == [121.0], "it did not compile"
