@@ -5,6 +5,7 @@ import time
 import av
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 from bayesnet_track.journal.events import SourceDamaged
 from bayesnet_track.planes import Frame
@@ -74,25 +75,38 @@ def damaged(data, seed):
     return bytes_.tobytes()
 
 
+SHORT_AND_SILENT = 0.035
+"""Share of the damaged files that open and end early without a word, because the damage fell on what declares
+their length; the most of 1,000 files was 11 of 356, MP4. They lack a frame or two."""
+
+
 def check_damaged(original, path, seeds):
+    """None crashes or hangs, and hardly any ends early and says nothing."""
     data = original.read_bytes()
-    short_and_silent = []
+    outcomes = []
     for seed in seeds:
         path.write_bytes(damaged(data, seed))
-        found = outcome(path)
-        if found is not None and found[0] < FRAMES and found[1] == "end_of_source":
-            short_and_silent.append(seed)
-    return short_and_silent
+        outcomes.append(outcome(path))
+    opened = [found for found in outcomes if found is not None]
+    lacking = [
+        FRAMES - frames for frames, reason, _ in opened if reason == "end_of_source" and frames < FRAMES
+    ]
+    assert len(opened) > 0.2 * len(outcomes)
+    assert any(damage for _, _, damage in opened)
+    assert len(lacking) <= binom.ppf(0.999, len(opened), SHORT_AND_SILENT)
+    assert max(lacking, default=0) <= 2
 
 
 @pytest.mark.parametrize("name", CONTAINERS)
-def test_damaged_files_neither_crash_nor_hang(whole_videos, tmp_path, name):
+def test_damaged_files_neither_crash_nor_hang_nor_end_early_in_silence(whole_videos, tmp_path, name):
     check_damaged(whole_videos[name], tmp_path / name, range(40))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CONTAINERS)
-def test_a_thousand_damaged_files_neither_crash_nor_hang(whole_videos, tmp_path, name):
+def test_a_thousand_damaged_files_neither_crash_nor_hang_nor_end_early_in_silence(
+    whole_videos, tmp_path, name
+):
     check_damaged(whole_videos[name], tmp_path / name, range(1000))
 
 
