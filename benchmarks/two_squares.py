@@ -117,18 +117,18 @@ def main() -> None:
     options = parser.parse_args()
     chosen = options.trackers.split(",") if options.trackers else list(TRACKERS)
 
+    random = range(options.first, options.first + options.geometries)
     groups = {
-        "stated": [two_squares(seed) for seed in range(options.seeds)],
+        "stated": [(seed, two_squares(seed)) for seed in range(options.seeds)],
         "random": [
-            two_squares(seed, random_geometry(np.random.default_rng(seed)))
-            for seed in range(options.geometries)
+            (seed, two_squares(seed, random_geometry(np.random.default_rng(seed)))) for seed in random
         ],
     }
     print("| tracker | geometry | held | agents per frame |\n|---|---|---:|---:|")
     switches: list[tuple[tuple[int, str, str], ...]] = []
     for name in chosen:
         for group, scenes in groups.items():
-            runs = [TRACKERS[name](scene, seed) for seed, scene in enumerate(scenes)]
+            runs = [TRACKERS[name](scene, seed) for seed, scene in scenes]
             if runs:
                 agents = np.mean([one.agents for one in runs])
                 print(
