@@ -57,8 +57,10 @@ def test_every_command_that_a_page_shows_can_be_parsed(page, capsys):
 def test_every_piece_of_yaml_can_be_read(page):
     for block in blocks(page, "yaml"):
         value = yaml.safe_load(re.sub(r"\{\.\.\.\}", "{}", block))
+        assert isinstance(value, dict | list), f"{name_of(page)}: {block}"
         if isinstance(value, dict) and "bayesnet" in value and "{...}" not in block:
-            read_graph(block, name_of(page))
+            graph, _ = read_graph(block, name_of(page))
+            assert graph.targets
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

@@ -137,10 +137,17 @@ def test_all_of_them_with_matplotlib_itself(run):
         plots.plot_score,
         plots.plot_tracks,
     ):
-        plot(figure.Figure().subplots(), run)
+        axes = figure.Figure().subplots()
+        plot(axes, run)
+        assert axes.has_data()
     silent = SimpleNamespace(
         **{**vars(run), "metrics": [replace(one, active=(), kl={}) for one in run.metrics]}
     )
-    plots.plot_kl(figure.Figure().subplots(), silent)
-    plots.plot_active(figure.Figure().subplots(), silent)
-    plots.plot_tracks(figure.Figure().subplots(), nothing)
+    for plot, empty in (
+        (plots.plot_kl, silent),
+        (plots.plot_active, silent),
+        (plots.plot_tracks, nothing),
+    ):
+        axes = figure.Figure().subplots()
+        plot(axes, empty)
+        assert not axes.get_lines() and not axes.collections
