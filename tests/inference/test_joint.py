@@ -318,3 +318,34 @@ def test_likelihoods_of_zero_and_rings():
     with pytest.raises(ValueError, match="close a ring"):
         sampled({"a": b, "b": b, "c": b}, ring, 0)
     assert Marginal(np.zeros(1), {}).hidden == {}
+
+
+@pytest.mark.parametrize("nats", [0.0, 1.5])
+def test_a_few_hypotheses_agree_with_enumeration(nats):
+    """As a pair of nine places each, cheap enough for plain Python: four places, 60 runs."""
+    rng = np.random.default_rng(7)
+    members = {"a": member(rng, 50.0, cells=4, on={"b": -2.0}), "b": member(rng, 58.0, cells=4)}
+    edges = [Edge(("a", "b"), 0.7, nats, pairings=8)]
+    truth, fronts = enumerated(members, edges)
+    runs = [sampled(members, edges, seed) for seed in range(60)]
+    for name in members:
+        found = np.array([run[0][name] for run in runs])
+        bound = 5 * found.std(axis=0) / np.sqrt(len(runs)) + 5e-3  # O(1 / R N) by normalising
+        assert np.all(np.abs(found.mean(axis=0) - truth[name]) < bound)
+    order = np.array([run[1] for run in runs])
+    assert abs(order.mean() - fronts[0]) < 5 * order.std() / np.sqrt(len(runs)) + 5e-3
+
+
+def test_a_short_chain_agrees_with_enumeration():
+    """With 90 hypotheses and 8 partners each within 0.05: 1 / sqrt(720), with a margin."""
+    edges = [Edge(("a", "b"), 0.6, 0.0, 8), Edge(("b", "c"), 0.3, 0.5, 8)]
+    few, many = {}, {}
+    for copies, made in ((1, few), (30, many)):
+        rng = np.random.default_rng(4)
+        for number, name in enumerate("abc"):
+            made[name] = member(rng, 50.0 + 6 * number, cells=3, copies=copies)
+    truth, fronts = enumerated(few, edges)
+    found, orders, _ = sampled(many, edges, 5)
+    for name in "abc":
+        assert np.abs(found[name].reshape(3, 30).sum(axis=1) - truth[name]).max() < 0.05
+    assert np.abs(orders - fronts).max() < 0.05
