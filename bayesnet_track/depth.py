@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.shared import read_only
+
 Points = NDArray[np.float32]
 
 
@@ -66,7 +68,7 @@ class StereoGeometry:
 
 @dataclass(frozen=True, eq=False)
 class RightEye:
-    """The right picture of a rectified pair; the frame's own picture is the left one.
+    """The right picture of a rectified pair; the frame's own picture is the left one. Read-only, as that.
 
     Attributes:
         image: (H, W, 3) uint8 BGR, of the left picture's size.
@@ -76,16 +78,22 @@ class RightEye:
     image: NDArray[np.uint8]
     geometry: StereoGeometry
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "image", read_only(self.image))
+
 
 @dataclass(frozen=True, eq=False)
 class PointMap:
-    """What another sensor measured, one point per pixel of the frame.
+    """What another sensor measured, one point per pixel of the frame. Read-only, as the frame.
 
     Attributes:
         points: (H, W, 3) float32 X, Y, Z in m; NaN where nothing was measured.
     """
 
     points: Points
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", read_only(self.points))
 
 
 Depth = RightEye | PointMap

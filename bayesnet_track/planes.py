@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.depth import Depth
+from bayesnet_track.shared import read_only
 
 Array = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One picture of the source.
+    """One picture of the source, which many read: it is a read-only view of the array that is given.
 
     Attributes:
         index: number of the frame, from 0 at the start of the source.
@@ -41,6 +42,9 @@ class Frame:
     has_color: bool = True
     time_s: float = 0.0
     depth: Depth | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "image", read_only(self.image))
 
     @property
     def height(self) -> int:
@@ -158,8 +162,9 @@ class Plane(Protocol):
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """The plane's values on `region` (already inside the frame).
 
-        `inputs` are the input planes' values on the same region. An image-like plane gives
-        (rows, columns, ...); a plane of points gives (points, ...) in frame coordinates.
+        `inputs` are the input planes' values on the same region; they and the frames are read-only. An
+        image-like plane gives (rows, columns, ...); a plane of points gives (points, ...) in frame
+        coordinates.
         Must not depend on which region is asked: a pixel in two regions has the same value in both.
         """
         ...
@@ -172,7 +177,7 @@ class Planes:
     Attributes:
         frame: the frame (its size; cues read `values`, not the image).
         region: the region of the frame that the image-like planes cover.
-        values: plane -> array; row 0, column 0 is the pixel (region.x0, region.y0).
+        values: plane -> read-only array; row 0, column 0 is the pixel (region.x0, region.y0).
     """
 
     frame: Frame
@@ -221,7 +226,8 @@ class PlaneCache:
             if covered.contains(region):
                 return values if plane.is_points else _cut(values, covered, region)
         made = self._to_make(plane, region)
-        values = plane.compute(self.frames, tuple(self._on(p, made) for p in plane.inputs), made)
+        inputs = tuple(self._on(p, made) for p in plane.inputs)
+        values = read_only(plane.compute(self.frames, inputs, made))
         if made is self._whole:
             held.clear()
         held.append((made, values))

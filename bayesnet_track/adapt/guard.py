@@ -19,6 +19,7 @@ from bayesnet_track.guests import FAULTS, text_of
 from bayesnet_track.inference.absent import Missing, Roll
 from bayesnet_track.journal.events import Event, ReferenceGuarded
 from bayesnet_track.planes import PlaneCache, region_of_boxes
+from bayesnet_track.shared import shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +90,12 @@ def judge(
         cue = cues[agent]
         if rates.get(agent, 0.0) <= 0.0 or not isinstance(cue, Cue) or roll.misses(agent) is not None:
             continue
-        at = Hypotheses(own_boxes[agent][None], estimate.fields) if agent in own_boxes else estimate
+        box = own_boxes[agent][None] if agent in own_boxes else estimate.boxes
+        at = Hypotheses(box.copy(), {name: values.copy() for name, values in estimate.fields.items()})
         try:
             planes = cache.planes(cue.needs, region_of_boxes(at.boxes, grow=context_of(cue)))
-            own, other = (float(cue.log_likelihood(planes, at, one)[0]) for one in (references[agent], slow))
+            both = shown(references[agent]), shown(slow)
+            own, other = (float(cue.log_likelihood(planes, at, one)[0]) for one in both)
             gaps[agent] = own, other
         except AgentUnavailable as error:
             roll.note(agent, Missing(str(error)))

@@ -22,6 +22,7 @@ from bayesnet_track.graph.spec import Learn
 from bayesnet_track.guests import FAULTS, text_of
 from bayesnet_track.inference.absent import Missing, Roll
 from bayesnet_track.planes import PlaneCache, region_of_boxes
+from bayesnet_track.shared import sealed, shown
 
 NO_PARTS: Mapping[str, Floats] = {}
 SERIAL = Serial()
@@ -110,7 +111,7 @@ def learn_references(
 def blended(cue: AnyCue, old: Reference, new: Reference, rate: float) -> Reference | str | Missing:
     """A reference between `old` (rate 0) and `new` (rate 1), or what went wrong."""
     try:
-        return _checked(cue.blend(old, new, rate))
+        return _checked(cue.blend(shown(old), shown(new), rate))
     except AgentUnavailable as error:
         return Missing(str(error))
     except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
@@ -128,7 +129,7 @@ def adapt_reference(
     if roll.misses(agent) is not None:
         return None
     try:
-        tuned = cue.adapt(reference, attempt)
+        tuned = cue.adapt(shown(reference), attempt)
         return None if tuned is None else _checked(tuned)
     except AgentUnavailable as error:
         roll.note(agent, Missing(str(error)))
@@ -156,7 +157,7 @@ def _learnt(
         if old is None:
             return _checked((yield from asked(cue, learn, planes, box.copy(), *turned)))
         seen = getattr(cue, learn)(planes, box.copy(), *turned)
-        return _checked((yield from asked(cue, "blend", old, seen, rate)))
+        return _checked((yield from asked(cue, "blend", shown(old), seen, rate)))
     except AgentUnavailable as error:
         return Missing(str(error))
     except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
@@ -168,7 +169,7 @@ def _checked(reference: Reference) -> Reference | str:
         array = np.asarray(values)
         if array.dtype.kind in "fc" and not np.isfinite(array).all():
             return f"made a reference whose {name!r} is not finite"
-    return reference
+    return sealed(reference)
 
 
 def _sorted_out(

@@ -18,6 +18,7 @@ from bayesnet_track.guests import FAULTS, foreign_part, real_numbers, said
 from bayesnet_track.inference.absent import Missing, Roll
 from bayesnet_track.inference.compile import Observe
 from bayesnet_track.planes import PlaneCache, Region
+from bayesnet_track.shared import shown
 
 Floats = NDArray[np.float64]
 Clock = Callable[[], float]
@@ -127,7 +128,7 @@ def _asked(
     try:
         planes = observer.cache.planes(cue.needs, region)
         started, part = _charge(observer, part, started), agent
-        reference = observer.references[agent]
+        reference = shown(observer.references[agent])
         if step.measures:
             measured = yield from asked(cue, "measure", planes, own, np.exp(prior_log), reference)
             return _checked_measurement(measured, own)

@@ -34,7 +34,6 @@ class Block:
     offset: int
     shape: tuple[int, ...]
     dtype: str
-    is_writable: bool
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class SharedFrame:
 def parts_of(shared: SharedFrame) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """What `whole_of` makes it from: plain values, and others."""
     blocks = tuple(
-        None if block is None else (block.offset, block.shape, block.dtype, block.is_writable)
+        None if block is None else (block.offset, block.shape, block.dtype)
         for block in (shared.image, shared.depth)
     )
     others = shared.index, shared.time, shared.time_s, shared.has_color, shared.geometry
@@ -126,7 +125,7 @@ class FrameStore:
         self._memory = mmap.mmap(self.descriptor, self._base + SLOTS * size)
 
     def _written(self, array: Array, offset: int) -> Block:
-        block = Block(offset, array.shape, array.dtype.str, bool(array.flags.writeable))
+        block = Block(offset, array.shape, array.dtype.str)
         assert self._memory is not None
         target = np.frombuffer(self._memory, array.dtype, array.size, offset).reshape(array.shape)
         target[...] = array
@@ -134,7 +133,7 @@ class FrameStore:
 
 
 class FrameView:
-    """A worker's side: frames are views of the shared memory."""
+    """A worker's side: frames are views of the shared memory, in which it can only read."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
@@ -169,10 +168,9 @@ class FrameView:
         end = block.offset + size * dtype.itemsize
         if self._memory is None or len(self._memory) < end:
             # The old memory stays as long as a frame in it does.
-            self._memory = mmap.mmap(self._descriptor, os.fstat(self._descriptor).st_size)
-        array = np.frombuffer(self._memory, dtype, size, block.offset).reshape(block.shape)
-        array.flags.writeable = block.is_writable
-        return array
+            whole = os.fstat(self._descriptor).st_size
+            self._memory = mmap.mmap(self._descriptor, whole, access=mmap.ACCESS_READ)
+        return np.frombuffer(self._memory, dtype, size, block.offset).reshape(block.shape)
 
 
 def pixels_of(depth: Depth | None) -> Array | None:

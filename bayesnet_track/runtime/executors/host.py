@@ -22,6 +22,7 @@ from bayesnet_track.runtime.executors.questions import (
     Received,
     Told,
 )
+from bayesnet_track.shared import shown
 
 CACHES = 2
 """Pairs of frames whose planes are kept."""
@@ -65,7 +66,7 @@ class AgentHost:
         received.forget(question.forget)
         cue: Any = self._cues[question.agent]
         arguments: list[Any] = [
-            received.reference(part) if isinstance(part, Told) else part for part in question.arguments
+            shown(received.reference(part)) if isinstance(part, Told) else part for part in question.arguments
         ]
         if question.frames is not None:
             assert question.region is not None

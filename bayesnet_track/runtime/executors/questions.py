@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.planes import Region
+from bayesnet_track.shared import read_only
 
 Array = NDArray[Any]
 
@@ -118,7 +119,8 @@ class Sent:
     def heard(self, told: Told) -> dict[str, Array]:
         """The reference that a worker made; what it keeps of it is noted."""
         reference: dict[str, Any] = {}
-        for name, (number, value) in told.arrays.items():
+        for name, (number, told_value) in told.arrays.items():
+            value = read_only(told_value)  # once: this very array is known to the worker by its number
             if value is None:
                 assert number is not None
                 reference[name] = self._by_number[number]
@@ -157,7 +159,8 @@ class Received:
     def reference(self, told: Told) -> dict[str, Any]:
         """The reference that was told."""
         reference: dict[str, Any] = {}
-        for name, (number, value) in told.arrays.items():
+        for name, (number, told_value) in told.arrays.items():
+            value = read_only(told_value)
             if value is None and number is not None:
                 reference[name] = self.arrays[number]
             else:
@@ -186,7 +189,7 @@ class Received:
                 arrays[name] = known[id(array)], None
             elif array.nbytes >= LEAST_BYTES:
                 # A view may look into a frame, which does not last.
-                self.arrays[next_number] = array if array.base is None else array.copy()
+                self.arrays[next_number] = read_only(array if array.base is None else array.copy())
                 arrays[name] = next_number, array
                 next_number += 1
             else:

@@ -6,7 +6,6 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.depth import Depth, PointMap, RightEye, StereoGeometry
@@ -28,7 +27,6 @@ class StoredFrame:
     image: Any
     depth: Any
     geometry: StereoGeometry | None
-    is_writable: bool
 
 
 class RayFrameStore:
@@ -56,7 +54,6 @@ class RayFrameStore:
             ray.put(frame.image),
             None if other is None else ray.put(other),
             frame.depth.geometry if isinstance(frame.depth, RightEye) else None,
-            bool(frame.image.flags.writeable),
         )
         self._held.append((frame, stored))
         return stored
@@ -68,17 +65,17 @@ class RayFrameStore:
 
 def fetched(stored: StoredFrame) -> Frame:
     """The frame, in an actor."""
-    image = _array(stored.image, stored.is_writable)
+    image = _array(stored.image)
     depth: Depth | None = None
     if stored.depth is not None:
-        pixels = _array(stored.depth, stored.is_writable)
+        pixels = _array(stored.depth)
         depth = PointMap(pixels) if stored.geometry is None else RightEye(pixels, stored.geometry)
     return Frame(stored.index, stored.time, image, stored.has_color, stored.time_s, depth)
 
 
-def _array(stored: Any, is_writable: bool) -> Array:
-    """What lies in the store can only be read; a copy where the engine's own could be written to."""
+def _array(stored: Any) -> Array:
+    """What lies in the store, which can only be read."""
     import ray
 
     array: Array = ray.get(stored)
-    return np.array(array) if is_writable else array
+    return array

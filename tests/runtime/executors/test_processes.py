@@ -110,6 +110,18 @@ def test_a_fault_is_told_in_the_same_words(placed, told, how):
     assert told(outcomes) == told(placed.run(agents))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["paint", "bend", "rename"])
+def test_a_cue_that_writes_into_what_others_see_is_out_on_every_executor(placed, told, how):
+    """It writes in frame 3; the others go on as without it, and all executors tell the same."""
+    agents = {**TWO, "c": ("placed", {"how": how, "engine": 0})}
+    expected = placed.run(agents)
+    (out,) = [event for outcome in expected for event in outcome.events if hasattr(event, "reason")]
+    assert (out.node, out.frame) == ("c", 3)
+    for kind, workers in (("threads", 2), ("processes", 1), ("processes", 2)):
+        assert told(placed.run(agents, kind, workers=workers)) == told(expected)
+
+
 def test_a_worker_that_died_while_it_had_nothing_to_do_costs_no_attempt(placed, told):
     with placed.executing(TWO, "processes", workers=2, retries=0) as (engine, executor):
         killed = []

@@ -30,6 +30,9 @@ class Parameters(CueParameters):
         "complex",
         "masked",
         "objects",
+        "paint",
+        "bend",
+        "rename",
         "die",
         "exit",
         "hang",
@@ -138,6 +141,13 @@ class Placed:
             return np.zeros(len(hypotheses) - 1)
         if what == "words":
             return ["good"] * len(hypotheses)
+        if what == "paint":
+            planes[self.needs[0]][...] = 3.0
+            planes.frame.image[...] = 3
+        if what == "bend":
+            reference["big"][...] = 3.0
+        if what == "rename":
+            reference["more"] = reference.pop("big")
         if what == "complex":
             return np.full(len(hypotheses), -1.0 + 1.0j)
         if what == "masked":
