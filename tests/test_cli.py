@@ -179,7 +179,7 @@ def test_every_scene_is_a_demo(cli, tmp_path, scene):
         assert sum(1 for _ in container.decode(video=0)) == 4
     assert f"{out}: 4 frames in " in said and "what was decided, and why:\nrun of " in said
     assert "scored_frames  4 " in said and f"`bayesnet-track log {out} --why 3`" in said
-    assert progress.startswith("frame 4/4 | ")
+    assert progress.splitlines()[-1].startswith("frame 4/4 | ")  # before it others, if the machine is slow
 
 
 def test_a_demo_replaces_its_default_folder_only(cli, tmp_path, monkeypatch):
