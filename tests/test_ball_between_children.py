@@ -55,7 +55,10 @@ def run(seed, importance=None):
     return np.array(rows).transpose(1, 0, 2), kept.events
 
 
-@pytest.fixture(scope="module", params=[range(2), pytest.param(range(2, 6), marks=pytest.mark.slow)])
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module", params=[range(2), range(2, 6)])
 def runs(request):
     """Some seeds, as the graph is and with the motion model alone."""
     return {kind: [run(seed, kind) for seed in request.param] for kind in (None, "regular")}

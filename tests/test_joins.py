@@ -52,6 +52,7 @@ def carried():
     return scene, tracked(scene, load_graph("carried_box"), 2)
 
 
+@pytest.mark.slow
 def test_a_carried_box_is_joined_hidden_found_and_parted(carried):
     scene, outcomes = carried
     events = [event for outcome in outcomes for event in outcome.events]
@@ -70,6 +71,7 @@ def test_a_carried_box_is_joined_hidden_found_and_parted(carried):
     assert np.linalg.norm(end - centre_from_corner(scene.truth)[-1, :2]) < 5
 
 
+@pytest.mark.slow
 def test_it_learns_nothing_while_it_is_hidden_and_is_not_lost_for_it(carried):
     _, outcomes = carried
     for outcome in outcomes[BEHIND + 4 : BEHIND + 30]:
@@ -81,6 +83,7 @@ def test_it_learns_nothing_while_it_is_hidden_and_is_not_lost_for_it(carried):
         assert again.hidden == pytest.approx(box.join.hidden) and again.others == ("2",)
 
 
+@pytest.mark.slow
 def test_decisions_rebuild_which_targets_are_joined(carried):
     _, outcomes = carried
     decisions = [event for outcome in outcomes for event in outcome.events if isinstance(event, Decision)]
@@ -88,6 +91,7 @@ def test_decisions_rebuild_which_targets_are_joined(carried):
         assert replay(decisions, until_frame=index + 1).joins == outcomes[index].state.net.joins
 
 
+@pytest.mark.slow
 def test_states_keep_their_fields_and_a_graph_without_joins_says_nothing_of_them(carried):
     scene, outcomes = carried
     assert outcomes[70].state.targets["1"].belief.fields == ("x", "y", "w", "h")

@@ -44,6 +44,7 @@ def test_one_part_at_a_time_is_hidden(scene: Scene) -> None:
     assert [part.visible[0] for part in scene.parts.values()] == pytest.approx([1.0, 1.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["head", "torso"])
 def test_the_hidden_part_is_told_from_the_other(scene: Scene, results: list[Result], name: str) -> None:
     """`given` has sd 2.5 and 1 px for each part; the head leans by 2.5 px, which no other part can tell.
@@ -64,6 +65,7 @@ def test_the_hidden_part_is_told_from_the_other(scene: Scene, results: list[Resu
     assert (statuses[whole] == "seen").mean() > 0.95
 
 
+@pytest.mark.slow
 def test_the_pattern_is_called_when_the_torso_is_uncertain(results: list[Result]) -> None:
     """The torso goes into hiding from frame 8 on, and is hidden from 19 on."""
     decisions = [decision for result in results for decision in result.decisions]

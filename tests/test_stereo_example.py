@@ -32,6 +32,7 @@ def switched(results, kind):
     ]
 
 
+@pytest.mark.slow
 def test_colour_is_on_only_while_somebody_else_is_near():
     """He comes into the picture at frame 60, passes behind the target at 100 and is out again at 145."""
     results, overlaps = play("person_stereo", 0)

@@ -35,6 +35,7 @@ def test_uniform_motion(experiments):
     near([track.inside()[late].mean() for track in tracks], 0.95, 0.06)
 
 
+@pytest.mark.slow
 def test_occlusion(experiments):
     """Figure 3.12: predicted only, by the gate as when nothing is seen; without it, on the other ball."""
     found, hidden = experiments.occlusion(RUNS), experiments.HIDDEN
