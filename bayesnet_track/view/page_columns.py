@@ -67,7 +67,8 @@ def short_floats(values: Any) -> NDArray[np.float32]:
     >>> float(short_floats([1234.56])[0])
     1234.5625
     """
-    exact = np.asarray(values, dtype=np.float32)
+    with np.errstate(over="ignore"):
+        exact = np.asarray(values, dtype=np.float32)
     drop = 23 - KEPT_BITS
     with np.errstate(over="ignore"):
         bits = (exact.view(np.uint32) + np.uint32(1 << (drop - 1))) & np.uint32(

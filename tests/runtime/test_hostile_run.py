@@ -227,7 +227,7 @@ def forgeries(checkpoint: bytes, number: int) -> bytes:
         return sealed(header + b"\n" + json.dumps([size, arrays]).encode() + b"\n" + rest)
     structure = json.loads(rest[:size])
     place, parents = structure, []
-    while isinstance(place, list) and len(place) > 1 and rng.random() < 0.9:
+    while isinstance(place, list) and len(place) > 1 and (not parents or rng.random() < 0.9):
         parents.append((place, rng.randrange(1, len(place))))
         place = place[parents[-1][1]]
     holder, at = parents[-1]
@@ -260,15 +260,15 @@ def test_a_forged_checkpoint_is_an_error_not_a_crash(
 
 
 @pytest.mark.reliability
-def test_400_forged_checkpoints_are_errors_not_crashes(
+def test_100_forged_checkpoints_are_errors_not_crashes(
     begun: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     refused = 0
-    for number in range(400):
+    for number in range(100):
         run = shutil.copytree(begun / "run", tmp_path / str(number))
         refused += forged(run, number, capsys) == 4
         shutil.rmtree(run)
-    assert refused > 200
+    assert refused > 50
 
 
 STRANGE = [1e308, 2**63, 10**400, 0, -1, True, None, "", "NaN", "\ud800", [], {}, [[]], {"a": 1}, [1] * 50]
@@ -307,18 +307,18 @@ def edited(data: bytes, rng: random.Random) -> bytes:
 
 @pytest.mark.reliability
 @pytest.mark.parametrize("name", ["journal.jsonl", "frames.jsonl", "timings.jsonl"])
-def test_150_edited_files_each_crash_no_command(
+def test_60_edited_files_each_crash_no_command(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run, page = shutil.copytree(FINISHED, tmp_path / "run"), str(tmp_path / "page.html")
     commands = [*READERS, ["log", "--json"], ["log", "--target", "1"], ["export", "--format", "jsonl"]]
     commands += [["compare", str(FINISHED), "--html", page, "--overwrite"], ["score"]]
     whole, refused = (run / name).read_bytes(), 0
-    for number in range(150):
+    for number in range(60):
         (run / name).write_bytes(edited(whole, random.Random(number)))
         for command, *options in commands:
             code = main([command, str(run), *options])
             said = capsys.readouterr().err
             assert code in (0, 2, 4) and "Traceback" not in said, (number, command, options, said)
             refused += code == 4
-    assert refused > 50
+    assert refused > 20
