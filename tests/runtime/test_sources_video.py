@@ -103,6 +103,20 @@ def test_time_that_stands_still_ends_the_source(make_video, monkeypatch):
     assert source.end_reason == "source_damaged"
 
 
+def test_a_title_need_not_be_utf8(tmp_path):
+    path = tmp_path / "title.mp4"
+    with av.open(str(path), "w") as container:
+        container.metadata["title"] = "Stra--e"
+        stream = container.add_stream("mpeg4", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for packet in [*stream.encode(av.VideoFrame(64, 48, "yuv420p")), *stream.encode(None)]:
+            container.mux(packet)
+    whole = path.read_bytes()
+    assert b"Stra--e" in whole
+    path.write_bytes(whole.replace(b"Stra--e", b"Stra\xff\xfee"))
+    assert len(read(path)[1]) == 1
+
+
 def test_stamps_that_run_backwards_end_the_source(tmp_path):
     path = tmp_path / "back.ts"
     with av.open(str(path), "w") as container:
