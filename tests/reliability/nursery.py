@@ -1,8 +1,8 @@
 """Runs in processes of their own that can be killed: all is loaded once, and every run is a fork.
 
-Its argument is the folder of `prepare`. It reads lines ``begin FOLDER DELAY`` and ``resume FOLDER DELAY``.
-After DELAY seconds the fork is killed (kill -9); 0 lets it end. It writes a line for each: how it ended, and
-for how many seconds it ran.
+Its arguments are the folder of `prepare` and an executor; every run draws its video. It reads lines
+``begin FOLDER DELAY`` and ``resume FOLDER DELAY``. After DELAY seconds the fork is killed (kill -9); 0 lets
+it end. It writes a line for each: how it ended, and for how many seconds it ran.
 """
 
 from __future__ import annotations
@@ -63,30 +63,41 @@ def prepare(folder: Path, frames: int = FRAMES) -> None:
         cv2.imwrite(str(folder / "pictures" / f"{index:04}.png"), image)
 
 
-def begin(given: Path, folder: Path, every_s: float = EVERY_S, video: bool = False) -> None:
+def begin(
+    given: Path, folder: Path, every_s: float = EVERY_S, video: bool = False, executor: str = "serial"
+) -> None:
     graph = given / "graph.yaml"
     with open_source(str(given / "pictures")) as source:
         starts = [Start((*map(float, place(0)), float(SIDE), float(SIDE)))]
         for _ in track(
-            graph, source, starts, out=folder, checkpoint_every=every_s, overwrite=True, video=video
+            graph,
+            source,
+            starts,
+            out=folder,
+            checkpoint_every=every_s,
+            overwrite=True,
+            video=video,
+            executor=executor,
+            workers=None if executor == "serial" else 2,
         ):
             pass
 
 
-def go_on(folder: Path, every_s: float = EVERY_S) -> None:
-    for _ in resume(folder, checkpoint_every=every_s):
+def go_on(folder: Path, every_s: float = EVERY_S, executor: str = "serial") -> None:
+    workers = None if executor == "serial" else 2
+    for _ in resume(folder, checkpoint_every=every_s, executor=executor, workers=workers):
         pass
 
 
-def forked(work: str, given: Path, folder: Path, delay: float) -> str:
+def forked(work: str, given: Path, folder: Path, delay: float, executor: str) -> str:
     child = os.fork()
     if child == 0:
         code = 1
         try:
             if work == "begin":
-                begin(given, folder)
+                begin(given, folder, video=True, executor=executor)
             else:
-                go_on(folder)
+                go_on(folder, executor=executor)
             code = 0
         except Exception as error:
             (folder.parent / f"{folder.name}.error").write_text(f"{type(error).__name__}: {error}")
@@ -102,12 +113,12 @@ def forked(work: str, given: Path, folder: Path, delay: float) -> str:
 if __name__ == "__main__":
     # A fork has no threads but its own.
     cv2.setNumThreads(1)
-    given = Path(sys.argv[1])
+    given, executor = Path(sys.argv[1]), sys.argv[2]
     with tempfile.TemporaryDirectory() as loads:
         begin(given, Path(loads) / "run")
     sys.stdout.write("ready\n")
     sys.stdout.flush()
     for line in sys.stdin:
         word, where, seconds = line.split()
-        sys.stdout.write(forked(word, given, Path(where), float(seconds)) + "\n")
+        sys.stdout.write(forked(word, given, Path(where), float(seconds), executor) + "\n")
         sys.stdout.flush()

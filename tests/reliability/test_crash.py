@@ -9,7 +9,6 @@ import os
 import shutil
 import sys
 from collections.abc import Callable
-from concurrent.futures import Future
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -39,27 +38,9 @@ pytestmark = [
 ]
 
 
-class AtOnce:
-    """In place of the thread that writes checkpoints: a step has the same number in every run."""
-
-    def __init__(self, *_: object) -> None:
-        pass
-
-    def submit(self, call: Callable[..., None], *arguments: Any) -> Future[None]:
-        done: Future[None] = Future()
-        try:
-            done.set_result(call(*arguments))
-        except OSError as error:
-            done.set_exception(error)
-        return done
-
-    def shutdown(self) -> None:
-        pass
-
-
 @pytest.fixture(autouse=True)
-def in_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bayesnet_track.runtime.checkpoint.ThreadPoolExecutor", AtOnce)
+def in_order(at_once: type, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bayesnet_track.runtime.checkpoint.ThreadPoolExecutor", at_once)
 
 
 @pytest.fixture(scope="module")

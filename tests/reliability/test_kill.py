@@ -17,7 +17,7 @@ import pytest
 from bayesnet_track.runtime.recipe import RecipeError
 from bayesnet_track.runtime.resume import standing
 
-KILLS, SIDE_BY_SIDE = 200, 2
+SIDE_BY_SIDE = 2
 SCRIPT = Path(__file__).with_name("nursery.py")
 
 
@@ -33,9 +33,11 @@ def given(tmp_path: Path, nursery: ModuleType) -> Path:
 class Nursery:
     """A process that forks runs and kills them."""
 
-    def __init__(self, given: Path) -> None:
+    def __init__(self, given: Path, executor: str) -> None:
         pipe = subprocess.PIPE
-        self._process = subprocess.Popen([sys.executable, SCRIPT, given], stdin=pipe, stdout=pipe, text=True)
+        self._process = subprocess.Popen(
+            [sys.executable, SCRIPT, given, executor], stdin=pipe, stdout=pipe, text=True
+        )
         assert self._answer() == ["ready"]
 
     def ask(self, work: str, folder: Path, delay: float = 0.0) -> tuple[int, float]:
@@ -99,20 +101,31 @@ def killed(number: int, nursery: Nursery, folder: Path, took: float, whole: dict
     return f"{number}: {', '.join(others)}" if others else ""
 
 
-@pytest.mark.reliability
+@pytest.mark.parametrize(
+    "kills",
+    [pytest.param(12, marks=pytest.mark.reliability), pytest.param(200, marks=pytest.mark.endurance)],
+)
+@pytest.mark.parametrize("executor", ["serial", "threads", "processes"])
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no fork and no kill -9")
-def test_200_kills_leave_the_bytes_of_unbroken_runs(tmp_path: Path, given: Path) -> None:
-    nurseries = [Nursery(given) for _ in range(SIDE_BY_SIDE)]
+def test_kills_leave_the_bytes_of_unbroken_runs(
+    tmp_path: Path, given: Path, executor: str, kills: int
+) -> None:
+    """Half of the runs are killed again while they are resumed; the video is one of the files."""
+    nurseries = [Nursery(given, executor) for _ in range(SIDE_BY_SIDE)]
     try:
         nurseries[0].ask("begin", tmp_path / "whole")
         _, took = nurseries[1].ask("begin", tmp_path / "again")
         whole = files(tmp_path / "whole")
         switched = (tmp_path / "whole" / "journal.jsonl").read_text().count("activated")
         assert switched >= 4
-        assert "checkpoint" not in whole and files(tmp_path / "again").keys() == whole.keys()
+        assert (
+            "checkpoint" not in whole
+            and "video.mkv" in whole
+            and files(tmp_path / "again").keys() == whole.keys()
+        )
 
         def half(which: int) -> list[str]:
-            numbers = range(which, KILLS, SIDE_BY_SIDE)
+            numbers = range(which, kills, SIDE_BY_SIDE)
             at = tmp_path / f"side{which}"
             at.mkdir()
             return [killed(n, nurseries[which], at / "run", took, whole) for n in numbers]
