@@ -30,7 +30,7 @@ from bayesnet_track.nets.shedding import balanced
 from bayesnet_track.nets.starting import start
 from bayesnet_track.nets.state import TargetState, applied, recompiled
 from bayesnet_track.nets.target import Weighed, conclude
-from bayesnet_track.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 
 __all__ = [
     "Engine",

@@ -11,7 +11,7 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import Any, Protocol, TypeVar
 
 from bayesnet_track.graph.net import Net
-from bayesnet_track.planes import FramePair
+from bayesnet_track.observation.planes import FramePair
 
 Piece = TypeVar("Piece")
 Made = TypeVar("Made")

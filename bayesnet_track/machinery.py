@@ -12,17 +12,7 @@ from bayesnet_track.belief.grid import GridFilter
 from bayesnet_track.belief.motion import make_motion
 from bayesnet_track.belief.particles import ParticleFilter
 from bayesnet_track.belief.rotating import Rotating
-from bayesnet_track.cue import (
-    AnyCue,
-    ClaimingCue,
-    ClaimRule,
-    Cue,
-    CueDeclaration,
-    LocallyAdaptable,
-    installed_cues,
-)
 from bayesnet_track.detect.selection import Selected
-from bayesnet_track.detector import Detector, DetectorError, detectors_of_graphs, installed_detectors
 from bayesnet_track.executor import Crew, Executor, Serial
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
@@ -36,6 +26,21 @@ from bayesnet_track.inference.absent import Absent
 from bayesnet_track.inference.parts import part_of_agents
 from bayesnet_track.numerics.compile_watch import working_clock
 from bayesnet_track.numerics.streams import Streams
+from bayesnet_track.observation.cue import (
+    AnyCue,
+    ClaimingCue,
+    ClaimRule,
+    Cue,
+    CueDeclaration,
+    LocallyAdaptable,
+    installed_cues,
+)
+from bayesnet_track.observation.detector import (
+    Detector,
+    DetectorError,
+    detectors_of_graphs,
+    installed_detectors,
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.laws import check_graph
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.write import as_plain
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.scenes import make_scene
 
 SCENES = ("two_squares", "occluder", "occluder_long")

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayesnet_track.cue import Cue, installed_cues
 from bayesnet_track.graph.laws import check_graph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.inference.compile import compile_plan
+from bayesnet_track.observation.cue import Cue, installed_cues
 
 NODES = {
     "target": {"motion": {"random_walk": {"sd_box": {"x": 0.1, "y": 0.1}}}, "fuse": "product"},

@@ -35,7 +35,7 @@ from peers import Peer, peers
 from bayesnet_track.engine import Engine, State, make_engine, start_target, step
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 
 WARM_UP = 10
 STAGES = ("planes", "belief", "measure", "learn")

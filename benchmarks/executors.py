@@ -24,7 +24,7 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.laws import check_graph
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.executors import make_executor
 
 Floats = NDArray[np.float64]

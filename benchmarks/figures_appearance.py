@@ -35,8 +35,8 @@ from figures_cues import (
     two_halves,
 )
 
-from bayesnet_track.cue import Cue
 from bayesnet_track.cues.foreground_color import ForegroundColor
+from bayesnet_track.observation.cue import Cue
 from bayesnet_track.vision.foreground import Cells
 
 

@@ -13,9 +13,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.cue import Hypotheses, Reference, installed_cues
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Planes, Region, region_of_boxes
+from bayesnet_track.observation.cue import Hypotheses, Reference, installed_cues
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region, region_of_boxes
 from bayesnet_track.scenes import Scene, make_scene
 
 Floats = NDArray[np.float64]

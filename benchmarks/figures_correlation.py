@@ -14,7 +14,7 @@ import numpy as np
 from figure_style import BEST, CLOUD, PEER, SURFACE, Axes, boxes, show
 from figures_cues import FOLDER, Case, case_of, close, intensity_cases, learnt, made, planes_of, save
 
-from bayesnet_track.cue import Cue, Hypotheses
+from bayesnet_track.observation.cue import Cue, Hypotheses
 from bayesnet_track.vision.correlation import hann
 
 

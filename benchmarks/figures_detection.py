@@ -16,8 +16,8 @@ import numpy as np
 from matplotlib.patches import Ellipse, Rectangle
 
 from bayesnet_track.adapt.assign import assign, gains
-from bayesnet_track.cue import ClaimRule
 from bayesnet_track.numerics.gaussian import chi_square_quantile
+from bayesnet_track.observation.cue import ClaimRule
 
 RULE = ClaimRule(0.06, 0.06, 0.999, 0.2, 0.0)
 EXPECTED = {

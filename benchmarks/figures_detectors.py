@@ -14,9 +14,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.detector import Detections, installed_detectors
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.planes import Frame, FramePair
+from bayesnet_track.observation.detector import Detections, installed_detectors
+from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.scenes import make_scene
 from bayesnet_track.scenes.scene import Scene

@@ -16,10 +16,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bayesnet_track.cue import Hypotheses, Reference
 from bayesnet_track.cues.motion import CUE, MotionCue
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Planes, Region
+from bayesnet_track.observation.cue import Hypotheses, Reference
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region
 from bayesnet_track.scenes import make_scene
 
 Floats = NDArray[np.float64]

@@ -15,13 +15,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 from traces import Moment, Trace, trace
 
-from bayesnet_track.cue import Floats, Hypotheses
 from bayesnet_track.detect.gray_level import GrayLevel, GrayLevelParameters, outliers
-from bayesnet_track.detector import Detections
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.numerics.boxes import corner_from_centre
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, region_of_boxes
+from bayesnet_track.observation.cue import Floats, Hypotheses
+from bayesnet_track.observation.detector import Detections
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, region_of_boxes
 from bayesnet_track.runtime.run import Start
 from bayesnet_track.scenes import Scene, make_scene
 from bayesnet_track.vision.gray_plane import gray

@@ -15,10 +15,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bayesnet_track.cue import Hypotheses
 from bayesnet_track.cues.shape import CUE
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Planes, Region
+from bayesnet_track.observation.cue import Hypotheses
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region
 from bayesnet_track.scenes import Scene, make_scene
 from bayesnet_track.scenes.render import Movie
 from bayesnet_track.scenes.silhouettes import person

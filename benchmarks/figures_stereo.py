@@ -14,10 +14,10 @@ import numpy as np
 from figure_style import BEST, PEER, SURFACE, Axes, boxes, save, show
 from matplotlib.figure import Figure
 
-from bayesnet_track.cue import Hypotheses, installed_cues
-from bayesnet_track.depth import RightEye
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region, region_of_boxes
+from bayesnet_track.observation.cue import Hypotheses, installed_cues
+from bayesnet_track.observation.depth import RightEye
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region, region_of_boxes
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.scenes import Scene, make_scene
 from bayesnet_track.vision.stereo_blobs import StereoBlobSettings, detect_stereo_blobs

@@ -30,12 +30,12 @@ from matplotlib.figure import Figure
 from traces import Trace, mean_shift, trace
 from two_squares import held_to_the_end, without_adaptation
 
-from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.net import Activated
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, region_of_boxes
+from bayesnet_track.observation.cue import Hypotheses
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, region_of_boxes
 from bayesnet_track.scenes import Scene, random_geometry, two_squares
 
 SEEDS = range(20)

@@ -25,9 +25,9 @@ from measuring import environment, on_one_thread, table
 from bayesnet_track.belief.contract import Evidence, Floats, Step
 from bayesnet_track.belief.motion import make_motion
 from bayesnet_track.belief.particles import ParticleFilter, ParticleSet
-from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.streams import Streams
+from bayesnet_track.observation.cue import Hypotheses
 
 RUNS = {500: 20, 1000: 20, 10_000: 4, 100_000: 1}
 """Number of particles -> runs in a round."""

@@ -28,12 +28,12 @@ from sequences import find_sequences, track
 from bayesnet_track import Tracker
 from bayesnet_track.commands import fit_tracking, fit_videos
 from bayesnet_track.commands.fit import graph_text
-from bayesnet_track.cue import installed_cues
 from bayesnet_track.evaluate.cue_sds import fit_sds, residuals_of, shares_inside
 from bayesnet_track.evaluate.fitting import Fitted, fit, mass_below
 from bayesnet_track.evaluate.scores import success_auc
 from bayesnet_track.evaluate.witness import Witness, with_features, witness
 from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.scenes import make_scene
 
 Floats = NDArray[np.float64]

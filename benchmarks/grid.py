@@ -17,9 +17,9 @@ from bayesnet_track.belief.grid import GridFilter
 from bayesnet_track.belief.grid_cells import GridBelief, Lattice
 from bayesnet_track.belief.grid_motion import predicted
 from bayesnet_track.belief.motion import make_motion
-from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.streams import Streams
+from bayesnet_track.observation.cue import Hypotheses
 
 WIDTH, HEIGHT = 640, 480
 PLACE = np.array([320.0, 240.0])

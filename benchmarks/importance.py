@@ -22,10 +22,10 @@ from bayesnet_track.belief.contract import Evaluate, Evidence, Step
 from bayesnet_track.belief.importance import surprise
 from bayesnet_track.belief.motion import KinematicMotion, linear_gaussian, make_motion
 from bayesnet_track.belief.particles import ParticleFilter, ParticleSet
-from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.streams import Streams
+from bayesnet_track.observation.cue import Hypotheses
 
 Floats = NDArray[np.float64]
 

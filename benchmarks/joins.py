@@ -18,7 +18,7 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.laws import check
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.starts import Start, start_targets
 from bayesnet_track.scenes.carried import carried_box
 from bayesnet_track.scenes.crowd import SIDE, crowd

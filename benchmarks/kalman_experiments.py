@@ -20,10 +20,10 @@ from bayesnet_track.belief.functions import FunctionMotion
 from bayesnet_track.belief.gaussian import GaussianFilter
 from bayesnet_track.belief.motion import make_motion
 from bayesnet_track.belief.particles import ParticleFilter
-from bayesnet_track.cue import Hypotheses, Measurement
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.gaussian import chi_square_quantile
 from bayesnet_track.numerics.streams import Streams
+from bayesnet_track.observation.cue import Hypotheses, Measurement
 
 Floats = NDArray[np.float64]
 

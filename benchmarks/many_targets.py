@@ -24,7 +24,7 @@ from bayesnet_track.engine import State, make_engine, start_target, step
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.read import read_graph
 from bayesnet_track.numerics.boxes import overlap
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 
 COUNTS = (1, 5, 10, 25, 50)
 WARM_UP = 10

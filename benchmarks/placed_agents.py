@@ -8,8 +8,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.cue import CueDeclaration, CueParameters, Hypotheses, Reference, blend_arrays
-from bayesnet_track.planes import Planes
+from bayesnet_track.observation.cue import CueDeclaration, CueParameters, Hypotheses, Reference, blend_arrays
+from bayesnet_track.observation.planes import Planes
 
 Floats = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from bayesnet_track.graph.laws import check_graph
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.session import track
 
 WIDTH, HEIGHT, SIDE = 64, 48, 10

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.commands.calibrate import read_all
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.planes import Region
+from bayesnet_track.observation.planes import Region
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.scenes import make_scene
 from bayesnet_track.vision.chessboard import calibrate

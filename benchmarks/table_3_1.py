@@ -27,7 +27,7 @@ from bayesnet_track.engine import make_engine
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.run import Start, run
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.scenes import Scene, make_scene

@@ -17,7 +17,7 @@ from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.events import FrameMetrics
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.numerics.resampling import resample
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.starts import Start, start_targets
 from bayesnet_track.scenes import Scene
 

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.detector import Detections, Detector
 from bayesnet_track.engine import make_engine
 from bayesnet_track.evaluate.mot import score_mot
 from bayesnet_track.evaluate.mot_files import read_mot_truth
@@ -28,6 +27,7 @@ from bayesnet_track.graph.laws import check_graph
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.write import as_plain
 from bayesnet_track.numerics.boxes import centre_from_corner, corner_from_centre
+from bayesnet_track.observation.detector import Detections, Detector
 from bayesnet_track.runtime.detection_files import FileDetector
 from bayesnet_track.runtime.frames import SourceItem
 from bayesnet_track.runtime.run import FrameSource, run

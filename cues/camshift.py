@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bayesnet_track.cue import (
+from bayesnet_track.observation.cue import (
     CueDeclaration,
     CueParameters,
     Floats,
@@ -25,7 +25,7 @@ from bayesnet_track.cue import (
     Reference,
     blend_arrays,
 )
-from bayesnet_track.planes import Plane, Planes
+from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.color_cells import seen_cells
 from bayesnet_track.vision.color_planes import HueBins
 

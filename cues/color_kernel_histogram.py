@@ -14,7 +14,8 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from bayesnet_track.cue import (
+from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
+from bayesnet_track.observation.cue import (
     Cue,
     CueDeclaration,
     Floats,
@@ -25,8 +26,7 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
-from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
-from bayesnet_track.planes import Plane, Planes
+from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.color_cells import ColorCells
 
 STEP = 0.7

@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from bayesnet_track.cue import (
+from bayesnet_track.observation.cue import (
     CLAIM,
     ClaimRule,
     CueDeclaration,
@@ -23,7 +23,7 @@ from bayesnet_track.cue import (
     Measurement,
     Reference,
 )
-from bayesnet_track.planes import Plane, Planes
+from bayesnet_track.observation.planes import Plane, Planes
 
 
 class DetectionParameters(CueParameters):

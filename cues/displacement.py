@@ -14,8 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bayesnet_track.cue import CueDeclaration, CueParameters, Floats, Hypotheses, Measurement, Reference
-from bayesnet_track.planes import Region, region_of_boxes
+from bayesnet_track.observation.cue import (
+    CueDeclaration,
+    CueParameters,
+    Floats,
+    Hypotheses,
+    Measurement,
+    Reference,
+)
+from bayesnet_track.observation.planes import Region, region_of_boxes
 from bayesnet_track.vision.displacement import (
     Displaced,
     Matching,
@@ -27,7 +34,7 @@ from bayesnet_track.vision.displacement import (
 from bayesnet_track.vision.gray_plane import GrayPlane
 
 if TYPE_CHECKING:
-    from bayesnet_track.planes import Plane, Planes
+    from bayesnet_track.observation.planes import Plane, Planes
 
 
 class DisplacementParameters(CueParameters):

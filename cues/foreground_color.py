@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bayesnet_track.cue import (
+from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
+from bayesnet_track.observation.cue import (
     Cue,
     CueDeclaration,
     Floats,
@@ -24,8 +25,7 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
-from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
-from bayesnet_track.planes import Frame, Plane, Planes
+from bayesnet_track.observation.planes import Frame, Plane, Planes
 from bayesnet_track.vision.whole_frame import WholeFrame
 
 if TYPE_CHECKING:

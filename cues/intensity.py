@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bayesnet_track.cue import (
+from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
+from bayesnet_track.observation.cue import (
     CueDeclaration,
     Floats,
     Hypotheses,
@@ -21,11 +22,10 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
-from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.vision.gray_plane import GrayPlane
 
 if TYPE_CHECKING:
-    from bayesnet_track.planes import Plane, Planes
+    from bayesnet_track.observation.planes import Plane, Planes
 
 Ints = NDArray[np.int64]
 

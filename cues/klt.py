@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from bayesnet_track.cue import (
+from bayesnet_track.observation.cue import (
     CueDeclaration,
     CueParameters,
     Floats,
@@ -21,7 +21,7 @@ from bayesnet_track.cue import (
     MeasuringCue,
     Reference,
 )
-from bayesnet_track.planes import Plane, Planes, Region, region_of_boxes
+from bayesnet_track.observation.planes import Plane, Planes, Region, region_of_boxes
 from bayesnet_track.vision.point_tracking import (
     COARSEST,
     FEW,

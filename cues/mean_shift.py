@@ -16,7 +16,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from bayesnet_track.cue import (
+from bayesnet_track.observation.cue import (
     CueDeclaration,
     CueParameters,
     Floats,
@@ -26,7 +26,7 @@ from bayesnet_track.cue import (
     Reference,
     blend_arrays,
 )
-from bayesnet_track.planes import Plane, Planes
+from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.color_cells import ColorCells, seen_cells
 
 SHRINK = 0.7

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from bayesnet_track.cue import (
+from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
+from bayesnet_track.observation.cue import (
     CueDeclaration,
     Floats,
     Hypotheses,
@@ -23,12 +24,11 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
-from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.vision.dense_flow_planes import DenseFlowPlane
 from bayesnet_track.vision.motion_planes import CameraPlane, FlowPlane, against_background
 
 if TYPE_CHECKING:
-    from bayesnet_track.planes import Plane, Planes
+    from bayesnet_track.observation.planes import Plane, Planes
 
 STEP = 0.7
 """Factor of a local action on the standard deviations of flow.

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bayesnet_track.cue import (
+from bayesnet_track.numerics.boxes import overlap
+from bayesnet_track.observation.cue import (
     CueDeclaration,
     CueParameters,
     Floats,
@@ -24,8 +25,7 @@ from bayesnet_track.cue import (
     MeasuringCue,
     Reference,
 )
-from bayesnet_track.numerics.boxes import overlap
-from bayesnet_track.planes import Plane, Planes
+from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.opencv_trackers import Session, missing_tracker
 from bayesnet_track.vision.whole_frame import WholeFrame
 

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from pydantic import Field
 
-from bayesnet_track.cue import (
+from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
+from bayesnet_track.observation.cue import (
     CueDeclaration,
     Floats,
     Hypotheses,
@@ -22,11 +23,10 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
-from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.vision.gray_plane import GrayPlane
 
 if TYPE_CHECKING:
-    from bayesnet_track.planes import Plane, Planes
+    from bayesnet_track.observation.planes import Plane, Planes
 
 STEP = 1.4
 """Factor of a local action on the exponent."""

@@ -12,13 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from bayesnet_track.cue import CueDeclaration, CueParameters, Floats, Hypotheses, Reference, floored
+from bayesnet_track.observation.cue import (
+    CueDeclaration,
+    CueParameters,
+    Floats,
+    Hypotheses,
+    Reference,
+    floored,
+)
 from bayesnet_track.vision.shape_contours import COVER, contours, fields, vectors
 from bayesnet_track.vision.shape_model import ShapeModel, ShapeModelError, load_model, merge
 from bayesnet_track.vision.shape_planes import CONTRASTS, EdgePlane
 
 if TYPE_CHECKING:
-    from bayesnet_track.planes import Plane, Planes
+    from bayesnet_track.observation.planes import Plane, Planes
 
 Ints = NDArray[np.int64]
 

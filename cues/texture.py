@@ -12,7 +12,8 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from bayesnet_track.cue import (
+from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
+from bayesnet_track.observation.cue import (
     Cue,
     CueDeclaration,
     Floats,
@@ -23,8 +24,7 @@ from bayesnet_track.cue import (
     floored,
     log_size_penalty,
 )
-from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
-from bayesnet_track.planes import Plane, Planes
+from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.texture import TextureCodes
 
 HALF_OVERLAP = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])

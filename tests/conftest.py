@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from bayesnet_track.cue import CueDeclaration, CueParameters, Reference, blend_arrays
 from bayesnet_track.engine import Engine, Outcome, State, make_engine, start_target, step
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.laws import check_graph
@@ -19,7 +18,8 @@ from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.messages import Observer
 from bayesnet_track.numerics.streams import Streams
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
+from bayesnet_track.observation.cue import CueDeclaration, CueParameters, Reference, blend_arrays
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 
 # No property depends on how fast the machine is. Those that say no number of examples take more of them with
 # `pytest -m hypothesis --hypothesis-profile thorough`.

@@ -22,7 +22,7 @@ from bayesnet_track.graph.net import (
     replay,
 )
 from bayesnet_track.journal.events import DegenerateBelief
-from bayesnet_track.planes import region_of_boxes
+from bayesnet_track.observation.planes import region_of_boxes
 
 TWO = {"root": {"fuse": "product", "ud_fields": ["x", "y"]}, "a": "root", "b": "root"}
 
@@ -297,7 +297,7 @@ def test_a_real_cue_loses_its_target_in_the_dark():
     from bayesnet_track.engine import make_engine
     from bayesnet_track.graph.laws import check_graph
     from bayesnet_track.graph.spec import GraphSpec
-    from bayesnet_track.planes import Frame
+    from bayesnet_track.observation.planes import Frame
 
     spec = GraphSpec.model_validate(
         {

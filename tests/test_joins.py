@@ -12,7 +12,7 @@ from bayesnet_track.graph.net import Decision, Joined, Parted, replay
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events import AttachmentChanged, OcclusionChanged
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.starts import Start, start_targets
 from bayesnet_track.scenes import make_scene
 from bayesnet_track.scenes.carried import BEHIND, carried_box

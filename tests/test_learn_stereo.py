@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from bayesnet_track.cli import main
-from bayesnet_track.cue import installed_cues
 from bayesnet_track.evaluate.truth import format_truth
+from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.scenes import Scene, make_scene
 from bayesnet_track.vision.stereo import RectifiedPair, write_calibration
 

@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track import plugins
 from bayesnet_track.cli import main
-from bayesnet_track.cue import installed_cues
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.messages import GraphError
 from bayesnet_track.journal.reader import read_metrics
+from bayesnet_track.observation import plugins
+from bayesnet_track.observation.cue import installed_cues
 
 ROOT = Path(__file__).parents[1]
 BUILT_IN = sorted(file.stem for file in (ROOT / "cues").glob("[a-z]*.py"))
@@ -36,7 +36,7 @@ LIGHT = [
     "import bayesnet_track.runtime.sources",
     "import bayesnet_track.evaluate.runs",
     "from bayesnet_track.journal import reader, explain, writer",
-    "from bayesnet_track.cue import installed_cues; installed_cues()",
+    "from bayesnet_track.observation.cue import installed_cues; installed_cues()",
     "from bayesnet_track.cli import main; main(['validate', 'general', 'two_squares'])",
     "from bayesnet_track.cli import main; main(['list'])",
     "from bayesnet_track.cli import main; main(['schema'])",
@@ -76,7 +76,7 @@ CUE = '''
 from dataclasses import dataclass
 import numpy as np
 from pydantic import Field
-from bayesnet_track.cue import CueDeclaration, CueParameters, blend_arrays, floored
+from bayesnet_track.observation.cue import CueDeclaration, CueParameters, blend_arrays, floored
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.cue import Hypotheses
 from bayesnet_track.cues.shape import CUE
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.numerics.divergence import uncertainty_deviation
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Planes, Region
+from bayesnet_track.observation.cue import Hypotheses
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region
 from bayesnet_track.scenes import Scene, make_scene
 
 

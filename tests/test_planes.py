@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from bayesnet_track.planes import MANY, Frame, FramePair, PlaneCache, Region, region_of_boxes
+from bayesnet_track.observation.planes import MANY, Frame, FramePair, PlaneCache, Region, region_of_boxes
 
 
 @dataclass(frozen=True)

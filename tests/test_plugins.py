@@ -7,11 +7,12 @@ import sys
 import numpy as np
 import pytest
 
-from bayesnet_track import Tracker, plugins, track
+from bayesnet_track import Tracker, track
 from bayesnet_track.cli import main
-from bayesnet_track.cue import CueDeclaration, CueParameters, installed_cues
-from bayesnet_track.detector import installed_detectors
 from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.observation import plugins
+from bayesnet_track.observation.cue import CueDeclaration, CueParameters, installed_cues
+from bayesnet_track.observation.detector import installed_detectors
 from bayesnet_track.runtime.recipe import Recipe
 
 BOX = (10, 10, 20, 20)
@@ -20,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bayesnet_track.cue import CueDeclaration, CueParameters
-from bayesnet_track.detector import Detections, DetectorDeclaration, DetectorParameters
+from bayesnet_track.observation.cue import CueDeclaration, CueParameters
+from bayesnet_track.observation.detector import Detections, DetectorDeclaration, DetectorParameters
 
 Path(__file__).with_name("was_run").touch()
 

@@ -11,11 +11,11 @@ from bayesnet_track.belief.attached import Attached
 from bayesnet_track.belief.carried import Carried
 from bayesnet_track.belief.jumps import Jumping
 from bayesnet_track.belief.rotating import Rotating
-from bayesnet_track.detector import Detections
 from bayesnet_track.graph.messages import GraphError
 from bayesnet_track.journal.jump_events import Reappeared
 from bayesnet_track.nets.predicting import Outlook, outlook, predicted
-from bayesnet_track.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.observation.detector import Detections
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 
 BOX = np.array([60.0, 50.0, 20.0, 10.0])
 WALK = {"sd_px": {"x": 2.0, "y": 2.0}, "sd_log": {"scale": 0.05}}

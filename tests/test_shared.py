@@ -7,13 +7,13 @@ import pytest
 
 from bayesnet_track import Tracker
 from bayesnet_track.adapt.guard import judge, watch
-from bayesnet_track.cue import Hypotheses
-from bayesnet_track.depth import PointMap, RightEye
 from bayesnet_track.graph.net import Quarantined
 from bayesnet_track.graph.spec import Guard
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
+from bayesnet_track.observation.cue import Hypotheses
+from bayesnet_track.observation.depth import PointMap, RightEye
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
+from bayesnet_track.observation.shared import shown
 from bayesnet_track.runtime.executors.frames import FrameStore, FrameView
-from bayesnet_track.shared import shown
 
 
 def test_a_frame_cannot_be_written_into_and_the_array_of_its_source_can():

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.claims import NOBODY, Owners
-from bayesnet_track.cue import ClaimRule
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.numerics.gaussian import chi_square_quantile
+from bayesnet_track.observation.cue import ClaimRule
 
 Floats = NDArray[np.float64]
 

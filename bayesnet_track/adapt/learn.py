@@ -8,7 +8,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from bayesnet_track.adapt.conditions import read_level
-from bayesnet_track.cue import AnyCue, Floats, LocallyAdaptable, Reference, Turnable, context_of
 from bayesnet_track.executor import (
     AgentUnavailable,
     Executor,
@@ -19,10 +18,11 @@ from bayesnet_track.executor import (
     is_elsewhere,
 )
 from bayesnet_track.graph.spec import Learn
-from bayesnet_track.guests import FAULTS, text_of
 from bayesnet_track.inference.absent import Missing, Roll
-from bayesnet_track.planes import PlaneCache, region_of_boxes
-from bayesnet_track.shared import sealed, shown
+from bayesnet_track.observation.cue import AnyCue, Floats, LocallyAdaptable, Reference, Turnable, context_of
+from bayesnet_track.observation.guests import FAULTS, text_of
+from bayesnet_track.observation.planes import PlaneCache, region_of_boxes
+from bayesnet_track.observation.shared import sealed, shown
 
 NO_PARTS: Mapping[str, Floats] = {}
 SERIAL = Serial()

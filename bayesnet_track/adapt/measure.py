@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.conditions import Inside
 from bayesnet_track.adapt.parts import PartMeasure, measure_parts
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Posterior, Step
-from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.messages import without
@@ -20,6 +19,7 @@ from bayesnet_track.inference.parts import PartBelief, part_beliefs, part_of_age
 from bayesnet_track.numerics.disc import weighted_mass_in_disc
 from bayesnet_track.numerics.divergence import selected, uncertainty_deviation
 from bayesnet_track.numerics.tilts import divergences, tilted
+from bayesnet_track.observation.cue import Hypotheses
 
 Floats = NDArray[np.float64]
 

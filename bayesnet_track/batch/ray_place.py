@@ -61,9 +61,9 @@ class RayTasks:
 
 
 def _done(line: str) -> Row:
-    from bayesnet_track import plugins
     from bayesnet_track.batch.work import do
     from bayesnet_track.commands.answer import words
+    from bayesnet_track.observation import plugins
 
     job = Job.from_json(line)
     plugins.allow(job.plugins)

@@ -27,7 +27,7 @@ def main() -> int:
 
     job = Job.from_json(sys.stdin.readline())
     if job.plugins:
-        from bayesnet_track import plugins
+        from bayesnet_track.observation import plugins
 
         plugins.allow(list(job.plugins))
     shown = 0.0

@@ -16,11 +16,11 @@ from bayesnet_track.belief.passes import Pass, joined, prior_of
 from bayesnet_track.belief.proposals import Both, inside, log_sum, mixed, reweighted
 from bayesnet_track.belief.sizes import evaluated, moved
 from bayesnet_track.belief.states import hypotheses_of
-from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph.importance_settings import Auxiliary, LikelihoodMixture, Rejection, West
 from bayesnet_track.numerics.gaussian import weighted_moments
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import systematic
+from bayesnet_track.observation.cue import Hypotheses
 
 Floats = NDArray[np.float64]
 Ancestors = NDArray[np.intp]

@@ -24,12 +24,12 @@ from bayesnet_track.belief.gaussian_update import (
     take,
 )
 from bayesnet_track.belief.states import WeightedStates, hypotheses_of
-from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events import Event, MeasurementGated
 from bayesnet_track.numerics.disc import gaussian_mass_in_disc
 from bayesnet_track.numerics.gaussian import root
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+from bayesnet_track.observation.cue import Hypotheses
 
 Floats = NDArray[np.float64]
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Motion
-from bayesnet_track.cue import Hypotheses, Measurement
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.gaussian import (
     chi_square_cdf,
@@ -23,6 +22,7 @@ from bayesnet_track.numerics.gaussian import (
     symmetric,
 )
 from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.observation.cue import Hypotheses, Measurement
 
 Floats = NDArray[np.float64]
 

@@ -26,10 +26,10 @@ from bayesnet_track.belief.grid_reset import (
 )
 from bayesnet_track.belief.grid_window import limits_of
 from bayesnet_track.belief.states import WeightedStates, hypotheses_of
-from bayesnet_track.cue import Hypotheses, Measurement
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.distributions import flattened, spreading_matrix
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+from bayesnet_track.observation.cue import Hypotheses, Measurement
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, Evidence
 from bayesnet_track.belief.states import hypotheses_of
-from bayesnet_track.cue import Measurement
 from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.observation.cue import Measurement
 
 Floats = NDArray[np.float64]
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import Evaluate, Motion, Stream
 from bayesnet_track.belief.need import Sized
 from bayesnet_track.belief.states import hypotheses_of
-from bayesnet_track.cue import Hypotheses
 from bayesnet_track.numerics.disc import weighted_mass_in_disc
 from bayesnet_track.numerics.divergence import selected, uncertainty_deviation
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.resampling import resample
+from bayesnet_track.observation.cue import Hypotheses
 
 Floats = NDArray[np.float64]
 

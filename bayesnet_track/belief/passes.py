@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evidence
-from bayesnet_track.cue import Hypotheses
 from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.observation.cue import Hypotheses
 
 Floats = NDArray[np.float64]
 

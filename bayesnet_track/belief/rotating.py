@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Ancestors, Motion
 from bayesnet_track.belief.noise import Transition
-from bayesnet_track.cue import ANGLE
+from bayesnet_track.observation.cue import ANGLE
 
 Floats = NDArray[np.float64]
 

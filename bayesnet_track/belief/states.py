@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.cue import Hypotheses
 from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.observation.cue import Hypotheses
 
 Floats = NDArray[np.float64]
 

@@ -112,7 +112,7 @@ def _allow(options: argparse.Namespace) -> None:
     names = [name for given in getattr(options, "allow_plugins", ()) for name in given]
     if not names:
         return
-    from bayesnet_track import cue, detector, plugins
+    from bayesnet_track.observation import cue, detector, plugins
 
     known = {**plugins.others(cue.ENTRY_POINT_GROUP), **plugins.others(detector.ENTRY_POINT_GROUP)}
     for name in names:

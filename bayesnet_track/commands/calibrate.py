@@ -60,7 +60,7 @@ def read_all(text: str) -> list[NDArray[np.uint8]]:
     Raises:
         SourceError: there is none, or one of them cannot be read.
     """
-    from bayesnet_track.planes import Frame
+    from bayesnet_track.observation.planes import Frame
     from bayesnet_track.runtime.frames import SourceError
     from bayesnet_track.runtime.sources import open_source
 

@@ -31,8 +31,8 @@ def completion_script(parser: argparse.ArgumentParser, shell: str) -> str:
         import shtab
     except ImportError as error:
         raise UsageError("this needs the package shtab: pip install shtab") from error
-    from bayesnet_track.detector import installed_detectors
     from bayesnet_track.graphs import graph_names
+    from bayesnet_track.observation.detector import installed_detectors
     from bayesnet_track.scenes import scene_names
 
     names = {

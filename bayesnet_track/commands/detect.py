@@ -20,9 +20,9 @@ from bayesnet_track.commands.answer import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bayesnet_track.cue import CueDeclaration
-    from bayesnet_track.detector import Detector, DetectorDeclaration, DetectorState
-    from bayesnet_track.planes import Frame, FramePair
+    from bayesnet_track.observation.cue import CueDeclaration
+    from bayesnet_track.observation.detector import Detector, DetectorDeclaration, DetectorState
+    from bayesnet_track.observation.planes import Frame, FramePair
     from bayesnet_track.runtime.frames import Source
 
 JSON_LINES = (".jsonl", ".json", ".ndjson")
@@ -53,7 +53,7 @@ class Printed:
 
 def detect(options: argparse.Namespace) -> int:
     """Detect in every frame; write MOT or JSON Lines, and a video on request."""
-    from bayesnet_track.detector import DetectorError, LearningDetector
+    from bayesnet_track.observation.detector import DetectorError, LearningDetector
     from bayesnet_track.runtime.frames import SourceError
     from bayesnet_track.runtime.stereo_source import WAYS
 
@@ -91,9 +91,9 @@ def _detect_all(
     source: Source,
     stack: ExitStack,
 ) -> int:
-    from bayesnet_track.detector import LearningDetector
     from bayesnet_track.journal.writer import LineFile
-    from bayesnet_track.planes import Frame, FramePair
+    from bayesnet_track.observation.detector import LearningDetector
+    from bayesnet_track.observation.planes import Frame, FramePair
     from bayesnet_track.runtime.detections import format_frame
     from bayesnet_track.runtime.videowriter import VideoWriter
     from bayesnet_track.view.detections import draw_detections
@@ -149,9 +149,9 @@ def _opened(options: argparse.Namespace) -> Source:
 
 
 def _declaration(name: str) -> DetectorDeclaration:
-    from bayesnet_track.detector import ENTRY_POINT_GROUP, installed_detectors
     from bayesnet_track.graph.messages import nearest
-    from bayesnet_track.plugins import why_absent
+    from bayesnet_track.observation.detector import ENTRY_POINT_GROUP, installed_detectors
+    from bayesnet_track.observation.plugins import why_absent
 
     known = installed_detectors([name])
     if name not in known:

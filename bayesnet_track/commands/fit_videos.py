@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from bayesnet_track.planes import Frame
+    from bayesnet_track.observation.planes import Frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ def find_videos(options: argparse.Namespace) -> Iterator[Video]:
 @contextmanager
 def frames_of(video: Video, end: int | None) -> Iterator[Iterator[Frame]]:
     """The frames of a video before `end`, all that there are when it is None."""
-    from bayesnet_track.planes import Frame
+    from bayesnet_track.observation.planes import Frame
     from bayesnet_track.runtime.sources import open_source
 
     with open_source(video.source, 0, end) as source:

@@ -38,8 +38,8 @@ def validate(options: argparse.Namespace) -> int:
 
 
 def _opaque(graph: CheckedGraph) -> list[str]:
-    from bayesnet_track.cue import installed_cues
     from bayesnet_track.graph.laws import cues_named
+    from bayesnet_track.observation.cue import installed_cues
 
     cues = installed_cues(cues_named(graph.spec))
     return [
@@ -83,8 +83,8 @@ def _density(plate: CheckedTarget, active: frozenset[str], as_latex: bool) -> st
 
 
 def _plan(plate: CheckedTarget, active: frozenset[str], as_latex: bool) -> str:
-    from bayesnet_track.cue import installed_cues
     from bayesnet_track.inference.compile import compile_plan, describe_plan
+    from bayesnet_track.observation.cue import installed_cues
 
     agents = {agent: plate.agent(agent) for agent in plate.agents}
     cues = installed_cues(agent.agent.cue for agent in agents.values())
@@ -120,12 +120,12 @@ def schema(options: argparse.Namespace) -> int:
 
 def list_installed(options: argparse.Namespace) -> int:
     """List graphs, cues, detectors and scenes."""
-    from bayesnet_track.cue import ENTRY_POINT_GROUP as CUES
-    from bayesnet_track.cue import installed_cues
-    from bayesnet_track.detector import ENTRY_POINT_GROUP as DETECTORS
-    from bayesnet_track.detector import installed_detectors
     from bayesnet_track.graphs import graph_folder, graphs_about
-    from bayesnet_track.plugins import allowed, others
+    from bayesnet_track.observation.cue import ENTRY_POINT_GROUP as CUES
+    from bayesnet_track.observation.cue import installed_cues
+    from bayesnet_track.observation.detector import ENTRY_POINT_GROUP as DETECTORS
+    from bayesnet_track.observation.detector import installed_detectors
+    from bayesnet_track.observation.plugins import allowed, others
     from bayesnet_track.scenes import scene_names
 
     say(f"graphs (name one, or copy its file from {graph_folder()}):")

@@ -72,7 +72,7 @@ def _from_masks(options: argparse.Namespace) -> tuple[int, Examples]:
 def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
     from bayesnet_track.evaluate.truth import read_truth
     from bayesnet_track.numerics.boxes import centre_from_corner
-    from bayesnet_track.planes import Frame
+    from bayesnet_track.observation.planes import Frame
     from bayesnet_track.runtime.sources import open_source
     from bayesnet_track.vision.shape_examples import frame_example
     from bayesnet_track.vision.shape_planes import EdgePlane

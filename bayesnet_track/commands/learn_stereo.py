@@ -28,9 +28,9 @@ LEAST_SHARE = 0.01
 
 def learn_stereo(options: argparse.Namespace) -> int:
     """Collect the features at the true boxes, estimate how much they vary, print the agent for a graph."""
-    from bayesnet_track.cue import installed_cues
     from bayesnet_track.evaluate.truth import read_truth
     from bayesnet_track.numerics.boxes import centre_from_corner
+    from bayesnet_track.observation.cue import installed_cues
     from bayesnet_track.vision.stereo_examples import estimate_spread
 
     declaration = installed_cues()["stereo"]
@@ -84,7 +84,7 @@ def _opened(options: argparse.Namespace, end: int) -> Source:
 
 def _examples(cue: Any, source: Source, boxes: Floats, every: int) -> tuple[NDArray[np.int64], Floats]:
     """(n,) frames with a blob in the true box, and (n, K) its features there."""
-    from bayesnet_track.planes import Frame, FramePair, PlaneCache, region_of_boxes
+    from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, region_of_boxes
 
     frames, features, empty = [], [], []
     for item in source:

@@ -204,7 +204,7 @@ def _track(
 
 def _opaque(graph: CheckedGraph) -> list[str]:
     """Agents that keep what no checkpoint can hold."""
-    from bayesnet_track.cue import installed_cues
+    from bayesnet_track.observation.cue import installed_cues
 
     agents = {name: one.agent(name).agent.cue for one in graph.targets.values() for name in one.agents}
     cues = installed_cues(agents.values())
@@ -231,7 +231,7 @@ def follow(
 
     A `view` may hold it between two frames, and stop it.
     """
-    from bayesnet_track.detector import DetectorError
+    from bayesnet_track.observation.detector import DetectorError
     from bayesnet_track.runtime.executors import PlacingError
     from bayesnet_track.runtime.progress import Progress
     from bayesnet_track.runtime.starts import StartError

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from bayesnet_track.detect.selection import SURE, BlobParameters, blobs, select
-from bayesnet_track.detector import (
+from bayesnet_track.observation.detector import (
     NOTHING,
     Detections,
     Detector,
@@ -18,7 +18,7 @@ from bayesnet_track.detector import (
     DetectorError,
     DetectorState,
 )
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region, region_of_boxes
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region, region_of_boxes
 from bayesnet_track.vision.color_planes import HueBins
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from bayesnet_track.detect.selection import select
-from bayesnet_track.detector import (
+from bayesnet_track.numerics.boxes import centre_from_corner
+from bayesnet_track.observation.detector import (
     NOTHING,
     Detections,
     Detector,
@@ -18,8 +19,7 @@ from bayesnet_track.detector import (
     DetectorParameters,
     DetectorState,
 )
-from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.vision.shape_contours import COVER, contours, fields
 from bayesnet_track.vision.shape_model import ShapeModel, ShapeModelError, load_model
 from bayesnet_track.vision.shape_planes import EdgePlane

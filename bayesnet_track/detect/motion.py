@@ -10,8 +10,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from bayesnet_track.detect.selection import SURE, BlobParameters, regions, select
-from bayesnet_track.detector import NOTHING, Detections, Detector, DetectorDeclaration, DetectorState
-from bayesnet_track.planes import FramePair
+from bayesnet_track.observation.detector import (
+    NOTHING,
+    Detections,
+    Detector,
+    DetectorDeclaration,
+    DetectorState,
+)
+from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.vision.gray_plane import gray
 
 Floats = NDArray[np.float64]

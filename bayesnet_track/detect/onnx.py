@@ -12,7 +12,7 @@ from pydantic import Field
 
 from bayesnet_track.detect.onnx_layouts import LAYOUTS, Found, LayoutError
 from bayesnet_track.detect.selection import select
-from bayesnet_track.detector import (
+from bayesnet_track.observation.detector import (
     Detections,
     Detector,
     DetectorDeclaration,
@@ -20,7 +20,7 @@ from bayesnet_track.detector import (
     DetectorParameters,
     DetectorState,
 )
-from bayesnet_track.planes import FramePair
+from bayesnet_track.observation.planes import FramePair
 
 Floats = NDArray[np.float64]
 

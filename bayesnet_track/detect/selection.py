@@ -9,13 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bayesnet_track.detector import NOTHING, Detections, Detector, DetectorParameters, DetectorState
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
+from bayesnet_track.observation.detector import (
+    NOTHING,
+    Detections,
+    Detector,
+    DetectorParameters,
+    DetectorState,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bayesnet_track.planes import Frame, FramePair
+    from bayesnet_track.observation.planes import Frame, FramePair
 
 Floats = NDArray[np.float64]
 Evidence = NDArray[np.uint8]

@@ -9,14 +9,14 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from bayesnet_track.detect.selection import select
-from bayesnet_track.detector import (
+from bayesnet_track.observation.detector import (
     Detections,
     Detector,
     DetectorDeclaration,
     DetectorParameters,
     DetectorState,
 )
-from bayesnet_track.planes import FramePair
+from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.vision.stereo_blobs import StereoBlobSettings, detect_stereo_blobs
 from bayesnet_track.vision.stereo_planes import Correlation, Range, SemiGlobal
 

@@ -13,7 +13,7 @@ _VIDEO = """
 import tempfile
 from pathlib import Path
 import numpy as np
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.sources import open_source
 from bayesnet_track.runtime.videowriter import VideoWriter
 shown = [np.full((48, 64, 3), 40 * n, np.uint8) for n in range(6)]
@@ -43,9 +43,9 @@ assert tuple(found) == tuple(kernel.py_func(weights)), f"it gives {found}"
 """
 _CUE = """
 import numpy as np
-from bayesnet_track.cue import Hypotheses, installed_cues
+from bayesnet_track.observation.cue import Hypotheses, installed_cues
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.scenes import make_scene
 scene = make_scene("two_squares", 0)
 declared = installed_cues()["color_histogram"]

@@ -16,7 +16,7 @@ from bayesnet_track.journal.events import FrameMetrics
 from bayesnet_track.nets.score import FEATURES, marginal_points
 from bayesnet_track.nets.target import weigh
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 from bayesnet_track.runtime.starts import Start, check_started, check_starts, start_targets
 
 Floats = NDArray[np.float64]

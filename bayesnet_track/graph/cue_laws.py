@@ -9,13 +9,13 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from bayesnet_track.cue import ENTRY_POINT_GROUP, CueDeclaration, CueParameters
 from bayesnet_track.graph.explain import explain
 from bayesnet_track.graph.messages import GraphMessage
 from bayesnet_track.graph.model import PluginChoice
 from bayesnet_track.graph.plate import Law, Plate
 from bayesnet_track.graph.spec import AgentChoice
-from bayesnet_track.plugins import why_absent
+from bayesnet_track.observation.cue import ENTRY_POINT_GROUP, CueDeclaration, CueParameters
+from bayesnet_track.observation.plugins import why_absent
 
 Parameters = TypeVar("Parameters", bound=BaseModel)
 

@@ -8,7 +8,6 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from bayesnet_track.cue import CueDeclaration, installed_cues
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.cue_laws import CUE_LAWS, cue_parameters
 from bayesnet_track.graph.document import MAX_BYTES
@@ -22,6 +21,7 @@ from bayesnet_track.graph.spec import AgentNode, GraphSpec
 from bayesnet_track.graph.tree_laws import TREE_LAWS
 from bayesnet_track.graph.value_laws import RULE_LAWS, VALUE_LAWS
 from bayesnet_track.graph.write import write_graph
+from bayesnet_track.observation.cue import CueDeclaration, installed_cues
 
 Cues = Mapping[str, CueDeclaration]
 

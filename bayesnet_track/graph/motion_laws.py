@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 from pydantic import ValidationError
 
-from bayesnet_track.detector import ENTRY_POINT_GROUP, installed_detectors
 from bayesnet_track.graph.cue_laws import plugin_parameters
 from bayesnet_track.graph.explain import explain
 from bayesnet_track.graph.messages import GraphMessage, Path
 from bayesnet_track.graph.motion_settings import Moving
 from bayesnet_track.graph.plate import Law, Plate
-from bayesnet_track.plugins import why_absent
+from bayesnet_track.observation.detector import ENTRY_POINT_GROUP, installed_detectors
+from bayesnet_track.observation.plugins import why_absent
 
 _DETECTOR = ("recover", "by", "detector")
 

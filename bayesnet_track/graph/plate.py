@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from bayesnet_track.cue import CueDeclaration
 from bayesnet_track.graph.messages import GraphMessage, Path, Positions
 from bayesnet_track.graph.spec import AgentNode, InferenceNode, Target
+from bayesnet_track.observation.cue import CueDeclaration
 
 
 @dataclass(frozen=True, eq=False)

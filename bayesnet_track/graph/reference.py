@@ -11,7 +11,6 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from bayesnet_track.cue import CueDeclaration, installed_cues
 from bayesnet_track.graph.cue_laws import CUE_LAWS
 from bayesnet_track.graph.document import MAX_BYTES, MAX_DEPTH, MAX_NODES, MAX_SCALAR
 from bayesnet_track.graph.evidence_law import evidence_counts_once
@@ -23,6 +22,7 @@ from bayesnet_track.graph.spec import LANGUAGE_VERSION, GraphSpec
 from bayesnet_track.graph.tree_laws import TREE_LAWS
 from bayesnet_track.graph.value_laws import RULE_LAWS, VALUE_LAWS
 from bayesnet_track.graph.write import as_plain, flow_text
+from bayesnet_track.observation.cue import CueDeclaration, installed_cues
 
 _OPENING = f"""# The language, version {LANGUAGE_VERSION}
 

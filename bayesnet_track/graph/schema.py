@@ -11,12 +11,12 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from bayesnet_track.cue import CueDeclaration, installed_cues
-from bayesnet_track.detector import DetectorDeclaration, detectors_of_graphs
 from bayesnet_track.graph.life_settings import DetectorChoice
 from bayesnet_track.graph.model import Choice, Model
 from bayesnet_track.graph.spec import AgentChoice, GraphSpec
-from bayesnet_track.plugins import allowed
+from bayesnet_track.observation.cue import CueDeclaration, installed_cues
+from bayesnet_track.observation.detector import DetectorDeclaration, detectors_of_graphs
+from bayesnet_track.observation.plugins import allowed
 
 Schema = dict[str, Any]
 

@@ -9,11 +9,11 @@ from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from bayesnet_track.cue import AnyCue, MeasuringCue
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import AgentNode, Fuse, Given, Latent
 from bayesnet_track.inference.plane_words import plane_words
-from bayesnet_track.planes import Plane
+from bayesnet_track.observation.cue import AnyCue, MeasuringCue
+from bayesnet_track.observation.planes import Plane
 
 Own = Literal["one", "kernel", "gaussian", "grid"]
 HELD: Mapping[Own, str] = {

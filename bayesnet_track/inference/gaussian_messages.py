@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.motion import KinematicMotion
-from bayesnet_track.cue import Hypotheses, Measurement, floored
 from bayesnet_track.graph.spec import Given
 from bayesnet_track.inference.parts import part_matrix
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+from bayesnet_track.observation.cue import Hypotheses, Measurement, floored
 
 Floats = NDArray[np.float64]
 

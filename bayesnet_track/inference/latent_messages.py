@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.noise import box_coordinates, log_noise_density, noisy
-from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph.spec import Noise
+from bayesnet_track.observation.cue import Hypotheses
 
 Floats = NDArray[np.float64]
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.noise import sample_noise
-from bayesnet_track.cue import Hypotheses, Measurement
 from bayesnet_track.executor import each_at_once
 from bayesnet_track.graph.spec import Noise
 from bayesnet_track.inference.absent import Missing
@@ -19,7 +18,8 @@ from bayesnet_track.inference.gaussian_messages import latent_gaussian, measurem
 from bayesnet_track.inference.latent_messages import grid_message, kernel_message
 from bayesnet_track.inference.observe import Observer, observe, remember
 from bayesnet_track.inference.parts import part_boxes
-from bayesnet_track.planes import Region, region_of_boxes
+from bayesnet_track.observation.cue import Hypotheses, Measurement
+from bayesnet_track.observation.planes import Region, region_of_boxes
 
 __all__ = ["Joined", "Observer", "evaluate", "join_messages", "without"]
 

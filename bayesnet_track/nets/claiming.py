@@ -19,7 +19,6 @@ from bayesnet_track.adapt.claims import NOBODY
 from bayesnet_track.adapt.lifecycle import Life
 from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.gaussian_predict import predict
-from bayesnet_track.cue import CLAIM, ClaimRule, Hypotheses
 from bayesnet_track.graph.net import Net
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.inference.compile import compile_plan
@@ -28,7 +27,8 @@ from bayesnet_track.journal.life_events import DetectorFailed
 from bayesnet_track.machinery import Engine
 from bayesnet_track.nets.detecting import Found, look
 from bayesnet_track.nets.state import TargetState
-from bayesnet_track.planes import Frame, PlaneCache
+from bayesnet_track.observation.cue import CLAIM, ClaimRule, Hypotheses
+from bayesnet_track.observation.planes import Frame, PlaneCache
 
 Floats = NDArray[np.float64]
 

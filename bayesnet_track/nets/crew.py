@@ -14,7 +14,7 @@ from bayesnet_track.machinery import Engine
 from bayesnet_track.nets.outside import Outside
 from bayesnet_track.nets.state import TargetState
 from bayesnet_track.nets.target import Concluded, conclude, weigh
-from bayesnet_track.planes import FramePair, PlaneCache
+from bayesnet_track.observation.planes import FramePair, PlaneCache
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from bayesnet_track.journal.join_events import JoinMetrics
 from bayesnet_track.journal.part_metrics import PartMetrics
 from bayesnet_track.nets.score import widened
 from bayesnet_track.numerics.divergence import kl
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 
 Floats = NDArray[np.float64]
 

@@ -44,7 +44,7 @@ from bayesnet_track.nets.state import TargetState
 from bayesnet_track.nets.target import Weighed, weigh
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import resample
-from bayesnet_track.planes import Frame, PlaneCache
+from bayesnet_track.observation.planes import Frame, PlaneCache
 
 Floats = NDArray[np.float64]
 

@@ -11,11 +11,11 @@ from bayesnet_track.adapt.backoff import quarantined
 from bayesnet_track.adapt.guard import Judged, Watched, guard, judge
 from bayesnet_track.adapt.learn import adapt_reference, learn_references
 from bayesnet_track.adapt.situation import Situation
-from bayesnet_track.cue import ANGLE, Hypotheses, LocallyAdaptable, Reference
 from bayesnet_track.graph.net import Decision, LocallyAdapted, Quarantined
 from bayesnet_track.machinery import Engine, Machinery
 from bayesnet_track.nets.state import TargetState
-from bayesnet_track.planes import PlaneCache
+from bayesnet_track.observation.cue import ANGLE, Hypotheses, LocallyAdaptable, Reference
+from bayesnet_track.observation.planes import PlaneCache
 
 Floats = NDArray[np.float64]
 

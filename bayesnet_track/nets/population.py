@@ -38,7 +38,7 @@ from bayesnet_track.nets.people import Population
 from bayesnet_track.nets.recalling import compare
 from bayesnet_track.nets.starting import restart, start
 from bayesnet_track.nets.state import TargetState
-from bayesnet_track.planes import Frame, PlaneCache
+from bayesnet_track.observation.planes import Frame, PlaneCache
 
 Floats = NDArray[np.float64]
 

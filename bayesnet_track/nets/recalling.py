@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.lifecycle import Identity
 from bayesnet_track.adapt.recognise import Compared, elsewhere, looks, placed
 from bayesnet_track.belief.bounds import Confined
-from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph.life_settings import Recall
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.machinery import Engine
-from bayesnet_track.planes import Frame, PlaneCache
+from bayesnet_track.observation.cue import Hypotheses
+from bayesnet_track.observation.planes import Frame, PlaneCache
 
 Floats = NDArray[np.float64]
 

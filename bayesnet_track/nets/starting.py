@@ -16,7 +16,6 @@ from bayesnet_track.adapt.learn import learn_first
 from bayesnet_track.adapt.memory import Memory, Streak
 from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.belief.bounds import Confined
-from bayesnet_track.cue import Reference
 from bayesnet_track.graph.net import Decision, Quarantined, Readmitted, TargetNet, TargetStarted
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.parts import nominal_boxes
@@ -25,7 +24,8 @@ from bayesnet_track.machinery import Engine, Machinery
 from bayesnet_track.nets.frame_metrics import first_frame_metrics
 from bayesnet_track.nets.predicting import outlook
 from bayesnet_track.nets.state import TargetState, inside_frame
-from bayesnet_track.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.observation.cue import Reference
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 
 Floats = NDArray[np.float64]
 

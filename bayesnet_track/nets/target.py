@@ -39,7 +39,7 @@ from bayesnet_track.nets.score import most, probability, with_rival
 from bayesnet_track.nets.shedding import within
 from bayesnet_track.nets.starting import start_late
 from bayesnet_track.nets.state import TargetState, applied, inside_frame, with_agents
-from bayesnet_track.planes import Frame, PlaneCache
+from bayesnet_track.observation.planes import Frame, PlaneCache
 
 __all__ = ["Concluded", "TargetState", "Weighed", "conclude", "weigh"]
 

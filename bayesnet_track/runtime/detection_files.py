@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.detector import NOTHING, Detections, DetectorState
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.planes import FramePair
+from bayesnet_track.observation.detector import NOTHING, Detections, DetectorState
+from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.runtime.mot_lines import parse_mot, read_text
 
 Floats = NDArray[np.float64]

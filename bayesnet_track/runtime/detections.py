@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 
-from bayesnet_track.detector import Detections
 from bayesnet_track.numerics.boxes import corner_from_centre
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.detector import Detections
+from bayesnet_track.observation.planes import Frame
 
 DIGITS, SCORE_DIGITS = 3, 6
 

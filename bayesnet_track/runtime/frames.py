@@ -21,7 +21,6 @@ from typing import Any, Literal, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.depth import Depth
 from bayesnet_track.journal.events import (
     FramesDropped,
     FrameSizeChanged,
@@ -29,7 +28,8 @@ from bayesnet_track.journal.events import (
     SourceDamaged,
     SourceStalled,
 )
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.depth import Depth
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.origin import Origin
 
 SourceItem = Frame | FramesMissing | FramesDropped | FrameSizeChanged | SourceDamaged | SourceStalled

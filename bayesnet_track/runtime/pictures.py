@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.journal.events import RunStarted
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.frames import SourceError
 from bayesnet_track.runtime.rundir import RunDirectory
 

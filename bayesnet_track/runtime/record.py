@@ -24,7 +24,7 @@ from bayesnet_track.journal.writer import (
     output_error,
     read_position,
 )
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.run import Result
 from bayesnet_track.runtime.rundir import RunDirectory
 from bayesnet_track.runtime.starts import has_births

@@ -23,7 +23,7 @@ from bayesnet_track.journal.events import (
 )
 from bayesnet_track.journal.inputs import Input
 from bayesnet_track.numerics.compile_watch import WATCH
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.frames import EndReason, SourceItem
 from bayesnet_track.runtime.inputs import Asked, nothing

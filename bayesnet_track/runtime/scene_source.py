@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.frames import EndReason
 from bayesnet_track.runtime.origin import Origin
 from bayesnet_track.scenes import Scene, make_scene

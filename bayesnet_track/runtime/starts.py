@@ -15,7 +15,7 @@ from bayesnet_track.graph.net import Quarantined
 from bayesnet_track.journal.inputs import Input
 from bayesnet_track.nets.outside import sorted_out
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 
 Floats = NDArray[np.float64]
 

@@ -35,7 +35,7 @@ from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.nets.predicting import Outlook
 from bayesnet_track.nets.score import Scored
 from bayesnet_track.numerics.log_weights import LogWeights
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 
 Array = NDArray[Any]
 

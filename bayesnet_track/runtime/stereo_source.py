@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.depth import Depth, PointMap, RightEye
+from bayesnet_track.observation.depth import Depth, PointMap, RightEye
 from bayesnet_track.runtime.depth_files import depth_files, read_points
 from bayesnet_track.runtime.frames import (
     Damage,

@@ -9,16 +9,16 @@ from os import PathLike
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track import plugins
 from bayesnet_track.belief.contract import Motion
-from bayesnet_track.depth import Depth, RightEye
 from bayesnet_track.engine import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.numerics.boxes import corner_from_centre
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation import plugins
+from bayesnet_track.observation.depth import Depth, RightEye
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.images import to_bgr
 from bayesnet_track.runtime.interchange import Detections
 from bayesnet_track.runtime.starts import Start, check_started, check_starts, start_targets

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.depth import StereoGeometry
+from bayesnet_track.observation.depth import StereoGeometry
 
 Floats = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.depth import StereoGeometry
+from bayesnet_track.observation.depth import StereoGeometry
 from bayesnet_track.scenes.render import Movie, Sprite
 from bayesnet_track.scenes.room import Pane, Room
 from bayesnet_track.scenes.scene import Scene, assemble

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.depth import RightEye, StereoGeometry
+from bayesnet_track.observation.depth import RightEye, StereoGeometry
 from bayesnet_track.scenes.render import Movie
 
 Floats = NDArray[np.float64]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.detector import Detections
 from bayesnet_track.numerics.boxes import corner_from_centre
+from bayesnet_track.observation.detector import Detections
 
 Image = NDArray[np.uint8]
 

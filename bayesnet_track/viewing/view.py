@@ -12,7 +12,7 @@ from typing import Any, Self
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.events import Event, FrameMetrics
 from bayesnet_track.journal.inputs import Input
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.run import FrameSource, Result
 from bayesnet_track.runtime.starts import Start, check_starts
 from bayesnet_track.view.run_page import live_page

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.planes import Array, FramePair, Plane, Planes, Region, region_of_boxes
+from bayesnet_track.observation.planes import Array, FramePair, Plane, Planes, Region, region_of_boxes
 
 Floats = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.planes import Array, Frame, FramePair, Plane, Region
+from bayesnet_track.observation.planes import Array, Frame, FramePair, Plane, Region
 from bayesnet_track.vision.gray_plane import gray
 from bayesnet_track.vision.motion_planes import interval_of
 

@@ -13,7 +13,7 @@ from bayesnet_track.numerics.foreground_kernels import (
     count_cells,
     integral_of_cells,
 )
-from bayesnet_track.planes import Frame, region_of_boxes
+from bayesnet_track.observation.planes import Frame, region_of_boxes
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

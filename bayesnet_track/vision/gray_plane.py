@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.planes import Array, FramePair, Plane, Region
+from bayesnet_track.observation.planes import Array, FramePair, Plane, Region
 
 
 @dataclass(frozen=True)

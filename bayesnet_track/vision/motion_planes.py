@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.planes import Array, Frame, FramePair, Plane, Region
+from bayesnet_track.observation.planes import Array, Frame, FramePair, Plane, Region
 from bayesnet_track.vision.gray_plane import gray
 
 COARSEST = 4

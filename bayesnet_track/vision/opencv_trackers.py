@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.planes import Region, region_of_boxes
+from bayesnet_track.observation.planes import Region, region_of_boxes
 from bayesnet_track.vision.point_tracking import GRAY, correlations, cut, mixed
 
 Floats = NDArray[np.float64]

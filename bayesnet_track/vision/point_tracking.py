@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.planes import Array, Region
+from bayesnet_track.observation.planes import Array, Region
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]

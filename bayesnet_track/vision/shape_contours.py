@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.planes import Array
+from bayesnet_track.observation.planes import Array
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.planes import Array, Frame, FramePair, PlaneCache, Region
+from bayesnet_track.observation.planes import Array, Frame, FramePair, PlaneCache, Region
 from bayesnet_track.vision.shape_contours import contours, mask_box, mask_edges, vectors
 from bayesnet_track.vision.shape_planes import EdgePlane
 

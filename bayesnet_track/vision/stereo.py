@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.depth import StereoGeometry
+from bayesnet_track.observation.depth import StereoGeometry
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.depth import NoDepth
-from bayesnet_track.planes import Frame, Region
+from bayesnet_track.observation.depth import NoDepth
+from bayesnet_track.observation.planes import Frame, Region
 from bayesnet_track.vision.stereo_planes import Correlation, Matcher, Range, all_points
 
 Floats = NDArray[np.float64]

@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.depth import NoDepth, PointMap, Points, RightEye
-from bayesnet_track.planes import Array, Frame, FramePair, Plane, Region
+from bayesnet_track.observation.depth import NoDepth, PointMap, Points, RightEye
+from bayesnet_track.observation.planes import Array, Frame, FramePair, Plane, Region
 from bayesnet_track.vision.gray_plane import gray
 
 GRAY_STEPS = 8

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayesnet_track.planes import Array, FramePair, Plane, Region
+from bayesnet_track.observation.planes import Array, FramePair, Plane, Region
 from bayesnet_track.vision.gray_plane import gray
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayesnet_track.planes import Array, FramePair, Plane, Region
+from bayesnet_track.observation.planes import Array, FramePair, Plane, Region
 
 
 @dataclass(frozen=True)

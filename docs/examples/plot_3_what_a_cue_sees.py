@@ -13,9 +13,9 @@ target. Look at it before you choose the cues of a graph.
 import matplotlib.pyplot as plt
 import numpy as np
 
-from bayesnet_track.cue import Hypotheses, installed_cues
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
+from bayesnet_track.observation.cue import Hypotheses, installed_cues
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.scenes import make_scene
 
 scene = make_scene("orange_and_gray", seed=0)

@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2, multivariate_normal
 
 from bayesnet_track.adapt.assign import assign, gains
-from bayesnet_track.cue import ClaimRule
+from bayesnet_track.observation.cue import ClaimRule
 
 RULE = ClaimRule(sd_place=0.1, sd_size=0.05, gate=0.99, least_overlap=0.3, looks=0.0)
 

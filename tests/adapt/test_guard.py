@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from bayesnet_track.adapt.guard import Watched, changes, guard, judge, watch
-from bayesnet_track.cue import Hypotheses, blend_arrays
 from bayesnet_track.graph.spec import Guard
-from bayesnet_track.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.observation.cue import Hypotheses, blend_arrays
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 
 AT = Hypotheses(np.array([[50.0, 40.0, 20.0, 20.0]]))
 

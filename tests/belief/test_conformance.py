@@ -5,13 +5,13 @@ import pytest
 
 from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
-from bayesnet_track.cue import Measurement
 from bayesnet_track.engine import make_engine
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events import Event
 from bayesnet_track.journal.sentences import explain
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.streams import Streams
+from bayesnet_track.observation.cue import Measurement
 
 BOX = np.array([160.0, 120.0, 40.0, 30.0])
 SD = 3.0

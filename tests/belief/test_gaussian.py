@@ -11,8 +11,8 @@ from bayesnet_track.belief.gaussian_predict import predict
 from bayesnet_track.belief.gaussian_update import take
 from bayesnet_track.belief.motion import linear_gaussian
 from bayesnet_track.belief.particles import ParticleFilter
-from bayesnet_track.cue import Measurement
 from bayesnet_track.graph import spec
+from bayesnet_track.observation.cue import Measurement
 
 BOX = np.array([160.0, 120.0, 60.0, 50.0])
 TIMES = [1.0, 1.0, 2.0, 0.5, 1.0, 3.0, 1.5, 1.0]

@@ -11,11 +11,11 @@ from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.belief.grid import GridFilter
 from bayesnet_track.belief.grid_motion import predicted
-from bayesnet_track.cue import Measurement
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.events import BeliefReset
 from bayesnet_track.journal.sentences import explain
+from bayesnet_track.observation.cue import Measurement
 from bayesnet_track.scenes import make_scene
 
 BOX = np.array([100.0, 80.0, 20.0, 10.0])

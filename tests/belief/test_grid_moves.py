@@ -14,9 +14,9 @@ from bayesnet_track.belief.grid_gaps import Leap, Span, _leapt, leapt, moving
 from bayesnet_track.belief.grid_motion import _bounded, _change, axis_steps, predicted, scale_sd
 from bayesnet_track.belief.grid_reset import judged_in_box, judged_on_image
 from bayesnet_track.belief.grid_window import Limits, Patch
-from bayesnet_track.cue import Measurement
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.distributions import spreading_matrix
+from bayesnet_track.observation.cue import Measurement
 
 VELOCITIES = np.array([-1.0, 0.0, 1.0])
 LATTICE = Lattice((50.0, 40.0), 2.0, 3, -4, (20.0, 10.0), np.zeros(1), VELOCITIES)

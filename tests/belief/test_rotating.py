@@ -10,9 +10,9 @@ from bayesnet_track.belief.jumps import Jumping, Search
 from bayesnet_track.belief.map import map_index
 from bayesnet_track.belief.motion import make_motion
 from bayesnet_track.belief.rotating import Rotating
-from bayesnet_track.cue import ANGLE
 from bayesnet_track.graph.spec import Motion
 from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.observation.cue import ANGLE
 
 SD = 6.0
 BOX = np.array([50.0, 60.0, 20.0, 30.0])

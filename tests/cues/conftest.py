@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pydantic import Field, create_model
 
-from bayesnet_track.cue import (
+from bayesnet_track.observation.cue import (
     Cue,
     CueDeclaration,
     Hypotheses,
@@ -19,9 +19,9 @@ from bayesnet_track.cue import (
     Reference,
     installed_cues,
 )
-from bayesnet_track.depth import RightEye, StereoGeometry
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Planes, Region, region_of_boxes
-from bayesnet_track.plugins import allow
+from bayesnet_track.observation.depth import RightEye, StereoGeometry
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region, region_of_boxes
+from bayesnet_track.observation.plugins import allow
 
 WIDTH, HEIGHT = 320, 240
 SIZE = np.array([49.0, 37.0])

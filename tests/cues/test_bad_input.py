@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from bayesnet_track import track
-from bayesnet_track.cue import installed_cues
-from bayesnet_track.depth import RightEye, StereoGeometry
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.messages import GraphError
 from bayesnet_track.graph.net import Quarantined
 from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.cue import installed_cues
+from bayesnet_track.observation.depth import RightEye, StereoGeometry
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.frames import SourceError
 from bayesnet_track.runtime.starts import StartError
 

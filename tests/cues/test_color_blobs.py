@@ -13,7 +13,7 @@ from bayesnet_track.numerics.blob_kernels import (
     match_blobs,
 )
 from bayesnet_track.numerics.blob_words import grow_in_words
-from bayesnet_track.planes import Frame, FramePair
+from bayesnet_track.observation.planes import Frame, FramePair
 
 RED, GREEN, BLUE, GRAY = (0, 0, 255), (0, 255, 0), (255, 0, 0), (90, 90, 90)
 

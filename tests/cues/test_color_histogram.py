@@ -13,7 +13,7 @@ from bayesnet_track.numerics.histogram_kernels import (
     count_directly,
     count_in_boxes,
 )
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.vision.color_planes import Hue, HueBins
 
 ORANGE, GREEN, BLUE, GRAY = (0, 128, 255), (0, 255, 0), (255, 0, 0), (90, 90, 90)

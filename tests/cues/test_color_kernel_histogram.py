@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.planes import Region
+from bayesnet_track.observation.planes import Region
 
 
 def histogram(asked, pair, box):

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cue import Cue, CueParameters, context_of
-from bayesnet_track.planes import PlaneCache, Region, region_of_boxes
+from bayesnet_track.observation.cue import Cue, CueParameters, context_of
+from bayesnet_track.observation.planes import PlaneCache, Region, region_of_boxes
 
 
 def first_of(values):
@@ -47,7 +47,7 @@ def test_declaration(asked):
 
 def test_declarations_import_nothing_heavy():
     code = (
-        "import sys; from bayesnet_track.cue import installed_cues; assert installed_cues(); "
+        "import sys; from bayesnet_track.observation.cue import installed_cues; assert installed_cues(); "
         "print(*{'numba', 'cv2', 'scipy', 'av', 'matplotlib'} & set(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bayesnet_track.cue import CLAIM, ClaimingCue
+from bayesnet_track.observation.cue import CLAIM, ClaimingCue
 
 
 def test_it_measures_the_detection_that_the_target_was_given(ask, scene):

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cue import Hypotheses, LocallyAdaptable, installed_cues
 from bayesnet_track.numerics.divergence import uncertainty_deviation
 from bayesnet_track.numerics.sharpening import factor_of
-from bayesnet_track.planes import Frame, FramePair, Planes, Region
+from bayesnet_track.observation.cue import Hypotheses, LocallyAdaptable, installed_cues
+from bayesnet_track.observation.planes import Frame, FramePair, Planes, Region
 
 STEPS = 3
 SIZE = [40.0, 40.0]

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cue import Hypotheses
-from bayesnet_track.planes import region_of_boxes
+from bayesnet_track.observation.cue import Hypotheses
+from bayesnet_track.observation.planes import region_of_boxes
 
 
 def cloud(centre, size, sd=10.0, n=200):

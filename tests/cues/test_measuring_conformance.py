@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cue import CueParameters, Measurement, MeasuringCue, context_of
-from bayesnet_track.planes import PlaneCache, Region, region_of_boxes
+from bayesnet_track.observation.cue import CueParameters, Measurement, MeasuringCue, context_of
+from bayesnet_track.observation.planes import PlaneCache, Region, region_of_boxes
 
 
 def sound(measured):

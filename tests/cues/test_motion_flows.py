@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cue import Hypotheses
 from bayesnet_track.cues.motion import CUE
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
+from bayesnet_track.observation.cue import Hypotheses
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.vision.dense_flow_planes import DenseFlowPlane
 from bayesnet_track.vision.motion_planes import FlowPlane
 

@@ -8,12 +8,12 @@ import pytest
 
 from bayesnet_track.commands.answer import OK
 from bayesnet_track.commands.graphs import validate
-from bayesnet_track.cue import installed_cues
 from bayesnet_track.engine import State, make_engine, start_target, step
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.messages import GraphError
 from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.planes import Frame, FramePair
+from bayesnet_track.observation.cue import installed_cues
+from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.vision.opencv_trackers import missing_tracker, present_trackers
 
 MOVE = np.array([3, 2])

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from bayesnet_track.cue import installed_cues
+from bayesnet_track.observation.cue import installed_cues
 
 DOCS = Path(__file__).parents[2] / "docs"
 INDEX = DOCS / "cues" / "index.md"

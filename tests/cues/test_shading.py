@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cue import Hypotheses
 from bayesnet_track.cues.shading import CUE, ShadingCue, polynomials
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Planes, Region
+from bayesnet_track.observation.cue import Hypotheses
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region
 
 BOX = [60.0, 50.0, 40.0, 40.0]
 

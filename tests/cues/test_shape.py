@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cue import Hypotheses, floored
 from bayesnet_track.cues import shape
 from bayesnet_track.cues.shape import CUE, MODES, ShapeCue
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.messages import GraphError
 from bayesnet_track.numerics.shape_kernels import shape_energy
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Planes, Region
+from bayesnet_track.observation.cue import Hypotheses, floored
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region
 from bayesnet_track.vision.shape_contours import contours, vectors
 from bayesnet_track.vision.shape_model import learn_model, save_model
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.cue import installed_cues
-from bayesnet_track.depth import PointMap
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.planes import Frame, FramePair
+from bayesnet_track.observation.cue import installed_cues
+from bayesnet_track.observation.depth import PointMap
+from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.scenes import make_scene
 

@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesnet_track.detector import installed_detectors
 from bayesnet_track.evaluate.detections import score_detections, total
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.planes import Frame, FramePair
+from bayesnet_track.observation.detector import installed_detectors
+from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.scenes import make_scene
 from bayesnet_track.vision.shape_examples import frame_example

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.planes import Frame, FramePair
+from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.scenes import make_scene
 from bayesnet_track.scenes.render import Movie, Sprite
 from bayesnet_track.scenes.street import street
@@ -122,7 +122,7 @@ def test_without_a_care_for_shadows_boxes_hold_them(bench):
 
 
 def score_of(bench, found, scene, begin, end):
-    from bayesnet_track.detector import NOTHING
+    from bayesnet_track.observation.detector import NOTHING
 
     some = [one if begin <= k < end else NOTHING for k, one in enumerate(found)]
     return bench.scored(some[:end], scene, begin)
@@ -163,7 +163,7 @@ def test_stereo_finds_both_people_off_the_floor_and_before_the_wall(bench):
     found = [
         detector.detect(FramePair(frame, None), {})[0] if frame.index % 10 == 2 else None for frame in frames
     ]
-    from bayesnet_track.detector import NOTHING
+    from bayesnet_track.observation.detector import NOTHING
 
     scores = [bench.scored([NOTHING] * k + [one], scene, k) for k, one in enumerate(found) if one is not None]
     score = sum(scores[1:], scores[0])

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesnet_track.detector import NOTHING, Detector, DetectorParameters, installed_detectors
-from bayesnet_track.planes import Frame, FramePair
+from bayesnet_track.observation.detector import NOTHING, Detector, DetectorParameters, installed_detectors
+from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.scenes import make_scene
 
 NAMES = sorted(installed_detectors())
@@ -172,7 +172,7 @@ def test_the_first_frame_is_enough_for_those_that_need_one_frame_only(build, sce
 
 
 def test_a_source_that_it_is_blind_in_is_refused_by_the_declaration(bench):
-    from bayesnet_track.detector import DetectorError
+    from bayesnet_track.observation.detector import DetectorError
 
     kinds = installed_detectors()
     with pytest.raises(DetectorError, match="needs colour, and the source is gray"):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track.detect.onnx_layouts import LAYOUTS, LayoutError
-from bayesnet_track.detector import DetectorError
-from bayesnet_track.planes import Frame, FramePair
+from bayesnet_track.observation.detector import DetectorError
+from bayesnet_track.observation.planes import Frame, FramePair
 
 INPUT = {"input_width": 32, "input_height": 32}
 

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesnet_track.cue import Hypotheses, Measurement, blend_arrays
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import evaluate
+from bayesnet_track.observation.cue import Hypotheses, Measurement, blend_arrays
 
 
 class Measurer:

@@ -13,10 +13,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.cue import Hypotheses
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import evaluate
 from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.observation.cue import Hypotheses
 
 QUANTILE = {0.5: -2.0 * np.log(0.5), 0.9: -2.0 * np.log(0.1)}
 """Of the squared Mahalanobis distance in two dimensions (chi-squared of 2 degrees of freedom)."""

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from bayesnet_track.adapt.measure import measure
 from bayesnet_track.belief.contract import BOX_FIELDS, Step
 from bayesnet_track.belief.particles import ParticleSet
-from bayesnet_track.cue import Hypotheses, Measurement
 from bayesnet_track.inference.gaussian_messages import measurement_message
 from bayesnet_track.inference.messages import evaluate, without
 from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.observation.cue import Hypotheses, Measurement
 
 BOXES = np.array([[10.0 * k, 5.0 + k, 4.0 + k, 4.0] for k in range(5)])
 PRODUCT = {"root": {"fuse": "product"}, "m": "root", "a": "root"}

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.cue import Hypotheses
 from bayesnet_track.graph.spec import Noise
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.latent_messages import grid_message, kernel_message
 from bayesnet_track.inference.messages import evaluate, without
 from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.observation.cue import Hypotheses
 
 PLACES = np.array([[10.0 * k, 5.0, 4.0, 4.0] for k in range(5)])
 """A state with five values."""

@@ -92,7 +92,7 @@ def test_a_model_is_a_plain_file_of_data(here, model, place):
     elif model == "contour_shape":
         assert "probe.yaml:6:" in refused(here / "probe.yaml", plate=f"birth: {{detector: {chosen}}}")
     else:
-        from bayesnet_track.detector import DetectorError, installed_detectors
+        from bayesnet_track.observation.detector import DetectorError, installed_detectors
 
         onnx = installed_detectors()["onnx"]
         with pytest.raises(DetectorError):

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli import main
-from bayesnet_track.detector import DetectorError
 from bayesnet_track.graph.laws import check_graph
 from bayesnet_track.graph.write import write_graph
 from bayesnet_track.journal.events import RunStarted
 from bayesnet_track.journal.life_events import CandidateConfirmed
 from bayesnet_track.journal.reader import read_events
+from bayesnet_track.observation.detector import DetectorError
 from bayesnet_track.runtime.session import track
 from bayesnet_track.runtime.starts import StartError
 from bayesnet_track.runtime.tracker import Tracker

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.detector import Detections, Detector
-from bayesnet_track.planes import Frame, FramePair
+from bayesnet_track.observation.detector import Detections, Detector
+from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.runtime.detection_files import file_detector, parse_detections
 from bayesnet_track.runtime.detections import format_frame
 

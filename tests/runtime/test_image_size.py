@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli import main
-from bayesnet_track.detector import DetectorError, installed_detectors
+from bayesnet_track.observation.detector import DetectorError, installed_detectors
 from bayesnet_track.runtime.depth_files import read_points
 from bayesnet_track.runtime.frames import PictureError
 from bayesnet_track.runtime.image_size import MAX_BYTES, MAX_PIXELS, declared_size

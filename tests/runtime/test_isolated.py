@@ -12,7 +12,7 @@ import pytest
 
 from bayesnet_track.cli import main
 from bayesnet_track.journal.events import SourceDamaged
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.frames import Source
 from bayesnet_track.runtime.isolated import IsolatedReader
 from bayesnet_track.runtime.sandbox import Limits

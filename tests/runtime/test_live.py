@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.journal.events import FramesDropped, FramesMissing, SourceDamaged, SourceStalled
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.frames import Dropped, Picture, Source
 from bayesnet_track.runtime.live import LiveReader, _Drops
 
@@ -124,7 +124,7 @@ def test_closing_ends_a_wait():
 
 def test_two_eyes_are_paired_by_what_is_newest():
     """Each drops pictures for itself: still one pair comes after another."""
-    from bayesnet_track.depth import RightEye
+    from bayesnet_track.observation.depth import RightEye
     from bayesnet_track.runtime.stereo_source import Joined
 
     def completer(index, second, image):

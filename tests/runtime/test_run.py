@@ -16,7 +16,7 @@ from bayesnet_track.graph.net import Activated, Deactivated, Decision, TargetSta
 from bayesnet_track.journal.events import FrameSizeChanged, FramesMissing, RunEnded, RunStarted, SourceDamaged
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.numerics.boxes import corner_from_centre
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.run import Start, StartError, Summary, run
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.session import track

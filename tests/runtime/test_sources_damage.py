@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import binom
 
 from bayesnet_track.journal.events import SourceDamaged
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.sources import SourceError, open_source
 
 CONTAINERS = ["plain.mp4", "start.mp4", "xvid.avi", "h264.mkv"]

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from bayesnet_track import load_graph
-from bayesnet_track.detector import GIVEN
 from bayesnet_track.engine import Engine, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graphs import graph_names
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.numerics.log_weights import LogWeights
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.detector import GIVEN
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.detection_files import FileDetector
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.starts import Start, has_births, start_targets
@@ -47,8 +47,8 @@ def scene_of(graph: str, frames: int) -> SceneSource:
 
 def detections_of(source: SceneSource) -> FileDetector:
     """Every target where it is, as a detector would say it."""
-    from bayesnet_track.detector import Detections
     from bayesnet_track.numerics.boxes import centre_from_corner
+    from bayesnet_track.observation.detector import Detections
 
     truth = source.scene.truth
     return FileDetector(

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.depth import PointMap, RightEye, StereoGeometry
 from bayesnet_track.journal.events import SourceDamaged
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.depth import PointMap, RightEye, StereoGeometry
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.frames import Damage, Picture, Source, SourceError
 from bayesnet_track.runtime.stereo_source import Joined, open_stereo_source, two_eyes
 from bayesnet_track.vision.stereo import RectifiedPair, write_calibration

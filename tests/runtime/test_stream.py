@@ -14,7 +14,7 @@ import pytest
 
 from bayesnet_track.journal.events import FramesMissing, SourceStalled
 from bayesnet_track.journal.reader import read_events
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime import sources
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.session import track

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.journal.writer import OutputError
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.sources import open_source
 from bayesnet_track.runtime.videowriter import VideoWriter
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.planes import Frame, Region
+from bayesnet_track.observation.planes import Frame, Region
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.scenes import make_scene
 from bayesnet_track.vision.stereo_planes import Correlation, SemiGlobal

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.vision.shape_planes import CONTRASTS, EdgePlane
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.depth import NoDepth, PointMap, RightEye, StereoGeometry
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
+from bayesnet_track.observation.depth import NoDepth, PointMap, RightEye, StereoGeometry
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.vision.stereo_planes import (
     Correlation,
     PointsPlane,

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.depth import Depth, PointMap, RightEye, StereoGeometry
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.depth import Depth, PointMap, RightEye, StereoGeometry
+from bayesnet_track.observation.planes import Frame
 
 Array = NDArray[Any]
 

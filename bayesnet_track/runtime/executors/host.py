@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from bayesnet_track.cue import AnyCue, Measurement
-from bayesnet_track.guests import FAULTS, foreign_part, real_numbers, text_of
-from bayesnet_track.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.observation.cue import AnyCue, Measurement
+from bayesnet_track.observation.guests import FAULTS, foreign_part, real_numbers, text_of
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.observation.shared import shown
 from bayesnet_track.runtime.executors.questions import (
     LEARN_AND_BLEND,
     Answer,
@@ -22,7 +23,6 @@ from bayesnet_track.runtime.executors.questions import (
     Received,
     Told,
 )
-from bayesnet_track.shared import shown
 
 CACHES = 2
 """Pairs of frames whose planes are kept."""

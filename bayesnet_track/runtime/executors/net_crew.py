@@ -12,7 +12,7 @@ from bayesnet_track.executor import AgentUnavailable
 from bayesnet_track.graph.net import Net
 from bayesnet_track.nets.crew import Advanced
 from bayesnet_track.nets.state import TargetState
-from bayesnet_track.planes import FramePair, Region
+from bayesnet_track.observation.planes import FramePair, Region
 from bayesnet_track.runtime.executors.net_host import Asked
 from bayesnet_track.runtime.executors.proxy import Desk
 from bayesnet_track.runtime.executors.questions import ADVANCE

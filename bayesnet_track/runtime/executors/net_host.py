@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.detector import GIVEN
 from bayesnet_track.engine import make_engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.net import Net, TargetNet
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.nets.crew import Advanced, advance
 from bayesnet_track.nets.state import TargetState
-from bayesnet_track.planes import Array, FramePair, Plane, PlaneCache, Planes, Region
+from bayesnet_track.observation.detector import GIVEN
+from bayesnet_track.observation.planes import Array, FramePair, Plane, PlaneCache, Planes, Region
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from threading import RLock
 from typing import Any
 
 from bayesnet_track.executor import AgentUnavailable
-from bayesnet_track.planes import Frame, Region
+from bayesnet_track.observation.planes import Frame, Region
 from bayesnet_track.runtime.deadline import Patience
 from bayesnet_track.runtime.executors.frames import FrameStore, SharedFrame
 from bayesnet_track.runtime.executors.questions import ADVANCE, Answer, Foreign

@@ -9,8 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.cue import AnyCue, Floats, Hypotheses, Measurement, Reference
-from bayesnet_track.planes import Array, Frame, FramePair, Plane, Planes, Region
+from bayesnet_track.observation.cue import AnyCue, Floats, Hypotheses, Measurement, Reference
+from bayesnet_track.observation.planes import Array, Frame, FramePair, Plane, Planes, Region
 from bayesnet_track.runtime.executors.questions import LEARN_AND_BLEND
 
 
@@ -186,7 +186,7 @@ def placed(agent: str, cue: AnyCue, desk: Desk, sent: SentFrames) -> AnyCue:
     own = {name: method for name, method in FURTHER.items() if hasattr(cue, name)}
     if hasattr(cue, "rule"):
         own["rule"] = cue.rule
-    from bayesnet_track.cue import context_of
+    from bayesnet_track.observation.cue import context_of
 
     base = PlacedAhead if hasattr(desk, "begin") else Placed
     kind = type("Placed" + type(cue).__name__, (base,), own)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.planes import Region
-from bayesnet_track.shared import read_only
+from bayesnet_track.observation.planes import Region
+from bayesnet_track.observation.shared import read_only
 
 Array = NDArray[Any]
 

@@ -16,7 +16,7 @@ from threading import Lock
 from typing import Any
 
 from bayesnet_track.executor import AgentUnavailable
-from bayesnet_track.planes import Frame, Region
+from bayesnet_track.observation.planes import Frame, Region
 from bayesnet_track.runtime.deadline import Patience
 from bayesnet_track.runtime.executors.nursery import START_S
 from bayesnet_track.runtime.executors.processes import (

@@ -8,8 +8,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from bayesnet_track.depth import Depth, PointMap, RightEye, StereoGeometry
-from bayesnet_track.planes import Frame
+from bayesnet_track.observation.depth import Depth, PointMap, RightEye, StereoGeometry
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.executors.frames import SLOTS, pixels_of
 
 Array = NDArray[Any]

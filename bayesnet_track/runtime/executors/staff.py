@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from threading import Thread
 from typing import Any
 
-from bayesnet_track.cue import AnyCue
 from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.observation.cue import AnyCue
 from bayesnet_track.runtime.executors.nursery import Nursery
 from bayesnet_track.runtime.executors.packing import packed, repacked
 from bayesnet_track.runtime.executors.workers import Late, Limits, Worker, WorkerLost

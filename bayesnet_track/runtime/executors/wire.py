@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.cue import Hypotheses, Measurement
-from bayesnet_track.planes import Region
+from bayesnet_track.observation.cue import Hypotheses, Measurement
+from bayesnet_track.observation.planes import Region
 from bayesnet_track.runtime.executors.questions import Told
 
 Array = NDArray[Any]

@@ -116,7 +116,7 @@ def _work(channel: int, lifeline: int, frames: int, memory_mb: int) -> None:
 
 
 def _serve(channel: socket.socket, frames: int, is_limited: bool) -> None:
-    from bayesnet_track.planes import Region
+    from bayesnet_track.observation.planes import Region
     from bayesnet_track.runtime.executors.frames import SLOTS, FrameView, SharedFrame, whole_of
     from bayesnet_track.runtime.executors.host import AgentHost
     from bayesnet_track.runtime.executors.questions import Question

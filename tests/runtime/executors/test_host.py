@@ -7,7 +7,7 @@ import pickle
 import numpy as np
 import pytest
 
-from bayesnet_track.cue import (
+from bayesnet_track.observation.cue import (
     ClaimingCue,
     Cue,
     LocallyAdaptable,
@@ -17,7 +17,7 @@ from bayesnet_track.cue import (
     context_of,
     installed_cues,
 )
-from bayesnet_track.planes import Frame, FramePair, PlaneCache, Region
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.runtime.executors.frames import FrameStore, FrameView
 from bayesnet_track.runtime.executors.host import AgentHost
 from bayesnet_track.runtime.executors.proxy import SentFrames
@@ -115,7 +115,7 @@ def test_arrays_that_were_forgotten_are_sent_again(monkeypatch, across, placed, 
 
 
 def test_frames_and_depth_cross_whole_whatever_their_size():
-    from bayesnet_track.depth import PointMap, RightEye, StereoGeometry
+    from bayesnet_track.observation.depth import PointMap, RightEye, StereoGeometry
 
     rng = np.random.default_rng(1)
     store = FrameStore()

@@ -10,8 +10,8 @@ from threading import Thread
 import numpy as np
 import pytest
 
-from bayesnet_track.cue import Hypotheses, Measurement
-from bayesnet_track.planes import Region
+from bayesnet_track.observation.cue import Hypotheses, Measurement
+from bayesnet_track.observation.planes import Region
 from bayesnet_track.runtime.executors.questions import Told
 from bayesnet_track.runtime.executors.wire import HEAD, receive, send
 

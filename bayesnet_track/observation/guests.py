@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.cue import Measurement
+from bayesnet_track.observation.cue import Measurement
 
 FAULTS = (Exception, SystemExit)
 """What is taken for a fault of who raises it; a `sys.exit` in a cue does not end the run either."""

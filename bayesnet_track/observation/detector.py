@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from bayesnet_track.guests import real_numbers
-from bayesnet_track.planes import FramePair
-from bayesnet_track.plugins import installed
+from bayesnet_track.observation.guests import real_numbers
+from bayesnet_track.observation.planes import FramePair
+from bayesnet_track.observation.plugins import installed
 
 ENTRY_POINT_GROUP = "bayesnet_track.detectors"
 

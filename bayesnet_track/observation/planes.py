@@ -15,8 +15,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.depth import Depth
-from bayesnet_track.shared import read_only
+from bayesnet_track.observation.depth import Depth
+from bayesnet_track.observation.shared import read_only
 
 Array = NDArray[Any]
 

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from bayesnet_track.planes import Plane, Planes
-from bayesnet_track.plugins import installed
+from bayesnet_track.observation.planes import Plane, Planes
+from bayesnet_track.observation.plugins import installed
 
 ENTRY_POINT_GROUP = "bayesnet_track.cues"
 

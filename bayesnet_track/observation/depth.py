@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.shared import read_only
+from bayesnet_track.observation.shared import read_only
 
 Points = NDArray[np.float32]
 
