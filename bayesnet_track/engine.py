@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.joins import JoinMemory, decide_joins
 from bayesnet_track.adapt.lifecycle import Life
 from bayesnet_track.adapt.shedding import Load
-from bayesnet_track.graph.net import Net
-from bayesnet_track.journal.events import Event, FrameMetrics
-from bayesnet_track.journal.inputs import Input
+from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.net.net import Net
 from bayesnet_track.machinery import Engine, Machinery, make_engine
 from bayesnet_track.nets.claiming import Looked, look_first
 from bayesnet_track.nets.crew import advance, send_off

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import Any, Protocol, TypeVar
 
-from bayesnet_track.graph.net import Net
+from bayesnet_track.journal.net.net import Net
 from bayesnet_track.observation.planes import FramePair
 
 Piece = TypeVar("Piece")

@@ -24,8 +24,8 @@ from matplotlib.figure import Figure
 from traces import Trace, mean_shift, trace
 
 from bayesnet_track.graph.load import load_graph
-from bayesnet_track.graph.net import LocallyAdapted, SelfStopped
 from bayesnet_track.graph.spec import AgentNode
+from bayesnet_track.journal.net.net import LocallyAdapted, SelfStopped
 from bayesnet_track.runtime.run import Start
 from bayesnet_track.scenes import Scene, make_scene
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track import Start, track
-from bayesnet_track.graph.net import (
+from bayesnet_track.journal.net.net import (
     Activated,
     Deactivated,
     Decision,

@@ -9,8 +9,8 @@ from bayesnet_track.engine import Outcome, State, first_look, make_engine, step
 from bayesnet_track.graph.laws import check, check_graph
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.messages import GraphError
-from bayesnet_track.graph.net import TargetStarted
-from bayesnet_track.journal.life_events import BirthsRefused
+from bayesnet_track.journal.events.life_events import BirthsRefused
+from bayesnet_track.journal.net.net import TargetStarted
 from bayesnet_track.observation.detector import NOTHING, Detections
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.detection_files import FileDetector, file_detector

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayesnet_track.engine import State, start_target, step
-from bayesnet_track.graph.net import (
+from bayesnet_track.journal.events.basic import DegenerateBelief
+from bayesnet_track.journal.net.net import (
     Activated,
     Deactivated,
     FitCause,
@@ -21,7 +22,6 @@ from bayesnet_track.graph.net import (
     TargetStarted,
     replay,
 )
-from bayesnet_track.journal.events import DegenerateBelief
 from bayesnet_track.observation.planes import region_of_boxes
 
 TWO = {"root": {"fuse": "product", "ud_fields": ["x", "y"]}, "a": "root", "b": "root"}

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bayesnet_track import Start, Tracker, track
-from bayesnet_track.graph.net import Activated, Deactivated, Decision, Quarantined, StatusChanged
+from bayesnet_track.journal.net.net import Activated, Deactivated, Decision, Quarantined, StatusChanged
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.run import Result
 from bayesnet_track.runtime.scene_source import SceneSource

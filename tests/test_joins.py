@@ -8,9 +8,9 @@ import pytest
 from bayesnet_track.engine import first_look, make_engine, step
 from bayesnet_track.graph.laws import check
 from bayesnet_track.graph.load import load_graph
-from bayesnet_track.graph.net import Decision, Joined, Parted, replay
 from bayesnet_track.journal.codec import from_json, to_json
-from bayesnet_track.journal.events import AttachmentChanged, OcclusionChanged
+from bayesnet_track.journal.events.basic import AttachmentChanged, OcclusionChanged
+from bayesnet_track.journal.net.net import Decision, Joined, Parted, replay
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.starts import Start, start_targets

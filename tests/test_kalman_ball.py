@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Start, track
-from bayesnet_track.graph.net import StatusChanged
 from bayesnet_track.graphs import find_graph
+from bayesnet_track.journal.net.net import StatusChanged
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.scenes import make_scene

@@ -10,11 +10,11 @@ import pytest
 
 from bayesnet_track import GraphSpec, Start, track
 from bayesnet_track.cli import main
-from bayesnet_track.graph.net import Decision, replay
-from bayesnet_track.journal.events import ParticlesResized
-from bayesnet_track.journal.explain import why
+from bayesnet_track.journal.events.basic import ParticlesResized
+from bayesnet_track.journal.net.net import Decision, replay
 from bayesnet_track.journal.reader import read_events, read_metrics
-from bayesnet_track.journal.sentences import explain
+from bayesnet_track.journal.text.explain import why
+from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.scenes import make_scene
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Start, track
-from bayesnet_track.graph.net import Activated, StatusChanged
+from bayesnet_track.journal.net.net import Activated, StatusChanged
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.runtime.run import Result
 from bayesnet_track.runtime.scene_source import SceneSource

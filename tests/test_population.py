@@ -10,9 +10,9 @@ import pytest
 
 from bayesnet_track.engine import Outcome, State, first_look, make_engine, start_target, step
 from bayesnet_track.graph.laws import check_graph
-from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
-from bayesnet_track.graph.net import Decision, StatusChanged, TargetStarted, replay
-from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
+from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
+from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
+from bayesnet_track.journal.net.net import Decision, StatusChanged, TargetStarted, replay
 from bayesnet_track.observation.cue import CueDeclaration, CueParameters
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame

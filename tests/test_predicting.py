@@ -12,7 +12,7 @@ from bayesnet_track.belief.carried import Carried
 from bayesnet_track.belief.jumps import Jumping
 from bayesnet_track.belief.rotating import Rotating
 from bayesnet_track.graph.messages import GraphError
-from bayesnet_track.journal.jump_events import Reappeared
+from bayesnet_track.journal.events.jump_events import Reappeared
 from bayesnet_track.nets.predicting import Outlook, outlook, predicted
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache

@@ -7,9 +7,9 @@ import pytest
 
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.particles import ParticleSet
-from bayesnet_track.graph.net import StatusChanged
 from bayesnet_track.graph.spec import Logistic, Slack
 from bayesnet_track.journal.codec import from_json, to_json
+from bayesnet_track.journal.net.net import StatusChanged
 from bayesnet_track.nets.score import FEATURES, probability, widened
 from bayesnet_track.numerics.log_weights import LogWeights
 

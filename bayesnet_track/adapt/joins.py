@@ -9,9 +9,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.graph.join_decisions import Joined, Parted
 from bayesnet_track.graph.join_settings import Join, join_of
-from bayesnet_track.graph.net import Net
+from bayesnet_track.journal.net.join_decisions import Joined, Parted
+from bayesnet_track.journal.net.net import Net
 
 Floats = NDArray[np.float64]
 Pair = tuple[str, str]

@@ -16,7 +16,8 @@ from bayesnet_track.adapt.information import Worth, expected_per_ms, remembered_
 from bayesnet_track.adapt.memory import Memory, Quiet, Streak
 from bayesnet_track.adapt.situation import Situation, active_below, quiet_level, read_ud, read_ud_beside_more
 from bayesnet_track.adapt.status import judge_status
-from bayesnet_track.graph.net import (
+from bayesnet_track.graph.spec import Adapt, Condition, Level
+from bayesnet_track.journal.net.net import (
     Activated,
     Deactivated,
     Decision,
@@ -24,7 +25,6 @@ from bayesnet_track.graph.net import (
     Readmitted,
     SelfStopped,
 )
-from bayesnet_track.graph.spec import Adapt, Condition, Level
 
 
 def decide(now: Situation, memory: Memory) -> tuple[tuple[Decision, ...], Memory]:

@@ -14,8 +14,8 @@ from statistics import median
 
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.graph.checked import CheckedTarget
-from bayesnet_track.graph.net import Decision, ParticlesLimited, Shed, TakenBack, TargetNet
-from bayesnet_track.journal.inputs import LateFrame, SpareTime
+from bayesnet_track.journal.events.inputs import LateFrame, SpareTime
+from bayesnet_track.journal.net.net import Decision, ParticlesLimited, Shed, TakenBack, TargetNet
 
 LATE, WITHIN = 3, 10
 """So many late frames among so many: time to shed."""

@@ -25,7 +25,7 @@ from bayesnet_track.belief.gaussian_update import (
 )
 from bayesnet_track.belief.states import WeightedStates, hypotheses_of
 from bayesnet_track.graph import spec
-from bayesnet_track.journal.events import Event, MeasurementGated
+from bayesnet_track.journal.events.basic import Event, MeasurementGated
 from bayesnet_track.numerics.disc import gaussian_mass_in_disc
 from bayesnet_track.numerics.gaussian import root
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights

@@ -23,7 +23,7 @@ from bayesnet_track.graph.importance_settings import (
     Rejection,
     West,
 )
-from bayesnet_track.journal.events import SecondPass
+from bayesnet_track.journal.events.basic import SecondPass
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 

@@ -26,7 +26,7 @@ def batch(options: argparse.Namespace) -> int:
     from bayesnet_track.batch.table import BatchProgress, csv_text
     from bayesnet_track.batch.work import FAILED
     from bayesnet_track.graph.load import load_graph
-    from bayesnet_track.runtime.atomic import write_atomically
+    from bayesnet_track.journal.atomic import write_atomically
     from bayesnet_track.runtime.starts import has_births
 
     graph = load_graph(options.graph)

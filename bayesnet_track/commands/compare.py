@@ -74,7 +74,7 @@ def tell_comparison(first: Run, second: Run, options: argparse.Namespace) -> int
 
     from bayesnet_track.graph.differences import differences
     from bayesnet_track.journal.compare import compare as compare_runs
-    from bayesnet_track.journal.compare_text import compare_text, settings_apart
+    from bayesnet_track.journal.text.compare_text import compare_text, settings_apart
 
     compared = compare_runs(first, second)
     compared = replace(compared, totals=(*compared.totals, *_scores(first, second, compared, options.truth)))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from bayesnet_track.commands.answer import OK, UsageError, complain, say, users_mistake, writing
 from bayesnet_track.commands.fit_tracking import check_text, fit_policy, fit_sds
 from bayesnet_track.commands.fit_videos import Video, find_videos, frames_of
-from bayesnet_track.journal.wording import plural
+from bayesnet_track.journal.text.wording import plural
 
 if TYPE_CHECKING:
     from bayesnet_track.evaluate.fitting import Checked, Fitted
@@ -192,6 +192,6 @@ def _short(value: float) -> float:
 
 def _write(path: Path, text: str) -> None:
     """The whole file or none of it."""
-    from bayesnet_track.runtime.atomic import write_atomically
+    from bayesnet_track.journal.atomic import write_atomically
 
     write_atomically(path, text.encode("utf-8"))

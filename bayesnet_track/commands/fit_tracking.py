@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from bayesnet_track.commands.answer import complain, users_mistake
 from bayesnet_track.commands.fit_videos import Video, frames_of
-from bayesnet_track.journal.wording import plural
+from bayesnet_track.journal.text.wording import plural
 
 if TYPE_CHECKING:
     from bayesnet_track.evaluate.cue_sds import FittedSd

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING
 from bayesnet_track.commands.answer import OK, UsageError, complain, say, users_mistake
 
 if TYPE_CHECKING:
-    from bayesnet_track.journal.events import Event
+    from bayesnet_track.journal.events.basic import Event
     from bayesnet_track.runtime.rundir import RunDirectory
 
 
 def log(options: argparse.Namespace) -> int:
     """Tell a run's reconfigurations."""
     from bayesnet_track.journal.codec import to_json
-    from bayesnet_track.journal.explain import explain, has_several_targets, why
     from bayesnet_track.journal.reader import read_events, read_metrics
-    from bayesnet_track.journal.story import tell_life
+    from bayesnet_track.journal.text.explain import explain, has_several_targets, why
+    from bayesnet_track.journal.text.story import tell_life
     from bayesnet_track.runtime.rundir import RunDirectory
 
     directory = RunDirectory.open(options.run)
@@ -47,7 +47,7 @@ def log(options: argparse.Namespace) -> int:
 
 def chosen_events(events: Sequence[Event], options: argparse.Namespace) -> list[Event]:
     """The events that --node, --kind and --frames leave."""
-    from bayesnet_track.journal.explain import Filter
+    from bayesnet_track.journal.text.explain import Filter
 
     frames = None
     if options.frames is not None:

@@ -66,8 +66,8 @@ def demo(options: argparse.Namespace) -> int:
 def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     from bayesnet_track.evaluate.runs import score_run
     from bayesnet_track.graph.load import load_graph
-    from bayesnet_track.journal.explain import explain, has_several_targets
     from bayesnet_track.journal.reader import read_events
+    from bayesnet_track.journal.text.explain import explain, has_several_targets
     from bayesnet_track.runtime.run import Start
     from bayesnet_track.runtime.rundir import RunDirectory
     from bayesnet_track.runtime.scene_source import SceneSource
@@ -303,7 +303,7 @@ def _show(progress: Progress, summary: Summary, result: Result) -> None:
 
 
 def _say_end(out: Path, summary: Summary) -> None:
-    from bayesnet_track.journal.explain import explain
+    from bayesnet_track.journal.text.explain import explain
 
     for notice in summary.notices[:SHOWN_NOTICES]:
         complain(explain(notice))

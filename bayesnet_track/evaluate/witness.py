@@ -12,7 +12,7 @@ from bayesnet_track.engine import Engine, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.laws import check_graph
 from bayesnet_track.graph.write import as_plain
-from bayesnet_track.journal.events import FrameMetrics
+from bayesnet_track.journal.events.basic import FrameMetrics
 from bayesnet_track.nets.score import FEATURES, marginal_points
 from bayesnet_track.nets.target import weigh
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap

@@ -18,8 +18,8 @@ from functools import cache
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from bayesnet_track.journal.encoder import NON_FINITE, JournalError, members_encoder, short
-from bayesnet_track.journal.events import JOURNAL_VERSION, Event, FrameMetrics, RunStarted
-from bayesnet_track.journal.inputs import Input
+from bayesnet_track.journal.events.basic import JOURNAL_VERSION, Event, FrameMetrics, RunStarted
+from bayesnet_track.journal.events.inputs import Input
 
 __all__ = ["JournalError", "event_classes", "event_name", "from_json", "to_json", "type_hints"]
 

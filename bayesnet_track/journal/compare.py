@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from bayesnet_track.graph.join_decisions import Joined, Parted
-from bayesnet_track.graph.life_decisions import Returned
-from bayesnet_track.graph.net import Decision, StatusChanged, Switch, TargetStarted
-from bayesnet_track.journal.events import Event, FrameMetrics
-from bayesnet_track.journal.life_events import CandidateConfirmed
+from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.events.life_events import CandidateConfirmed
+from bayesnet_track.journal.net.join_decisions import Joined, Parted
+from bayesnet_track.journal.net.life_decisions import Returned
+from bayesnet_track.journal.net.net import Decision, StatusChanged, Switch, TargetStarted
 
 SHIFT = 10
 """Frames by which the same decision may come earlier or later and still count as the same moment."""

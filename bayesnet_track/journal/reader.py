@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from bayesnet_track.journal.codec import JournalError, event_name, from_json
-from bayesnet_track.journal.events import Event, FrameMetrics
-from bayesnet_track.journal.inputs import Input
-from bayesnet_track.journal.laws import check_line
+from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.line_checks import check_line
 
 Notice = Callable[[str], None]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bayesnet_track.graph.net import Activated, Readmitted, Switch, TakenBack, Toggled
+from bayesnet_track.journal.net.net import Activated, Readmitted, Switch, TakenBack, Toggled
 
 
 def turns_on(event: Switch) -> bool:

@@ -19,11 +19,11 @@ from bayesnet_track.adapt.claims import NOBODY
 from bayesnet_track.adapt.lifecycle import Life
 from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.gaussian_predict import predict
-from bayesnet_track.graph.net import Net
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
-from bayesnet_track.journal.life_events import DetectorFailed
+from bayesnet_track.journal.events.life_events import DetectorFailed
+from bayesnet_track.journal.net.net import Net
 from bayesnet_track.machinery import Engine
 from bayesnet_track.nets.detecting import Found, look
 from bayesnet_track.nets.state import TargetState

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from bayesnet_track.graph.net import Net
+from bayesnet_track.journal.net.net import Net
 from bayesnet_track.machinery import Engine
 from bayesnet_track.nets.outside import Outside
 from bayesnet_track.nets.state import TargetState

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.backoff import next_try
 from bayesnet_track.adapt.lifecycle import Life
-from bayesnet_track.graph.net import Fault
-from bayesnet_track.journal.life_events import DetectorFailed
+from bayesnet_track.journal.events.life_events import DetectorFailed
+from bayesnet_track.journal.net.net import Fault
 from bayesnet_track.machinery import Engine
 from bayesnet_track.observation.detector import Detections, Detector, DetectorState, LearningDetector, checked
 from bayesnet_track.observation.guests import FAULTS, said

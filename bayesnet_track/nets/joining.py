@@ -29,16 +29,16 @@ from bayesnet_track.belief.particle_set import ParticleSet
 from bayesnet_track.belief.particles import reweighted
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.graph.join_settings import Attachment, Join
-from bayesnet_track.graph.net import Net
 from bayesnet_track.inference.joint import Edge, Marginal, Member, Pair, joint_marginals
 from bayesnet_track.inference.messages import Observer, evaluate
-from bayesnet_track.journal.events import Event
-from bayesnet_track.journal.join_events import (
+from bayesnet_track.journal.events.basic import Event
+from bayesnet_track.journal.events.join_events import (
     AttachmentChanged,
     JoinMetrics,
     OcclusionChanged,
     RingChanged,
 )
+from bayesnet_track.journal.net.net import Net
 from bayesnet_track.machinery import Engine
 from bayesnet_track.nets.state import TargetState
 from bayesnet_track.nets.target import Weighed, weigh

@@ -11,7 +11,7 @@ from bayesnet_track.adapt.backoff import quarantined
 from bayesnet_track.adapt.guard import Judged, Watched, guard, judge
 from bayesnet_track.adapt.learn import adapt_reference, learn_references
 from bayesnet_track.adapt.situation import Situation
-from bayesnet_track.graph.net import Decision, LocallyAdapted, Quarantined
+from bayesnet_track.journal.net.net import Decision, LocallyAdapted, Quarantined
 from bayesnet_track.machinery import Engine, Machinery
 from bayesnet_track.nets.state import TargetState
 from bayesnet_track.observation.cue import ANGLE, Hypotheses, LocallyAdaptable, Reference

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
-from bayesnet_track.graph.net import Net
 from bayesnet_track.inference.absent import Absent
-from bayesnet_track.journal.inputs import (
+from bayesnet_track.journal.events.inputs import (
     AgentMissed,
     Input,
     InputRefused,
@@ -16,6 +15,7 @@ from bayesnet_track.journal.inputs import (
     SpareTime,
     Toggled,
 )
+from bayesnet_track.journal.net.net import Net
 from bayesnet_track.machinery import Engine
 
 ByHand = Toggled | Released

@@ -18,8 +18,8 @@ from bayesnet_track.belief.rotating import Rotating
 from bayesnet_track.belief.widened import widened, widening
 from bayesnet_track.graph.adapt_settings import Level
 from bayesnet_track.graph.motion_settings import Recover
-from bayesnet_track.graph.net import Fault
-from bayesnet_track.journal.life_events import DetectorFailed
+from bayesnet_track.journal.events.life_events import DetectorFailed
+from bayesnet_track.journal.net.net import Fault
 from bayesnet_track.machinery import Machinery
 from bayesnet_track.observation.detector import NOTHING, Detector, DetectorState, LearningDetector, checked
 from bayesnet_track.observation.guests import FAULTS, said

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.measure import Measures
 from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.graph.spec import Logistic, Slack
-from bayesnet_track.journal.rival_events import RivalSeen
+from bayesnet_track.journal.events.rival_events import RivalSeen
 from bayesnet_track.numerics.mixtures import mixture_quantiles
 
 Floats = NDArray[np.float64]

@@ -16,10 +16,10 @@ from bayesnet_track.adapt.learn import learn_first
 from bayesnet_track.adapt.memory import Memory, Streak
 from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.belief.bounds import Confined
-from bayesnet_track.graph.net import Decision, Quarantined, Readmitted, TargetNet, TargetStarted
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.parts import nominal_boxes
-from bayesnet_track.journal.events import FrameMetrics
+from bayesnet_track.journal.events.basic import FrameMetrics
+from bayesnet_track.journal.net.net import Decision, Quarantined, Readmitted, TargetNet, TargetStarted
 from bayesnet_track.machinery import Engine, Machinery
 from bayesnet_track.nets.frame_metrics import first_frame_metrics
 from bayesnet_track.nets.predicting import outlook

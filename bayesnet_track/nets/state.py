@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.guard import Watched
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.belief.contract import Posterior
-from bayesnet_track.graph.net import Decision, Net, apply
 from bayesnet_track.inference.compile import Plan, compile_plan
+from bayesnet_track.journal.net.net import Decision, Net, apply
 from bayesnet_track.machinery import Engine, Machinery
 from bayesnet_track.nets.predicting import Outlook
 from bayesnet_track.nets.score import Scored

@@ -25,11 +25,11 @@ from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Motion, Posterior, Step
 from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.belief.states import hypotheses_of
-from bayesnet_track.graph.net import Decision, Net, Quarantined
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
-from bayesnet_track.journal.events import DegenerateBelief, Event, FrameMetrics
-from bayesnet_track.journal.join_events import JoinMetrics
+from bayesnet_track.journal.events.basic import DegenerateBelief, Event, FrameMetrics
+from bayesnet_track.journal.events.join_events import JoinMetrics
+from bayesnet_track.journal.net.net import Decision, Net, Quarantined
 from bayesnet_track.machinery import Engine
 from bayesnet_track.nets.frame_metrics import frame_metrics
 from bayesnet_track.nets.learning import angle_of, learn

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from bayesnet_track.engine import Engine, State
 from bayesnet_track.journal import disk
+from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.writer import OutputError, Position
 from bayesnet_track.observation.depth import PointMap, RightEye
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.atomic import write_atomically
 from bayesnet_track.runtime.record import Written
 from bayesnet_track.runtime.run import Reached
 from bayesnet_track.runtime.rundir import FILES, RunDirectory

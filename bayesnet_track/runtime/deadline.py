@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from bayesnet_track.graph.net import Net
-from bayesnet_track.journal.inputs import Input, LateFrame, SpareTime
+from bayesnet_track.journal.events.inputs import Input, LateFrame, SpareTime
+from bayesnet_track.journal.net.net import Net
 
 FOR_AGENTS = 0.8
 """Share of the budget by which agents that work elsewhere have to answer: the rest is for what follows."""

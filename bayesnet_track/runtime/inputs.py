@@ -7,7 +7,7 @@ from os import PathLike
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
-from bayesnet_track.journal.inputs import Input, Released, Toggled
+from bayesnet_track.journal.events.inputs import Input, Released, Toggled
 from bayesnet_track.journal.reader import Notice, read_inputs
 
 Asked = Callable[[int], Sequence[Input]]

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from bayesnet_track.journal import disk
+from bayesnet_track.journal.atomic import PART, write_atomically
 from bayesnet_track.journal.writer import Position, output_error, read_position
-from bayesnet_track.runtime.atomic import PART, write_atomically
 from bayesnet_track.runtime.lock import locked
 from bayesnet_track.runtime.rundir import FILES, RunDirectory
 

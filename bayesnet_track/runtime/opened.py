@@ -9,15 +9,15 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from bayesnet_track.graph.life_decisions import Returned
-from bayesnet_track.graph.net import TargetStarted
 from bayesnet_track.graph.read import read_graph
 from bayesnet_track.graph.spec import AgentNode, GraphSpec
 from bayesnet_track.journal.codec import JournalError
-from bayesnet_track.journal.events import Event, FrameMetrics, RunStarted
+from bayesnet_track.journal.events.basic import Event, FrameMetrics, RunStarted
+from bayesnet_track.journal.net.life_decisions import Returned
+from bayesnet_track.journal.net.net import TargetStarted
 from bayesnet_track.journal.reader import Notice, read_events, read_metrics
+from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.journal.timings import read_seconds
-from bayesnet_track.journal.wording import plural
 from bayesnet_track.runtime.interchange import Detections
 from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.tables import AGENT_COLUMNS, TRACK_COLUMNS, Row, agent_rows, columns, track_rows

@@ -13,8 +13,8 @@ from typing import Self
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.codec import from_json, to_json
-from bayesnet_track.journal.events import Event, FrameMetrics
-from bayesnet_track.journal.inputs import Input
+from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.reader import read_metrics
 from bayesnet_track.journal.writer import (
     JournalWriter,

@@ -16,8 +16,8 @@ from contextlib import closing
 from pathlib import Path
 
 from bayesnet_track.journal import disk
+from bayesnet_track.journal.atomic import PART, write_atomically
 from bayesnet_track.journal.writer import output_error
-from bayesnet_track.runtime.atomic import PART, write_atomically
 from bayesnet_track.runtime.lock import locked
 from bayesnet_track.runtime.rundir import FILES, REPLACING, STAGED, RunDirectory
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.journal.codec import event_name
-from bayesnet_track.journal.events import Event, FrameMetrics, RunEnded
-from bayesnet_track.journal.explain import explain
+from bayesnet_track.journal.events.basic import Event, FrameMetrics, RunEnded
+from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.runtime.run import Result

@@ -11,15 +11,15 @@ from pathlib import Path
 from bayesnet_track.belief.contract import Motion
 from bayesnet_track.engine import Engine
 from bayesnet_track.journal import disk
+from bayesnet_track.journal.atomic import PART
 from bayesnet_track.journal.codec import JournalError, from_json
-from bayesnet_track.journal.events import Event, RunEnded
-from bayesnet_track.journal.inputs import Input
+from bayesnet_track.journal.events.basic import Event, RunEnded
+from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.reader import Notice
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.ahead import keep_ahead, told_before
-from bayesnet_track.runtime.atomic import PART
 from bayesnet_track.runtime.checkpoint import (
     EVERY_S,
     Checkpoint,

@@ -13,15 +13,9 @@ from numpy.typing import NDArray
 
 from bayesnet_track.engine import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.net import Decision, Switch
-from bayesnet_track.journal.events import (
-    JOURNAL_VERSION,
-    Event,
-    FrameMetrics,
-    RunEnded,
-    RunStarted,
-)
-from bayesnet_track.journal.inputs import Input
+from bayesnet_track.journal.events.basic import JOURNAL_VERSION, Event, FrameMetrics, RunEnded, RunStarted
+from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.net.net import Decision, Switch
 from bayesnet_track.numerics.compile_watch import WATCH
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.deadline import Deadline

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Self
 
 from bayesnet_track.journal import disk
-from bayesnet_track.runtime.atomic import PART
+from bayesnet_track.journal.atomic import PART
 
 FILES = {
     "recipe": "run.json",

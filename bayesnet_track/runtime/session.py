@@ -14,10 +14,10 @@ from bayesnet_track.engine import Engine, make_engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.detector import GIVEN
-from bayesnet_track.runtime.atomic import write_atomically
 from bayesnet_track.runtime.checkpoint import EVERY_S, Checkpoints
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.detection_files import file_detector

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from bayesnet_track.engine import Engine, Outcome, State, first_look, start_target, with_outside
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.messages import nearest
-from bayesnet_track.graph.net import Quarantined
-from bayesnet_track.journal.inputs import Input
+from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.net.net import Quarantined
 from bayesnet_track.nets.outside import sorted_out
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.planes import Frame

@@ -29,9 +29,9 @@ from bayesnet_track.belief.grid_cells import GridBelief, Lattice
 from bayesnet_track.belief.need import Need, Sized
 from bayesnet_track.belief.particle_set import ParticleSet
 from bayesnet_track.engine import Engine, State, TargetState
-from bayesnet_track.graph.join_decisions import Joined
-from bayesnet_track.graph.net import Fault, Net, TargetNet
 from bayesnet_track.inference.compile import Plan, compile_plan
+from bayesnet_track.journal.net.join_decisions import Joined
+from bayesnet_track.journal.net.net import Fault, Net, TargetNet
 from bayesnet_track.nets.predicting import Outlook
 from bayesnet_track.nets.score import Scored
 from bayesnet_track.numerics.log_weights import LogWeights

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from bayesnet_track.belief.contract import Motion
-from bayesnet_track.journal.machine_events import MachineChanged
+from bayesnet_track.journal.events.machine_events import MachineChanged
 from bayesnet_track.journal.reader import Notice
 from bayesnet_track.journal.writer import read_position
 from bayesnet_track.runtime.checkpoint import Checkpoint

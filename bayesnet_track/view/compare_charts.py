@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from bayesnet_track.graph.net import Switch, TargetStarted
 from bayesnet_track.journal.compare import Comparison, Distance, Moment, RunRecord
-from bayesnet_track.journal.events import FrameMetrics
-from bayesnet_track.journal.explain import explain
+from bayesnet_track.journal.events.basic import FrameMetrics
+from bayesnet_track.journal.net.net import Switch, TargetStarted
+from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.view.scales import decades, stretches, ticks
 from bayesnet_track.view.svg import element, text_of
 

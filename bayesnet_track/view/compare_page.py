@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Sequence
 
 from bayesnet_track.journal.compare import Comparison, RunRecord, Total
-from bayesnet_track.journal.compare_text import (
+from bayesnet_track.journal.text.compare_text import (
     change,
     estimate_lines,
     figure,
@@ -16,7 +16,7 @@ from bayesnet_track.journal.compare_text import (
     sides,
     whose_text,
 )
-from bayesnet_track.journal.wording import plural
+from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.view.compare_charts import MOST_MOMENTS, draw_pair
 from bayesnet_track.view.svg import element, text_of
 

@@ -8,12 +8,12 @@ from collections.abc import Iterable, Sequence
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.laws import check_graph
 from bayesnet_track.graph.messages import GraphError
-from bayesnet_track.graph.net import Switch
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.compare import RunRecord
-from bayesnet_track.journal.events import RunEnded, RunStarted
-from bayesnet_track.journal.explain import explain, has_several_targets
-from bayesnet_track.journal.wording import plural
+from bayesnet_track.journal.events.basic import RunEnded, RunStarted
+from bayesnet_track.journal.net.net import Switch
+from bayesnet_track.journal.text.explain import explain, has_several_targets
+from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.view.graph_picture import graph_svg
 from bayesnet_track.view.svg import element, text_of
 from bayesnet_track.view.timeline import draw_timeline

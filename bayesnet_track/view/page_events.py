@@ -6,14 +6,14 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-from bayesnet_track.graph.hand_decisions import Released, Toggled
-from bayesnet_track.graph.join_decisions import Joined, Parted
-from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
-from bayesnet_track.graph.net import StatusChanged, Switch, TargetStarted
 from bayesnet_track.journal.codec import event_name
-from bayesnet_track.journal.events import Event, RunEnded, RunStarted
-from bayesnet_track.journal.sentences import explain
+from bayesnet_track.journal.events.basic import Event, RunEnded, RunStarted
+from bayesnet_track.journal.net.hand_decisions import Released, Toggled
+from bayesnet_track.journal.net.join_decisions import Joined, Parted
+from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
+from bayesnet_track.journal.net.net import StatusChanged, Switch, TargetStarted
 from bayesnet_track.journal.switches import turns_on
+from bayesnet_track.journal.text.sentences import explain
 
 LIVES = (TargetStarted, Returned, Reacquired, TargetDied, DuplicateEnded, Joined, Parted)
 ARROW = " → "

@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from bayesnet_track.graph.net import (
+from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.net.net import (
     Activated,
     Cause,
     Deactivated,
@@ -15,9 +16,8 @@ from bayesnet_track.graph.net import (
     Switch,
     TargetStarted,
 )
-from bayesnet_track.journal.events import Event, FrameMetrics
-from bayesnet_track.journal.explain import explain
 from bayesnet_track.journal.switches import turns_on
+from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.view.scales import decades, stretches, ticks
 from bayesnet_track.view.svg import document, element, text_of
 

@@ -10,8 +10,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.journal.events import Event, FrameMetrics
-from bayesnet_track.journal.inputs import Input
+from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.run import FrameSource, Result
 from bayesnet_track.runtime.starts import Start, check_starts

@@ -10,9 +10,9 @@ from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.rules import Situation, decide
 from bayesnet_track.belief.contract import BOX_FIELDS, Step
 from bayesnet_track.belief.particles import ParticleSet
-from bayesnet_track.graph.net import Net, TargetNet, apply
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import evaluate
+from bayesnet_track.journal.net.net import Net, TargetNet, apply
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.observation.cue import Hypotheses
 

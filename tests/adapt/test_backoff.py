@@ -6,7 +6,7 @@ from bayesnet_track.adapt.backoff import MISSED_FRAMES, give_up_on_missing, next
 from bayesnet_track.adapt.measure import Measures
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.situation import Situation
-from bayesnet_track.graph.net import Fault, Readmitted, TargetNet
+from bayesnet_track.journal.net.net import Fault, Readmitted, TargetNet
 
 OUT = TargetNet(
     "plate",

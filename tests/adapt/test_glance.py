@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from bayesnet_track.adapt.learn import over_frames
-from bayesnet_track.graph.net import Activated, Deactivated, Quarantined, TargetNet, Toggled, apply
-from bayesnet_track.graph.net import Net as LiveNets
-from bayesnet_track.journal.sentences import explain
+from bayesnet_track.journal.net.net import Activated, Deactivated, Quarantined, TargetNet, Toggled, apply
+from bayesnet_track.journal.net.net import Net as LiveNets
+from bayesnet_track.journal.text.sentences import explain
 
 ADAPT = {
     "activate": {"above": {"ud_px2": 60.0}},

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.adapt.information import Worth, expected_per_ms, remembered_per_ms
-from bayesnet_track.graph.net import Activated, Deactivated, TargetNet
 from bayesnet_track.graph.spec import Information
+from bayesnet_track.journal.net.net import Activated, Deactivated, TargetNet
 
 AGENTS = ("a", "b", "c")
 COSTS = {"a": 1.0, "b": 0.5, "c": 4.0}

@@ -16,10 +16,10 @@ from bayesnet_track.adapt.joins import (
     spanning_tree,
     uncounted,
 )
-from bayesnet_track.graph.join_decisions import Joined, Parted
-from bayesnet_track.graph.life_decisions import TargetDied
-from bayesnet_track.graph.net import Net, TargetStarted, apply, replay
 from bayesnet_track.graph.spec import Join
+from bayesnet_track.journal.net.join_decisions import Joined, Parted
+from bayesnet_track.journal.net.life_decisions import TargetDied
+from bayesnet_track.journal.net.net import Net, TargetStarted, apply, replay
 
 NEAR = Join.model_validate({"exclusion": {}, "when": {"overlap": 0.1, "apart_frames": 3}})
 CARRY = Join.model_validate({"between": ["person", "box"], "attachment": {}})

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from bayesnet_track.adapt.conditions import read_level
 from bayesnet_track.adapt.memory import Memory
-from bayesnet_track.graph.net import (
+from bayesnet_track.graph.spec import Level
+from bayesnet_track.journal.net.net import (
     Activated,
     Cause,
     Deactivated,
@@ -22,8 +23,7 @@ from bayesnet_track.graph.net import (
     StatusChanged,
     TargetNet,
 )
-from bayesnet_track.graph.spec import Level
-from bayesnet_track.journal.explain import explain
+from bayesnet_track.journal.text.explain import explain
 
 NEVER_LOST = {"above": {"ud_px2": 1e9}}
 

@@ -11,8 +11,8 @@ from bayesnet_track.adapt.measure import Measures
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.adapt.situation import Situation
-from bayesnet_track.graph.net import Net, ScoreCause, StatusChanged, TargetNet, apply
-from bayesnet_track.journal.explain import explain
+from bayesnet_track.journal.net.net import Net, ScoreCause, StatusChanged, TargetNet, apply
+from bayesnet_track.journal.text.explain import explain
 
 LEVELS = {"score_below": 0.25, "uncertain_below": 0.6, "frames": 2}
 

@@ -7,8 +7,8 @@ from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
 from bayesnet_track.engine import make_engine
 from bayesnet_track.journal.codec import from_json, to_json
-from bayesnet_track.journal.events import Event
-from bayesnet_track.journal.sentences import explain
+from bayesnet_track.journal.events.basic import Event
+from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.cue import Measurement

@@ -7,12 +7,12 @@ import pytest
 import yaml
 
 from bayesnet_track import GraphSpec, Start, track
-from bayesnet_track.graph.net import Activated, Deactivated
 from bayesnet_track.graphs import find_graph
-from bayesnet_track.journal.events import DegenerateBelief
-from bayesnet_track.journal.explain import why
+from bayesnet_track.journal.events.basic import DegenerateBelief
+from bayesnet_track.journal.net.net import Activated, Deactivated
 from bayesnet_track.journal.reader import read_events, read_metrics
-from bayesnet_track.journal.sentences import explain
+from bayesnet_track.journal.text.explain import why
+from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.rundir import FILES
 from bayesnet_track.runtime.scene_source import SceneSource

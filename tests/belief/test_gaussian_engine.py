@@ -11,8 +11,8 @@ from bayesnet_track.belief.gaussian import GaussianPosterior
 from bayesnet_track.engine import make_engine
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.codec import from_json, to_json
-from bayesnet_track.journal.events import DegenerateBelief, MeasurementGated
-from bayesnet_track.journal.sentences import explain
+from bayesnet_track.journal.events.basic import DegenerateBelief, MeasurementGated
+from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.observation.cue import Measurement, Reference, blend_arrays
 from bayesnet_track.runtime.session import track
 from bayesnet_track.runtime.tracker import Tracker

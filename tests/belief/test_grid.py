@@ -13,8 +13,8 @@ from bayesnet_track.belief.grid import GridFilter
 from bayesnet_track.belief.grid_motion import predicted
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.journal.events import BeliefReset
-from bayesnet_track.journal.sentences import explain
+from bayesnet_track.journal.events.basic import BeliefReset
+from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.observation.cue import Measurement
 from bayesnet_track.scenes import make_scene
 

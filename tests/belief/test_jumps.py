@@ -11,7 +11,7 @@ from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.jumps import Jumping, Places, Search
 from bayesnet_track.belief.particles import ParticleFilter, ParticleSet
 from bayesnet_track.graph import spec
-from bayesnet_track.journal.jump_events import Reappeared
+from bayesnet_track.journal.events.jump_events import Reappeared
 from bayesnet_track.numerics.log_weights import LogWeights
 
 WIDTH, HEIGHT = 121, 91

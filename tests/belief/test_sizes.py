@@ -12,8 +12,8 @@ from bayesnet_track.belief.need import Need, Sized, need_of
 from bayesnet_track.belief.particles import ParticleFilter, ParticleSet
 from bayesnet_track.belief.resized import NOTABLE, Sizing, begin_with, limit_of, turning_of
 from bayesnet_track.graph import spec
-from bayesnet_track.journal.events import ParticlesResized
-from bayesnet_track.journal.sentences import explain
+from bayesnet_track.journal.events.basic import ParticlesResized
+from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.numerics import sample_size
 from bayesnet_track.numerics.log_weights import LogWeights
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli import main
-from bayesnet_track.graph.net import FitCause, StatusChanged
+from bayesnet_track.journal.net.net import FitCause, StatusChanged
 
 pytestmark = pytest.mark.slow
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.graph.net import (
+from bayesnet_track.journal.net.net import (
     Activated,
     Cause,
     Deactivated,

@@ -7,8 +7,8 @@ import pytest
 
 from bayesnet_track.engine import step
 from bayesnet_track.executor import AgentUnavailable
-from bayesnet_track.graph.net import Quarantined, Readmitted, Toggled
-from bayesnet_track.journal.inputs import AgentMissed
+from bayesnet_track.journal.events.inputs import AgentMissed
+from bayesnet_track.journal.net.net import Quarantined, Readmitted, Toggled
 
 BELIEFS = {
     "particles": {"particles": {"size": 80}},

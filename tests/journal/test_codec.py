@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesnet_track.graph.net import Activated, Cause, Deactivated, StatusChanged
 from bayesnet_track.journal.codec import (
     JournalError,
     event_classes,
@@ -22,7 +21,14 @@ from bayesnet_track.journal.codec import (
     type_hints,
 )
 from bayesnet_track.journal.encoder import FLOAT_DIGITS
-from bayesnet_track.journal.events import JOURNAL_VERSION, FrameMetrics, RunEnded, RunStarted, SourceDamaged
+from bayesnet_track.journal.events.basic import (
+    JOURNAL_VERSION,
+    FrameMetrics,
+    RunEnded,
+    RunStarted,
+    SourceDamaged,
+)
+from bayesnet_track.journal.net.net import Activated, Cause, Deactivated, StatusChanged
 
 SIMPLE = {
     float: st.floats(),

@@ -4,11 +4,11 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 
-from bayesnet_track.graph.net import Activated, Cause, Deactivated, StatusChanged, TargetStarted
 from bayesnet_track.journal.compare import compare
-from bayesnet_track.journal.compare_text import compare_text
-from bayesnet_track.journal.events import FrameMetrics
-from bayesnet_track.journal.life_events import CandidateConfirmed
+from bayesnet_track.journal.events.basic import FrameMetrics
+from bayesnet_track.journal.events.life_events import CandidateConfirmed
+from bayesnet_track.journal.net.net import Activated, Cause, Deactivated, StatusChanged, TargetStarted
+from bayesnet_track.journal.text.compare_text import compare_text
 
 BOX = (50.0, 40.0, 20.0, 10.0)
 

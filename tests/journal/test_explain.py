@@ -8,31 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.graph.join_decisions import Joined, Parted
-from bayesnet_track.graph.life_decisions import (
-    DuplicateEnded,
-    Reacquired,
-    Recognition,
-    Returned,
-    TargetDied,
-)
-from bayesnet_track.graph.net import (
-    Activated,
-    Cause,
-    Deactivated,
-    LocallyAdapted,
-    ParticlesLimited,
-    Quarantined,
-    Readmitted,
-    Released,
-    SelfStopped,
-    Shed,
-    StatusChanged,
-    TakenBack,
-    TargetStarted,
-    Toggled,
-)
-from bayesnet_track.journal.events import (
+from bayesnet_track.journal.events.basic import (
     BeliefReset,
     DegenerateBelief,
     Event,
@@ -49,13 +25,37 @@ from bayesnet_track.journal.events import (
     SourceDamaged,
     SourceStalled,
 )
-from bayesnet_track.journal.explain import Filter, explain, has_several_targets, why
-from bayesnet_track.journal.inputs import AgentMissed, InputRefused
-from bayesnet_track.journal.join_events import AttachmentChanged, OcclusionChanged, RingChanged
-from bayesnet_track.journal.jump_events import Reappeared
-from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
-from bayesnet_track.journal.machine_events import MachineChanged
-from bayesnet_track.journal.rival_events import RivalSeen
+from bayesnet_track.journal.events.inputs import AgentMissed, InputRefused
+from bayesnet_track.journal.events.join_events import AttachmentChanged, OcclusionChanged, RingChanged
+from bayesnet_track.journal.events.jump_events import Reappeared
+from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
+from bayesnet_track.journal.events.machine_events import MachineChanged
+from bayesnet_track.journal.events.rival_events import RivalSeen
+from bayesnet_track.journal.net.join_decisions import Joined, Parted
+from bayesnet_track.journal.net.life_decisions import (
+    DuplicateEnded,
+    Reacquired,
+    Recognition,
+    Returned,
+    TargetDied,
+)
+from bayesnet_track.journal.net.net import (
+    Activated,
+    Cause,
+    Deactivated,
+    LocallyAdapted,
+    ParticlesLimited,
+    Quarantined,
+    Readmitted,
+    Released,
+    SelfStopped,
+    Shed,
+    StatusChanged,
+    TakenBack,
+    TargetStarted,
+    Toggled,
+)
+from bayesnet_track.journal.text.explain import Filter, explain, has_several_targets, why
 
 STARTED = RunStarted(1, "two_squares", "ab" * 32, 0, "scene:two_squares", 320, 240, True, 200, 0.04)
 BORN = TargetStarted(0, "1", "square", (270.0, 190.0, 40.0, 40.0), ("hue", "motion"))

@@ -12,7 +12,7 @@ import pytest
 
 from bayesnet_track.journal.codec import JournalError, event_classes, event_name, from_json, type_hints
 from bayesnet_track.journal.document import words_of
-from bayesnet_track.journal.events import JOURNAL_VERSION
+from bayesnet_track.journal.events.basic import JOURNAL_VERSION
 
 FORMAT = Path(__file__).with_name("format_1.json")
 

@@ -6,7 +6,7 @@ import av
 import pytest
 
 from bayesnet_track.cli import main
-from bayesnet_track.journal.events import RunEnded, SourceDamaged
+from bayesnet_track.journal.events.basic import RunEnded, SourceDamaged
 from bayesnet_track.journal.reader import read_events
 
 pytestmark = pytest.mark.reliability

@@ -11,8 +11,8 @@ import pytest
 from bayesnet_track.cli import main
 from bayesnet_track.graph.laws import check_graph
 from bayesnet_track.graph.write import write_graph
-from bayesnet_track.journal.events import RunStarted
-from bayesnet_track.journal.life_events import CandidateConfirmed
+from bayesnet_track.journal.events.basic import RunStarted
+from bayesnet_track.journal.events.life_events import CandidateConfirmed
 from bayesnet_track.journal.reader import read_events
 from bayesnet_track.observation.detector import DetectorError
 from bayesnet_track.runtime.session import track

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import pytest
 
 from bayesnet_track.executor import AgentUnavailable
-from bayesnet_track.graph.net import Net, ParticlesLimited, TargetNet
-from bayesnet_track.journal.inputs import AgentMissed, LateFrame, SpareTime
+from bayesnet_track.journal.events.inputs import AgentMissed, LateFrame, SpareTime
+from bayesnet_track.journal.net.net import Net, ParticlesLimited, TargetNet
 from bayesnet_track.journal.reader import read_inputs
 from bayesnet_track.runtime.deadline import FOR_AGENTS, FOR_ONE, WARM_UP, Deadline
 from bayesnet_track.runtime.scene_source import SceneSource

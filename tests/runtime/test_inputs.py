@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from bayesnet_track.graph.net import Activated, Deactivated, Toggled, replay
-from bayesnet_track.journal.inputs import InputRefused, Released
+from bayesnet_track.journal.events.inputs import InputRefused, Released
+from bayesnet_track.journal.net.net import Activated, Deactivated, Toggled, replay
 from bayesnet_track.journal.reader import read_events, read_inputs
 from bayesnet_track.runtime.inputs import Switchboard
 from bayesnet_track.runtime.scene_source import SceneSource
@@ -79,7 +79,7 @@ def test_without_anything_from_outside_there_is_no_file(tmp_path):
 
 def test_the_journal_rebuilds_what_a_person_holds(live):
     _, out = live
-    from bayesnet_track.graph.net import Decision
+    from bayesnet_track.journal.net.net import Decision
 
     decisions = [e for e in read_events(out / "journal.jsonl") if isinstance(e, Decision)]
     assert replay(decisions, 3).targets["1"].by_hand == {}

@@ -14,8 +14,8 @@ import pytest
 
 from bayesnet_track import Start, track
 from bayesnet_track.cli import main
-from bayesnet_track.journal.events import RunEnded
-from bayesnet_track.journal.machine_events import MachineChanged
+from bayesnet_track.journal.events.basic import RunEnded
+from bayesnet_track.journal.events.machine_events import MachineChanged
 from bayesnet_track.journal.reader import read_events
 from bayesnet_track.runtime.machine import describe_machine, name_differences
 from bayesnet_track.runtime.resume import ResumeError, resume

@@ -11,7 +11,7 @@ import pytest
 from bayesnet_track import Result, Start, track
 from bayesnet_track.cli import main
 from bayesnet_track.journal import disk
-from bayesnet_track.journal.events import Event
+from bayesnet_track.journal.events.basic import Event
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.runtime.replace import replace_run, settle
 from bayesnet_track.runtime.resume import resume, standing

@@ -6,8 +6,8 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesnet_track.graph.net import Quarantined, TargetStarted
-from bayesnet_track.journal.events import FrameMetrics, RunEnded
+from bayesnet_track.journal.events.basic import FrameMetrics, RunEnded
+from bayesnet_track.journal.net.net import Quarantined, TargetStarted
 from bayesnet_track.runtime.rerun_sink import RerunError, RerunSink, rerun_sinks
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Start, track
-from bayesnet_track.journal.inputs import Toggled
+from bayesnet_track.journal.events.inputs import Toggled
 from bayesnet_track.runtime import resume as resuming
 from bayesnet_track.runtime.checkpoint import CheckpointError
 from bayesnet_track.runtime.inputs import Switchboard

@@ -12,8 +12,14 @@ import pytest
 
 from bayesnet_track import Tracker
 from bayesnet_track.graph.load import load_graph
-from bayesnet_track.graph.net import Activated, Deactivated, Decision, TargetStarted, replay
-from bayesnet_track.journal.events import FrameSizeChanged, FramesMissing, RunEnded, RunStarted, SourceDamaged
+from bayesnet_track.journal.events.basic import (
+    FrameSizeChanged,
+    FramesMissing,
+    RunEnded,
+    RunStarted,
+    SourceDamaged,
+)
+from bayesnet_track.journal.net.net import Activated, Deactivated, Decision, TargetStarted, replay
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.planes import Frame

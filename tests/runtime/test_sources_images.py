@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.journal.events import FrameSizeChanged, FramesMissing, SourceDamaged
+from bayesnet_track.journal.events.basic import FrameSizeChanged, FramesMissing, SourceDamaged
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.frames import PictureError
 from bayesnet_track.runtime.images import to_bgr

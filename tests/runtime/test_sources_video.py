@@ -7,7 +7,7 @@ import av
 import numpy as np
 import pytest
 
-from bayesnet_track.journal.events import FrameSizeChanged, FramesMissing, SourceDamaged
+from bayesnet_track.journal.events.basic import FrameSizeChanged, FramesMissing, SourceDamaged
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.sources import SourceError, open_source
 from bayesnet_track.runtime.timing import Timing, timing_of

@@ -15,7 +15,7 @@ import pytest
 
 from bayesnet_track import commands
 from bayesnet_track.cli import main
-from bayesnet_track.journal.events import RunEnded
+from bayesnet_track.journal.events.basic import RunEnded
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.runtime import stop as module
 from bayesnet_track.runtime.rundir import RunDirectory

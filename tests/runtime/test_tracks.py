@@ -4,7 +4,7 @@ import csv
 
 import pytest
 
-from bayesnet_track.journal.events import FrameMetrics
+from bayesnet_track.journal.events.basic import FrameMetrics
 from bayesnet_track.runtime.tracks import CSV_COLUMNS, CsvWriter, MotWriter
 
 

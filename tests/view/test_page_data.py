@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.graph.load import load_graph
-from bayesnet_track.graph.net import (
+from bayesnet_track.journal.events.basic import RunStarted
+from bayesnet_track.journal.net.net import (
     Activated,
     Cause,
     Deactivated,
@@ -26,7 +27,6 @@ from bayesnet_track.graph.net import (
     TargetStarted,
     Toggled,
 )
-from bayesnet_track.journal.events import RunStarted
 from bayesnet_track.view.page_columns import pack, short_floats, unpack
 from bayesnet_track.view.page_data import CLOUD_POINTS, read_timings, run_data
 from bayesnet_track.view.page_events import event_row, event_rows

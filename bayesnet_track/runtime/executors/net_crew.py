@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from bayesnet_track.executor import AgentUnavailable
-from bayesnet_track.graph.net import Net
+from bayesnet_track.journal.net.net import Net
 from bayesnet_track.nets.crew import Advanced
 from bayesnet_track.nets.state import TargetState
 from bayesnet_track.observation.planes import FramePair, Region

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track.executor import AgentUnavailable
-from bayesnet_track.graph.net import Quarantined, StatusChanged
-from bayesnet_track.journal.inputs import AgentMissed
+from bayesnet_track.journal.events.inputs import AgentMissed
+from bayesnet_track.journal.net.net import Quarantined, StatusChanged
 from bayesnet_track.journal.reader import read_inputs
 from bayesnet_track.runtime.deadline import WARM_UP, Deadline
 from bayesnet_track.runtime.inputs import replayed

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayesnet_track.graph.hand_decisions import Released, Toggled
+from bayesnet_track.journal.net.hand_decisions import Released, Toggled
 
 __all__ = ["AgentMissed", "Input", "InputRefused", "LateFrame", "Released", "SpareTime", "Toggled"]
 

@@ -6,7 +6,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import get_args
 
-from bayesnet_track.graph.net import (
+from bayesnet_track.journal.codec import event_name
+from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.net.net import (
     Activated,
     Cause,
     Concentration,
@@ -18,10 +20,8 @@ from bayesnet_track.graph.net import (
     Switch,
     TargetStarted,
 )
-from bayesnet_track.journal.codec import event_name
-from bayesnet_track.journal.events import Event, FrameMetrics
-from bayesnet_track.journal.sentences import explain
-from bayesnet_track.journal.wording import UNIT
+from bayesnet_track.journal.text.sentences import explain
+from bayesnet_track.journal.text.wording import UNIT
 
 __all__ = ["Filter", "explain", "has_several_targets", "why"]
 

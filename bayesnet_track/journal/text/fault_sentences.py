@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from bayesnet_track.graph.fault_decisions import Quarantined, Readmitted
-from bayesnet_track.graph.hand_decisions import Released, Toggled
-from bayesnet_track.graph.load_decisions import ParticlesLimited, Shed, TakenBack
-from bayesnet_track.journal.inputs import AgentMissed
-from bayesnet_track.journal.wording import plural, rounded
+from bayesnet_track.journal.events.inputs import AgentMissed
+from bayesnet_track.journal.net.fault_decisions import Quarantined, Readmitted
+from bayesnet_track.journal.net.hand_decisions import Released, Toggled
+from bayesnet_track.journal.net.load_decisions import ParticlesLimited, Shed, TakenBack
+from bayesnet_track.journal.text.wording import plural, rounded
 
 
 def by_hand(event: Toggled | Released) -> str:

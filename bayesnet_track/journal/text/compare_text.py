@@ -7,11 +7,11 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from itertools import islice, takewhile
 
-from bayesnet_track.graph.net import Decision
 from bayesnet_track.journal.compare import Comparison, Moment, RunRecord, Total
-from bayesnet_track.journal.events import RunStarted
-from bayesnet_track.journal.explain import explain
-from bayesnet_track.journal.wording import plural
+from bayesnet_track.journal.events.basic import RunStarted
+from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.text.explain import explain
+from bayesnet_track.journal.text.wording import plural
 
 SHOWN_MOMENTS = 20
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayesnet_track.graph.life_decisions import Recognition
+from bayesnet_track.journal.net.life_decisions import Recognition
 
 
 @dataclass(frozen=True)

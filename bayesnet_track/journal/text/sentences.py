@@ -5,26 +5,7 @@ from __future__ import annotations
 import math
 from typing import assert_never
 
-from bayesnet_track.graph.hand_decisions import Released, Toggled
-from bayesnet_track.graph.join_decisions import Joined, Parted
-from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
-from bayesnet_track.graph.net import (
-    Activated,
-    Deactivated,
-    Decision,
-    FitCause,
-    LocallyAdapted,
-    ParticlesLimited,
-    Quarantined,
-    Readmitted,
-    ScoreCause,
-    SelfStopped,
-    Shed,
-    StatusChanged,
-    TakenBack,
-    TargetStarted,
-)
-from bayesnet_track.journal.events import (
+from bayesnet_track.journal.events.basic import (
     BeliefReset,
     DegenerateBelief,
     Event,
@@ -40,7 +21,32 @@ from bayesnet_track.journal.events import (
     SourceDamaged,
     SourceStalled,
 )
-from bayesnet_track.journal.fault_sentences import (
+from bayesnet_track.journal.events.inputs import AgentMissed, InputRefused
+from bayesnet_track.journal.events.join_events import AttachmentChanged, OcclusionChanged, RingChanged
+from bayesnet_track.journal.events.jump_events import Reappeared, reappeared
+from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
+from bayesnet_track.journal.events.machine_events import MachineChanged
+from bayesnet_track.journal.events.rival_events import RivalSeen, rival_seen
+from bayesnet_track.journal.net.hand_decisions import Released, Toggled
+from bayesnet_track.journal.net.join_decisions import Joined, Parted
+from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
+from bayesnet_track.journal.net.net import (
+    Activated,
+    Deactivated,
+    Decision,
+    FitCause,
+    LocallyAdapted,
+    ParticlesLimited,
+    Quarantined,
+    Readmitted,
+    ScoreCause,
+    SelfStopped,
+    Shed,
+    StatusChanged,
+    TakenBack,
+    TargetStarted,
+)
+from bayesnet_track.journal.text.fault_sentences import (
     by_hand,
     missed,
     particles_limited,
@@ -49,18 +55,14 @@ from bayesnet_track.journal.fault_sentences import (
     shed,
     taken_back,
 )
-from bayesnet_track.journal.inputs import AgentMissed, InputRefused
-from bayesnet_track.journal.join_events import AttachmentChanged, OcclusionChanged, RingChanged
-from bayesnet_track.journal.join_sentences import (
+from bayesnet_track.journal.text.join_sentences import (
     attachment_changed,
     joined,
     occlusion_changed,
     parted,
     ring_changed,
 )
-from bayesnet_track.journal.jump_events import Reappeared, reappeared
-from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
-from bayesnet_track.journal.life_sentences import (
+from bayesnet_track.journal.text.life_sentences import (
     births_refused,
     confirmed,
     detector_failed,
@@ -69,10 +71,8 @@ from bayesnet_track.journal.life_sentences import (
     reacquired,
     returned,
 )
-from bayesnet_track.journal.machine_events import MachineChanged
-from bayesnet_track.journal.rival_events import RivalSeen, rival_seen
-from bayesnet_track.journal.switch_sentences import activated, deactivated, guarded
-from bayesnet_track.journal.wording import decimals, held, plural, rounded, told_apart, turned_at
+from bayesnet_track.journal.text.switch_sentences import activated, deactivated, guarded
+from bayesnet_track.journal.text.wording import decimals, held, plural, rounded, told_apart, turned_at
 
 
 def explain(event: Event, name_target: bool = False) -> str:
@@ -82,7 +82,7 @@ def explain(event: Event, name_target: bool = False) -> str:
     the threshold, rounded away from the one that was set, at which the rule would not have fired.
     `name_target` says whose net it was, for runs of several targets.
 
-    >>> from bayesnet_track.graph.causes import Cause
+    >>> from bayesnet_track.journal.net.causes import Cause
     >>> cause = Cause("ud_px2", 200.0, 212.4, 3, 212.4, 212.4, 1.0)
     >>> explain(Activated(29, "1", "motion", "square", cause))
     'frame 29: UD 212 px² > 200 for 3 frames → motion on; would have stayed off at activate ≥ 213'

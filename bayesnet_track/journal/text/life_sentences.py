@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 
-from bayesnet_track.graph.life_decisions import (
+from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
+from bayesnet_track.journal.net.life_decisions import (
     DuplicateEnded,
     Reacquired,
     Recognition,
     Returned,
     TargetDied,
 )
-from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
-from bayesnet_track.journal.wording import decimals, plural, rounded, told_apart
+from bayesnet_track.journal.text.wording import decimals, plural, rounded, told_apart
 
 
 def confirmed(event: CandidateConfirmed) -> str:

@@ -11,13 +11,13 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import assert_never
 
-from bayesnet_track.graph.causes import Cause, Concentration, FitCause, ScoreCause
-from bayesnet_track.graph.fault_decisions import Quarantined, Readmitted
-from bayesnet_track.graph.hand_decisions import Released, Toggled
-from bayesnet_track.graph.join_decisions import Joined, Parted
-from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
-from bayesnet_track.graph.load_decisions import ParticlesLimited, Shed, TakenBack
-from bayesnet_track.graph.self_decisions import LocallyAdapted, SelfStopped
+from bayesnet_track.journal.net.causes import Cause, Concentration, FitCause, ScoreCause
+from bayesnet_track.journal.net.fault_decisions import Quarantined, Readmitted
+from bayesnet_track.journal.net.hand_decisions import Released, Toggled
+from bayesnet_track.journal.net.join_decisions import Joined, Parted
+from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
+from bayesnet_track.journal.net.load_decisions import ParticlesLimited, Shed, TakenBack
+from bayesnet_track.journal.net.self_decisions import LocallyAdapted, SelfStopped
 
 __all__ = [
     "Activated",

@@ -6,8 +6,10 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import assert_never
 
-from bayesnet_track.graph.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
-from bayesnet_track.graph.net import (
+from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.events.life_events import CandidateConfirmed
+from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
+from bayesnet_track.journal.net.net import (
     Activated,
     Deactivated,
     LocallyAdapted,
@@ -21,10 +23,8 @@ from bayesnet_track.graph.net import (
     TargetStarted,
     Toggled,
 )
-from bayesnet_track.journal.events import Event, FrameMetrics
-from bayesnet_track.journal.life_events import CandidateConfirmed
-from bayesnet_track.journal.sentences import explain
-from bayesnet_track.journal.wording import plural
+from bayesnet_track.journal.text.sentences import explain
+from bayesnet_track.journal.text.wording import plural
 
 CHAPTERS = (
     CandidateConfirmed,

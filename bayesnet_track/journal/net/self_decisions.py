@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayesnet_track.graph.causes import Cause
+from bayesnet_track.journal.net.causes import Cause
 
 
 @dataclass(frozen=True)

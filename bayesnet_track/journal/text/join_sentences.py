@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from bayesnet_track.graph.join_decisions import Joined, Parted
-from bayesnet_track.journal.join_events import AttachmentChanged, OcclusionChanged, RingChanged
-from bayesnet_track.journal.wording import decimals, plural, rounded, told_apart
+from bayesnet_track.journal.events.join_events import AttachmentChanged, OcclusionChanged, RingChanged
+from bayesnet_track.journal.net.join_decisions import Joined, Parted
+from bayesnet_track.journal.text.wording import decimals, plural, rounded, told_apart
 
 
 def joined(event: Joined) -> str:

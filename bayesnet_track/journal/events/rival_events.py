@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayesnet_track.journal.wording import decimals, rounded, told_apart
+from bayesnet_track.journal.text.wording import decimals, rounded, told_apart
 
 
 @dataclass(frozen=True)

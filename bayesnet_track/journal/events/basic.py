@@ -1,7 +1,7 @@
 """The journal's events besides decisions. The docstrings here are the documentation of the file format.
 
 A line of ``journal.jsonl`` is ``{"event": <snake_case class name>, <field>: <value>, ...}``, keys in the
-order of the class. Decisions (`bayesnet_track.graph.net`) are written in the same way.
+order of the class. Decisions (`bayesnet_track.journal.net.net`) are written in the same way.
 """
 
 from __future__ import annotations
@@ -9,19 +9,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from bayesnet_track.graph.net import Decision
-from bayesnet_track.journal.inputs import AgentMissed, InputRefused
-from bayesnet_track.journal.join_events import (
+from bayesnet_track.journal.events.inputs import AgentMissed, InputRefused
+from bayesnet_track.journal.events.join_events import (
     AttachmentChanged,
     JoinMetrics,
     OcclusionChanged,
     RingChanged,
 )
-from bayesnet_track.journal.jump_events import Reappeared
-from bayesnet_track.journal.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
-from bayesnet_track.journal.machine_events import MachineChanged
-from bayesnet_track.journal.part_metrics import PartMetrics
-from bayesnet_track.journal.rival_events import RivalSeen
+from bayesnet_track.journal.events.jump_events import Reappeared
+from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
+from bayesnet_track.journal.events.machine_events import MachineChanged
+from bayesnet_track.journal.events.part_metrics import PartMetrics
+from bayesnet_track.journal.events.rival_events import RivalSeen
+from bayesnet_track.journal.net.net import Decision
 
 JOURNAL_VERSION = 1
 

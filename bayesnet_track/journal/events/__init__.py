@@ -1,0 +1,1 @@
+"""What the journal records besides decisions, one file per theme."""

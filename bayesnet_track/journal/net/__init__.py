@@ -1,0 +1,1 @@
+"""The live net, the decisions that change it, and their application: pure and replayable."""

@@ -1,0 +1,1 @@
+"""Sentences of the log: events, decisions and comparisons in words."""
