@@ -12,7 +12,6 @@ from bayesnet_track.belief.grid import GridFilter
 from bayesnet_track.belief.motion import make_motion
 from bayesnet_track.belief.particles import ParticleFilter
 from bayesnet_track.belief.rotating import Rotating
-from bayesnet_track.detect.selection import Selected
 from bayesnet_track.executor import Crew, Executor, Serial
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
@@ -41,6 +40,7 @@ from bayesnet_track.observation.detector import (
     detectors_of_graphs,
     installed_detectors,
 )
+from bayesnet_track.vision.detectors.selection import Selected
 
 
 @dataclass(frozen=True, eq=False)

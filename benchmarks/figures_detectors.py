@@ -21,9 +21,9 @@ from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.scenes import make_scene
 from bayesnet_track.scenes.scene import Scene
 from bayesnet_track.scenes.street import street
-from bayesnet_track.vision.shape_examples import frame_example
-from bayesnet_track.vision.shape_model import learn_model, save_model
-from bayesnet_track.vision.shape_planes import EdgePlane
+from bayesnet_track.vision.planes.shape_planes import EdgePlane
+from bayesnet_track.vision.shape.shape_examples import frame_example
+from bayesnet_track.vision.shape.shape_model import learn_model, save_model
 
 FIGURES = Path(__file__).parents[1] / "docs" / "figures"
 WHITE = "#ffffff"

@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 from traces import Moment, Trace, trace
 
-from bayesnet_track.detect.gray_level import GrayLevel, GrayLevelParameters, outliers
 from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.numerics.boxes import corner_from_centre
@@ -24,7 +23,8 @@ from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, region_of_boxes
 from bayesnet_track.runtime.run import Start
 from bayesnet_track.scenes import Scene, make_scene
-from bayesnet_track.vision.gray_plane import gray
+from bayesnet_track.vision.detectors.gray_level import GrayLevel, GrayLevelParameters, outliers
+from bayesnet_track.vision.planes.gray_plane import gray
 
 SHARP, BROAD, FLOOR = 0.3, 0.36, 0.0001
 """Of the gray square's intensity agent: `sd_pattern` with which UD is below the level for dropping agents,

@@ -22,9 +22,9 @@ from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Plan
 from bayesnet_track.scenes import Scene, make_scene
 from bayesnet_track.scenes.render import Movie
 from bayesnet_track.scenes.silhouettes import person
-from bayesnet_track.vision.shape_contours import contours, fields
-from bayesnet_track.vision.shape_examples import mask_example
-from bayesnet_track.vision.shape_model import ShapeModel, learn_model
+from bayesnet_track.vision.shape.shape_contours import contours, fields
+from bayesnet_track.vision.shape.shape_examples import mask_example
+from bayesnet_track.vision.shape.shape_model import ShapeModel, learn_model
 
 Floats = NDArray[np.float64]
 

@@ -20,8 +20,8 @@ from bayesnet_track.observation.depth import RightEye
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region, region_of_boxes
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.scenes import Scene, make_scene
-from bayesnet_track.vision.stereo_blobs import StereoBlobSettings, detect_stereo_blobs
-from bayesnet_track.vision.stereo_planes import Correlation, PointsPlane, Range, SemiGlobal
+from bayesnet_track.vision.planes.stereo_planes import Correlation, PointsPlane, Range, SemiGlobal
+from bayesnet_track.vision.stereo.stereo_blobs import StereoBlobSettings, detect_stereo_blobs
 
 REACH = Range(1.0, 6.5, camera_height_m=1.2)
 IN_ROOM = {"camera_height_m": 1.2, "max_depth_m": 6.5, "floor": 0.003}

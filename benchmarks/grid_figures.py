@@ -142,7 +142,7 @@ def gray_pictures(folder: Path | None, count: int) -> tuple[list[NDArray[np.uint
 
     from bayesnet_track.numerics.boxes import centre_from_corner
     from bayesnet_track.scenes import make_scene
-    from bayesnet_track.vision.gray_plane import gray
+    from bayesnet_track.vision.planes.gray_plane import gray
 
     if folder is None:
         scene = make_scene("gray_square", 0)

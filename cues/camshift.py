@@ -26,8 +26,8 @@ from bayesnet_track.observation.cue import (
     blend_arrays,
 )
 from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.vision.color_cells import seen_cells
-from bayesnet_track.vision.color_planes import HueBins
+from bayesnet_track.vision.planes.color_cells import seen_cells
+from bayesnet_track.vision.planes.color_planes import HueBins
 
 WINDOW = 1.3
 """The window's side in sides of the target: room to grow."""
@@ -122,7 +122,7 @@ class CamShift:
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """Hues of the box and of the ring around it, and what the back-projection makes of them."""
-        from bayesnet_track.numerics.mean_shift_kernels import window_moments
+        from bayesnet_track.vision.kernels.mean_shift_kernels import window_moments
 
         cells, origin = self._cells(planes, (box * [1, 1, 2, 2])[None])
         x, y = box[:2] - origin
@@ -174,7 +174,7 @@ class CamShift:
         self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
     ) -> Found | None:
         """The window at rest; None where the back-projection is empty."""
-        from bayesnet_track.numerics.mean_shift_kernels import window_moments
+        from bayesnet_track.vision.kernels.mean_shift_kernels import window_moments
 
         p = self.parameters
         predicted = weights @ hypotheses.boxes
@@ -236,10 +236,6 @@ def _covariance(moments: Floats) -> Floats:
 
 
 def _make(parameters: CamShiftParameters) -> MeasuringCue:
-    from bayesnet_track.numerics import (  # noqa: F401  load before the first frame
-        color_kernels,
-        mean_shift_kernels,
-    )
 
     return CamShift(parameters)
 

@@ -27,7 +27,7 @@ from bayesnet_track.observation.cue import (
     log_size_penalty,
 )
 from bayesnet_track.observation.planes import Frame, Plane, Planes
-from bayesnet_track.vision.color_planes import Hue
+from bayesnet_track.vision.planes.color_planes import Hue
 
 SHARE = 3
 """Column of a blob that holds its share of the box."""
@@ -101,7 +101,7 @@ class ColorBlobs:
 
         A blob without a match is blended with one of size 0 in its place: old ones fade out, new ones in.
         """
-        from bayesnet_track.numerics.blob_kernels import match_blobs
+        from bayesnet_track.vision.kernels.blob_kernels import match_blobs
 
         p = self.parameters
         before, after = np.ascontiguousarray(old["blobs"]), np.ascontiguousarray(new["blobs"])
@@ -135,7 +135,7 @@ class ColorBlobs:
         not score the maximum, and weighs them by their share of the box, so that small ones which come and go
         say little; a blob without a match costs the same on either side; hue goes round a circle.
         """
-        from bayesnet_track.numerics.blob_kernels import blob_costs
+        from bayesnet_track.vision.kernels.blob_kernels import blob_costs
 
         p, boxes = self.parameters, hypotheses.boxes
         wanted, sharper = self._wanted(reference), factor_of(reference)
@@ -150,7 +150,7 @@ class ColorBlobs:
 
         Offsets of their centres in both axes (widths and heights of the box), differences of hue (degrees).
         """
-        from bayesnet_track.numerics.blob_kernels import match_blobs
+        from bayesnet_track.vision.kernels.blob_kernels import match_blobs
 
         p, wanted = self.parameters, self._wanted(reference)
         blobs, found = self._blobs(planes, np.asarray(box, dtype=np.float64)[None])
@@ -168,7 +168,7 @@ class ColorBlobs:
         return np.ascontiguousarray(blobs[blobs[:, SHARE] >= self.parameters.min_share])
 
     def _blobs(self, planes: Planes, boxes: Floats) -> tuple[Floats, NDArray[np.int64]]:
-        from bayesnet_track.numerics.blob_kernels import grow_blobs
+        from bayesnet_track.vision.kernels.blob_kernels import grow_blobs
 
         p, region = self.parameters, planes.region
         return grow_blobs(
@@ -197,7 +197,7 @@ def _inside(centre: Floats, size: Floats, extent: int) -> Floats:
 
 
 def _make(parameters: ColorBlobsParameters) -> Cue:
-    from bayesnet_track.numerics import blob_kernels, color_kernels  # noqa: F401  load before the first frame
+    from bayesnet_track.vision.kernels import color_kernels  # noqa: F401  load before the first frame
 
     return ColorBlobs(parameters)
 

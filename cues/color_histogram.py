@@ -28,7 +28,7 @@ from bayesnet_track.observation.cue import (
     log_size_penalty,
 )
 from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.vision.color_planes import HueBins
+from bayesnet_track.vision.planes.color_planes import HueBins
 
 HALF_OVERLAP = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
 STEP = 0.7
@@ -90,7 +90,7 @@ class ColorHistogram:
         Alpha is half the mean distance of the four boxes that overlap it by 50 % (thesis eq. 3.3 and figure
         3.2, corrected), of those inside the frame where there are any.
         """
-        from bayesnet_track.numerics.histogram_kernels import color_distances
+        from bayesnet_track.vision.kernels.histogram_kernels import color_distances
 
         boxes = np.empty((5, 4))  # the box itself, then those around it
         boxes[:] = box
@@ -134,14 +134,14 @@ class ColorHistogram:
 
     def _distances(self, planes: Planes, boxes: Floats, shares: Floats) -> tuple[Floats, Floats]:
         """(N,) distances to the reference's shares, 0..1, and the share of each box outside the frame."""
-        from bayesnet_track.numerics.histogram_kernels import color_distances
+        from bayesnet_track.vision.kernels.histogram_kernels import color_distances
 
         counts, visible, nominal = self._count(planes, boxes)
         return color_distances(counts, visible, nominal, shares, self.parameters.achromatic_distance)
 
     def _count(self, planes: Planes, boxes: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
         """(N, bins) coloured pixels, (N,) pixels inside the frame, (N,) pixels of the whole box."""
-        from bayesnet_track.numerics.histogram_kernels import count_in_boxes, pixels_of_boxes
+        from bayesnet_track.vision.kernels.histogram_kernels import count_in_boxes, pixels_of_boxes
 
         r = planes.region
         boxes = np.ascontiguousarray(boxes)  # one compiled version only
@@ -150,7 +150,7 @@ class ColorHistogram:
 
 
 def _make(parameters: ColorHistogramParameters) -> Cue:
-    from bayesnet_track.numerics import color_kernels, histogram_kernels  # noqa: F401  load before the first frame
+    from bayesnet_track.vision.kernels import histogram_kernels  # noqa: F401  load before the first frame
 
     return ColorHistogram(parameters)
 

@@ -27,7 +27,7 @@ from bayesnet_track.observation.cue import (
     log_size_penalty,
 )
 from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.vision.color_cells import ColorCells
+from bayesnet_track.vision.planes.color_cells import ColorCells
 
 STEP = 0.7
 """Factor of a local action on the variance."""
@@ -75,7 +75,7 @@ class ColorKernelHistogram:
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """The colours of the visible part of the ellipse in `box`."""
-        from bayesnet_track.numerics.kernel_histogram_kernels import kernel_shares
+        from bayesnet_track.vision.kernels.kernel_histogram_kernels import kernel_shares
 
         r = planes.region
         cells = np.ascontiguousarray(planes[self._plane])
@@ -116,7 +116,7 @@ class ColorKernelHistogram:
 
     def coefficients(self, planes: Planes, boxes: Floats, reference: Reference) -> Floats:
         """(N,) Bhattacharyya coefficient of each centre box (N, 4) with the reference, 0..1."""
-        from bayesnet_track.numerics.kernel_histogram_kernels import coefficients
+        from bayesnet_track.vision.kernels.kernel_histogram_kernels import coefficients
 
         shares = reference["shares"]
         known = shares > 0
@@ -128,7 +128,7 @@ class ColorKernelHistogram:
 
 
 def _make(parameters: ColorKernelHistogramParameters) -> Cue:
-    from bayesnet_track.numerics import kernel_histogram_kernels  # noqa: F401  load before the first frame
+    from bayesnet_track.vision.kernels import kernel_histogram_kernels  # noqa: F401  load before the first frame
 
     return ColorKernelHistogram(parameters)
 

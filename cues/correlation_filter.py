@@ -28,7 +28,7 @@ from bayesnet_track.observation.cue import (
     log_size_penalty,
 )
 from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.vision.whole_frame import WholeFrame
+from bayesnet_track.vision.planes.whole_frame import WholeFrame
 
 REACH = 40
 """Cells by which a tile is wider than the filter; hypotheses are read in the inner `REACH` - 4."""
@@ -104,7 +104,7 @@ class CorrelationFilter:
     def learn_turned(self, planes: Planes, box: Floats, angle: float) -> Reference:
         """The same for a target turned by `angle` degrees: the patch is cut out as turned, and so upright."""
         from bayesnet_track.vision.correlation import equations, gaussian_label
-        from bayesnet_track.vision.correlation_patches import patch_at, turned_patch_at
+        from bayesnet_track.vision.planes.correlation_patches import patch_at, turned_patch_at
 
         p = self.parameters
         size = np.array(box[2:], dtype=np.float64)
@@ -171,9 +171,9 @@ class CorrelationFilter:
 
         With `angles` (N,), in degrees, those of the filter turned by as much.
         """
-        from bayesnet_track.numerics.correlation_kernels import read_answers
         from bayesnet_track.vision.correlation import answers, scaled_spectra, spectra
-        from bayesnet_track.vision.correlation_patches import patch_at, turned_features
+        from bayesnet_track.vision.kernels.correlation_kernels import read_answers
+        from bayesnet_track.vision.planes.correlation_patches import patch_at, turned_features
 
         cells, image, values = self.parameters.cells, planes[WholeFrame()], np.zeros(len(boxes))
         around, size, kernel = cells + REACH, reference["size"], reference["kernel"]
@@ -261,7 +261,9 @@ def _share_inside(boxes: Floats, width: int, height: int) -> Floats:
 def _make(parameters: CorrelationFilterParameters) -> Cue:
     import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
 
-    from bayesnet_track.numerics import correlation_kernels, gradient_kernels  # noqa: F401
+    from bayesnet_track.vision.kernels import (
+        gradient_kernels,  # noqa: F401
+    )
 
     return CorrelationFilter(parameters)
 

@@ -31,7 +31,7 @@ from bayesnet_track.vision.displacement import (
     displaced,
     flat_motion,
 )
-from bayesnet_track.vision.gray_plane import GrayPlane
+from bayesnet_track.vision.planes.gray_plane import GrayPlane
 
 if TYPE_CHECKING:
     from bayesnet_track.observation.planes import Plane, Planes
@@ -192,7 +192,7 @@ class DisplacementCue:
 
     def _corners(self, image: NDArray[np.uint8], origin: tuple[int, int], box: Floats) -> NDArray[np.int64]:
         """(N, 2) x, y of the strongest corners in the box, one to a cell of the frame's lattice at most."""
-        from bayesnet_track.numerics import corner_kernels
+        from bayesnet_track.vision.kernels import corner_kernels
 
         settings = self.parameters
         if image.size == 0:
@@ -244,7 +244,9 @@ def _far_from(places: NDArray[Any], others: NDArray[Any], least: float) -> NDArr
 def _make(parameters: DisplacementParameters) -> DisplacementCue:
     import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
 
-    from bayesnet_track.numerics import corner_kernels, displacement_kernels  # noqa: F401
+    from bayesnet_track.vision.kernels import (
+        displacement_kernels,  # noqa: F401
+    )
 
     matching = Matching(
         parameters.reach_px,

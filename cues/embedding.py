@@ -25,7 +25,7 @@ from bayesnet_track.observation.cue import (
     log_size_penalty,
 )
 from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.vision.whole_frame import WholeFrame
+from bayesnet_track.vision.planes.whole_frame import WholeFrame
 
 if TYPE_CHECKING:
     from bayesnet_track.vision.embedding import Embed

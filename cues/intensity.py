@@ -22,7 +22,7 @@ from bayesnet_track.observation.cue import (
     floored,
     log_size_penalty,
 )
-from bayesnet_track.vision.gray_plane import GrayPlane
+from bayesnet_track.vision.planes.gray_plane import GrayPlane
 
 if TYPE_CHECKING:
     from bayesnet_track.observation.planes import Plane, Planes
@@ -121,7 +121,7 @@ class IntensityCue:
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """The patch under the centre box (4,)."""
-        from bayesnet_track.numerics.patch_kernels import patch_means
+        from bayesnet_track.vision.kernels.patch_kernels import patch_means
 
         learnt: dict[str, Floats] = {}
         for cells, (grid, known) in zip(self._cells, LOOKS, strict=False):
@@ -169,7 +169,7 @@ class IntensityCue:
 
     def _look(self, planes: Planes, boxes: Floats, grid: Floats, known: Floats) -> Floats:
         """(N,) log-likelihood by the cells of one grid, before sharpness, size and floor."""
-        from bayesnet_track.numerics.patch_kernels import MOMENTS, patch_moments
+        from bayesnet_track.vision.kernels.patch_kernels import MOMENTS, patch_moments
 
         weights = self._weights(known)
         moments = np.zeros((len(boxes), MOMENTS))
@@ -242,7 +242,7 @@ def _mask(cells: int, sd: float) -> Floats:
 def _make(parameters: IntensityParameters) -> IntensityCue:
     import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
 
-    from bayesnet_track.numerics import patch_kernels  # noqa: F401
+    from bayesnet_track.vision.kernels import patch_kernels  # noqa: F401
 
     return IntensityCue(parameters, GrayPlane())
 

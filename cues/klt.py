@@ -22,6 +22,7 @@ from bayesnet_track.observation.cue import (
     Reference,
 )
 from bayesnet_track.observation.planes import Plane, Planes, Region, region_of_boxes
+from bayesnet_track.vision.planes.whole_frame import WholeFrame
 from bayesnet_track.vision.point_tracking import (
     COARSEST,
     FEW,
@@ -37,7 +38,6 @@ from bayesnet_track.vision.point_tracking import (
     mixed,
     patches_at,
 )
-from bayesnet_track.vision.whole_frame import WholeFrame
 
 
 class KltParameters(CueParameters):
@@ -249,7 +249,9 @@ def _aligned(region: Region) -> Region:
 def _make(parameters: KltParameters) -> MeasuringCue:
     import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
 
-    from bayesnet_track.numerics import corner_kernels, flow_kernels, similarity_kernels  # noqa: F401
+    from bayesnet_track.vision.kernels import (
+        similarity_kernels,  # noqa: F401
+    )
 
     p = parameters
     return Klt(p, Following(p.half_window_px, p.reach_px, p.agree_px, p.most_scale, p.least_correlation))

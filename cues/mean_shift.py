@@ -27,7 +27,7 @@ from bayesnet_track.observation.cue import (
     blend_arrays,
 )
 from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.vision.color_cells import ColorCells, seen_cells
+from bayesnet_track.vision.planes.color_cells import ColorCells, seen_cells
 
 SHRINK = 0.7
 """Factor of the search window from one stage to the next."""
@@ -85,7 +85,7 @@ class MeanShift:
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """The colours of the visible part of the ellipse in `box`."""
-        from bayesnet_track.numerics.mean_shift_kernels import kernel_histogram
+        from bayesnet_track.vision.kernels.mean_shift_kernels import kernel_histogram
 
         cells, origin = seen_cells(planes, self._plane, box[None])
         x, y = box[:2] - origin
@@ -106,7 +106,7 @@ class MeanShift:
         ((1 - share) r)^2 for a box of radii r of which only a share is seen: the rest may be hidden on either
         side.
         """
-        from bayesnet_track.numerics.mean_shift_kernels import bhattacharyya, kernel_histogram
+        from bayesnet_track.vision.kernels.mean_shift_kernels import bhattacharyya, kernel_histogram
 
         p, model = self.parameters, reference["shares"]
         path = self.climb(planes, hypotheses, weights, reference)
@@ -135,7 +135,7 @@ class MeanShift:
         self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
     ) -> Floats | None:
         """(K, 4) windows it stood in: centre x, y and radii, px; None where no colour of the target is."""
-        from bayesnet_track.numerics.mean_shift_kernels import shifted
+        from bayesnet_track.vision.kernels.mean_shift_kernels import shifted
 
         p, model = self.parameters, reference["shares"]
         box = weights @ hypotheses.boxes
@@ -168,7 +168,7 @@ def _curvature(rho: Callable[[float, float], float], step: Floats, variance: flo
 
 
 def _make(parameters: MeanShiftParameters) -> MeasuringCue:
-    from bayesnet_track.numerics import mean_shift_kernels  # noqa: F401  load before the first frame
+    from bayesnet_track.vision.kernels import mean_shift_kernels  # noqa: F401  load before the first frame
 
     return MeanShift(parameters)
 

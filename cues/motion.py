@@ -24,8 +24,8 @@ from bayesnet_track.observation.cue import (
     floored,
     log_size_penalty,
 )
-from bayesnet_track.vision.dense_flow_planes import DenseFlowPlane
-from bayesnet_track.vision.motion_planes import CameraPlane, FlowPlane, against_background
+from bayesnet_track.vision.planes.dense_flow_planes import DenseFlowPlane
+from bayesnet_track.vision.planes.motion_planes import CameraPlane, FlowPlane, against_background
 
 if TYPE_CHECKING:
     from bayesnet_track.observation.planes import Plane, Planes
@@ -184,7 +184,7 @@ class MotionCue:
         """(P, 4) x, y, dx, dy of the valid vectors, the camera's motion taken off."""
         vectors = planes[self.flow]
         if not self.flow.is_points:
-            from bayesnet_track.numerics.dense_flow_kernels import valid_vectors
+            from bayesnet_track.vision.kernels.dense_flow_kernels import valid_vectors
 
             found = np.empty((vectors[..., 0].size, 4))
             field = np.ascontiguousarray(vectors)
@@ -208,11 +208,11 @@ class MotionCue:
         counts, means = np.zeros(len(boxes)), np.zeros((len(boxes), 2))
         boxes = np.ascontiguousarray(boxes, dtype=np.float64)
         if self.flow.is_points:
-            from bayesnet_track.numerics.flow_kernels import flow_in_boxes
+            from bayesnet_track.vision.kernels.flow_kernels import flow_in_boxes
 
             flow_in_boxes(points, boxes, counts, means)
         else:
-            from bayesnet_track.numerics.dense_flow_kernels import dense_in_boxes
+            from bayesnet_track.vision.kernels.dense_flow_kernels import dense_in_boxes
 
             r = planes.region
             dense_in_boxes(points, r.x0, r.y0, r.x1 - r.x0, r.y1 - r.y0, boxes, counts, means)
@@ -222,11 +222,11 @@ class MotionCue:
 def _make(parameters: MotionParameters) -> MotionCue:
     import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
 
-    from bayesnet_track.numerics import camera_motion, corner_kernels  # noqa: F401
+    from bayesnet_track.vision.kernels import corner_kernels  # noqa: F401
 
     plane: FlowPlane | DenseFlowPlane
     if parameters.flow == "sparse":
-        from bayesnet_track.numerics import flow_kernels  # noqa: F401
+        from bayesnet_track.vision.kernels import flow_kernels  # noqa: F401
 
         plane = FlowPlane(
             spacing_px=parameters.spacing_px,
@@ -236,7 +236,7 @@ def _make(parameters: MotionParameters) -> MotionCue:
             agree_px=parameters.agree_px,
         )
     else:
-        from bayesnet_track.numerics import dense_flow_kernels, odp_kernels  # noqa: F401
+        from bayesnet_track.vision.kernels import odp_kernels  # noqa: F401
 
         plane = DenseFlowPlane(
             by="dis" if parameters.flow == "dense" else "odp",

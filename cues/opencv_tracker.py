@@ -27,7 +27,7 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.opencv_trackers import Session, missing_tracker
-from bayesnet_track.vision.whole_frame import WholeFrame
+from bayesnet_track.vision.planes.whole_frame import WholeFrame
 
 TrackerName = Literal[
     "MIL", "CSRT", "KCF", "MOSSE", "MedianFlow", "TLD", "Boosting", "Nano", "Vit", "DaSiamRPN"

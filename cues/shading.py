@@ -23,7 +23,7 @@ from bayesnet_track.observation.cue import (
     floored,
     log_size_penalty,
 )
-from bayesnet_track.vision.gray_plane import GrayPlane
+from bayesnet_track.vision.planes.gray_plane import GrayPlane
 
 if TYPE_CHECKING:
     from bayesnet_track.observation.planes import Plane, Planes
@@ -122,7 +122,7 @@ class ShadingCue:
         """Of centre boxes (N, 4): (N,) weight inside the frame, (N, K) coefficients in gray levels."""
         import cv2
 
-        from bayesnet_track.numerics.shading_kernels import patch_projections
+        from bayesnet_track.vision.kernels.shading_kernels import patch_projections
 
         p = self.parameters
         weights, lines = polynomials(p.grid, p.degree, p.sd_mask)
@@ -154,7 +154,7 @@ def polynomials(cells: int, degree: int, sd_mask: float) -> tuple[Floats, Floats
 def _make(parameters: ShadingParameters) -> ShadingCue:
     import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
 
-    from bayesnet_track.numerics import shading_kernels  # noqa: F401
+    from bayesnet_track.vision.kernels import shading_kernels  # noqa: F401
 
     return ShadingCue(parameters, GrayPlane())
 

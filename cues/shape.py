@@ -20,9 +20,9 @@ from bayesnet_track.observation.cue import (
     Reference,
     floored,
 )
-from bayesnet_track.vision.shape_contours import COVER, contours, fields, vectors
-from bayesnet_track.vision.shape_model import ShapeModel, ShapeModelError, load_model, merge
-from bayesnet_track.vision.shape_planes import CONTRASTS, EdgePlane
+from bayesnet_track.vision.planes.shape_planes import CONTRASTS, EdgePlane
+from bayesnet_track.vision.shape.shape_contours import COVER, contours, fields, vectors
+from bayesnet_track.vision.shape.shape_model import ShapeModel, ShapeModelError, load_model, merge
 
 if TYPE_CHECKING:
     from bayesnet_track.observation.planes import Plane, Planes
@@ -158,7 +158,7 @@ class ShapeCue:
 
         All 0 when the reference has seen no silhouette.
         """
-        from bayesnet_track.numerics.shape_kernels import score_shapes
+        from bayesnet_track.vision.kernels.shape_kernels import score_shapes
 
         settings = self.parameters
         if reference["support"][0] < LEAST_SUPPORT:
@@ -249,7 +249,7 @@ def _reference(model: ShapeModel, size: Floats, support: Floats, contrast: Ints,
 def _make(parameters: ShapeParameters) -> ShapeCue:
     import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
 
-    from bayesnet_track.numerics import shape_kernels, shape_snake  # noqa: F401
+    from bayesnet_track.vision.shape import shape_snake  # noqa: F401
 
     model = None if parameters.model is None else load_model(parameters.model)
     return ShapeCue(parameters, EdgePlane(parameters.edge_gray, parameters.blur_px), model)

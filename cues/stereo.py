@@ -23,7 +23,7 @@ from bayesnet_track.observation.cue import (
     floored,
     log_size_penalty,
 )
-from bayesnet_track.vision.stereo_planes import Correlation, Matcher, PointsPlane, Range, SemiGlobal
+from bayesnet_track.vision.planes.stereo_planes import Correlation, Matcher, PointsPlane, Range, SemiGlobal
 
 if TYPE_CHECKING:
     from bayesnet_track.observation.planes import Plane, Planes
@@ -192,7 +192,7 @@ class StereoCue:
 
     def _features(self, planes: Planes, boxes: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """(N, 5) features of each box, and whether it holds a blob."""
-        from bayesnet_track.numerics import depth_kernels as k
+        from bayesnet_track.vision.kernels import depth_kernels as k
 
         region, raw = planes.region, np.zeros((len(boxes), k.FEATURES))
         points, cells = planes[self.points], self.parameters.cells
@@ -221,7 +221,9 @@ def _matcher(p: StereoParameters) -> Matcher:
 def _make(parameters: StereoParameters) -> StereoCue:
     import cv2  # noqa: F401  (loaded when tracking starts, not at the first frame)
 
-    from bayesnet_track.numerics import depth_kernels, disparity_kernels  # noqa: F401
+    from bayesnet_track.vision.kernels import (
+        disparity_kernels,  # noqa: F401
+    )
 
     p = parameters
     reach: dict[str, Any] = {

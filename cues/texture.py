@@ -25,7 +25,7 @@ from bayesnet_track.observation.cue import (
     log_size_penalty,
 )
 from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.vision.texture import TextureCodes
+from bayesnet_track.vision.planes.texture import TextureCodes
 
 HALF_OVERLAP = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
 STEP = 0.7
@@ -126,7 +126,7 @@ class Texture:
 
     def _distances(self, planes: Planes, boxes: Floats, shares: Floats) -> Floats:
         """(N,) Bhattacharyya distances to the reference's shares, 0..1."""
-        from bayesnet_track.numerics.texture_kernels import bhattacharyya
+        from bayesnet_track.vision.kernels.texture_kernels import bhattacharyya
 
         found = self._shares(planes, boxes)
         coefficients = np.empty(len(found))
@@ -135,8 +135,8 @@ class Texture:
 
     def _shares(self, planes: Planes, boxes: Floats) -> Floats:
         """(N, cells, cells, codes) share of each code."""
-        from bayesnet_track.numerics.texture_kernels import cell_shares, integral_histogram
-        from bayesnet_track.vision.color_cells import seen_cells
+        from bayesnet_track.vision.kernels.texture_kernels import cell_shares, integral_histogram
+        from bayesnet_track.vision.planes.color_cells import seen_cells
 
         plane, cells = self._plane, self.parameters.cells
         boxes = np.ascontiguousarray(boxes, dtype=np.float64)
@@ -149,7 +149,7 @@ class Texture:
 
 
 def _make(parameters: TextureParameters) -> Cue:
-    from bayesnet_track.numerics import texture_kernels  # noqa: F401  load before the first frame
+    from bayesnet_track.vision.kernels import texture_kernels  # noqa: F401  load before the first frame
 
     return Texture(parameters)
 

@@ -15,7 +15,7 @@ from bayesnet_track.observation.depth import PointMap
 from bayesnet_track.runtime.frames import SourceError
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.scenes import make_scene
-from bayesnet_track.vision.stereo import RectifiedPair, write_calibration
+from bayesnet_track.vision.stereo.stereo import RectifiedPair, write_calibration
 
 
 def play(name, seed):

@@ -131,7 +131,7 @@ def _code_of(error: Exception, command: str) -> int | None:
     from bayesnet_track.runtime.recipe import RecipeError
     from bayesnet_track.runtime.resume import ResumeError
     from bayesnet_track.runtime.rundir import RunDirectoryError
-    from bayesnet_track.vision.stereo import CalibrationError
+    from bayesnet_track.vision.stereo.stereo import CalibrationError
 
     if isinstance(error, UsageError):
         return USAGE

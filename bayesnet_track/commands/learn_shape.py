@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bayesnet_track.commands.answer import INCOMPLETE, OK, UsageError, complain, say, users_mistake, writing
 
 if TYPE_CHECKING:
-    from bayesnet_track.vision.shape_model import ShapeModel
+    from bayesnet_track.vision.shape.shape_model import ShapeModel
 
 Floats = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ SHOWN = 5
 
 def learn_shape(options: argparse.Namespace) -> int:
     """Learn a model from the silhouettes of masks or boxes, write it, and say what it holds."""
-    from bayesnet_track.vision.shape_model import learn_model
+    from bayesnet_track.vision.shape.shape_model import learn_model
 
     if (options.source is None) != (options.boxes is None):
         raise UsageError("--source and --boxes belong together: a video, and the target's boxes in it")
@@ -53,7 +53,7 @@ Examples = list[tuple[str, Floats, float]]
 def _from_masks(options: argparse.Namespace) -> tuple[int, Examples]:
     from bayesnet_track.runtime.images import natural_key, read_image
     from bayesnet_track.runtime.sources import IMAGE_SUFFIXES
-    from bayesnet_track.vision.shape_examples import mask_example
+    from bayesnet_track.vision.shape.shape_examples import mask_example
 
     folder, found = Path(options.masks), []
     with users_mistake():
@@ -74,8 +74,8 @@ def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
     from bayesnet_track.numerics.boxes import centre_from_corner
     from bayesnet_track.observation.planes import Frame
     from bayesnet_track.runtime.sources import open_source
-    from bayesnet_track.vision.shape_examples import frame_example
-    from bayesnet_track.vision.shape_planes import EdgePlane
+    from bayesnet_track.vision.planes.shape_planes import EdgePlane
+    from bayesnet_track.vision.shape.shape_examples import frame_example
 
     with users_mistake():
         boxes = centre_from_corner(read_truth(options.boxes))
@@ -96,7 +96,7 @@ def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
 
 
 def _write(path: Path, model: ShapeModel) -> None:
-    from bayesnet_track.vision.shape_model import save_model
+    from bayesnet_track.vision.shape.shape_model import save_model
 
     with writing(path):
         save_model(path, model)

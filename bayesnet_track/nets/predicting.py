@@ -131,7 +131,7 @@ def predicted(
 
 
 def _with_camera(motion: Motion, cache: PlaneCache, dt: float) -> Motion:
-    from bayesnet_track.vision.motion_planes import CameraPlane
+    from bayesnet_track.vision.planes.motion_planes import CameraPlane
 
     plane, frame = CameraPlane(), cache.frames.current
     flow = cache.planes([plane], Region(0, 0, frame.width, frame.height))[plane]

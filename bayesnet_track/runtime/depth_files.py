@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.runtime.frames import PictureError, SourceError
-from bayesnet_track.runtime.image_size import check_size, read_checked
 from bayesnet_track.runtime.images import natural_key
-from bayesnet_track.vision.stereo import RectifiedPair
+from bayesnet_track.vision.image_size import check_size, read_checked
+from bayesnet_track.vision.stereo.stereo import RectifiedPair
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
 

@@ -31,7 +31,7 @@ from bayesnet_track.runtime.images import ImageReader, times_of
 from bayesnet_track.runtime.live import LiveReader
 from bayesnet_track.runtime.origin import Kind, Origin
 from bayesnet_track.runtime.sources import check_range, make_reader
-from bayesnet_track.vision.stereo import RectifiedPair, Rectifier, read_calibration
+from bayesnet_track.vision.stereo.stereo import RectifiedPair, Rectifier, read_calibration
 
 if TYPE_CHECKING:
     from bayesnet_track.engine import Engine

@@ -18,8 +18,8 @@ from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
 from bayesnet_track.runtime.frames import Damage, Picture, PictureError, SourceError
-from bayesnet_track.runtime.image_size import MAX_PIXELS
 from bayesnet_track.runtime.timing import Declared, Timing, declared_by, timing_of
+from bayesnet_track.vision.image_size import MAX_PIXELS
 
 # Playlists and scripts (hls, concat, ...) name other files and hosts: only self-contained formats are read.
 FORMATS = (

@@ -62,7 +62,7 @@ def spectra(patch: Singles) -> list[Singles]:
 
 def scaled_spectra(kernel: Singles, scale: float, around: int) -> list[Singles]:
     """`spectra` of a filter (C, S, S) enlarged by `scale`, in a square of `around` cells."""
-    from bayesnet_track.numerics.correlation_kernels import resized_filter
+    from bayesnet_track.vision.kernels.correlation_kernels import resized_filter
 
     grown = np.empty((len(kernel), around, around), np.float32)
     resized_filter(kernel, scale, grown)

@@ -128,7 +128,7 @@ def mean_squares(
     points: Points, image: Bytes, origin: tuple[int, int], dt: float, centre: Ints, matching: Matching
 ) -> Floats:
     """(N, K, K) mean squared difference of each patch and the picture at each displacement; inf outside."""
-    from bayesnet_track.numerics.displacement_kernels import match_patches
+    from bayesnet_track.vision.kernels.displacement_kernels import match_patches
 
     squares = np.empty((len(points), len(matching.steps), len(matching.steps)))
     match_patches(

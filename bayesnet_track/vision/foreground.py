@@ -8,12 +8,12 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.numerics.foreground_kernels import (
+from bayesnet_track.observation.planes import Frame, region_of_boxes
+from bayesnet_track.vision.kernels.foreground_kernels import (
     box_and_ring_means,
     count_cells,
     integral_of_cells,
 )
-from bayesnet_track.observation.planes import Frame, region_of_boxes
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

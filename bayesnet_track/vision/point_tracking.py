@@ -129,7 +129,7 @@ def clearest_mix(image: Image, origin: tuple[int, int], box: Floats, least: floa
 
 def _scores(image: Image, origin: tuple[int, int], box: Floats, least: float) -> tuple[Floats, Floats]:
     """Corner scores of the whole pixels in a centre box as far as the picture goes, and x, y of the first."""
-    from bayesnet_track.numerics.corner_kernels import RIM, corner_scores
+    from bayesnet_track.vision.kernels.corner_kernels import RIM, corner_scores
 
     extent = np.array(image.shape[1::-1])
     low = np.clip(np.ceil(box[:2] - box[2:] / 2 - origin).astype(int), 0, extent)
@@ -174,7 +174,7 @@ def followed(
     """
     import cv2
 
-    from bayesnet_track.numerics.flow_kernels import track_points
+    from bayesnet_track.vision.kernels.flow_kernels import track_points
 
     middle, later = cv2.pyrDown(before), cv2.pyrDown(now)
     flows, valid = np.zeros((len(at), 2)), np.zeros(len(at), np.uint8)
@@ -199,7 +199,7 @@ def followed(
 
 def agreed(source: Floats, target: Floats, candidates: NDArray[np.bool_], how: Following) -> Motion | None:
     """The translation or similarity that most candidates follow, fitted to them by least squares; or None."""
-    from bayesnet_track.numerics.similarity_kernels import consensus
+    from bayesnet_track.vision.kernels.similarity_kernels import consensus
 
     kept = np.zeros(len(source), dtype=np.bool_)
     apart = 2.0 * how.half_window_px

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from bayesnet_track.numerics.blob_kernels import (
+from bayesnet_track.observation.planes import Frame, FramePair
+from bayesnet_track.vision.kernels.blob_kernels import (
     _COSINES,
     _SINES,
     blob_costs,
@@ -12,8 +13,7 @@ from bayesnet_track.numerics.blob_kernels import (
     grow_in_runs,
     match_blobs,
 )
-from bayesnet_track.numerics.blob_words import grow_in_words
-from bayesnet_track.observation.planes import Frame, FramePair
+from bayesnet_track.vision.kernels.blob_words import grow_in_words
 
 RED, GREEN, BLUE, GRAY = (0, 0, 255), (0, 255, 0), (255, 0, 0), (90, 90, 90)
 

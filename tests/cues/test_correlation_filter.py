@@ -23,7 +23,7 @@ from bayesnet_track.vision.correlation import (
     solved,
     spectra,
 )
-from bayesnet_track.vision.correlation_patches import CHANNELS, patch_at, turned_features
+from bayesnet_track.vision.planes.correlation_patches import CHANNELS, patch_at, turned_features
 
 SIZE = (40.0, 52.0)
 

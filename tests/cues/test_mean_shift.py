@@ -46,7 +46,7 @@ def test_the_covariance_is_the_inverse_curvature_of_the_likelihood(ask, scene):
     pair = scene.pair()
     reference = asked.learn(pair, scene.box())
     measured = asked.measure(pair, cloud(scene.start, scene.size, 3.0), reference)
-    from bayesnet_track.numerics.mean_shift_kernels import kernel_histogram
+    from bayesnet_track.vision.kernels.mean_shift_kernels import kernel_histogram
 
     cells = asked.planes(pair, region_of_boxes(scene.box()[None], 2.0))
     grid, region = cells[asked.cue.needs[0]], cells.region

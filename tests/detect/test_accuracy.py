@@ -203,7 +203,7 @@ def test_objects_of_three_pixels_are_found_when_asked_for(bench, name, more):
 
 
 def test_otsu_splits_where_an_exhaustive_search_does():
-    from bayesnet_track.detect.gray_level import otsu_bands
+    from bayesnet_track.vision.detectors.gray_level import otsu_bands
 
     rng = np.random.default_rng(4)
     counts = np.zeros(256, np.int64)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.detect.onnx_layouts import LAYOUTS, LayoutError
 from bayesnet_track.observation.detector import DetectorError
 from bayesnet_track.observation.planes import Frame, FramePair
+from bayesnet_track.vision.detectors.onnx_layouts import LAYOUTS, LayoutError
 
 INPUT = {"input_width": 32, "input_height": 32}
 

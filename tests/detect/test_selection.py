@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.detect.selection import CANDIDATES, BlobParameters, blobs, select
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.observation.detector import DetectorParameters
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.vision.detectors.selection import CANDIDATES, BlobParameters, blobs, select
 
 FRAME = Frame(0, 0.0, np.zeros((100, 120, 3), np.uint8))
 OPEN = DetectorParameters(min_score=0.0, min_area_px=1, max_area_share=1.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.corner_kernels import corner_scores, lattice_corners
+from bayesnet_track.vision.kernels.corner_kernels import corner_scores, lattice_corners
 
 GRAY = np.random.default_rng(2).integers(0, 256, (14, 17)).astype(np.uint8)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.correlation_kernels import read_answers, resized_filter
+from bayesnet_track.vision.kernels.correlation_kernels import read_answers, resized_filter
 
 
 def test_scale_1_keeps_the_filter() -> None:

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.numerics.dense_flow_kernels import dense_in_boxes, there_and_back, valid_vectors
-from bayesnet_track.numerics.flow_kernels import flow_in_boxes
+from bayesnet_track.vision.kernels.dense_flow_kernels import dense_in_boxes, there_and_back, valid_vectors
+from bayesnet_track.vision.kernels.flow_kernels import flow_in_boxes
 
 
 @given(st.integers(0, 10_000), st.integers(1, 30), st.integers(1, 30), st.integers(-5, 40))

@@ -5,7 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.numerics.depth_kernels import DEPTH, FEATURES, HEIGHT, SHARE, SPREAD, WIDTH, blob_features
+from bayesnet_track.vision.kernels.depth_kernels import (
+    DEPTH,
+    FEATURES,
+    HEIGHT,
+    SHARE,
+    SPREAD,
+    WIDTH,
+    blob_features,
+)
 
 LAYER = float(np.log(1.12)) / 3
 

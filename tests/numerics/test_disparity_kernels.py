@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from bayesnet_track.numerics.disparity_kernels import LARGEST, correlate, label_regions
+from bayesnet_track.vision.kernels.disparity_kernels import LARGEST, correlate, label_regions
 
 HALF = 3
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.flow_kernels import (
+from bayesnet_track.vision.kernels.flow_kernels import (
     _copy,
     _gradients,
     _mismatch,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.foreground_kernels import (
+from bayesnet_track.vision.kernels.foreground_kernels import (
     STEPS,
     box_and_ring_means,
     count_cells,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.gradient_kernels import TRUNCATED, normalised_cells, oriented_gradients
+from bayesnet_track.vision.kernels.gradient_kernels import TRUNCATED, normalised_cells, oriented_gradients
 
 SIGNED = 8
 SIDE = 48

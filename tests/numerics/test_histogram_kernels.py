@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.histogram_kernels import (
+from bayesnet_track.vision.kernels.histogram_kernels import (
     circular_distances,
     color_distances,
     count_by_integral,

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.numerics.mean_shift_kernels import kernel_histogram, shifted, window_moments
+from bayesnet_track.vision.kernels.mean_shift_kernels import kernel_histogram, shifted, window_moments
 
 BINS = 6
 PLACES = st.tuples(st.floats(-8.0, 30.0), st.floats(-8.0, 25.0), st.floats(0.3, 12.0), st.floats(0.3, 12.0))

@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
-from bayesnet_track.numerics.shape_kernels import (
+from bayesnet_track.vision.kernels.shape_kernels import (
     cell_fields,
     map_points,
     score_shapes,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics import shape_snake
-from bayesnet_track.numerics.shape_snake import POINTS, STAGES, run_snakes, smoothing_filters
+from bayesnet_track.vision.shape import shape_snake
+from bayesnet_track.vision.shape.shape_snake import POINTS, STAGES, run_snakes, smoothing_filters
 
 FRAME = np.array([160, 120])
 

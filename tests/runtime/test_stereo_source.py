@@ -11,7 +11,7 @@ from bayesnet_track.observation.depth import PointMap, RightEye, StereoGeometry
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.frames import Damage, Picture, Source, SourceError
 from bayesnet_track.runtime.stereo_source import Joined, open_stereo_source, two_eyes
-from bayesnet_track.vision.stereo import RectifiedPair, write_calibration
+from bayesnet_track.vision.stereo.stereo import RectifiedPair, write_calibration
 
 WIDTH, HEIGHT = 32, 24
 PAIR = RectifiedPair(WIDTH, HEIGHT, StereoGeometry(40.0, 0.1, 16.0, 12.0))

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from bayesnet_track.detect.selection import select
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.detector import (
     NOTHING,
@@ -20,9 +19,10 @@ from bayesnet_track.observation.detector import (
     DetectorState,
 )
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
-from bayesnet_track.vision.shape_contours import COVER, contours, fields
-from bayesnet_track.vision.shape_model import ShapeModel, ShapeModelError, load_model
-from bayesnet_track.vision.shape_planes import EdgePlane
+from bayesnet_track.vision.detectors.selection import select
+from bayesnet_track.vision.planes.shape_planes import EdgePlane
+from bayesnet_track.vision.shape.shape_contours import COVER, contours, fields
+from bayesnet_track.vision.shape.shape_model import ShapeModel, ShapeModelError, load_model
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -95,7 +95,7 @@ class ContourShape:
 
     def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
         """Contours like the model's, scored by exp(-energy / 2) and the share on edges."""
-        from bayesnet_track.numerics.shape_kernels import score_shapes
+        from bayesnet_track.vision.kernels.shape_kernels import score_shapes
 
         settings, frame = self.parameters, frames.current
         plane = EdgePlane(settings.edge_gray, settings.blur_px)
@@ -155,7 +155,7 @@ class ContourShape:
 def _make(parameters: ContourShapeParameters) -> Detector:
     import cv2  # noqa: F401  load before the first frame
 
-    from bayesnet_track.numerics import shape_kernels, shape_snake  # noqa: F401
+    from bayesnet_track.vision.shape import shape_snake  # noqa: F401
 
     try:
         return ContourShape(parameters, load_model(parameters.model))

@@ -39,7 +39,7 @@ class Hue:
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """Hue on `region`."""
-        from bayesnet_track.numerics.color_kernels import hue_of_bgr
+        from bayesnet_track.vision.kernels.color_kernels import hue_of_bgr
 
         frame = frames.current
         if self.margin == 0 or region.is_empty:

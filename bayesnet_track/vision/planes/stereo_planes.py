@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.observation.depth import NoDepth, PointMap, Points, RightEye
 from bayesnet_track.observation.planes import Array, Frame, FramePair, Plane, Region
-from bayesnet_track.vision.gray_plane import gray
+from bayesnet_track.vision.planes.gray_plane import gray
 
 GRAY_STEPS = 8
 """Filtered pictures hold steps of 1 / GRAY_STEPS gray level."""
@@ -59,7 +59,7 @@ class Correlation:
         self, left: NDArray[np.uint8], right: NDArray[np.uint8], low_px: int, high_px: int, region: Region
     ) -> Disparity:
         """Thesis eq. 3.5, to a fraction of a pixel by a parabola."""
-        from bayesnet_track.numerics.disparity_kernels import correlate
+        from bayesnet_track.vision.kernels.disparity_kernels import correlate
 
         found = np.empty((max(region.y1 - region.y0, 0), max(region.x1 - region.x0, 0)), dtype=np.float32)
         if region.is_empty:
@@ -201,7 +201,7 @@ class PointsPlane:
         Raises:
             NoDepth: the frame has neither a second eye nor a point map.
         """
-        from bayesnet_track.numerics.disparity_kernels import label_regions
+        from bayesnet_track.vision.kernels.disparity_kernels import label_regions
 
         frame = frames.current
         if frame.depth is None:
@@ -250,7 +250,7 @@ def laplacian_of_gaussian(image: NDArray[np.uint8], region: Region, sd_px: float
     """
     import cv2
 
-    from bayesnet_track.numerics.disparity_kernels import LARGEST
+    from bayesnet_track.vision.kernels.disparity_kernels import LARGEST
 
     height, width = image.shape[:2]
     wide = region.grown(LOG_REACH)

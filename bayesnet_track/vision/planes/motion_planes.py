@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.observation.planes import Array, Frame, FramePair, Plane, Region
-from bayesnet_track.vision.gray_plane import gray
+from bayesnet_track.vision.planes.gray_plane import gray
 
 COARSEST = 4
 """Pixels of the frame per pixel of the coarsest of the three pyramid levels."""
@@ -75,7 +75,7 @@ class FlowPlane:
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """The valid vectors of the current frame whose points lie in `region`."""
-        from bayesnet_track.numerics import flow_kernels
+        from bayesnet_track.vision.kernels import flow_kernels
 
         current, previous, interval = frames.current, frames.previous, interval_of(frames)
         if previous is None or not interval > 0 or region.is_empty:
@@ -103,7 +103,7 @@ class FlowPlane:
 
     def _corners(self, frame: Frame, region: Region) -> NDArray[np.int64]:
         """(points, 2) x, y of the corners in the region: the best of each cell that the region touches."""
-        from bayesnet_track.numerics import corner_kernels
+        from bayesnet_track.vision.kernels import corner_kernels
 
         cells = _aligned(region, self.spacing_px).within(frame)
         crop = cells.grown(corner_kernels.RIM + 1).within(frame)
@@ -151,7 +151,7 @@ class CameraPlane:
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """The matrix, from the whole frames."""
-        from bayesnet_track.numerics.camera_motion import similarity
+        from bayesnet_track.vision.camera_motion import similarity
 
         interval = interval_of(frames)
         if frames.previous is None or not interval > 0:

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from bayesnet_track.observation.planes import Array, FramePair, Plane, Region
-from bayesnet_track.vision.gray_plane import gray
+from bayesnet_track.vision.planes.gray_plane import gray
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class TextureCodes:
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """Codes on `region`; beyond the frame its border is repeated."""
-        from bayesnet_track.numerics.texture_kernels import binary_patterns, gradient_directions
+        from bayesnet_track.vision.kernels.texture_kernels import binary_patterns, gradient_directions
 
         codes = np.empty((max(region.y1 - region.y0, 0), max(region.x1 - region.x0, 0)), np.uint8)
         if codes.size == 0:

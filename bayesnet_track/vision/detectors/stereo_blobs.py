@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from bayesnet_track.detect.selection import select
 from bayesnet_track.observation.detector import (
     Detections,
     Detector,
@@ -17,8 +16,9 @@ from bayesnet_track.observation.detector import (
     DetectorState,
 )
 from bayesnet_track.observation.planes import FramePair
-from bayesnet_track.vision.stereo_blobs import StereoBlobSettings, detect_stereo_blobs
-from bayesnet_track.vision.stereo_planes import Correlation, Range, SemiGlobal
+from bayesnet_track.vision.detectors.selection import select
+from bayesnet_track.vision.planes.stereo_planes import Correlation, Range, SemiGlobal
+from bayesnet_track.vision.stereo.stereo_blobs import StereoBlobSettings, detect_stereo_blobs
 
 
 class StereoBlobsParameters(DetectorParameters):
@@ -78,7 +78,7 @@ class StereoBlobDetector:
 
 
 def _make(parameters: StereoBlobsParameters) -> Detector:
-    from bayesnet_track.numerics import disparity_kernels  # noqa: F401  load before the first frame
+    from bayesnet_track.vision.kernels import disparity_kernels  # noqa: F401  load before the first frame
 
     p = parameters
     reach = Range(

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.observation.planes import Array, Frame, FramePair, PlaneCache, Region
-from bayesnet_track.vision.shape_contours import contours, mask_box, mask_edges, vectors
-from bayesnet_track.vision.shape_planes import EdgePlane
+from bayesnet_track.vision.planes.shape_planes import EdgePlane
+from bayesnet_track.vision.shape.shape_contours import contours, mask_box, mask_edges, vectors
 
 Floats = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesnet_track.observation.planes import Array, FramePair, Plane, Region
-from bayesnet_track.vision.gray_plane import GrayPlane
+from bayesnet_track.vision.planes.gray_plane import GrayPlane
 
 SOBEL = 8.0
 """What a 3x3 Sobel filter makes of a slope of one gray level per pixel."""

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from bayesnet_track.detect.selection import SURE, BlobParameters, blobs, select
 from bayesnet_track.observation.detector import (
     NOTHING,
     Detections,
@@ -19,7 +18,8 @@ from bayesnet_track.observation.detector import (
     DetectorState,
 )
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region, region_of_boxes
-from bayesnet_track.vision.color_planes import HueBins
+from bayesnet_track.vision.detectors.selection import SURE, BlobParameters, blobs, select
+from bayesnet_track.vision.planes.color_planes import HueBins
 
 Floats = NDArray[np.float64]
 
@@ -149,7 +149,7 @@ def hue_shares(hue_deg: float, sd_deg: float, bins: int) -> Floats:
 def _make(parameters: ColorBackprojectionParameters) -> Detector:
     import cv2
 
-    from bayesnet_track.numerics import color_kernels  # noqa: F401  load before the first frame
+    from bayesnet_track.vision.kernels import color_kernels  # noqa: F401  load before the first frame
 
     nothing = np.zeros(parameters.bins + 1)
     if parameters.hue_deg is not None:
@@ -160,7 +160,7 @@ def _make(parameters: ColorBackprojectionParameters) -> Detector:
     if parameters.picture is None:
         return detector
     from bayesnet_track.runtime.frames import PictureError
-    from bayesnet_track.runtime.image_size import read_checked
+    from bayesnet_track.vision.image_size import read_checked
 
     try:
         data = np.frombuffer(read_checked(Path(parameters.picture)), np.uint8)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.compiled import compiled
-from bayesnet_track.numerics.flow_kernels import FLOW_UNITS
+from bayesnet_track.vision.kernels.flow_kernels import FLOW_UNITS
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.numerics.blob_words import MOST_CELLS, grow_in_words
 from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.vision.kernels.blob_words import MOST_CELLS, grow_in_words
 
 Floats = NDArray[np.float64]
 

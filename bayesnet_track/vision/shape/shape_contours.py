@@ -52,9 +52,9 @@ def contours(points: Ints, boxes: Floats, frame: Ints) -> Contours:
 
     Each depends on its own box and the edges only, not on the other boxes.
     """
-    from bayesnet_track.numerics import shape_snake
-    from bayesnet_track.numerics.shape_kernels import map_points
-    from bayesnet_track.numerics.shape_spline import CONTROL_POINTS, curve_matrix, fit_matrix
+    from bayesnet_track.vision.kernels.shape_kernels import map_points
+    from bayesnet_track.vision.shape import shape_snake
+    from bayesnet_track.vision.shape.shape_spline import CONTROL_POINTS, curve_matrix, fit_matrix
 
     boxes = np.ascontiguousarray(boxes, dtype=np.float64)
     count = len(boxes)
@@ -82,7 +82,7 @@ def contours(points: Ints, boxes: Floats, frame: Ints) -> Contours:
 
 def fields(found: Contours) -> Floats:
     """(C, S, S) signed distance in px to each contour around its box grown by `COVER`; negative inside."""
-    from bayesnet_track.numerics.shape_kernels import cell_fields
+    from bayesnet_track.vision.kernels.shape_kernels import cell_fields
 
     values = np.empty((len(found.boxes), FIELD_POINTS, FIELD_POINTS))
     cell_fields(found.curves, found.boxes, COVER, values)
@@ -96,7 +96,7 @@ def _distances(points: Ints, boxes: Floats, frame: Ints) -> tuple[Array, Ints]:
     """
     import cv2
 
-    from bayesnet_track.numerics.shape_snake import BOUND
+    from bayesnet_track.vision.shape.shape_snake import BOUND
 
     side = np.sqrt(boxes[:, 2] * boxes[:, 3])
     # a snake's bound, what it sees from there, and twice the tolerance, with room for the gradient
@@ -143,7 +143,7 @@ def mask_box(mask: Array) -> Floats:
 
 def vectors(found: Contours, boxes: Floats, grid: int) -> Floats:
     """(C, grid * grid) shape vector of each contour in a box (C, 4) near its own; rows top to bottom."""
-    from bayesnet_track.numerics.shape_kernels import shape_vector
+    from bayesnet_track.vision.kernels.shape_kernels import shape_vector
 
     values = np.empty((len(boxes), grid * grid))
     for field, cell, box, vector in zip(fields(found), found.boxes, boxes, values, strict=True):

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesnet_track.observation.planes import Array, Frame, FramePair, Plane, Region
-from bayesnet_track.vision.gray_plane import gray
-from bayesnet_track.vision.motion_planes import interval_of
+from bayesnet_track.vision.planes.gray_plane import gray
+from bayesnet_track.vision.planes.motion_planes import interval_of
 
 LEAST_SIDE = 16
 """Pictures with a shorter side, pixels, have no dense flow: they are too small for a pyramid."""
@@ -133,7 +133,7 @@ class DenseFlowPlane:
         return field
 
     def _check(self, both: Array, covered: Region, region: Region, scores: Array, field: Array) -> None:
-        from bayesnet_track.numerics.dense_flow_kernels import there_and_back
+        from bayesnet_track.vision.kernels.dense_flow_kernels import there_and_back
 
         left, top = region.x0 - covered.x0, region.y0 - covered.y0
         part = np.empty(field.shape, np.float32)  # kernels get whole arrays: each is compiled once only
@@ -150,7 +150,7 @@ class DenseFlowPlane:
         field[:] = part
 
     def _scores(self, frame: Frame, region: Region) -> Array:
-        from bayesnet_track.numerics import corner_kernels
+        from bayesnet_track.vision.kernels import corner_kernels
 
         crop = region.grown(corner_kernels.RIM + 1).within(frame)
         image = gray(crop.of(frame.image))
@@ -168,7 +168,7 @@ def odp_flow(source: Array, target: Array, reach_px: float) -> Array:
     """
     import cv2
 
-    from bayesnet_track.numerics.odp_kernels import odp_pass
+    from bayesnet_track.vision.kernels.odp_kernels import odp_pass
 
     levels = {1: (source.astype(np.float32), target.astype(np.float32))}
     for scale in (2, 4, COARSEST):

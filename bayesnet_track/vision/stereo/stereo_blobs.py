@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.observation.depth import NoDepth
 from bayesnet_track.observation.planes import Frame, Region
-from bayesnet_track.vision.stereo_planes import Correlation, Matcher, Range, all_points
+from bayesnet_track.vision.planes.stereo_planes import Correlation, Matcher, Range, all_points
 
 Floats = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ def detect_stereo_blobs(frame: Frame, settings: StereoBlobSettings | None = None
     Raises:
         NoDepth: the frame has neither a second eye nor a point map.
     """
-    from bayesnet_track.numerics.disparity_kernels import label_regions
+    from bayesnet_track.vision.kernels.disparity_kernels import label_regions
 
     if frame.depth is None:
         raise NoDepth

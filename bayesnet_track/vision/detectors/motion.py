@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bayesnet_track.detect.selection import SURE, BlobParameters, regions, select
 from bayesnet_track.observation.detector import (
     NOTHING,
     Detections,
@@ -18,7 +17,8 @@ from bayesnet_track.observation.detector import (
     DetectorState,
 )
 from bayesnet_track.observation.planes import FramePair
-from bayesnet_track.vision.gray_plane import gray
+from bayesnet_track.vision.detectors.selection import SURE, BlobParameters, regions, select
+from bayesnet_track.vision.planes.gray_plane import gray
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bayesnet_track.detect.onnx_layouts import LAYOUTS, Found, LayoutError
-from bayesnet_track.detect.selection import select
 from bayesnet_track.observation.detector import (
     Detections,
     Detector,
@@ -21,6 +19,8 @@ from bayesnet_track.observation.detector import (
     DetectorState,
 )
 from bayesnet_track.observation.planes import FramePair
+from bayesnet_track.vision.detectors.onnx_layouts import LAYOUTS, Found, LayoutError
+from bayesnet_track.vision.detectors.selection import select
 
 Floats = NDArray[np.float64]
 

@@ -53,7 +53,7 @@ def patch_at(image: Bytes, x: float, y: float, cell: float, cells: int) -> Patch
     """
     import cv2
 
-    from bayesnet_track.numerics.gradient_kernels import CELL
+    from bayesnet_track.vision.kernels.gradient_kernels import CELL
 
     around = cells + 2  # a rim for the energy around a cell
     size = CELL * around
@@ -72,7 +72,7 @@ def turned_patch_at(image: Bytes, x: float, y: float, cell: float, cells: int, a
     """As `patch_at`, of a square that is turned by `angle` degrees, clockwise: it shows what was upright."""
     import cv2
 
-    from bayesnet_track.numerics.gradient_kernels import CELL
+    from bayesnet_track.vision.kernels.gradient_kernels import CELL
 
     size = CELL * (cells + 2)
     scale = cell / CELL  # px per pixel of the patch
@@ -131,7 +131,7 @@ def _features(resized: Bytes, cells: int) -> Singles:
     """(CHANNELS, cells, cells) of a square of `cells` + 2 cells."""
     import cv2
 
-    from bayesnet_track.numerics.gradient_kernels import normalised_cells, oriented_gradients
+    from bayesnet_track.vision.kernels.gradient_kernels import normalised_cells, oriented_gradients
 
     around = cells + 2
     histograms = np.empty((around, around, ORIENTATIONS), np.float32)

@@ -1,0 +1,1 @@
+"""The built-in feature planes of a frame."""

@@ -1,0 +1,1 @@
+"""Contours and the statistical model of their shape."""

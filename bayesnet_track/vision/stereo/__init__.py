@@ -1,0 +1,1 @@
+"""Stereo matching, calibration and what is learnt of depth."""
