@@ -57,7 +57,7 @@ class Confined:
     def confined(self, moved: Floats) -> Floats:
         """`moved` (N, D), changed in place: centres on the image, sizes of 1 px to twice the image's."""
         # Imported here: a graph is validated without compiling anything.
-        from bayesnet_track.numerics.kinematic_kernels import confine
+        from bayesnet_track.numerics.kernels.kinematic_kernels import confine
 
         confine(moved, float(self.width), float(self.height))
         return moved

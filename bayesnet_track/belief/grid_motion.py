@@ -192,7 +192,7 @@ def _bounded(
 
 def _turned(mass: Floats, down: Floats, across: Floats) -> Floats:
     """The masses after the velocities' step: new[a, b] = sum down[a, c] across[b, d] old[c, d]."""
-    from bayesnet_track.numerics import grid_kernels
+    from bayesnet_track.numerics.kernels import grid_kernels
 
     vy, vx = mass.shape[:2]
     out = np.empty((vy, vx, mass[0, 0].size))
@@ -202,7 +202,7 @@ def _turned(mass: Floats, down: Floats, across: Floats) -> Floats:
 
 def _spread(patch: Patch, axis: int, shifts: Floats, variance: float, lattice: Lattice) -> Patch:
     """The masses moved along X or Y by a shift (px) of each velocity and spread by noise (px^2)."""
-    from bayesnet_track.numerics import grid_kernels
+    from bayesnet_track.numerics.kernels import grid_kernels
 
     if variance <= 0.0 and not shifts.any():
         return patch

@@ -109,7 +109,7 @@ class KinematicMotion:
             _steps(self.dynamics, self.diffusion, dt)  # refuses a time that does not move forward
             return states.copy()
         # Imported here: a graph is validated without compiling anything.
-        from bayesnet_track.numerics.kinematic_kernels import drifted
+        from bayesnet_track.numerics.kernels.kinematic_kernels import drifted
 
         return drifted(_plain(states), _move_rows(self.dynamics, self.diffusion, dt))
 
@@ -310,7 +310,7 @@ def _move_rows(dynamics: Rows, diffusion: float, dt: float) -> Rows:
 
 
 def _driven(states: Floats, parents: Ancestors, moves: Rows, root: Rows, rng: np.random.Generator) -> Floats:
-    from bayesnet_track.numerics.kinematic_kernels import driven, driven_by
+    from bayesnet_track.numerics.kernels.kinematic_kernels import driven, driven_by
 
     if len(parents) > FEW:
         return driven_by(states, parents, moves, root, rng)

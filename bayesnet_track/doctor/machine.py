@@ -16,7 +16,7 @@ THREAD_SETTINGS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS",
 _CACHE = """
 import pickle, sys
 from pathlib import Path
-from bayesnet_track.numerics import resampling_kernels as one
+from bayesnet_track.numerics.kernels import resampling_kernels as one
 kernel = next(v for v in vars(one).values() if hasattr(v, "_cache"))
 folder = getattr(kernel._cache, "cache_path", None)
 print(folder or "")

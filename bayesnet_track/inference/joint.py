@@ -287,7 +287,7 @@ def _message(
 ) -> _Message:
     """What pairs with `speaker` say of the hypotheses of `hearer`, in units of the speaker's evidence."""
     # Imported here: a graph is validated without compiling anything.
-    from bayesnet_track.numerics.joint_kernels import pair_sums
+    from bayesnet_track.numerics.kernels.joint_kernels import pair_sums
 
     prior = speaker.prior.weights
     belief = prior * np.exp(speaker.log_likelihood - speaker.log_likelihood.max()) * said.all

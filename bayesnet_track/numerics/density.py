@@ -39,7 +39,7 @@ def mixture_argmax(
     """
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.compiled import plain
-    from bayesnet_track.numerics.density_kernels import likeliest
+    from bayesnet_track.numerics.kernels.density_kernels import likeliest
 
     # One compiled version only: writable and in C order.
     arrays = (log_factors, points, log_weights, means, 1.0 / sds)

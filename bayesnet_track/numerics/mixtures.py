@@ -34,7 +34,7 @@ def mixture_quantiles(
     >>> mixture_quantiles([[0.0]], (1.0, 5.0), (1.0, 0.0), [0.5, 0.975]).round(4).tolist()
     [[-0.0, 1.96]]
     """
-    from bayesnet_track.numerics.mixture_kernels import quantiles
+    from bayesnet_track.numerics.kernels.mixture_kernels import quantiles
 
     centres = np.ascontiguousarray(np.atleast_2d(np.asarray(points, dtype=np.float64)))
     wanted = np.array(levels, dtype=np.float64)

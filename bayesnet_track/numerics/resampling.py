@@ -75,12 +75,12 @@ SCHEMES: Mapping[str, Callable[[Floats, int, np.random.Generator], Ancestors]] =
 
 
 def _look_up(weights: Floats, positions: Floats) -> Ancestors:
-    from bayesnet_track.numerics.resampling_kernels import look_up
+    from bayesnet_track.numerics.kernels.resampling_kernels import look_up
 
     return look_up(weights, positions)
 
 
 def _look_up_even(weights: Floats, shifts: Floats, count: int) -> Ancestors:
-    from bayesnet_track.numerics.resampling_kernels import look_up_even
+    from bayesnet_track.numerics.kernels.resampling_kernels import look_up_even
 
     return look_up_even(weights, shifts, count)

@@ -18,7 +18,7 @@ from bayesnet_track.inference.joint import (
     draw_partners,
     joint_marginals,
 )
-from bayesnet_track.numerics.joint_kernels import behind, loss_of
+from bayesnet_track.numerics.kernels.joint_kernels import behind, loss_of
 from bayesnet_track.numerics.log_weights import LogWeights
 
 

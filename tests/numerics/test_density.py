@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.numerics.density import log_gaussians, mixture_argmax, mixture_log_density
-from bayesnet_track.numerics.density_kernels import (
+from bayesnet_track.numerics.kernels.density_kernels import (
     FAST_ERROR,
     _add_some,
     _likely,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.joint_kernels import behind, loss_of, pair_sums
+from bayesnet_track.numerics.kernels.joint_kernels import behind, loss_of, pair_sums
 
 
 def test_a_quarter_of_a_box_that_does_not_match_halves_each_agents_likelihood():

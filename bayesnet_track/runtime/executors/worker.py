@@ -73,7 +73,7 @@ def _load() -> None:
     import numba  # noqa: F401
 
     import bayesnet_track.inference.compile
-    import bayesnet_track.numerics.kinematic_kernels
+    import bayesnet_track.numerics.kernels.kinematic_kernels
     import bayesnet_track.runtime.executors.frames
     import bayesnet_track.runtime.executors.host
     import bayesnet_track.runtime.executors.wire  # noqa: F401
