@@ -17,8 +17,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from bayesnet_track.graph.load import load_graph as load_graph
     from bayesnet_track.graph.spec import GraphSpec as GraphSpec
+    from bayesnet_track.graph.text.load import load_graph as load_graph
     from bayesnet_track.runtime.interchange import Detections as Detections
     from bayesnet_track.runtime.opened import Run as Run
     from bayesnet_track.runtime.opened import open_run as open_run
@@ -34,7 +34,7 @@ _HOMES = {
     "Run": "bayesnet_track.runtime.opened",
     "Start": "bayesnet_track.runtime.run",
     "Tracker": "bayesnet_track.runtime.tracker",
-    "load_graph": "bayesnet_track.graph.load",
+    "load_graph": "bayesnet_track.graph.text.load",
     "open_run": "bayesnet_track.runtime.opened",
     "track": "bayesnet_track.runtime.session",
 }

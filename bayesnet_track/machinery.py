@@ -15,12 +15,12 @@ from bayesnet_track.belief.rotating import Rotating
 from bayesnet_track.executor import Crew, Executor, Serial
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
-from bayesnet_track.graph.cue_laws import plugin_parameters
-from bayesnet_track.graph.laws import cues_named
-from bayesnet_track.graph.life_settings import LifeRules, life_rules
-from bayesnet_track.graph.motion_settings import Moving
+from bayesnet_track.graph.checks.cues import plugin_parameters
+from bayesnet_track.graph.checks.run import cues_named
+from bayesnet_track.graph.settings.lifecycle import LifeRules, life_rules
+from bayesnet_track.graph.settings.motion import Moving
 from bayesnet_track.graph.spec import Guard, Join, Learn
-from bayesnet_track.graph.write import as_plain, flow_text
+from bayesnet_track.graph.text.write import as_plain, flow_text
 from bayesnet_track.inference.absent import Absent
 from bayesnet_track.inference.parts import part_of_agents
 from bayesnet_track.numerics.compile_watch import working_clock

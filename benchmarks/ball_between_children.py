@@ -17,9 +17,9 @@ import numpy as np
 from measuring import table
 from numpy.typing import NDArray
 
-from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.graph.write import as_plain
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.runtime.run import Start
 from bayesnet_track.runtime.scene_source import SceneSource

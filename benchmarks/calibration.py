@@ -25,9 +25,9 @@ from bayesnet_track.evaluate.calibration import OFF_TARGET, longest_run
 from bayesnet_track.evaluate.fitting import USUAL_FEATURES, Fitted, fit, leave_one_out
 from bayesnet_track.evaluate.witness import Witness, with_features, witness
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.laws import check_graph
-from bayesnet_track.graph.load import load_graph
-from bayesnet_track.graph.write import as_plain
+from bayesnet_track.graph.checks.run import check_graph
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.scenes import make_scene
 

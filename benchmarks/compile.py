@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayesnet_track.graph.laws import check_graph
+from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.observation.cue import Cue, installed_cues

@@ -21,9 +21,9 @@ from placed_agents import WORK
 
 from bayesnet_track.engine import Engine, Outcome, State, make_engine, start_target, step
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.laws import check_graph
-from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.executors import make_executor
 

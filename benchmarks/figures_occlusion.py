@@ -23,8 +23,8 @@ from figures_two_squares import levels, ud_and_activity
 from matplotlib.figure import Figure
 from traces import Trace, mean_shift, trace
 
-from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import AgentNode
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.net.net import LocallyAdapted, SelfStopped
 from bayesnet_track.runtime.run import Start
 from bayesnet_track.scenes import Scene, make_scene

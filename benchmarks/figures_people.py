@@ -33,7 +33,7 @@ from figure_style import (
 from matplotlib.figure import Figure
 from traces import Trace, trace
 
-from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.net.net import SelfStopped
 from bayesnet_track.runtime.run import Start
 from bayesnet_track.scenes import Scene, make_scene

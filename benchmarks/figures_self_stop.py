@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 from traces import Moment, Trace, trace
 
-from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.cue import Floats, Hypotheses
 from bayesnet_track.observation.detector import Detections

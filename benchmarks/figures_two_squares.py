@@ -30,8 +30,8 @@ from matplotlib.figure import Figure
 from traces import Trace, mean_shift, trace
 from two_squares import held_to_the_end, without_adaptation
 
-from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.net.net import Activated
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.cue import Hypotheses

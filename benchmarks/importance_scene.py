@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.basic import Event, SecondPass
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.run import Result, Start, run

@@ -24,8 +24,8 @@ from measuring import environment, on_one_thread, table
 from numpy.typing import NDArray
 
 from bayesnet_track import Start, track
-from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.runtime.run import Result
 from bayesnet_track.runtime.scene_source import SceneSource

@@ -34,8 +34,8 @@ from sequences import Sequence, find_sequences
 
 from bayesnet_track import Tracker
 from bayesnet_track.evaluate.scores import score
-from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.net.net import Activated, Deactivated, SelfStopped
 
 SEEDLESS = ("CSRT", "KCF")

@@ -23,8 +23,8 @@ from sequences import find_sequences
 from sequences import track as track_sequence
 
 from bayesnet_track import Tracker
-from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.load import load_graph
 
 WIDTH, HEIGHT, SIDE, MEAN, SWING = 320, 240, 41, 110.0, 28.0
 LIT, OPPOSITE = (-1.0, -1.0, 0.8), (1.0, 1.0, 0.8)

@@ -19,7 +19,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from bayesnet_track.graph.laws import check_graph
+from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.session import track
 

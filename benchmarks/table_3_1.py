@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from bayesnet_track.commands.tracking import SCENE_GRAPHS
 from bayesnet_track.engine import make_engine
-from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.run import Start, run

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from peers import MeanShift
 
 from bayesnet_track.engine import Engine, Outcome, make_engine, step
-from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.basic import FrameMetrics
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.boxes import centre_from_corner

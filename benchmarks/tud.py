@@ -23,9 +23,9 @@ from bayesnet_track.evaluate.mot import score_mot
 from bayesnet_track.evaluate.mot_files import read_mot_truth
 from bayesnet_track.evaluate.mot_pairs import Tracks
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.laws import check_graph
-from bayesnet_track.graph.load import load_graph
-from bayesnet_track.graph.write import as_plain
+from bayesnet_track.graph.checks.run import check_graph
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.numerics.boxes import centre_from_corner, corner_from_centre
 from bayesnet_track.observation.detector import Detections, Detector
 from bayesnet_track.runtime.detection_files import FileDetector

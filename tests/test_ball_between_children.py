@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.graph.write import as_plain
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.events.basic import ParticlesResized, SecondPass
 from bayesnet_track.journal.net.net import Deactivated
 from bayesnet_track.numerics.boxes import centre_from_corner

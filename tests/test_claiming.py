@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bayesnet_track.engine import Outcome, State, first_look, make_engine, step
-from bayesnet_track.graph.laws import check, check_graph
-from bayesnet_track.graph.load import load_graph
-from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.graph.checks.run import check, check_graph
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.events.life_events import BirthsRefused
 from bayesnet_track.journal.net.net import TargetStarted
 from bayesnet_track.observation.detector import NOTHING, Detections

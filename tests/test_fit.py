@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli import main
-from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.text.load import load_graph
 
 GRAPH = """# my graph
 bayesnet: 1

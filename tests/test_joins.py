@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track.engine import first_look, make_engine, step
-from bayesnet_track.graph.laws import check
-from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.checks.run import check
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.basic import AttachmentChanged, OcclusionChanged
 from bayesnet_track.journal.net.net import Decision, Joined, Parted, replay

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli import main
-from bayesnet_track.graph.load import load_graph
-from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.reader import read_metrics
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue import installed_cues

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.engine import Outcome, State, first_look, make_engine, start_target, step
-from bayesnet_track.graph.laws import check_graph
+from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
 from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
 from bayesnet_track.journal.net.net import Decision, StatusChanged, TargetStarted, replay

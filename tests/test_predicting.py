@@ -11,7 +11,7 @@ from bayesnet_track.belief.attached import Attached
 from bayesnet_track.belief.carried import Carried
 from bayesnet_track.belief.jumps import Jumping
 from bayesnet_track.belief.rotating import Rotating
-from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.events.jump_events import Reappeared
 from bayesnet_track.nets.predicting import Outlook, outlook, predicted
 from bayesnet_track.observation.detector import Detections

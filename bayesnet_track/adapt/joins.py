@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.graph.join_settings import Join, join_of
+from bayesnet_track.graph.settings.joins import Join, join_of
 from bayesnet_track.journal.net.join_decisions import Joined, Parted
 from bayesnet_track.journal.net.net import Net
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.claims import NOBODY, distances, pair_up
-from bayesnet_track.graph.life_settings import Birth, Confirm, Death, Duplicates
+from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, Duplicates
 from bayesnet_track.journal.net.net import Fault
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.detector import DetectorState

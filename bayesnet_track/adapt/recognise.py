@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.lifecycle import Identity
 from bayesnet_track.belief.contract import Motion
-from bayesnet_track.graph.life_settings import Recall
+from bayesnet_track.graph.settings.lifecycle import Recall
 from bayesnet_track.journal.net.life_decisions import Recognition
 from bayesnet_track.numerics.boxes import overlap
 

@@ -118,8 +118,8 @@ def failed_row(job: Job, reason: str) -> Row:
 
 def _check_same(job: Job, recipe: Recipe) -> None:
     """Refuse a run that was asked for otherwise: its results would be taken for this job's."""
-    from bayesnet_track.graph.load import load_graph
-    from bayesnet_track.graph.write import graph_sha256
+    from bayesnet_track.graph.text.load import load_graph
+    from bayesnet_track.graph.text.write import graph_sha256
 
     origin = recipe.origin
     source = origin.absolute.get(origin.text, origin.text)

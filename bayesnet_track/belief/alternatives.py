@@ -16,7 +16,7 @@ from bayesnet_track.belief.passes import Pass, joined, prior_of
 from bayesnet_track.belief.proposals import Both, inside, log_sum, mixed, reweighted
 from bayesnet_track.belief.sizes import evaluated, moved
 from bayesnet_track.belief.states import hypotheses_of
-from bayesnet_track.graph.importance_settings import Auxiliary, LikelihoodMixture, Rejection, West
+from bayesnet_track.graph.settings.proposals import Auxiliary, LikelihoodMixture, Rejection, West
 from bayesnet_track.numerics.gaussian import weighted_moments
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import systematic

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import Ancestors, Motion
 from bayesnet_track.belief.motion import KinematicMotion
 from bayesnet_track.belief.noise import Transition
-from bayesnet_track.graph.motion_settings import KeepSize
+from bayesnet_track.graph.settings.motion import KeepSize
 
 Floats = NDArray[np.float64]
 

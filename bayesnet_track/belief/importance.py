@@ -16,13 +16,7 @@ from bayesnet_track.belief.passes import Pass
 from bayesnet_track.belief.proposals import Both, fitted_draws, log_sum, parent_draws, taken
 from bayesnet_track.belief.sizes import First, first_pass, resized_by, start_size
 from bayesnet_track.graph import spec
-from bayesnet_track.graph.importance_settings import (
-    Adaptive,
-    Auxiliary,
-    LikelihoodMixture,
-    Rejection,
-    West,
-)
+from bayesnet_track.graph.settings.proposals import Adaptive, Auxiliary, LikelihoodMixture, Rejection, West
 from bayesnet_track.journal.events.basic import SecondPass
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights

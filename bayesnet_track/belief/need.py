@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.graph.particle_settings import AdaptiveSize, BinnedSize, NormalSize
+from bayesnet_track.graph.settings.particles import AdaptiveSize, BinnedSize, NormalSize
 from bayesnet_track.numerics import sample_size
 
 Floats = NDArray[np.float64]

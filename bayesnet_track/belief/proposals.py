@@ -18,7 +18,7 @@ from bayesnet_track.belief.fitted import EFFECTIVE, fitted_message, fitted_propo
 from bayesnet_track.belief.particle_set import Inputs
 from bayesnet_track.belief.passes import Pass, joined, prior_of
 from bayesnet_track.belief.sizes import evaluated
-from bayesnet_track.graph.importance_settings import Adaptive
+from bayesnet_track.graph.settings.proposals import Adaptive
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.resampling import systematic
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from bayesnet_track.belief.contract import Report
 from bayesnet_track.belief.need import Need, Sized
-from bayesnet_track.graph.particle_settings import AdaptiveSize
+from bayesnet_track.graph.settings.particles import AdaptiveSize
 from bayesnet_track.journal.events.basic import ParticlesResized
 
 ENLARGED = 1.25

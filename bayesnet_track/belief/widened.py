@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from bayesnet_track.belief.motion import KinematicMotion
-from bayesnet_track.graph.motion_settings import BoxSd
+from bayesnet_track.graph.settings.motion import BoxSd
 
 
 def widening(doubt: float, most: float) -> float:

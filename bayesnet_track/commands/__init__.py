@@ -31,7 +31,7 @@ from bayesnet_track.commands.review import log, score
 from bayesnet_track.commands.tracking import demo, run
 from bayesnet_track.commands.verify import verify
 from bayesnet_track.commands.what_if import what_if
-from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.numerics.compile_watch import WATCH
 
 COMPILING = "compiling kernels, once, about 20 s"

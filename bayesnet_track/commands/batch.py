@@ -25,7 +25,7 @@ def batch(options: argparse.Namespace) -> int:
     from bayesnet_track.batch.places import Place, Processes
     from bayesnet_track.batch.table import BatchProgress, csv_text
     from bayesnet_track.batch.work import FAILED
-    from bayesnet_track.graph.load import load_graph
+    from bayesnet_track.graph.text.load import load_graph
     from bayesnet_track.journal.atomic import write_atomically
     from bayesnet_track.runtime.starts import has_births
 

@@ -72,7 +72,7 @@ def tell_comparison(first: Run, second: Run, options: argparse.Namespace) -> int
     """Print the comparison of two runs, and write its page where --html asks for one."""
     from dataclasses import replace
 
-    from bayesnet_track.graph.differences import differences
+    from bayesnet_track.graph.text.differences import differences
     from bayesnet_track.journal.compare import compare as compare_runs
     from bayesnet_track.journal.text.compare_text import compare_text, settings_apart
 

@@ -149,7 +149,7 @@ def _opened(options: argparse.Namespace) -> Source:
 
 
 def _declaration(name: str) -> DetectorDeclaration:
-    from bayesnet_track.graph.messages import nearest
+    from bayesnet_track.graph.text.messages import nearest
     from bayesnet_track.observation.detector import ENTRY_POINT_GROUP, installed_detectors
     from bayesnet_track.observation.plugins import why_absent
 
@@ -168,7 +168,7 @@ def read_parameters(declaration: DetectorDeclaration | CueDeclaration, settings:
     import yaml
     from pydantic import ValidationError
 
-    from bayesnet_track.graph.messages import nearest
+    from bayesnet_track.graph.text.messages import nearest
 
     values: dict[str, Any] = {}
     for text in settings:

@@ -26,7 +26,7 @@ def fit(options: argparse.Namespace) -> int:
     """Estimate, print or write."""
     from bayesnet_track.evaluate.fitting import SIGNS, leave_one_out
     from bayesnet_track.evaluate.fitting import fit as estimate
-    from bayesnet_track.graph.load import load_graph
+    from bayesnet_track.graph.text.load import load_graph
 
     what = _chosen("--what", options.what, WHAT)
     features = _chosen("--features", options.features, tuple(SIGNS))
@@ -81,7 +81,7 @@ def graph_text(graph: str) -> str:
 
 def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[str]) -> str:
     """The graph's text with what was estimated, each with a comment that says from what."""
-    from bayesnet_track.graph.edit import set_value
+    from bayesnet_track.graph.text.edit import set_value
 
     name, plate = next(iter(graph.targets.items()))
     path = ("targets", name, "nodes", plate.root)

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 def check_text(text: str, name: str) -> CheckedGraph:
     """Check a graph's text against every law, as a run of it would; raises GraphError."""
-    from bayesnet_track.graph.laws import check
-    from bayesnet_track.graph.read import read_graph
+    from bayesnet_track.graph.checks.run import check
+    from bayesnet_track.graph.text.read import read_graph
 
     return check(*read_graph(text, name))
 
@@ -48,7 +48,7 @@ def fit_sds(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int | 
 
 def write_sds(text: str, graph: CheckedGraph, fitted: Mapping[tuple[str, str], FittedSd], videos: int) -> str:
     """The graph's text with fitted standard deviations, each agent's with a comment that says from what."""
-    from bayesnet_track.graph.edit import set_value
+    from bayesnet_track.graph.text.edit import set_value
 
     name, plate = next(iter(graph.targets.items()))
     for agent in dict.fromkeys(agent for agent, _ in fitted):
@@ -102,7 +102,7 @@ def fit_policy(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int
 
 def write_policy(text: str, graph: CheckedGraph, policy: Policy, comment: str = "") -> str:
     """The graph's text with an activation policy."""
-    from bayesnet_track.graph.edit import set_value
+    from bayesnet_track.graph.text.edit import set_value
 
     name, plate = next(iter(graph.targets.items()))
     adapt = plate.inference(plate.root).adapt

@@ -8,7 +8,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from bayesnet_track.commands.answer import BAD_GRAPH, OK, UsageError, complain, say, writing
-from bayesnet_track.graph.messages import GraphError, nearest
+from bayesnet_track.graph.text.messages import GraphError, nearest
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def validate(options: argparse.Namespace) -> int:
     """Check graph files; all errors of all files."""
-    from bayesnet_track.graph.load import load_graph
+    from bayesnet_track.graph.text.load import load_graph
 
     code = OK
     for name in options.graphs:
@@ -38,7 +38,7 @@ def validate(options: argparse.Namespace) -> int:
 
 
 def _opaque(graph: CheckedGraph) -> list[str]:
-    from bayesnet_track.graph.laws import cues_named
+    from bayesnet_track.graph.checks.run import cues_named
     from bayesnet_track.observation.cue import installed_cues
 
     cues = installed_cues(cues_named(graph.spec))
@@ -52,7 +52,7 @@ def _opaque(graph: CheckedGraph) -> list[str]:
 
 def graph(options: argparse.Namespace) -> int:
     """Show plan, formula and picture of a graph."""
-    from bayesnet_track.graph.load import load_graph
+    from bayesnet_track.graph.text.load import load_graph
 
     plates = _plates(load_graph(options.graph), options.target)
     text = _density if options.formula or options.latex else _plan
@@ -77,7 +77,7 @@ def _active(plate: CheckedTarget) -> frozenset[str]:
 
 
 def _density(plate: CheckedTarget, active: frozenset[str], as_latex: bool) -> str:
-    from bayesnet_track.graph.formula import formula_latex, formula_text
+    from bayesnet_track.graph.text.formula import formula_latex, formula_text
 
     return formula_latex(plate, active) if as_latex else formula_text(plate, active)
 
@@ -112,7 +112,7 @@ def schema(options: argparse.Namespace) -> int:
     """Print the JSON Schema of graph files."""
     import json
 
-    from bayesnet_track.graph.schema import graph_schema
+    from bayesnet_track.graph.text.schema import graph_schema
 
     say(json.dumps(graph_schema(), indent=2))
     return OK

@@ -67,8 +67,8 @@ def _ask(prompt: str) -> str:
 
 def _check(text: str) -> None:
     """A graph that cannot be loaded would be an error of this program."""
-    from bayesnet_track.graph.laws import check
-    from bayesnet_track.graph.read import read_graph
+    from bayesnet_track.graph.checks.run import check
+    from bayesnet_track.graph.text.read import read_graph
 
     check(*read_graph(text, "init"))
 

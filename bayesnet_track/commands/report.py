@@ -106,8 +106,8 @@ def _allowed(options: argparse.Namespace, directory: RunDirectory) -> Path:
 
 def _graph(directory: RunDirectory) -> CheckedGraph | None:
     """The run's graph; None, with a notice, where it cannot be read here (a cue is not installed, ...)."""
-    from bayesnet_track.graph.load import load_graph
-    from bayesnet_track.graph.messages import GraphError
+    from bayesnet_track.graph.text.load import load_graph
+    from bayesnet_track.graph.text.messages import GraphError
 
     try:
         return load_graph(directory.graph)

@@ -69,8 +69,8 @@ def chosen_events(events: Sequence[Event], options: argparse.Namespace) -> list[
 
 def _check_node(directory: RunDirectory, node: str | None) -> None:
     """Refuse a node that the run's graph does not have."""
-    from bayesnet_track.graph.messages import nearest
-    from bayesnet_track.graph.read import read_graph
+    from bayesnet_track.graph.text.messages import nearest
+    from bayesnet_track.graph.text.read import read_graph
 
     if node is None or not directory.graph.is_file():
         return

@@ -65,7 +65,7 @@ def demo(options: argparse.Namespace) -> int:
 
 def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     from bayesnet_track.evaluate.runs import score_run
-    from bayesnet_track.graph.load import load_graph
+    from bayesnet_track.graph.text.load import load_graph
     from bayesnet_track.journal.reader import read_events
     from bayesnet_track.journal.text.explain import explain, has_several_targets
     from bayesnet_track.runtime.run import Start
@@ -104,7 +104,7 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Track in a video."""
-    from bayesnet_track.graph.load import load_graph
+    from bayesnet_track.graph.text.load import load_graph
     from bayesnet_track.runtime.starts import has_births
 
     if options.end is not None and options.end <= options.start:

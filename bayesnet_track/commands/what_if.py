@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def what_if(options: argparse.Namespace) -> int:
     """Run again, then compare."""
     from bayesnet_track.commands.compare import check_page, tell_comparison
-    from bayesnet_track.graph.change import ChangeError, change_graph
+    from bayesnet_track.graph.text.change import ChangeError, change_graph
     from bayesnet_track.runtime.manifest import add_output
     from bayesnet_track.runtime.opened import open_run
     from bayesnet_track.runtime.recipe import Recipe, RecipeError

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from bayesnet_track.engine import Engine, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.laws import check_graph
-from bayesnet_track.graph.write import as_plain
+from bayesnet_track.graph.checks.run import check_graph
+from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.events.basic import FrameMetrics
 from bayesnet_track.nets.score import FEATURES, marginal_points
 from bayesnet_track.nets.target import weigh

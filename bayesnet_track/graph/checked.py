@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from bayesnet_track.display import html_of
+from bayesnet_track.graph.display import html_of
 from bayesnet_track.graph.spec import AgentNode, GraphSpec, InferenceNode, Target
 from bayesnet_track.observation.cue import CueParameters
 

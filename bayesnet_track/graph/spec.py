@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
 
-from bayesnet_track.display import html_of
-from bayesnet_track.graph.adapt_settings import (
+from bayesnet_track.graph.display import html_of
+from bayesnet_track.graph.settings.adapt import (
     Activate,
     Adapt,
     Concentrated,
@@ -25,12 +25,12 @@ from bayesnet_track.graph.adapt_settings import (
     Lost,
     SelfCheck,
 )
-from bayesnet_track.graph.gaussian_settings import Gaussian, Unscented
-from bayesnet_track.graph.grid_settings import Grid, Reset
-from bayesnet_track.graph.join_settings import Attachment, Exclusion, Join, Occlusion, Together
-from bayesnet_track.graph.life_settings import Birth, Confirm, Death, DetectorChoice, Duplicates, Recall
-from bayesnet_track.graph.model import Choice, Empty, Model, Name, Number, PluginChoice, Truth
-from bayesnet_track.graph.motion_settings import (
+from bayesnet_track.graph.settings.base import Choice, Empty, Model, Name, Number, PluginChoice, Truth
+from bayesnet_track.graph.settings.gaussian import Gaussian, Unscented
+from bayesnet_track.graph.settings.grid import Grid, Reset
+from bayesnet_track.graph.settings.joins import Attachment, Exclusion, Join, Occlusion, Together
+from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, DetectorChoice, Duplicates, Recall
+from bayesnet_track.graph.settings.motion import (
     BoxSd,
     ConstantAcceleration,
     ConstantVelocity,
@@ -48,16 +48,7 @@ from bayesnet_track.graph.motion_settings import (
     Wide,
     Widen,
 )
-from bayesnet_track.graph.particle_settings import (
-    AdaptiveSize,
-    BinnedSize,
-    EssBelow,
-    LikelihoodSize,
-    NormalSize,
-    Particles,
-)
-from bayesnet_track.graph.score_settings import Logistic, Rivals, Score, Slack
-from bayesnet_track.graph.settings import (
+from bayesnet_track.graph.settings.nodes import (
     Belief,
     Estimate,
     Fuse,
@@ -68,6 +59,15 @@ from bayesnet_track.graph.settings import (
     SizeBox,
     Window,
 )
+from bayesnet_track.graph.settings.particles import (
+    AdaptiveSize,
+    BinnedSize,
+    EssBelow,
+    LikelihoodSize,
+    NormalSize,
+    Particles,
+)
+from bayesnet_track.graph.settings.scores import Logistic, Rivals, Score, Slack
 
 LANGUAGE_VERSION = 1
 

@@ -28,7 +28,7 @@ from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.belief.particle_set import ParticleSet
 from bayesnet_track.belief.particles import reweighted
 from bayesnet_track.belief.states import hypotheses_of
-from bayesnet_track.graph.join_settings import Attachment, Join
+from bayesnet_track.graph.settings.joins import Attachment, Join
 from bayesnet_track.inference.joint import Edge, Marginal, Member, Pair, joint_marginals
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.journal.events.basic import Event

@@ -28,7 +28,7 @@ from bayesnet_track.adapt.lifecycle import (
     time_to_die,
 )
 from bayesnet_track.adapt.recognise import Match, match
-from bayesnet_track.graph.life_settings import Birth, LifeRules
+from bayesnet_track.graph.settings.lifecycle import Birth, LifeRules
 from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed
 from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
 from bayesnet_track.machinery import Engine

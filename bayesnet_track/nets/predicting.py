@@ -16,8 +16,8 @@ from bayesnet_track.belief.jumps import Jumping, Search
 from bayesnet_track.belief.motion import KinematicMotion
 from bayesnet_track.belief.rotating import Rotating
 from bayesnet_track.belief.widened import widened, widening
-from bayesnet_track.graph.adapt_settings import Level
-from bayesnet_track.graph.motion_settings import Recover
+from bayesnet_track.graph.settings.adapt import Level
+from bayesnet_track.graph.settings.motion import Recover
 from bayesnet_track.journal.events.life_events import DetectorFailed
 from bayesnet_track.journal.net.net import Fault
 from bayesnet_track.machinery import Machinery

@@ -8,7 +8,7 @@ import numpy as np
 
 from bayesnet_track.adapt.measure import Measures
 from bayesnet_track.belief.contract import Posterior, Step
-from bayesnet_track.graph.score_settings import Rivals
+from bayesnet_track.graph.settings.scores import Rivals
 from bayesnet_track.journal.events.rival_events import RivalSeen
 from bayesnet_track.journal.net.net import TargetNet
 

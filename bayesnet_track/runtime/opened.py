@@ -9,8 +9,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from bayesnet_track.graph.read import read_graph
 from bayesnet_track.graph.spec import AgentNode, GraphSpec
+from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.journal.codec import JournalError
 from bayesnet_track.journal.events.basic import Event, FrameMetrics, RunStarted
 from bayesnet_track.journal.net.life_decisions import Returned

@@ -19,8 +19,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.load import load_graph
-from bayesnet_track.graph.write import graph_sha256
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.write import graph_sha256
 from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.writer import read_position
 from bayesnet_track.runtime.origin import Origin

@@ -319,7 +319,7 @@ def _run_started(
     seed: int,
     inputs: Mapping[str, str],
 ) -> RunStarted:
-    from bayesnet_track.graph.write import graph_sha256
+    from bayesnet_track.graph.text.write import graph_sha256
 
     costs = {
         machine.plate.agent(agent).agent.cue: cost

@@ -12,8 +12,8 @@ from typing import cast
 from bayesnet_track.belief.contract import Motion
 from bayesnet_track.engine import Engine, make_engine
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.observation import plugins

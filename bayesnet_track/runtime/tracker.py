@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import Motion
 from bayesnet_track.engine import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.basic import Event, FrameMetrics
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation import plugins

@@ -6,9 +6,9 @@ import hashlib
 from collections.abc import Iterable, Sequence
 
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.laws import check_graph
-from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.compare import RunRecord
 from bayesnet_track.journal.events.basic import RunEnded, RunStarted
 from bayesnet_track.journal.net.net import Switch

@@ -13,7 +13,7 @@ root.
 import matplotlib.pyplot as plt
 
 from bayesnet_track import load_graph
-from bayesnet_track.graph.formula import formula_text
+from bayesnet_track.graph.text.formula import formula_text
 from bayesnet_track.view.graph_picture import graph_image
 
 plate = load_graph("color_fusion").targets["square"]

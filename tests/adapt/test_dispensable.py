@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.graph.laws import check_graph
-from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.graph.checks.run import check_graph
+from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.net.net import Activated, Deactivated
 
 ADAPT = {

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from itertools import islice
 
-from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.net.net import Activated, Concentration, Deactivated
 from bayesnet_track.runtime.run import Start, run

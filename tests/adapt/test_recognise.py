@@ -9,7 +9,7 @@ from bayesnet_track.adapt.claims import NOBODY, alike, claim, distances, pair_up
 from bayesnet_track.adapt.lifecycle import Identity, belief_overlap, refusals_to_tell
 from bayesnet_track.adapt.recognise import LOOKALIKE, Compared, looks, match, placed
 from bayesnet_track.belief.motion import make_motion
-from bayesnet_track.graph.life_settings import Recall
+from bayesnet_track.graph.settings.lifecycle import Recall
 from bayesnet_track.graph.spec import Motion
 
 NOWHERE = Identity("1", "t", np.zeros(4), np.zeros((4, 4)), 0.0, {})

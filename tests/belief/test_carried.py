@@ -11,7 +11,7 @@ from bayesnet_track.belief.gaussian_predict import predict
 from bayesnet_track.belief.motion import linear_gaussian
 from bayesnet_track.belief.widened import widened, widening
 from bayesnet_track.graph import spec
-from bayesnet_track.graph.motion_settings import KeepSize
+from bayesnet_track.graph.settings.motion import KeepSize
 
 BOX = np.array([160.0, 120.0, 60.0, 40.0])
 FLOW = np.array([[0.02, -0.05, 3.0], [0.05, 0.02, -4.0]])

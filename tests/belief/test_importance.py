@@ -14,8 +14,8 @@ from bayesnet_track.belief.motion import linear_gaussian
 from bayesnet_track.belief.particles import ParticleFilter, ParticleSet
 from bayesnet_track.belief.proposals import neighbourhoods
 from bayesnet_track.graph import spec
-from bayesnet_track.graph.load import load_graph
-from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.numerics.log_weights import LogWeights
 

@@ -20,7 +20,7 @@ from bayesnet_track.belief.particle_set import Inputs, ParticleSet
 from bayesnet_track.belief.passes import Pass, joined, prior_of
 from bayesnet_track.belief.proposals import Draws, fitted_draws, mixed, parent_draws, taken
 from bayesnet_track.belief.sizes import evaluated, moved
-from bayesnet_track.graph.importance_settings import Adaptive, Auxiliary, LikelihoodMixture, Rejection
+from bayesnet_track.graph.settings.proposals import Adaptive, Auxiliary, LikelihoodMixture, Rejection
 from bayesnet_track.numerics.gaussian import weighted_moments
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Hypotheses

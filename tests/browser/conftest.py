@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli import main
-from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.basic import FrameMetrics, RunEnded, RunStarted
 from bayesnet_track.journal.net.net import Activated, Cause, Deactivated, StatusChanged, TargetStarted
 from bayesnet_track.view.page_data import run_data

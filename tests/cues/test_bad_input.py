@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from bayesnet_track import track
-from bayesnet_track.graph.load import load_graph
-from bayesnet_track.graph.messages import GraphError
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.net.net import Quarantined
 from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.observation.depth import RightEye, StereoGeometry

@@ -9,9 +9,9 @@ import pytest
 from bayesnet_track.commands.answer import OK
 from bayesnet_track.commands.graphs import validate
 from bayesnet_track.engine import State, make_engine, start_target, step
-from bayesnet_track.graph.load import load_graph
-from bayesnet_track.graph.messages import GraphError
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.vision.opencv_trackers import missing_tracker, present_trackers
@@ -196,7 +196,7 @@ def test_a_tracker_that_is_not_there_is_an_error_with_those_that_are(monkeypatch
 def test_validate_says_that_it_is_opaque(tmp_path, capsys):
     import argparse
 
-    from bayesnet_track.graph.write import write_graph
+    from bayesnet_track.graph.text.write import write_graph
 
     path = tmp_path / "baseline.yaml"
     path.write_text(write_graph(GraphSpec.model_validate(graph())), encoding="utf-8")

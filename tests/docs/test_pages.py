@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from bayesnet_track.cli import main, make_parser
-from bayesnet_track.graph.read import read_graph
+from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.graphs import graph_names
 
 ROOT = Path(__file__).parents[2]

@@ -9,8 +9,8 @@ import pytest
 
 from bayesnet_track.cues import color_blobs, motion
 from bayesnet_track.evaluate.cue_sds import fit_sd, fit_sds, residuals_of, shares_inside
-from bayesnet_track.graph.laws import check_graph
-from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.checks.run import check_graph
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.observation.cue import Residual
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.scenes import make_scene

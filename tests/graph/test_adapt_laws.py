@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from bayesnet_track.graph.laws import check
-from bayesnet_track.graph.messages import GraphError
-from bayesnet_track.graph.read import read_graph
+from bayesnet_track.graph.checks.run import check
+from bayesnet_track.graph.text.messages import GraphError
+from bayesnet_track.graph.text.read import read_graph
 
 HEAD = """bayesnet: 1
 name: g

@@ -2,10 +2,10 @@
 
 import pytest
 
-from bayesnet_track.graph.change import ChangeError, change_graph
-from bayesnet_track.graph.differences import differences
-from bayesnet_track.graph.load import load_graph
-from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.graph.text.change import ChangeError, change_graph
+from bayesnet_track.graph.text.differences import differences
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.messages import GraphError
 
 TEXT = load_graph("two_squares").text
 

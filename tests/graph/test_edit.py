@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 import yaml
 
-from bayesnet_track.graph.edit import set_value
-from bayesnet_track.graph.load import load_graph
-from bayesnet_track.graph.read import read_graph
+from bayesnet_track.graph.text.edit import set_value
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.graphs import find_graph, graph_names
 
 TEXT = """# a graph

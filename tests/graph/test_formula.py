@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from bayesnet_track.graph.formula import Integral, Likelihood, Product, factor_of, formula_latex, formula_text
-from bayesnet_track.graph.laws import check_graph
+from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.formula import (
+    Integral,
+    Likelihood,
+    Product,
+    factor_of,
+    formula_latex,
+    formula_text,
+)
 
 WALK = {"random_walk": {"sd_px": {"x": 20, "y": 10}}}
 PREDICTED = "p(s_t | e_1:t-1)"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from bayesnet_track.graph.laws import check
-from bayesnet_track.graph.messages import GraphError
-from bayesnet_track.graph.read import read_graph
+from bayesnet_track.graph.checks.run import check
+from bayesnet_track.graph.text.messages import GraphError
+from bayesnet_track.graph.text.read import read_graph
 
 HEAD = "bayesnet: 1\nname: g\ntargets:\n  t:\n"
 NODES = """
@@ -55,7 +55,7 @@ def test_refusals_name_place_and_what_is_allowed(life, said, cues):
 
 
 def test_defaults_are_filled_in_where_targets_are_born(cues):
-    from bayesnet_track.graph.life_settings import Death, Duplicates, LifeRules, Recall, life_rules
+    from bayesnet_track.graph.settings.lifecycle import Death, Duplicates, LifeRules, Recall, life_rules
     from bayesnet_track.graph.spec import Birth
 
     birth = Birth(detector="detections")

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from bayesnet_track.graph.laws import check, check_graph
-from bayesnet_track.graph.messages import MAX_MESSAGES, GraphError, Positions, listed, nearest, shown
-from bayesnet_track.graph.read import read_graph
+from bayesnet_track.graph.checks.run import check, check_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.messages import MAX_MESSAGES, GraphError, Positions, listed, nearest, shown
+from bayesnet_track.graph.text.read import read_graph
 
 TABLES = Path(__file__).parent / "messages"
 HEAD = "bayesnet: 1\nname: g\ntargets:\n  t:\n    nodes:\n"

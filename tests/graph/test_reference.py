@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bayesnet_track.graph.model import Model
-from bayesnet_track.graph.reference import language_reference
+from bayesnet_track.graph.settings.base import Model
+from bayesnet_track.graph.text.reference import language_reference
 
 PAGE = Path(__file__).parents[2] / "docs" / "language.md"
 
@@ -13,7 +13,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "language.md"
 def test_the_committed_page_is_up_to_date():
     assert PAGE.read_text(encoding="utf-8") == language_reference(), (
         "write it again: python -c 'from pathlib import Path; "
-        "from bayesnet_track.graph.reference import language_reference; "
+        "from bayesnet_track.graph.text.reference import language_reference; "
         'Path("docs/language.md").write_text(language_reference(), encoding="utf-8")\''
     )
 

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from jsonschema import Draft7Validator
 from pydantic import ValidationError
 
-from bayesnet_track.graph.cue_laws import cue_parameters, plugin_parameters
-from bayesnet_track.graph.document import read_document
-from bayesnet_track.graph.schema import graph_schema
+from bayesnet_track.graph.checks.cues import cue_parameters, plugin_parameters
 from bayesnet_track.graph.spec import AgentNode, GraphSpec
+from bayesnet_track.graph.text.document import read_document
+from bayesnet_track.graph.text.schema import graph_schema
 from bayesnet_track.graphs import find_graph, graph_names
 from bayesnet_track.observation.detector import detectors_of_graphs
 

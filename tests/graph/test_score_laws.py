@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from bayesnet_track.graph.laws import check
-from bayesnet_track.graph.messages import GraphError
-from bayesnet_track.graph.read import read_graph
-from bayesnet_track.graph.write import write_graph
+from bayesnet_track.graph.checks.run import check
+from bayesnet_track.graph.text.messages import GraphError
+from bayesnet_track.graph.text.read import read_graph
+from bayesnet_track.graph.text.write import write_graph
 
 HEAD = """bayesnet: 1
 name: g

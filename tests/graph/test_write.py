@@ -5,10 +5,10 @@ from __future__ import annotations
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bayesnet_track.graph.model import Choice, Model, PluginChoice
-from bayesnet_track.graph.read import read_graph
+from bayesnet_track.graph.settings.base import Choice, Model, PluginChoice
 from bayesnet_track.graph.spec import AgentChoice, Fuse, GraphSpec, Motion, Moving, Noise
-from bayesnet_track.graph.write import as_plain, graph_sha256, write_graph
+from bayesnet_track.graph.text.read import read_graph
+from bayesnet_track.graph.text.write import as_plain, graph_sha256, write_graph
 
 LENIENT = settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesnet_track.graph.laws import check
-from bayesnet_track.graph.messages import GraphError
-from bayesnet_track.graph.read import read_graph
+from bayesnet_track.graph.checks.run import check
+from bayesnet_track.graph.text.messages import GraphError
+from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.graphs import find_graph, graph_names
 
 pytestmark = pytest.mark.reliability

@@ -8,8 +8,8 @@ import threading
 import numpy as np
 import pytest
 
-from bayesnet_track.graph.load import load_graph
-from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.runtime.sources import SourceError, open_source
 
 pytestmark = pytest.mark.reliability

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.net.hand_decisions import Toggled
 from bayesnet_track.runtime.run import Start
 from bayesnet_track.runtime.scene_source import SceneSource

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli import main
-from bayesnet_track.graph.laws import check_graph
-from bayesnet_track.graph.write import write_graph
+from bayesnet_track.graph.checks.run import check_graph
+from bayesnet_track.graph.text.write import write_graph
 from bayesnet_track.journal.events.basic import RunStarted
 from bayesnet_track.journal.events.life_events import CandidateConfirmed
 from bayesnet_track.journal.reader import read_events

@@ -10,7 +10,7 @@ import pytest
 
 from bayesnet_track.cli import main
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.writer import LineFile, OutputError
 from bayesnet_track.runtime.record import Recorder
 from bayesnet_track.runtime.run import Result, Start, run

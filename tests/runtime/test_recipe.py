@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Start, track
-from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.runtime.frames import SourceError
 from bayesnet_track.runtime.origin import Origin, fingerprint
 from bayesnet_track.runtime.recipe import Recipe, RecipeError, make_recipe

@@ -9,7 +9,7 @@ from pathlib import Path
 import av
 import pytest
 
-from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.basic import RunEnded, RunStarted
 from bayesnet_track.journal.net.net import TargetStarted
 from bayesnet_track.journal.reader import read_events, read_metrics

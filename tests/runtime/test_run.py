@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Tracker
-from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.basic import (
     FrameSizeChanged,
     FramesMissing,

@@ -7,7 +7,7 @@ import pytest
 
 import bayesnet_track
 from bayesnet_track import Result, Start, load_graph, track
-from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.runtime.recipe import Recipe
 from bayesnet_track.runtime.run import StartError, Summary
 from bayesnet_track.runtime.rundir import FILES, RunDirectoryError

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from bayesnet_track import Tracker
-from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graphs import find_graph
 from bayesnet_track.scenes import make_scene
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from bayesnet_track import Start, track
 from bayesnet_track.cli import main
-from bayesnet_track.graph.laws import check
-from bayesnet_track.graph.read import read_graph
+from bayesnet_track.graph.checks.run import check
+from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.scenes import make_scene

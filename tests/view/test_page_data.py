@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.basic import RunStarted
 from bayesnet_track.journal.net.net import (
     Activated,

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.session import track

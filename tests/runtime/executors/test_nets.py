@@ -8,8 +8,8 @@ import signal
 import pytest
 
 from bayesnet_track.engine import State, make_engine, step
-from bayesnet_track.graph.load import load_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.inputs import Toggled
 from bayesnet_track.runtime.executors import make_executor

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from bayesnet_track.engine import make_engine
-from bayesnet_track.graph.load import load_graph
-from bayesnet_track.graph.messages import GraphError
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.runtime.executors import PlacingError, make_executor, parse_places
 from bayesnet_track.runtime.executors.placing import employed_of, places_of
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.engine import State, make_engine, step
-from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.runtime.executors import make_executor
 from bayesnet_track.runtime.executors.placing import PlacingError
 from bayesnet_track.runtime.executors.processes import Employed

@@ -8,7 +8,7 @@ import signal
 import pytest
 
 from bayesnet_track.commands.tracking import SCENE_GRAPHS
-from bayesnet_track.graph.load import load_graph
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.runtime.executors import make_executor
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.session import track

@@ -1,0 +1,1 @@
+"""The checks that a graph must pass, one file per subject."""

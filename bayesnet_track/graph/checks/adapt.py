@@ -1,0 +1,74 @@
+"""Laws of adaptation by evidence: tests that agree with each other, settings that have an effect."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from bayesnet_track.graph.checks.plates import Law, Plate
+from bayesnet_track.graph.settings.adapt import Concentrated, Information
+from bayesnet_track.graph.text.messages import GraphMessage
+
+
+def tests_in_order(plate: Plate) -> Iterator[GraphMessage]:
+    """What switches an agent off asks for no less concentration than what leaves it off."""
+    for name, node in plate.inference.items():
+        adapt = node.adapt
+        if adapt is None or adapt.activate is None or adapt.deactivate is None:
+            continue
+        on, off = adapt.activate.unless, adapt.deactivate.when
+        if on is None or off is None or on.concentrated is None or off.concentrated is None:
+            continue
+        for key in ("share", "confidence", "within_box"):
+            less, wanted = getattr(off.concentrated, key), getattr(on.concentrated, key)
+            narrower = key == "within_box"
+            if less > wanted if narrower else less < wanted:
+                yield _looser(plate, name, off.concentrated, key, less, wanted, narrower)
+
+
+def _looser(
+    plate: Plate, name: str, off: Concentrated, key: str, found: float, wanted: float, narrower: bool
+) -> GraphMessage:
+    path: tuple[str, ...] = ("adapt", "deactivate", "when")
+    if off.model_fields_set:
+        path += ("concentrated",)
+    if key in off.model_fields_set:
+        path += (key,)
+    default = "" if key in off.model_fields_set else " by default"
+    said = (
+        f"adapt.deactivate.when: {key} is {found:.6g}{default}, and {wanted:.6g} in adapt.activate.unless: "
+        "both rules could hold at once"
+    )
+    return plate.message(name, said, f"at {'most' if narrower else 'least'} {wanted:.6g}", key=path)
+
+
+def information_has_effect(plate: Plate) -> Iterator[GraphMessage]:
+    """What is remembered of agents' information serves a rule, and so does the hope of the unknown."""
+    for name, node in plate.inference.items():
+        adapt = node.adapt
+        if adapt is None or adapt.information == Information():
+            continue
+        on = adapt.activate is not None and adapt.activate.which == "information_per_ms"
+        off = adapt.deactivate is not None and adapt.deactivate.drop == "least_information_per_ms"
+        if not on and not off:
+            allowed = "which: information_per_ms, drop: least_information_per_ms, or no such key"
+            found = "information has no effect: no rule here goes by it"
+            yield plate.message(name, found, allowed, key=("adapt", "information"), on_key=True)
+        elif not on and adapt.information.explore != Information().explore:
+            key = ("adapt", "information", "explore")
+            found = "explore has no effect: only which: information_per_ms hopes for the unknown"
+            yield plate.message(name, found, "which: information_per_ms, or no explore", key=key, on_key=True)
+
+
+def dispensable_by_levels(plate: Plate) -> Iterator[GraphMessage]:
+    """What can be spared is told by levels of UD, not by tests."""
+    for name, node in plate.inference.items():
+        adapt = node.adapt
+        if adapt is None or adapt.deactivate is None or adapt.deactivate.drop != "dearest_dispensable":
+            continue
+        if adapt.deactivate.below is None or (adapt.activate is not None and adapt.activate.above is None):
+            found = "drop: dearest_dispensable asks what UD would be, and a rule here goes by a test"
+            allowed = "levels of UD (above, below), or another drop"
+            yield plate.message(name, found, allowed, key=("adapt", "deactivate", "drop"))
+
+
+ADAPT_LAWS: tuple[Law, ...] = (tests_in_order, information_has_effect, dispensable_by_levels)

@@ -1,0 +1,99 @@
+"""The laws of latent nodes: beliefs below the root, where they can be held, and parts of a target."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from bayesnet_track.graph.checks.plates import Plate
+from bayesnet_track.graph.spec import InferenceNode, Noise
+from bayesnet_track.graph.text.messages import GraphMessage
+
+
+def beliefs_have_a_state(plate: Plate) -> Iterator[GraphMessage]:
+    """Below the root a belief is about a latent node's own state; other nodes have none."""
+    for name, node in plate.inference.items():
+        if node.parent is None or node.belief is None:
+            continue
+        if _is_latent(node):
+            yield from _without_settings(plate, name, node)
+            continue
+        where = f"at the root, {plate.roots[0]}" if plate.roots else "at the root"
+        found = "key 'belief' at a node without a state of its own"
+        yield plate.message(name, found, f"{where}, or with fuse: latent", key=("belief",), on_key=True)
+
+
+def _without_settings(plate: Plate, name: str, node: InferenceNode) -> Iterator[GraphMessage]:
+    assert node.belief is not None and node.fuse is not None and node.fuse.latent is not None
+    kind = node.belief.kind
+    for setting in sorted(node.belief.settings.model_fields_set):
+        found = f"{setting} has no effect below the root: a latent node has its parent's hypotheses"
+        yield plate.message(name, found, f"belief: {kind}", key=("belief", kind, setting), on_key=True)
+    if kind != "particles" and "draw" in node.fuse.latent.model_fields_set:
+        found = f"draw says how particles are joined, and the belief here is {kind}"
+        key = ("fuse", "latent", "draw")
+        yield plate.message(name, found, "belief: particles, or no draw", key=key, on_key=True)
+
+
+def parts_have_a_whole(plate: Plate) -> Iterator[GraphMessage]:
+    """A part lies in the box of a node above: the root is no part."""
+    for name, node in plate.inference.items():
+        if node.parent is not None or node.fuse is None or node.fuse.latent is None:
+            continue
+        for key in sorted({"offset_box", "size_box"} & node.fuse.latent.given.model_fields_set):
+            found = f"{key} at the root, which is no part of anything"
+            where = ("fuse", "latent", "given", key)
+            yield plate.message(name, found, "a node below the root", key=where, on_key=True)
+
+
+def latent_grids_hold_positions(plate: Plate) -> Iterator[GraphMessage]:
+    """A latent node's grid has cells for x and y only, and one noise for all of them."""
+    for name, node in plate.inference.items():
+        latent = node.fuse.latent if node.fuse is not None else None
+        if node.parent is None or latent is None or node.belief is None or node.belief.grid is None:
+            continue
+        still = [axis for axis in ("x", "y") if getattr(latent.given.sd_px, axis) == 0]
+        if still:
+            found = f"given has no noise in {' and '.join(still)}, and the grid has cells for both x and y"
+            allowed = "sd_px with x and y, or belief: gaussian or particles"
+            yield plate.message(name, found, allowed, key=("fuse", "latent", "given"))
+        further = _beyond_position(latent.given)
+        if further:
+            found = f"a latent node's grid has no cells for {', '.join(further)}"
+            allowed = "sd_px of x and y alone, or belief: gaussian or particles"
+            yield plate.message(name, found, allowed, key=("fuse", "latent", "given"))
+        for above, noise in _noises_above(plate, name):
+            sized = [part for part in _beyond_position(noise) if not part.startswith("sd_box")]
+            if sized:
+                found = (
+                    f"the size changes by {', '.join(sized)} of {above!r}, and the grid has no cells for it"
+                )
+                allowed = "a size that rests, or belief: gaussian or particles"
+                yield plate.message(name, found, allowed, key=("belief",))
+
+
+def _is_latent(node: InferenceNode) -> bool:
+    return node.fuse is not None and node.fuse.latent is not None
+
+
+def _beyond_position(noise: Noise) -> list[str]:
+    parts = {"sd_px": ("w", "h"), "sd_box": ("x", "y"), "sd_log": ("scale", "aspect")}
+    return [
+        f"{part}.{field}"
+        for part, fields in parts.items()
+        for field in fields
+        if getattr(getattr(noise, part), field) > 0
+    ]
+
+
+def _noises_above(plate: Plate, name: str) -> Iterator[tuple[str, Noise]]:
+    """The nodes above, up to the root, with noise that moves the state: latent ones and the root's motion."""
+    above = plate.inference[name].parent
+    seen: set[str] = set()
+    while above is not None and above in plate.inference and above not in seen:
+        seen.add(above)
+        node = plate.inference[above]
+        if node.parent is None and node.motion is not None:
+            yield above, node.motion.settings
+        elif node.fuse is not None and node.fuse.latent is not None:
+            yield above, node.fuse.latent.given
+        above = node.parent

@@ -1,0 +1,129 @@
+"""The laws of a motion's further settings: beliefs that can hold them, and what each needs to act on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from pydantic import ValidationError
+
+from bayesnet_track.graph.checks.cues import plugin_parameters
+from bayesnet_track.graph.checks.plates import Law, Plate
+from bayesnet_track.graph.settings.motion import Moving
+from bayesnet_track.graph.text.explain import explain
+from bayesnet_track.graph.text.messages import GraphMessage, Path
+from bayesnet_track.observation.detector import ENTRY_POINT_GROUP, installed_detectors
+from bayesnet_track.observation.plugins import why_absent
+
+_DETECTOR = ("recover", "by", "detector")
+
+
+def _moving(plate: Plate) -> Iterator[tuple[str, Path, Moving]]:
+    """Node, key and settings of every motion."""
+    for name, node in plate.inference.items():
+        if node.motion is not None:
+            yield name, ("motion", node.motion.kind), node.motion.settings
+
+
+def size_is_drawn_back_from_somewhere(plate: Plate) -> Iterator[GraphMessage]:
+    """`keep_size` bounds noise of the size in logarithms, and is wider than one step of it."""
+    for name, key, settings in _moving(plate):
+        kept = settings.keep_size
+        if kept is None:
+            continue
+        here = (*key, "keep_size")
+        limits = {"scale": kept.sd_scale, "aspect": kept.sd_aspect}
+        if all(limit is None for limit in limits.values()):
+            yield plate.message(name, "keep_size without an sd", ["sd_scale", "sd_aspect"], key=here)
+        for side in ("w", "h"):
+            if getattr(settings.sd_px, side) > 0:
+                found = f"keep_size beside sd_px.{side}, whose steps it does not bound"
+                yield plate.message(name, found, "size noise by sd_log alone", key=here, on_key=True)
+        for part, limit in limits.items():
+            step = getattr(settings.sd_log, part)
+            if limit is not None and not 0 < step < limit:
+                found = f"sd_{part} is {limit:g}, and the step, sd_log.{part}, is {step:g}"
+                allowed = f"sd_log.{part} above 0 and below sd_{part}"
+                yield plate.message(name, found, allowed, key=(*here, f"sd_{part}"))
+
+
+def belief_holds_the_motion(plate: Plate) -> Iterator[GraphMessage]:
+    """A grid is moved by no camera and keeps no size; only particles of a fixed size, drawn anew, jump."""
+    for name, key, settings in _moving(plate):
+        belief = plate.inference[name].belief
+        if belief is not None and belief.grid is not None:
+            for word in ("keep_size", "camera"):
+                if getattr(settings, word) is not None:
+                    found = f"{word} beside a grid, whose cells all move alike"
+                    yield plate.message(name, found, "particles or gaussian", key=(*key, word), on_key=True)
+        if settings.recover is None:
+            continue
+        here = (*key, "recover")
+        if belief is not None and belief.particles is None:
+            found = f"recover beside {belief.kind}, which cannot jump"
+            yield plate.message(name, found, "particles", key=here, on_key=True)
+        elif belief is not None and belief.particles is not None:
+            particles = belief.particles
+            if not isinstance(particles.size, int):
+                found, allowed = "recover beside an adaptive size", "a size that is a number"
+                yield plate.message(name, found, allowed, key=here, on_key=True)
+            if particles.importance.kind != "regular":
+                found = f"recover beside importance: {particles.importance.kind}"
+                yield plate.message(name, found, "importance: regular", key=here, on_key=True)
+
+
+def angle_is_seen(plate: Plate) -> Iterator[GraphMessage]:
+    """A grid has no cells for the angle; elsewhere some agent must read it."""
+    for name, key, settings in _moving(plate):
+        if settings.sd_angle_deg == 0:
+            continue
+        here = (*key, "sd_angle_deg")
+        belief = plate.inference[name].belief
+        if belief is not None and belief.grid is not None:
+            found = "sd_angle_deg beside a grid, which has no cells for angles"
+            yield plate.message(name, found, "particles or gaussian", key=here, on_key=True)
+        known = [plate.cues[node.agent.cue] for node in plate.agents.values() if node.agent.cue in plate.cues]
+        if not any(cue.reads_angle for cue in known):
+            able = sorted(cue.name for cue in plate.cues.values() if cue.reads_angle)
+            found = "sd_angle_deg, and no agent reads the angle"
+            yield plate.message(name, found, able or "no sd_angle_deg", key=here, on_key=True)
+
+
+def jumps_have_places(plate: Plate) -> Iterator[GraphMessage]:
+    """`recover` needs noise of both x and y, and a detector that is installed and takes its parameters."""
+    for name, key, settings in _moving(plate):
+        if settings.recover is None:
+            continue
+        driven = getattr(settings, "sd_velocity_px", getattr(settings, "sd_acceleration_px", 0.0)) > 0
+        still = [
+            axis
+            for axis in ("x", "y")
+            if not driven and getattr(settings.sd_px, axis) + getattr(settings.sd_box, axis) == 0
+        ]
+        if still:
+            found = f"recover without noise of {' and '.join(still)}"
+            yield plate.message(name, found, "noise of x and y", key=(*key, "recover"), on_key=True)
+        chosen = settings.recover.by.detector
+        if chosen is None:
+            continue
+        known, path = installed_detectors([chosen.detector]), (*key, *_DETECTOR, chosen.detector)
+        if chosen.detector not in known:
+            if (absent := why_absent(ENTRY_POINT_GROUP, chosen.detector)) is not None:
+                yield plate.message(name, f"detector {absent[0]}", absent[1], key=path, on_key=True)
+                continue
+            found = f"unknown detector {chosen.detector!r}"
+            yield plate.message(name, found, list(known), key=path, word=chosen.detector, on_key=True)
+            continue
+        model = known[chosen.detector].parameters
+        try:
+            plugin_parameters(chosen, model)
+        except ValidationError as error:
+            whole = ("targets", plate.name, "nodes", name, *path)
+            yield from explain(error, model, chosen.parameters, plate.at, whole)
+
+
+MOTION_LAWS: tuple[Law, ...] = (
+    size_is_drawn_back_from_somewhere,
+    belief_holds_the_motion,
+    angle_is_seen,
+    jumps_have_places,
+)

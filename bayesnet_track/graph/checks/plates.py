@@ -1,0 +1,94 @@
+"""What every law looks at: one target of a graph, where its parts stand, and the installed cues."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from bayesnet_track.graph.spec import AgentNode, InferenceNode, Target
+from bayesnet_track.graph.text.messages import GraphMessage, Path, Positions
+from bayesnet_track.observation.cue import CueDeclaration
+
+
+@dataclass(frozen=True, eq=False)
+class Plate:
+    """One target under examination.
+
+    Attributes:
+        name: the target's name.
+        spec: its specification.
+        at: where its parts stand.
+        cues: installed cues by name.
+    """
+
+    name: str
+    spec: Target
+    at: Positions
+    cues: Mapping[str, CueDeclaration]
+
+    @cached_property
+    def agents(self) -> dict[str, AgentNode]:
+        """The agent nodes in file order."""
+        return {name: node for name, node in self.spec.nodes.items() if isinstance(node, AgentNode)}
+
+    @cached_property
+    def inference(self) -> dict[str, InferenceNode]:
+        """The inference nodes in file order."""
+        return {name: node for name, node in self.spec.nodes.items() if isinstance(node, InferenceNode)}
+
+    @cached_property
+    def roots(self) -> list[str]:
+        """The inference nodes without a parent."""
+        return [name for name, node in self.inference.items() if node.parent is None]
+
+    @cached_property
+    def children(self) -> dict[str, list[str]]:
+        """Every node -> the nodes that name it as parent, in file order."""
+        found: dict[str, list[str]] = {name: [] for name in self.spec.nodes}
+        for name, node in self.spec.nodes.items():
+            if node.parent in found:
+                found[node.parent].append(name)
+        return found
+
+    @cached_property
+    def order(self) -> list[str]:
+        """Every node that hangs under a root, parents before children, siblings in file order."""
+        found: list[str] = []
+        waiting = self.roots[::-1]
+        while waiting:
+            found.append(waiting.pop())
+            waiting += self.children[found[-1]][::-1]
+        return found
+
+    @cached_property
+    def governor(self) -> dict[str, str | None]:
+        """Agent -> the nearest inference node above it with `adapt` rules (for a lawful tree)."""
+        nearest: dict[str | None, str | None] = {None: None}
+        for name in self.order:
+            node = self.spec.nodes[name]
+            adapts = isinstance(node, InferenceNode) and node.adapt is not None
+            nearest[name] = name if adapts else nearest[node.parent]
+        return {name: nearest[name] for name in self.order if name in self.agents}
+
+    def governed(self, node: str) -> list[str]:
+        """The agents whose rules are those of `node`."""
+        return [agent for agent, governor in self.governor.items() if governor == node]
+
+    def message(
+        self,
+        node: str,
+        found: str,
+        allowed: str | Iterable[str] = "",
+        *,
+        key: Path = (),
+        word: str = "",
+        on_key: bool = False,
+    ) -> GraphMessage:
+        """An error at `key` inside `node`."""
+        path = ("targets", self.name, "nodes", node, *key)
+        return self.at.message(path, found, allowed, word=word, on_key=on_key)
+
+
+Law = Callable[[Plate], Iterator[GraphMessage]]
+"""One pass: yields every violation it finds in a plate."""

@@ -1,0 +1,99 @@
+"""Check a graph against every law of the language: named passes, each of which reports all its errors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from itertools import islice
+from typing import Any
+
+from pydantic import ValidationError
+
+from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
+from bayesnet_track.graph.checks.cues import CUE_LAWS, cue_parameters
+from bayesnet_track.graph.checks.evidence import evidence_counts_once
+from bayesnet_track.graph.checks.joins import JOIN_LAWS
+from bayesnet_track.graph.checks.lifecycle import LIFE_LAWS
+from bayesnet_track.graph.checks.plates import Law, Plate
+from bayesnet_track.graph.checks.trees import TREE_LAWS
+from bayesnet_track.graph.checks.values import RULE_LAWS, VALUE_LAWS
+from bayesnet_track.graph.spec import AgentNode, GraphSpec
+from bayesnet_track.graph.text.document import MAX_BYTES
+from bayesnet_track.graph.text.explain import explain
+from bayesnet_track.graph.text.messages import MAX_MESSAGES, GraphError, GraphMessage, Positions
+from bayesnet_track.graph.text.write import write_graph
+from bayesnet_track.observation.cue import CueDeclaration, installed_cues
+
+Cues = Mapping[str, CueDeclaration]
+
+LAWS_OF_A_SOUND_TREE = (*RULE_LAWS, evidence_counts_once)
+
+
+def check(spec: GraphSpec, at: Positions | None = None, cues: Cues | None = None) -> CheckedGraph:
+    """The graph with its trees resolved and its cues' parameters typed.
+
+    `at` says where its parts stand (from `read_graph`); `cues` are the installed ones unless given.
+
+    Raises:
+        GraphError: every violation of every law in every target.
+    """
+    at = Positions() if at is None else at
+    cues = installed_cues(cues_named(spec)) if cues is None else cues
+    plates = [Plate(name, target, at, cues) for name, target in spec.targets.items()]
+    errors = [message for plate in plates for message in _violations(plate)]
+    errors += [message for law in JOIN_LAWS for message in islice(law(spec, at), MAX_MESSAGES + 1)]
+    text = write_graph(spec)
+    if len(text.encode()) > MAX_BYTES:
+        errors.append(at.message((), f"more than {MAX_BYTES} bytes when written as YAML", "smaller graphs"))
+    if errors:
+        raise GraphError(errors)
+    return CheckedGraph(spec, {plate.name: _resolved(plate) for plate in plates}, text)
+
+
+def check_graph(graph: GraphSpec | Mapping[str, Any], cues: Cues | None = None) -> CheckedGraph:
+    """`check` for a graph written in Python, as a specification or as plain data with the words of YAML.
+
+    Messages name the path of keys, for want of a line.
+
+    Raises:
+        GraphError: everything that is wrong with its form; else every violation of every law.
+    """
+    at = Positions()
+    if not isinstance(graph, GraphSpec):
+        try:
+            graph = GraphSpec.model_validate(graph)
+        except ValidationError as error:
+            raise GraphError(explain(error, GraphSpec, graph, at)) from None
+    return check(graph, at, cues)
+
+
+def cues_named(spec: GraphSpec) -> frozenset[str]:
+    """The cues of all agents of a graph."""
+    nodes = [node for target in spec.targets.values() for node in target.nodes.values()]
+    return frozenset(node.agent.cue for node in nodes if isinstance(node, AgentNode))
+
+
+def _violations(plate: Plate) -> list[GraphMessage]:
+    tree = _broken(plate, TREE_LAWS)
+    values = _broken(plate, (*CUE_LAWS, *LIFE_LAWS, *VALUE_LAWS))
+    return tree + values if tree else values + _broken(plate, LAWS_OF_A_SOUND_TREE)
+
+
+def _broken(plate: Plate, laws: Iterable[Law]) -> list[GraphMessage]:
+    """What breaks these laws; of each no more than a reader is shown."""
+    return [message for law in laws for message in islice(law(plate), MAX_MESSAGES + 1)]
+
+
+def _resolved(plate: Plate) -> CheckedTarget:
+    return CheckedTarget(
+        name=plate.name,
+        spec=plate.spec,
+        root=plate.roots[0],
+        order=tuple(plate.order),
+        parent={name: plate.spec.nodes[name].parent for name in plate.order},
+        children={name: tuple(plate.children[name]) for name in plate.inference},
+        parameters={
+            name: cue_parameters(node.agent, plate.cues[node.agent.cue])
+            for name, node in plate.agents.items()
+        },
+        governor=plate.governor,
+    )

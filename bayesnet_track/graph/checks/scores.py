@@ -1,0 +1,72 @@
+"""Laws of calibration: levels in order, and settings that have an effect."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from bayesnet_track.graph.checks.plates import Law, Plate
+from bayesnet_track.graph.settings.adapt import Lost
+from bayesnet_track.graph.text.messages import GraphMessage
+
+
+def score_serves_its_users(plate: Plate) -> Iterator[GraphMessage]:
+    """Levels of the score, and what is wide while it is low, need a score that is a probability."""
+    for name, node in plate.inference.items():
+        if node.parent is not None or node.score is not None:
+            continue
+        needing: list[tuple[str, ...]] = []
+        if node.lost is not None and node.lost.score_below is not None:
+            needing.append(("lost", "score_below"))
+        if node.slack is not None and node.slack.lost_sd_box is not None:
+            needing.append(("slack", "lost_sd_box"))
+        if node.rivals is not None:
+            needing.append(("rivals",))
+        for key in needing:
+            found = f"{'.'.join(key)} without a score that is a probability"
+            yield plate.message(name, found, "score at the root, or no such key", key=key, on_key=True)
+
+
+def score_levels_in_order(plate: Plate) -> Iterator[GraphMessage]:
+    """Lost lies below uncertain, and one rule says when a target is lost."""
+    for name, node in plate.inference.items():
+        rule = node.lost
+        if rule is None:
+            continue
+        low, high = rule.score_below, rule.uncertain_below
+        if low is None and high is not None:
+            found = "lost.uncertain_below without lost.score_below"
+            yield plate.message(name, found, "both, or none", key=("lost", "uncertain_below"), on_key=True)
+        elif low is not None and high is not None and high <= low:
+            found = f"lost.uncertain_below is {high:.6g}, not above lost.score_below, {low:.6g}"
+            yield plate.message(name, found, f"above {low:.6g}", key=("lost", "uncertain_below"))
+        if low is not None and rule.above != Lost().above:
+            found = "lost.above has no effect: with score_below the score alone says when the target is lost"
+            yield plate.message(name, found, "one of above, score_below", key=("lost", "above"), on_key=True)
+
+
+def rivals_are_noticed(plate: Plate) -> Iterator[GraphMessage]:
+    """A doubt makes the score one half: a level of uncertainty has to lie above."""
+    for name, node in plate.inference.items():
+        high = None if node.lost is None else node.lost.uncertain_below
+        if node.rivals is not None and (high is None or high <= 0.5):
+            found = "rivals put the score at one half, which lost.uncertain_below does not call uncertain"
+            yield plate.message(name, found, "lost.uncertain_below above 0.5", key=("rivals",), on_key=True)
+
+
+def slack_is_wider_when_lost(plate: Plate) -> Iterator[GraphMessage]:
+    """Off target it is farther away than on target."""
+    for name, node in plate.inference.items():
+        slack = node.slack
+        if slack is not None and slack.lost_sd_box is not None and slack.lost_sd_box <= slack.sd_box:
+            found = (
+                f"slack.lost_sd_box is {slack.lost_sd_box:.6g}, not above slack.sd_box, {slack.sd_box:.6g}"
+            )
+            yield plate.message(name, found, f"above {slack.sd_box:.6g}", key=("slack", "lost_sd_box"))
+
+
+SCORE_LAWS: tuple[Law, ...] = (
+    score_serves_its_users,
+    score_levels_in_order,
+    rivals_are_noticed,
+    slack_is_wider_when_lost,
+)

@@ -1,0 +1,158 @@
+"""Laws of the values: noise, weights, thresholds, delays and rules that make sense together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from bayesnet_track.graph.checks.adapt import ADAPT_LAWS
+from bayesnet_track.graph.checks.gaussian import gaussian_settings_have_effect, kalman_moves_linearly
+from bayesnet_track.graph.checks.grid import grid_holds_the_motion, grid_resets_at_one_level
+from bayesnet_track.graph.checks.motion import MOTION_LAWS
+from bayesnet_track.graph.checks.particles import sizes_in_order
+from bayesnet_track.graph.checks.plates import Law, Plate
+from bayesnet_track.graph.checks.positions import PLACE_LAWS
+from bayesnet_track.graph.checks.scores import SCORE_LAWS
+from bayesnet_track.graph.spec import Level, Lost, Noise
+from bayesnet_track.graph.text.messages import GraphMessage
+
+
+def noise_is_there(plate: Plate) -> Iterator[GraphMessage]:
+    """A random walk takes steps, and a latent state differs from its parent's."""
+    allowed = "an sd above 0, such as {sd_px: {x: 20, y: 20}}"
+    for name, node in plate.inference.items():
+        if (
+            node.motion is not None
+            and node.motion.random_walk is not None
+            and _is_still(node.motion.random_walk)
+        ):
+            found = "random_walk without noise: no hypothesis would ever move"
+            yield plate.message(name, found, allowed, key=("motion", "random_walk"))
+        if node.fuse is not None and node.fuse.latent is not None and _is_still(node.fuse.latent.given):
+            is_part = node.fuse.latent.given.is_part
+            own = (
+                "the part would have no state of its own"
+                if is_part
+                else "the latent state would equal its parent's"
+            )
+            found = f"given without noise: {own}"
+            yield plate.message(name, found, allowed, key=("fuse", "latent", "given"))
+
+
+def _is_still(noise: Noise) -> bool:
+    parts: tuple[Any, ...] = (noise.sd_px, noise.sd_box, noise.sd_log)
+    return not any(getattr(part, field) > 0 for part in parts for field in type(part).model_fields)
+
+
+def weights_name_the_children(plate: Plate) -> Iterator[GraphMessage]:
+    """The weights of a pool name exactly the node's children."""
+    for name, node in plate.inference.items():
+        weights = node.fuse.pool if node.fuse is not None else None
+        if weights is None or isinstance(weights, str):
+            continue
+        children = plate.children[name]
+        for weighted in weights:
+            if weighted not in children:
+                found = f"a weight for {weighted!r}, which is no child of this node"
+                key = ("fuse", "pool", weighted)
+                yield plate.message(name, found, children, key=key, word=weighted, on_key=True)
+        without = [child for child in children if child not in weights]
+        if without:
+            found = f"no weight for {', '.join(without[:12])}"
+            yield plate.message(name, found, "a weight for every child, or equal", key=("fuse", "pool"))
+
+
+def thresholds_in_order(plate: Plate) -> Iterator[GraphMessage]:
+    """Off lies below on, and learning below loss, where their units are the same."""
+    for name, node in plate.inference.items():
+        adapt = node.adapt
+        on = None if adapt is None or adapt.activate is None else adapt.activate.above
+        off = None if adapt is None or adapt.deactivate is None else adapt.deactivate.below
+        if on is not None and off is not None:
+            key = ("adapt", "deactivate", "below")
+            yield from _crossing(plate, name, key, off, on, "adapt.activate.above")
+        if node.learn is not None and node.parent is None:
+            lost = node.lost or Lost()
+            if lost.score_below is not None:
+                continue
+            text = "lost.above" if node.lost is not None else "lost.above by default"
+            yield from _crossing(plate, name, ("learn", "below"), node.learn.below, lost.above, text)
+
+
+def _crossing(
+    plate: Plate, name: str, key: tuple[str, ...], low: Level, high: Level, high_name: str
+) -> Iterator[GraphMessage]:
+    if low.kind == high.kind and low.settings >= high.settings:
+        unit = low.kind
+        found = (
+            f"{'.'.join(key)} is {low.settings:.6g} {unit}, not below {high_name}, {high.settings:.6g} {unit}"
+        )
+        yield plate.message(name, found, f"below {high.settings:.6g}", key=(*key, unit))
+
+
+def someone_is_active(plate: Plate) -> Iterator[GraphMessage]:
+    """At least one agent is switched on at the start."""
+    if plate.agents and not any(agent.active for agent in plate.agents.values()):
+        first = next(iter(plate.agents))
+        found = "no agent is switched on at the start"
+        yield plate.message(first, found, "active: true for at least one agent", key=("active",))
+
+
+def rules_can_fire(plate: Plate) -> Iterator[GraphMessage]:
+    """Every rule governs agents that it could switch."""
+    for name, node in plate.inference.items():
+        adapt = node.adapt
+        if adapt is None:
+            continue
+        agents = plate.governed(name)
+        if not agents:
+            found = "adapt governs no agent: every agent below has rules of its own nearer by"
+            yield plate.message(name, found, key=("adapt",), on_key=True)
+        elif adapt.activate is None and adapt.deactivate is None:
+            yield plate.message(name, "adapt without a rule", ["activate", "deactivate"], key=("adapt",))
+        elif adapt.keep > len(agents):
+            found = f"keep is {adapt.keep}, and {len(agents)} agents are governed here"
+            yield plate.message(name, found, f"at most {len(agents)}", key=("adapt", "keep"))
+        elif adapt.deactivate is not None and adapt.keep == len(agents):
+            found = f"deactivate can never fire: keep is {adapt.keep} of {len(agents)} agents"
+            allowed = "more agents, a smaller keep, or no such rule"
+            yield plate.message(name, found, allowed, key=("adapt", "deactivate"), on_key=True)
+        elif adapt.deactivate is None and all(_stays_on(plate, agent) for agent in agents):
+            found = "activate can never fire: every agent here is on, and nothing switches one off"
+            allowed = "a deactivate rule, a self_check, active: false, or no such rule"
+            yield plate.message(name, found, allowed, key=("adapt", "activate"), on_key=True)
+
+
+def _stays_on(plate: Plate, agent: str) -> bool:
+    return plate.agents[agent].active and plate.agents[agent].self_check is None
+
+
+def learning_has_a_rule(plate: Plate) -> Iterator[GraphMessage]:
+    """An agent's learning rate needs the root's learning rule."""
+    learns = any(plate.inference[root].learn is not None for root in plate.roots)
+    for name, agent in plate.agents.items():
+        if agent.learn_rate_max is not None and not learns:
+            found = "learn_rate_max has no effect: the root has no 'learn'"
+            yield plate.message(name, found, "learn at the root", key=("learn_rate_max",), on_key=True)
+
+
+VALUE_LAWS: tuple[Law, ...] = (
+    noise_is_there,
+    weights_name_the_children,
+    thresholds_in_order,
+    *ADAPT_LAWS,
+    *SCORE_LAWS,
+    someone_is_active,
+    learning_has_a_rule,
+    sizes_in_order,
+    kalman_moves_linearly,
+    gaussian_settings_have_effect,
+    grid_holds_the_motion,
+    grid_resets_at_one_level,
+    *MOTION_LAWS,
+    *PLACE_LAWS,
+)
+"""These need no sound tree."""
+
+RULE_LAWS: tuple[Law, ...] = (rules_can_fire,)
+"""These need a sound tree."""

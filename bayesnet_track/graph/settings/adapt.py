@@ -1,0 +1,188 @@
+"""The settings of adaptation: when agents are switched on and off, what is learnt, when a target is lost."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from bayesnet_track.graph.settings.base import Choice, FrameCount, Model, NotNegative, Number, Positive, Whole
+
+
+class Level(Choice):
+    """A level of the uncertainty deviation UD."""
+
+    ud_px2: Positive | None = Field(default=None, description="in px^2")
+    ud_box: Positive | None = Field(default=None, description="as a share of the estimate's area w h")
+    ud_quiet: Positive | None = Field(default=None, description="as a multiple of the measured quiet level")
+
+
+class Concentrated(Model):
+    """The belief lies around one mode: a binomial test can say so with `confidence` (thesis 6.2).
+
+    It says so when at least `share` of the belief must have its centre within `within_box` of the most
+    probable state's. Trials are the effective hypotheses, 1 / sum w^2: with few of them it cannot say so
+    whatever they hold (29 are needed for 0.9 at 0.95). A Gaussian and a grid know the share exactly.
+    """
+
+    share: Annotated[Number, Field(gt=0, lt=1)] = Field(
+        default=0.9, description="share of the belief that has to lie inside the window"
+    )
+    within_box: Positive = Field(default=0.25, description="radius of the window, in sqrt(w h) of the mode")
+    confidence: Annotated[Number, Field(ge=0.5, lt=1)] = Field(
+        default=0.95, description="confidence of the test, one-sided"
+    )
+
+
+class Condition(Choice):
+    """What a test says of the belief."""
+
+    concentrated: Concentrated | None = Field(default=None, description="it lies around one mode")
+
+
+class Activate(Model):
+    """Switch agents on when UD stays above a level, or as long as a test cannot say that all is well."""
+
+    above: Level | None = Field(default=None, description="level of UD; this or `unless`")
+    unless: Condition | None = Field(default=None, description="a test of the belief; this or `above`")
+    frames: FrameCount = Field(
+        default=1, description="consecutive frames above the level, or without what the test asks for"
+    )
+    which: Literal["all", "most_helpful", "information_per_ms"] = Field(
+        default="all",
+        description="every inactive agent; the one that contributed most while active; or the one of which "
+        "most information per declared cost is expected, all while the target is lost",
+    )
+
+    @model_validator(mode="after")
+    def _one_condition(self) -> Self:
+        if (self.above is None) == (self.unless is None):
+            raise ValueError("exactly one of above, unless")
+        return self
+
+
+class Deactivate(Model):
+    """Switch one agent off when UD stays below a level, or a test keeps saying that all is well."""
+
+    below: Level | None = Field(default=None, description="level of UD; this or `when`")
+    when: Condition | None = Field(default=None, description="a test of the belief; this or `below`")
+    frames: FrameCount = Field(
+        default=5, description="consecutive frames below the level, or with what the test asks for"
+    )
+    drop: Literal[
+        "largest_kl",
+        "least_contribution_per_ms",
+        "least_information_per_ms",
+        "dearest_dispensable",
+        "dearest",
+    ] = Field(
+        default="largest_kl",
+        description="largest KL(belief || agent); least KL(belief || belief without it) per declared cost in "
+        "this frame; the same, averaged over the frames in which it was active; the largest declared cost "
+        "among those without which UD, in this frame, would stay below the level that switches agents on; "
+        "or the largest declared cost",
+    )
+    glance: Annotated[Whole, Field(ge=2, le=1000)] | None = Field(
+        default=None,
+        description="the agent that is switched off still looks in frames whose number this divides, and "
+        "references learn in these frames only, as much as in all of them else; default: it does not look",
+    )
+
+    @model_validator(mode="after")
+    def _one_condition(self) -> Self:
+        if (self.below is None) == (self.when is None):
+            raise ValueError("exactly one of below, when")
+        return self
+
+
+class Information(Model):
+    """How the information that agents contributed is remembered, and how much the unknown tempts.
+
+    An agent's contribution is KL(belief || belief without it), nats. Frames count exp(-age / memory). An
+    agent is expected to contribute its mean plus explore sqrt(ln(1 + sum n) / n), n its remembered frames.
+    """
+
+    memory: FrameCount = Field(default=100, description="frames over which the past fades")
+    explore: NotNegative = Field(default=0.1, description="what an agent long unheard of may hope for, nats")
+
+
+class Adapt(Model):
+    """When agents below an inference node are switched on and off."""
+
+    activate: Activate | None = Field(default=None, description="when agents are switched on")
+    deactivate: Deactivate | None = Field(default=None, description="when an agent is switched off")
+    keep: Annotated[Whole, Field(ge=1)] = Field(default=1, description="agents that always stay active")
+    information: Information = Field(
+        default=Information(), description="memory of `information_per_ms` and `least_information_per_ms`"
+    )
+
+
+class Guard(Model):
+    """A second, slow reference per agent keeps the first one from learning its own errors.
+
+    Agents that know the target by its looks have one; what another remembers, such as a speed, has to change.
+    In each `every`-th frame that would be learnt from, both score the estimate. Where the slow one's
+    likelihood is lower by more than `apart_nats`, the agent does not learn, and its reference moves toward
+    the slow one by `pull`. Else the slow one moves toward the first by `rate`.
+    """
+
+    rate: Annotated[Number, Field(ge=0, le=1)] = Field(
+        default=0.002, description="rate of the slow reference per frame; 0 keeps the one of the first frame"
+    )
+    apart_nats: Positive = Field(
+        default=1.0, description="difference of log-likelihoods from which on the two have parted, nats"
+    )
+    every: FrameCount = Field(default=5, description="frames between comparisons")
+    pull: Annotated[Number, Field(ge=0, le=1)] = Field(
+        default=0.05,
+        description="share of the slow reference that is mixed in per frame while they are parted",
+    )
+
+
+class Learn(Model):
+    """References move toward the estimate while UD is low (eqs. 2.15-2.16 times rate_max)."""
+
+    below: Level = Field(description="level of UD")
+    rate_max: Annotated[Number, Field(gt=0, le=1)] = Field(
+        default=0.05,
+        description="largest learning rate per frame, of cues that have none of their own; an agent's "
+        "learn_rate_max overrides both",
+    )
+    guard: Guard | None = Field(default=None, description="keeps references from drifting away")
+
+
+class Lost(Model):
+    """The target counts as lost while UD is above a level or nothing fits, until neither held as long.
+
+    With `score_below` the score alone says so, which then has to be a probability (`score`): lost below it,
+    uncertain below `uncertain_below`, else tracked, each from the last of `frames` consecutive frames on.
+    While a target is uncertain, references do not learn and quiet levels are not measured.
+    """
+
+    above: Level = Field(default=Level(ud_box=1.0), description="level of UD")
+    fit_below: Annotated[Number, Field(ge=0, lt=1)] = Field(
+        default=0.05,
+        description="largest likelihood of any hypothesis, geometric mean over the active agents",
+    )
+    score_below: Annotated[Number, Field(gt=0, lt=1)] | None = Field(
+        default=None, description="score below which it counts as lost; instead of `above` and `fit_below`"
+    )
+    uncertain_below: Annotated[Number, Field(gt=0, lt=1)] | None = Field(
+        default=None, description="score below which it counts as uncertain; default: never"
+    )
+    frames: FrameCount = Field(default=3, description="consecutive frames before the status changes")
+
+
+class SelfCheck(Model):
+    """An agent watches its own uncertainty: acts locally, then stops itself.
+
+    After a self-stop the agent may be switched on again only after `rest` frames, by the `activate` rule
+    above it (or when no agent is left); each further self-stop doubles its rest, so that it cannot oscillate.
+    The last active agent never stops itself, and none does while the target is lost.
+    """
+
+    above: Level = Field(description="level of UD")
+    frames: FrameCount = Field(default=10, description="consecutive frames above the level before it stops")
+    rest: FrameCount = Field(
+        default=50, description="frames before it may be switched on again; doubles each time"
+    )

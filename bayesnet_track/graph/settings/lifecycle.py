@@ -1,0 +1,140 @@
+"""The settings of a plate's life: how its targets are born, recognised again, and end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from bayesnet_track.graph.settings.base import (
+    FrameCount,
+    Model,
+    NotNegative,
+    Number,
+    PluginChoice,
+    Share,
+    Truth,
+    Whole,
+)
+
+
+class DetectorChoice(PluginChoice):
+    """A detector and its parameters, not yet checked against the detector.
+
+    Written ``detector: background`` or ``detector: {background: {min_area_px: 200}}``; parameters are those
+    of `bayesnet-track detect`. ``detections`` stands for what a file holds (`run --detections FILE`); it
+    takes the parameters that all detectors have.
+    """
+
+    WORD = "detector"
+
+    detector: str = Field(max_length=64)
+
+
+class Confirm(Model):
+    """A detection becomes a target when it was seen in `looks` of the last `of` looks, this one included."""
+
+    looks: Annotated[Whole, Field(ge=1, le=1000)] = Field(default=3, description="looks in which it is seen")
+    of: Annotated[Whole, Field(ge=1, le=1000)] = Field(default=4, description="looks that count")
+
+    @model_validator(mode="after")
+    def _no_more_than_there_are(self) -> Self:
+        if self.looks > self.of:
+            raise ValueError(f"no more looks than `of`: {self.looks} of {self.of} cannot be")
+        return self
+
+
+class Birth(Model):
+    """A detector's finds that no live target claims become targets of this plate, each with a net of its own.
+
+    A live target claims one detection: the nearest within `apart_box`, or within twice the sd of its belief
+    beyond that. Further ones within `apart_box`, or `covered` by it (or it by them), are taken for the same
+    object. While a target is lost it claims none. Where an agent measures by detections, they are given to
+    targets before, lost ones too, as that agent says.
+    """
+
+    detector: DetectorChoice = Field(description="what finds targets")
+    labels: tuple[str, ...] = Field(
+        default=(), max_length=64, description="only detections with one of these labels; default all"
+    )
+    every: FrameCount = Field(default=1, description="frames between looks")
+    confirm: Confirm = Field(default=Confirm(), description="how often it is seen before it gets a net")
+    most: Annotated[Whole, Field(ge=1, le=1000)] = Field(
+        default=20, description="live targets of this plate at most"
+    )
+    apart_box: NotNegative = Field(
+        default=0.5,
+        description="least distance of a birth's centre from a live target's, in the mean of both sqrt(w h)",
+    )
+    covered: Share = Field(
+        default=0.5,
+        description="share of the smaller box that two boxes have in common, from which on they are one",
+    )
+
+
+class Duplicates(Model):
+    """Of two nets of a plate whose beliefs overlap for so long, none of them lost, the younger one ends.
+
+    The overlap is the Bhattacharyya coefficient of the Gaussians with the beliefs' moments of x, y, w, h,
+    widened by a tenth of the mean box (places so close are one object): 1 for the same belief, 0 apart.
+    """
+
+    overlap: Annotated[Number, Field(gt=0, le=1)] = Field(default=0.7, description="overlap of the beliefs")
+    frames: FrameCount = Field(default=5, description="consecutive frames with at least this overlap")
+
+
+class Death(Model):
+    """The net of a target ends when it was lost for so long, or when no detection was its own for so long."""
+
+    lost_frames: FrameCount = Field(default=30, description="consecutive frames in which it is lost")
+    unseen_frames: FrameCount | None = Field(
+        default=None,
+        description="consecutive frames since it last claimed a detection; default: it need not claim any",
+    )
+
+
+class Recall(Model):
+    """What a detection has to show to be taken for a target that is lost, or whose net has ended.
+
+    P(it is k) = o_k / (1 + sum o), the 1 standing for a new target, o_k = g p_k(x, y) A r_k: g = exp(-t /
+    frames) for t frames since k was last well seen, A the frame's area, p_k = g N(where its motion leads it)
+    + (1 - g) / A, and r_k the likelihood that its remembered looks give the box against what they give boxes
+    elsewhere, of which one in twenty is taken to look like it.
+    """
+
+    frames: FrameCount = Field(
+        default=300, description="frames over which the memory fades; after as many a dead one is forgotten"
+    )
+    least_probability: Annotated[Number, Field(gt=0, le=1)] = Field(
+        default=0.5, description="least probability to be taken for it"
+    )
+    lost: Truth = Field(
+        default=True, description="whether targets that are lost are found by detections, too"
+    )
+
+
+@dataclass(frozen=True)
+class LifeRules:
+    """The rules of one plate, defaults filled in; None where there is no rule.
+
+    Attributes:
+        birth: where targets come from.
+        duplicates: when two nets hold the same target.
+        death: when a net ends.
+        recall: how targets are recognised again.
+    """
+
+    birth: Birth | None
+    duplicates: Duplicates | None
+    death: Death | None
+    recall: Recall | None
+
+
+def life_rules(
+    birth: Birth | None, duplicates: Duplicates | None, death: Death | None, recall: Recall | None
+) -> LifeRules | None:
+    """The rules of a plate with these settings; None when its targets live as long as the run."""
+    if birth is None:
+        return LifeRules(None, duplicates, death, None) if duplicates or death else None
+    return LifeRules(birth, duplicates or Duplicates(), death or Death(), recall or Recall())

@@ -1,0 +1,185 @@
+"""The settings of noise and motion: how hypotheses spread from frame to frame."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from bayesnet_track.graph.settings.adapt import Level
+from bayesnet_track.graph.settings.base import Choice, Empty, Model, NotNegative, Number, Positive, Whole
+from bayesnet_track.graph.settings.lifecycle import DetectorChoice
+
+
+class PixelSd(Model):
+    """Standard deviations in pixels, for a step of one frame interval."""
+
+    x: NotNegative = Field(default=0.0, description="of the centre's column, px")
+    y: NotNegative = Field(default=0.0, description="of the centre's row, px")
+    w: NotNegative = Field(default=0.0, description="of the width, px")
+    h: NotNegative = Field(default=0.0, description="of the height, px")
+
+
+class BoxSd(Model):
+    """Standard deviations as a share of the box's mean side sqrt(w h)."""
+
+    x: NotNegative = Field(default=0.0, description="of the centre's column, sqrt(w h)")
+    y: NotNegative = Field(default=0.0, description="of the centre's row, sqrt(w h)")
+
+
+class LogSd(Model):
+    """Standard deviations of the size in logarithms, so that they carry over between sizes."""
+
+    scale: NotNegative = Field(default=0.0, description="of log sqrt(w h)")
+    aspect: NotNegative = Field(default=0.0, description="of log(w / h)")
+
+
+class Wide(Model):
+    """A share of the hypotheses moves with a larger sd: heavy tails for sudden motion."""
+
+    share: Annotated[Number, Field(gt=0, lt=1)] = Field(description="share of the hypotheses")
+    factor: Annotated[Number, Field(gt=1)] = Field(description="how many times the position's sd")
+
+
+class Noise(Model):
+    """Gaussian noise of a box; pixel and relative parts add up in variance.
+
+    Variances grow in proportion to the true time between frames.
+    """
+
+    sd_px: PixelSd = Field(default=PixelSd(), description="in pixels")
+    sd_box: BoxSd = Field(default=BoxSd(), description="relative to the box")
+    sd_log: LogSd = Field(default=LogSd(), description="of the size, in logarithms")
+    wide: Wide | None = Field(default=None, description="heavy tails of the position")
+
+
+class Widen(Model):
+    """The position's noise grows while the belief is unsure.
+
+    Its sd is multiplied by sqrt(UD / level), UD being the last frame's: by 1 up to the level, and by `most`
+    at most. So a search grows as fast as the belief does, and is as narrow as ever once it is sure again.
+    """
+
+    above: Level = Field(default=Level(ud_box=0.12), description="level of UD up to which nothing changes")
+    most: Annotated[Number, Field(gt=1)] = Field(default=4.0, description="largest factor on the sd")
+
+
+class KeepSize(Model):
+    """The size is drawn back to that of the first box: it cannot collapse, however long a cue prefers small.
+
+    The logarithms of scale and aspect are Ornstein-Uhlenbeck processes around their first values, exactly
+    discretised: noise as `sd_log` says, and in the long run no more than the sd given here.
+    """
+
+    sd_scale: Positive | None = Field(
+        default=None, description="sd of log sqrt(w h) in the long run; default none, a random walk"
+    )
+    sd_aspect: Positive | None = Field(
+        default=None, description="sd of log(w / h) in the long run; default none, a random walk"
+    )
+
+
+class Probes(Model):
+    """Boxes of the belief's size on a lattice over the frame, which the net's own active agents score."""
+
+    most: Annotated[Whole, Field(ge=16, le=10_000)] = Field(default=400, description="boxes at most")
+
+
+class LookedFor(Choice):
+    """What tells where in the frame to look; weights make up for it, so it changes no probability."""
+
+    uniform: Empty | None = Field(default=None, description="nothing: evenly over the frame")
+    agents: Probes | None = Field(default=None, description="the net's own agents, at boxes on a lattice")
+    detector: DetectorChoice | None = Field(
+        default=None, description="the boxes of a detector; one that learns is shown the first box"
+    )
+
+
+class Recover(Model):
+    """The target may reappear anywhere: p(x | x') = (1 - share) motion + share / (W H) in its position.
+
+    So it is found again after an occlusion, or after leaving the view. Needs particles of a fixed `size` with
+    `importance: regular`.
+    """
+
+    share: Annotated[Number, Field(gt=0, lt=1)] = Field(
+        default=0.1, description="probability per frame interval that it reappears, while unsure or lost"
+    )
+    above: Level = Field(default=Level(ud_box=0.5), description="level of UD above which it is unsure")
+    usual: Annotated[Number, Field(ge=0, lt=1)] = Field(
+        default=0.0, description="the same probability while it is sure"
+    )
+    hypotheses: Annotated[Number, Field(gt=0, lt=1)] = Field(
+        default=0.2, description="share of the hypotheses that look for it, in proportion to the probability"
+    )
+    by: LookedFor = Field(default=LookedFor(agents=Probes()), description="where they look")
+
+
+class Moving(Noise):
+    """A motion of the target: its noise, and what else is known of it."""
+
+    widen: Widen | None = Field(default=None, description="more noise while unsure; default never")
+    keep_size: KeepSize | None = Field(default=None, description="draws the size back; default nothing")
+    sd_angle_deg: NotNegative = Field(
+        default=0.0,
+        description="of the target's rotation in the picture, degrees; 0: the state has no angle",
+    )
+    camera: Literal["compensate"] | None = Field(
+        default=None, description="move hypotheses with the background's flow first; default not"
+    )
+    recover: Recover | None = Field(default=None, description="reappearing anywhere; default never")
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is noise and kinematics alone."""
+        return self.widen is None and self.keep_size is None and self.camera is None and self.recover is None
+
+
+class RandomWalk(Moving):
+    """Position and size drift by independent noise."""
+
+
+class ConstantVelocity(Moving):
+    """White noise in acceleration: `sd_velocity_px` is the change of velocity in one frame interval.
+
+    `sd_px`, `sd_box`, `sd_log` are added to position and size as in a random walk.
+    """
+
+    sd_velocity_px: NotNegative = Field(default=1.0, description="px per frame, per frame interval")
+    start_velocity_sd_px: NotNegative = Field(
+        default=5.0, description="sd of the unknown first velocity, px per frame"
+    )
+
+
+class DampedVelocity(ConstantVelocity):
+    """As constant velocity, the velocity decaying by `damping` per frame interval.
+
+    Damped velocity of the tracking chapter, eq. 3.91 corrected.
+    """
+
+    damping: Annotated[Number, Field(gt=0)] = Field(
+        default=0.25, description="velocity decays as exp(-damping dt)"
+    )
+
+
+class ConstantAcceleration(Moving):
+    """White noise in the derivative of acceleration."""
+
+    sd_acceleration_px: NotNegative = Field(default=0.5, description="px per frame^2, per frame interval")
+    start_velocity_sd_px: NotNegative = Field(
+        default=5.0, description="sd of the unknown first velocity, px per frame"
+    )
+    start_acceleration_sd_px: NotNegative = Field(
+        default=1.0, description="sd of the unknown first acceleration, px per frame^2"
+    )
+
+
+class Motion(Choice):
+    """How the target moves between frames."""
+
+    random_walk: RandomWalk | None = Field(default=None, description="position and size drift")
+    constant_velocity: ConstantVelocity | None = Field(default=None, description="the velocity drifts")
+    damped_velocity: DampedVelocity | None = Field(default=None, description="the velocity drifts and decays")
+    constant_acceleration: ConstantAcceleration | None = Field(
+        default=None, description="the acceleration drifts"
+    )

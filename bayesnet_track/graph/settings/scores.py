@@ -1,0 +1,82 @@
+"""The settings of calibration: how sure the target is held, and how wide it is drawn around the belief."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from bayesnet_track.graph.settings.base import Choice, FrameCount, Model, NotNegative, Number, Positive
+
+
+class Logistic(Model):
+    """Probability of being on target, 1 / (1 + exp(-(bias + sum of coefficient times feature))).
+
+    On target is an overlap (IoU) above 0.5 with the true box. Features are filtered over frames,
+    s <- s + (1 - exp(-1 / memory)) (x - s), beginning with the first frame's. `bayesnet-track fit` estimates
+    the coefficients from videos with truth.
+    """
+
+    bias: Number = Field(description="log odds where every feature is 0")
+    log_ud_box: Number = Field(default=0.0, description="log of UD as a share of the estimate's area")
+    evidence: Number = Field(
+        default=0.0,
+        description="log evidence of an agent (log of its mean likelihood under the prediction) above its "
+        "median in its first 20 frames, mean over the active agents that saw something, nats",
+    )
+    log_fit: Number = Field(
+        default=0.0,
+        description="log of the largest likelihood of a hypothesis, geometric mean over these agents",
+    )
+    agreement: Number = Field(
+        default=0.0,
+        description="log-likelihood of the most probable hypothesis less that of an agent's own best, mean "
+        "over these agents, nats",
+    )
+    log_size: Number = Field(default=0.0, description="|log| of the estimate's sqrt(w h) over the first one")
+    memory: Annotated[Number, Field(ge=0, le=1e6)] = Field(
+        default=10.0, description="frames over which features are smoothed; 0 takes them as they are"
+    )
+    full_fit: Annotated[Number, Field(ge=0, le=1)] = Field(
+        default=0.0,
+        description="the score is at most fit / full_fit of this frame, fit as in `log_fit`, neither logged "
+        "nor smoothed, so that it falls at once where nothing fits; 0 for no such bound",
+    )
+
+
+class Score(Choice):
+    """How the score of a frame comes about."""
+
+    logistic: Logistic | None = Field(default=None, description="a logistic function of a few features")
+
+
+class Slack(Model):
+    """How far the target is from where the belief says, for the regions and sds that are told.
+
+    The true centre is taken to be a hypothesis' centre plus Gaussian noise: of sd `sd_box` with probability
+    p, of sd `lost_sd_box` with probability 1 - p, where p is the score. The belief itself, and all that goes
+    by it, stays as it is.
+    """
+
+    sd_box: NotNegative = Field(default=0.05, description="sd on each axis while on target, sqrt(w h)")
+    lost_sd_box: Positive | None = Field(
+        default=None,
+        description="sd on each axis while off target, sqrt(w h); needs `score`; default: as on target",
+    )
+
+
+class Rivals(Model):
+    """Watch out for what looks like the target: whoever passes it may be followed instead.
+
+    In frames at which all agents look, a rival is a hypothesis at least `beyond_box` from the most probable
+    one whose log-likelihood is less than `within_nats` below that one's. After `frames` of them the score is
+    at most one half, for `hold` frames: nothing that the net has will tell which of the two it follows.
+    """
+
+    within_nats: Positive = Field(default=4.0, description="difference of log-likelihoods, nats")
+    beyond_box: Positive = Field(default=0.5, description="distance from the most probable one, sqrt(w h)")
+    fit: Annotated[Number, Field(ge=0, le=1)] = Field(
+        default=0.01, description="no rival is looked for where the best hypothesis fits less"
+    )
+    frames: FrameCount = Field(default=2, description="consecutive frames in which there is one")
+    hold: FrameCount = Field(default=250, description="frames for which the doubt lasts after a rival")

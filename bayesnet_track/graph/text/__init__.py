@@ -1,0 +1,1 @@
+"""Graphs as text: reading with positions, writing, editing, explaining, formulas."""

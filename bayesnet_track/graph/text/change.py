@@ -1,0 +1,137 @@
+"""Change values of a graph that is told as plain data, by paths that may leave out what is clear."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import replace
+from typing import Any
+
+import yaml
+
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.messages import GraphError, listed, nearest, shown_name
+
+Keys = tuple[str, ...]
+
+
+class ChangeError(ValueError):
+    """A change that cannot be made; says which names there are and which is nearest."""
+
+
+def change_graph(text: str, changes: Sequence[str], adaptation: bool = True) -> CheckedGraph:
+    """The graph of a canonical text with other values.
+
+    Args:
+        text: YAML without comments, as a run directory keeps it.
+        changes: each ``path=value``. The path names keys from the top, joined by dots; ``targets``, the plate
+            and ``nodes`` may be left out (``square.adapt.activate.above.ud_px2=200``). The value is YAML.
+        adaptation: False for all agents always on: no rule switches one, none stops itself.
+
+    Raises:
+        ChangeError: no such path, or one that may mean several; a value that is no YAML.
+        GraphError: what comes out breaks a law; every error, with the path.
+    """
+    data = yaml.safe_load(text)
+    for change in changes:
+        path, equals, value = change.partition("=")
+        if not equals or not path.strip():
+            raise ChangeError(
+                f"{change!r}: PATH=VALUE is needed, such as square.adapt.activate.above.ud_px2=200"
+            )
+        keys = resolve(data, tuple(path.strip().split(".")))
+        data = _with(data, keys, _value(path, value))
+    try:
+        return load_graph(data if adaptation else always_on(data))
+    except GraphError as error:
+        raise GraphError([replace(one, file="--set") for one in error.errors]) from None
+
+
+def always_on(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The graph with every agent on from the start and nothing that switches it."""
+    changed = deepcopy(dict(data))
+    for target in changed["targets"].values():
+        for node in target["nodes"].values():
+            for key in ("active", "self_check") if "agent" in node else ("adapt",):
+                node.pop(key, None)
+    return changed
+
+
+def resolve(data: Mapping[str, Any], path: Keys) -> Keys:
+    """The keys from the top that a path means.
+
+    Raises:
+        ChangeError: nothing begins so, or several places do.
+
+    >>> tree = {"name": "g", "targets": {"ball": {"nodes": {"ball": {"fuse": "pool"}}}}}
+    >>> resolve(tree, ("ball", "fuse"))
+    ('targets', 'ball', 'nodes', 'ball', 'fuse')
+    """
+    places = [(*before, *path) for before in _prefixes(data)]
+    depth = {place: _depth(data, place) - (len(place) - len(path)) for place in places}
+    known = [place for place in places if depth[place] > 0]
+    if not known:
+        names = list(dict.fromkeys(key for before in _prefixes(data) for key in _at(data, before)))
+        near = nearest(path[0], names)
+        raise ChangeError(
+            f"{'.'.join(path)}: nothing is called {shown_name(path[0])}; there are {listed(names)}"
+            + (f"; nearest: {near}" if near else "")
+        )
+    best = max(depth[place] for place in known)
+    deepest = [place for place in known if depth[place] == best]
+    # A plate and its root often share a name: a node is meant, unless a plate alone may have the key.
+    if len(deepest) > 1 and best == 1 and len(path) > 1:
+        plates = [place for place in deepest if len(place) == len(path) + 1]
+        nodes = [place for place in deepest if place not in plates]
+        deepest = plates if path[1] in _plate_keys() and plates else nodes or deepest
+    if len(deepest) > 1:
+        ways = ", ".join(".".join(place) for place in deepest)
+        raise ChangeError(f"{'.'.join(path)}: may mean {ways}; write one of them")
+    return deepest[0]
+
+
+def _plate_keys() -> frozenset[str]:
+    from bayesnet_track.graph.spec import Target
+
+    return frozenset(Target.model_fields)
+
+
+def _prefixes(data: Mapping[str, Any]) -> Iterator[Keys]:
+    yield ()
+    yield ("targets",)
+    for plate in data.get("targets", {}):
+        yield ("targets", plate)
+        yield ("targets", plate, "nodes")
+
+
+def _at(data: Any, keys: Keys) -> Mapping[str, Any]:
+    for key in keys:
+        data = data[key]
+    return data if isinstance(data, Mapping) else {}
+
+
+def _depth(data: Any, keys: Keys) -> int:
+    """How many of the keys are there."""
+    for number, key in enumerate(keys):
+        if not isinstance(data, Mapping) or key not in data:
+            return number
+        data = data[key]
+    return len(keys)
+
+
+def _with(data: Any, keys: Keys, value: Any) -> Any:
+    """The data with a value at these keys; a bare word in their way becomes a mapping (`fuse: pool`)."""
+    if not keys:
+        return value
+    if isinstance(data, str) and data == keys[0]:
+        data = {}
+    inside = dict(data) if isinstance(data, Mapping) else {}
+    return {**inside, keys[0]: _with(inside.get(keys[0]), keys[1:], value)}
+
+
+def _value(path: str, text: str) -> Any:
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ChangeError(f"{path}: {text!r} is no value: {' '.join(str(error).split())}") from None

@@ -1,0 +1,293 @@
+"""A bounded, safe reader of YAML that keeps line and column of every key and value.
+
+Plain data only: mappings with distinct keys, lists, and the scalars of YAML 1.2. Tags, anchors, aliases and
+merge keys are refused. Limits are checked while the text is read, so that a hostile file costs little.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from typing import Any
+
+import yaml
+from yaml.events import (
+    AliasEvent,
+    CollectionEndEvent,
+    DocumentEndEvent,
+    DocumentStartEvent,
+    Event,
+    MappingEndEvent,
+    MappingStartEvent,
+    NodeEvent,
+    ScalarEvent,
+    SequenceEndEvent,
+    StreamEndEvent,
+    StreamStartEvent,
+)
+from yaml.parser import Parser
+from yaml.reader import Reader
+from yaml.scanner import Scanner
+
+from bayesnet_track.graph.text.messages import (
+    MAX_MESSAGES,
+    GraphError,
+    GraphMessage,
+    Path,
+    Positions,
+    shown,
+    shown_name,
+)
+
+MAX_BYTES = 64 * 1024
+MAX_DEPTH = 32
+MAX_NODES = 20_000
+MAX_SCALAR = 4096
+MAX_DIGITS = 18
+
+_REFUSED_CHARACTER = re.compile(
+    "[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]"
+)
+_NULL = frozenset({"", "~", "null", "Null", "NULL"})
+_BOOL = {"true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}
+_INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_INFINITY = re.compile(r"([-+]?)\.(inf|Inf|INF)")
+_NAN = frozenset({".nan", ".NaN", ".NAN"})
+
+
+@dataclass(frozen=True)
+class Document:
+    """The plain data of a file and where each part of it stands."""
+
+    value: Any
+    at: Positions
+
+
+def read_document(text: str | bytes, file: str) -> Document:
+    """The single document of a YAML text.
+
+    Raises:
+        GraphError: not UTF-8, not YAML, more than one document, or outside the limits.
+    """
+    return _Building(file).document(_decoded(text, file))
+
+
+def plain_scalar(text: str) -> str | int | float | bool | None:
+    """The value of an unquoted scalar in the core schema of YAML 1.2.
+
+    >>> [plain_scalar(t) for t in ("on", "1:30", "010", "0x1F", "1e3", "~", "TRUE")]
+    ['on', '1:30', 10, 31, 1000.0, None, True]
+    """
+    if text in _NULL:
+        return None
+    if text in _BOOL:
+        return _BOOL[text]
+    if _INT.fullmatch(text):
+        return int(text, 10 if text[1:2] not in ("o", "x") else 0)
+    if _FLOAT.fullmatch(text):
+        return float(text)
+    if infinite := _INFINITY.fullmatch(text):
+        return -math.inf if infinite[1] == "-" else math.inf
+    return math.nan if text in _NAN else text
+
+
+def _decoded(source: str | bytes, file: str) -> str:
+    content = source if isinstance(source, bytes) else source.encode("utf-8", "surrogatepass")
+    if len(content) > MAX_BYTES:
+        raise _error(file, 1, 1, f"more than {MAX_BYTES} bytes", f"at most {MAX_BYTES} bytes")
+    try:
+        text = content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        good = content[: error.start].decode("utf-8")
+        found = f"byte 0x{content[error.start]:02x} that is not UTF-8"
+        raise _error(file, *_line_and_column(good), found, "text in UTF-8") from None
+    text = text.removeprefix("\ufeff")
+    if refused := _REFUSED_CHARACTER.search(text):
+        found = f"character U+{ord(refused[0]):04X}"
+        raise _error(file, *_line_and_column(text[: refused.start()]), found, "printable characters")
+    return text
+
+
+def _line_and_column(before: str) -> tuple[int, int]:
+    lines = re.split("\r\n|\r|\n", before.removeprefix("\ufeff"))
+    return len(lines), len(lines[-1]) + 1
+
+
+def _error(file: str, line: int, column: int, found: str, allowed: str = "") -> GraphError:
+    return GraphError([GraphMessage(file, line, column, (), "graph", found, allowed)])
+
+
+class _Events(Reader, Scanner, Parser):
+    """PyYAML's pure parser, which stops at deep flow collections before it looks ahead into them."""
+
+    def __init__(self, text: str) -> None:
+        Reader.__init__(self, text)
+        Scanner.__init__(self)
+        Parser.__init__(self)
+
+    def need_more_tokens(self) -> bool:
+        """As inherited, with a short way for the usual case: the parser asks this some ten times a token."""
+        if self.tokens and not self.possible_simple_keys:
+            return False
+        return bool(super().need_more_tokens())
+
+    def fetch_flow_collection_start(self, token: Any) -> None:
+        """As inherited, to a depth."""
+        if self.flow_level >= MAX_DEPTH:
+            raise _TooMuch(self.get_mark(), *_TOO_DEEP)
+        super().fetch_flow_collection_start(token)
+
+
+def _place(event: Event) -> tuple[int, int]:
+    mark: Any = event.start_mark
+    return (mark.line + 1, mark.column + 1)
+
+
+class _TooMuch(Exception):
+    """A limit is passed: mark, what was found, what is allowed."""
+
+
+_TOO_DEEP = (f"nested deeper than {MAX_DEPTH} levels", f"at most {MAX_DEPTH} levels")
+
+
+@dataclass
+class _Building:
+    """One pass over the events of a text."""
+
+    file: str
+    keys: dict[Path, tuple[int, int]] = field(default_factory=dict)
+    values: dict[Path, tuple[int, int]] = field(default_factory=dict)
+    errors: list[GraphMessage] = field(default_factory=list)
+    nodes: int = 0
+
+    def document(self, text: str) -> Document:
+        try:
+            value = self._single(_Events(text))
+        except _TooMuch as limit:
+            mark, found, allowed = limit.args
+            raise GraphError([*self.errors, self._at(mark, (), found, allowed)]) from None
+        except yaml.MarkedYAMLError as error:
+            mark = error.problem_mark or error.context_mark
+            said = " ".join(filter(None, (error.context, error.problem)))
+            raise GraphError([*self.errors, self._at(mark, (), f"not YAML: {said[:300]}")]) from None
+        if self.errors:
+            raise GraphError(self.errors)
+        return Document(value, Positions(self.file, self.keys, self.values))
+
+    def _single(self, events: Any) -> Any:
+        value = None
+        seen = 0
+        while True:
+            event = events.get_event()
+            if isinstance(event, StreamEndEvent):
+                break
+            if isinstance(event, (StreamStartEvent, DocumentEndEvent)):
+                continue
+            if isinstance(event, DocumentStartEvent):
+                seen += 1
+                if seen > 1:
+                    raise _TooMuch(event.start_mark, "a second document", "one document per file")
+                continue
+            value = self._value(events, event, (), 1)
+        if seen == 0 or value is None:
+            self.values.setdefault((), (1, 1))
+            self.errors.append(
+                GraphMessage(
+                    self.file,
+                    1,
+                    1,
+                    (),
+                    "graph",
+                    "nothing in the file",
+                    "a mapping that begins with bayesnet: 1",
+                )
+            )
+        return value
+
+    def _value(self, events: Any, event: Event, path: Path, depth: int) -> Any:
+        """The data of the node that `event` begins; consumes its events."""
+        self._admit(event, path, depth)
+        self.values[path] = _place(event)
+        if isinstance(event, ScalarEvent):
+            return self._scalar(event, path)
+        if isinstance(event, MappingStartEvent):
+            return self._mapping(events, path, depth)
+        if isinstance(event, AliasEvent):
+            return None
+        items: list[Any] = []
+        while not isinstance(event := events.get_event(), SequenceEndEvent):
+            items.append(self._value(events, event, (*path, len(items)), depth + 1))
+        return items
+
+    def _mapping(self, events: Any, path: Path, depth: int) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        while not isinstance(event := events.get_event(), MappingEndEvent):
+            if not isinstance(event, ScalarEvent):
+                self._admit(event, path, depth)
+                self._refuse(event, path, "a key that is not a word", "words as keys")
+                self._skip(events, event, path, depth + 1)
+                self._value(events, events.get_event(), (*path, "?"), depth + 1)
+                continue
+            self._admit(event, path, depth)
+            key = event.value
+            inside = (*path, key)
+            if key == "<<" and event.implicit[0]:
+                self._refuse(event, inside, "a merge key", "every key written out")
+            elif key in found:
+                first, _ = self.keys[inside]
+                self._refuse(
+                    event, inside, f"key {shown(key)} again, first in line {first}", "every key once"
+                )
+            else:
+                self.keys[inside] = _place(event)
+                found[key] = self._value(events, events.get_event(), inside, depth + 1)
+                continue
+            self._skip(events, events.get_event(), inside, depth + 1)
+        return found
+
+    def _skip(self, events: Any, event: Event, path: Path, depth: int) -> None:
+        """Consumes a node whose data is not wanted; the limits hold in it too."""
+        kept = self.keys, self.values
+        self.keys, self.values = {}, {}
+        self._value(events, event, path, depth)
+        self.keys, self.values = kept
+
+    def _admit(self, event: Event, path: Path, depth: int) -> None:
+        """Counts a node; refuses tags, anchors and aliases; stops at the limits."""
+        self.nodes += 1
+        if self.nodes > MAX_NODES:
+            raise _TooMuch(event.start_mark, f"more than {MAX_NODES} values", f"at most {MAX_NODES} values")
+        if depth > MAX_DEPTH and not isinstance(event, (ScalarEvent, CollectionEndEvent)):
+            raise _TooMuch(event.start_mark, *_TOO_DEEP)
+        if len(self.errors) > MAX_MESSAGES:
+            raise GraphError(self.errors)
+        if isinstance(event, AliasEvent):
+            self._refuse(event, path, f"alias *{shown_name(event.anchor)}", "every value written out")
+        elif isinstance(event, NodeEvent) and event.anchor is not None:
+            self._refuse(event, path, f"anchor &{shown_name(event.anchor)}", "values without anchors")
+        tag = getattr(event, "tag", None)
+        if tag is not None:
+            self._refuse(event, path, f"tag {shown_name(tag)}", "values without tags")
+
+    def _scalar(self, event: ScalarEvent, path: Path) -> Any:
+        text = event.value
+        if len(text) > MAX_SCALAR:
+            found, allowed = f"a value of {len(text)} characters", f"at most {MAX_SCALAR} characters"
+            self._refuse(event, path, found, allowed)
+            return None
+        if not event.implicit[0]:
+            return text
+        value = plain_scalar(text)
+        if isinstance(value, int) and len(text.lstrip("+-0ox")) > MAX_DIGITS:
+            self._refuse(event, path, f"a number of {len(text)} digits", f"at most {MAX_DIGITS} digits")
+            return None
+        return value
+
+    def _refuse(self, event: Event, path: Path, found: str, allowed: str) -> None:
+        self.errors.append(self._at(event.start_mark, path, found, allowed))
+
+    def _at(self, mark: Any, path: Path, found: str, allowed: str = "") -> GraphMessage:
+        placed = Positions(self.file, {}, {path: (mark.line + 1, mark.column + 1)})
+        return placed.message(path, found, allowed)

@@ -1,0 +1,294 @@
+"""Turns what pydantic says of a graph into messages: where, what was found, what is allowed, nearest name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel, Tag, ValidationError
+from pydantic.fields import FieldInfo
+
+from bayesnet_track.graph.settings.base import Choice, Name, PluginChoice
+from bayesnet_track.graph.spec import AgentNode, InferenceNode
+from bayesnet_track.graph.text.messages import (
+    MAX_MESSAGES,
+    GraphMessage,
+    Path,
+    Positions,
+    listed,
+    shown,
+    shown_name,
+)
+
+MAX_EXPLAINED = 4 * MAX_MESSAGES
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A type annotation taken apart: alternatives without None, each with its constraints."""
+
+    kinds: tuple[Any, ...]
+    constraints: tuple[Any, ...] = ()
+
+    @property
+    def only(self) -> Any:
+        """The single alternative, or None."""
+        return self.kinds[0] if len(self.kinds) == 1 else None
+
+
+def shape_of(annotation: Any, constraints: Iterable[Any] = ()) -> Shape:
+    """Strips `Annotated` and `None` off an annotation."""
+    flat = list(_flattened(constraints))
+    while True:
+        if hasattr(annotation, "__metadata__"):
+            flat += _flattened(annotation.__metadata__)
+            annotation = annotation.__origin__
+            continue
+        members = [a for a in get_args(annotation) if a is not type(None)] if _is_union(annotation) else []
+        if len(members) != 1:
+            break
+        annotation = members[0]
+    return Shape(tuple(members or [annotation]), tuple(flat))
+
+
+def expects(annotation: Any, constraints: Iterable[Any] = ()) -> str:
+    """What a value of this type looks like, in words; empty for a type the language does not use.
+
+    >>> from bayesnet_track.graph.settings.base import Share
+    >>> expects(Share), expects(Literal["map", "best"] | None)
+    ('a number above 0, at most 1', 'one of map, best')
+    """
+    shape = shape_of(annotation, constraints)
+    if shape.only is None:
+        return " or ".join(filter(None, (expects(kind) for kind in shape.kinds)))
+    kind = shape.only
+    origin = get_origin(kind)
+    if origin is Literal:
+        words = [shown_name(word) for word in get_args(kind)]
+        return words[0] if len(words) == 1 else f"one of {', '.join(words)}"
+    if origin is tuple or origin is list:
+        return f"a list, each {expects(get_args(kind)[0])}"
+    if origin is not None and issubclass(origin, Mapping):
+        return f"a mapping, each {expects(get_args(kind)[1])}"
+    if not isinstance(kind, type):
+        return ""
+    if issubclass(kind, Choice):
+        return f"one of {', '.join(kind.model_fields)}"
+    if issubclass(kind, PluginChoice):
+        return f"a {kind.WORD}, or one {kind.WORD} with its parameters"
+    if issubclass(kind, BaseModel):
+        return f"a mapping with {listed(kind.model_fields)}" if kind.model_fields else "no settings"
+    plain = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}.get(kind, "")
+    if not plain:
+        return ""
+    if any(_get(c, "pattern") for c in shape.constraints):
+        return "a letter, then up to 63 letters, digits or _"
+    return plain + ",".join(_limits(shape.constraints))
+
+
+def explain(
+    error: ValidationError, model: type[BaseModel], data: Any, at: Positions, prefix: Path = ()
+) -> list[GraphMessage]:
+    """The messages for what pydantic found wrong in `data`, a value of `model` at the path `prefix`."""
+    messages: dict[tuple[Path, str], GraphMessage] = {}
+    for one in error.errors(include_url=False, include_context=False)[:MAX_EXPLAINED]:
+        steps = _walk(one["loc"], model, data)
+        message = _explained(one["type"], one["msg"], steps, at, prefix)
+        messages.setdefault((message.path, message.found), message)
+    return list(messages.values())
+
+
+@dataclass(frozen=True)
+class _Step:
+    """One step from the top of the data toward an error.
+
+    Attributes:
+        key: key or index, None at the top.
+        shape: what is expected there; None when the key is unknown.
+        value: what is there; None when nothing is.
+        is_key: the error concerns the key itself.
+    """
+
+    key: str | int | None
+    shape: Shape | None
+    value: Any
+    is_key: bool = False
+
+
+def _walk(location: tuple[str | int, ...], model: type[BaseModel], data: Any) -> list[_Step]:
+    """The steps along pydantic's location, without the labels of union members in it."""
+    steps = [_Step(None, Shape((model,)), data)]
+    for number, part in enumerate(location):
+        shape = steps[-1].shape
+        if part == "[key]":
+            return [*steps, _Step(part, None, None, is_key=True)]
+        if shape is None:
+            return steps
+        if shape.only is None:
+            member = next((kind for kind in shape.kinds if _tag(kind) == part), None)
+            is_word = number == len(location) - 1 and get_origin(shape_of(member).only) is Literal
+            if member is None or is_word:
+                return steps
+            steps[-1] = replace(steps[-1], shape=shape_of(member))
+            continue
+        steps.append(_Step(part, _inside(shape.only, part), _value_inside(steps[-1].value, part)))
+    return steps
+
+
+def _value_inside(data: Any, part: str | int) -> Any:
+    if isinstance(data, BaseModel):
+        return getattr(data, str(part), None)
+    if isinstance(data, Mapping):
+        return data.get(part)
+    if isinstance(data, (list, tuple)) and isinstance(part, int) and part < len(data):
+        return data[part]
+    return None
+
+
+def _inside(kind: Any, part: str | int) -> Shape | None:
+    if isinstance(kind, type) and issubclass(kind, PluginChoice):
+        return None
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        found = kind.model_fields.get(str(part))
+        return None if found is None else shape_of(found.annotation, found.metadata)
+    arguments = get_args(kind)
+    if get_origin(kind) in (tuple, list):
+        return shape_of(arguments[0])
+    return shape_of(arguments[1]) if len(arguments) == 2 else None
+
+
+def _explained(kind: str, said: str, steps: list[_Step], at: Positions, prefix: Path) -> GraphMessage:
+    last, parent = steps[-1], steps[max(len(steps) - 2, 0)]
+    path = prefix + tuple(step.key for step in steps[1:] if step.key is not None and not step.is_key)
+    owner = parent.shape.only if parent.shape is not None else None
+    name = _name_of(path)
+    if last.is_key:
+        bad = path[-1] if path else ""
+        return at.message(path, f"name {shown(bad)}", expects(Name), on_key=True)
+    if kind == "extra_forbidden":
+        return _unknown_key(str(last.key), owner, parent, path, at)
+    if kind == "missing":
+        wanted = expects(*_parts(last.shape)) if last.shape else ""
+        return at.message(path[:-1], f"key {name!r} is missing", wanted)
+    if isinstance(owner, type) and issubclass(owner, PluginChoice):
+        if kind == "value_error":
+            found, allowed = "parameters that are not plain data", "words, finite numbers, lists and mappings"
+        else:
+            found = "parameters that are not a mapping"
+            allowed = f"a mapping of parameters, or the {owner.WORD} alone"
+        return at.message(path[:-1], found, allowed)
+    if isinstance(last.value, (list, tuple)) and name == "parent":
+        found = (
+            f"two parents ({listed(last.value)})"
+            if len(last.value) == 2
+            else f"parent is {shown(last.value)}"
+        )
+        return at.message(path, found, "one parent, so that evidence reaches a node by one path only")
+    if isinstance(last.shape.only if last.shape else None, type) and kind == "value_error":
+        return _bad_choice(last, name, said, path, at)
+    allowed = expects(*_parts(last.shape)) if last.shape else ""
+    if kind == "too_short":
+        allowed = "at least one"
+    found = f"{name} is {shown(last.value)}" if last.value not in ({}, [], ()) else f"{name} is empty"
+    word = last.value if isinstance(last.value, str) else ""
+    return at.message(path, found, allowed or _said(said), word=word, near=_words(last.shape))
+
+
+def _unknown_key(word: str, owner: Any, parent: _Step, path: Path, at: Positions) -> GraphMessage:
+    fields = list(owner.model_fields) if isinstance(owner, type) and issubclass(owner, BaseModel) else []
+    near = fields
+    found = f"unknown key {shown(word)}"
+    if isinstance(owner, type) and issubclass(owner, Choice):
+        choice = str(path[-2]) if len(path) > 1 else "choice"
+        if isinstance(parent.value, str):
+            path = path[:-1]
+        found = f"unknown {shown_name(choice)} {shown(word)}"
+    elif owner is InferenceNode or owner is AgentNode:
+        found += " of an agent node" if owner is AgentNode else " of an inference node"
+        near = [*fields, "agent"]
+    return at.message(path, found, fields or "no settings", word=word, near=near, on_key=True)
+
+
+def _bad_choice(last: _Step, name: str, said: str, path: Path, at: Positions) -> GraphMessage:
+    kind: Any = last.shape.only if last.shape is not None else None
+    if not issubclass(kind, (Choice, PluginChoice)) or not isinstance(last.value, Mapping):
+        return at.message(path, f"{name} is {shown(last.value)}", _said(said))
+    given = listed(last.value)
+    found = f"{name} names {given}" if len(last.value) else f"{name} is empty"
+    if issubclass(kind, PluginChoice):
+        one = len(last.value) == 1
+        return at.message(path, found, _said(said) if one else f"exactly one {kind.WORD}")
+    return at.message(path, found, f"exactly one of {', '.join(kind.model_fields)}")
+
+
+def _name_of(path: Path) -> str:
+    if not path:
+        return "the graph"
+    if isinstance(path[-1], int):
+        return f"{_name_of(path[:-1])}[{path[-1]}]"
+    return shown_name(path[-1])
+
+
+def _parts(shape: Shape) -> tuple[Any, tuple[Any, ...]]:
+    if shape.only is not None:
+        return shape.only, shape.constraints
+    union: Any = shape.kinds[0]
+    for kind in shape.kinds[1:]:
+        union = union | kind
+    return union, ()
+
+
+def _words(shape: Shape | None) -> list[str]:
+    kinds = shape.kinds if shape is not None else ()
+    found: list[str] = []
+    for kind in kinds:
+        bare = shape_of(kind).only
+        if get_origin(bare) is Literal:
+            found += [str(word) for word in get_args(bare)]
+        elif isinstance(bare, type) and issubclass(bare, Choice):
+            found += list(bare.model_fields)
+    return found
+
+
+def _said(said: str) -> str:
+    return (
+        said.removeprefix("Value error, ").removeprefix("Assertion failed, ").removeprefix("Input should be ")
+    )
+
+
+def _limits(constraints: Iterable[Any]) -> Iterator[str]:
+    words = (
+        ("gt", " above {}"),
+        ("ge", " at least {}"),
+        ("lt", " below {}"),
+        ("le", " at most {}"),
+        ("multiple_of", " a multiple of {}"),
+        ("max_length", " of at most {} characters"),
+    )
+    for constraint in constraints:
+        for attribute, text in words:
+            bound = _get(constraint, attribute)
+            if bound is not None:
+                yield text.format(f"{bound:.15g}" if isinstance(bound, float) else bound)
+
+
+def _flattened(constraints: Iterable[Any]) -> Iterator[Any]:
+    for constraint in constraints:
+        if isinstance(constraint, FieldInfo):
+            yield from constraint.metadata
+        else:
+            yield constraint
+
+
+def _get(constraint: Any, attribute: str) -> Any:
+    return getattr(constraint, attribute, None)
+
+
+def _tag(kind: Any) -> str | None:
+    return next((part.tag for part in getattr(kind, "__metadata__", ()) if isinstance(part, Tag)), None)
+
+
+def _is_union(annotation: Any) -> bool:
+    return get_origin(annotation) in (Union, UnionType)

@@ -1,0 +1,46 @@
+"""Load a graph, however it is named: an installed name, a path, or a graph written in Python."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.checks.run import Cues, check, check_graph
+from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.messages import GraphError, GraphMessage, nearest
+from bayesnet_track.graph.text.read import read_graph
+from bayesnet_track.graphs import find_graph, graph_names
+
+
+def load_graph(
+    graph: str | PathLike[str] | GraphSpec | Mapping[str, Any] | CheckedGraph, cues: Cues | None = None
+) -> CheckedGraph:
+    """The checked graph of an installed name (``"general"``), a file's path, a specification, or plain data.
+
+    A word without a dot or slash is an installed graph's name; anything else is a path.
+
+    Raises:
+        GraphError: no such graph, or all of its errors.
+    """
+    if isinstance(graph, CheckedGraph):
+        return graph
+    if isinstance(graph, GraphSpec | Mapping):
+        return check_graph(graph, cues)
+    if isinstance(graph, str) and not any(mark in graph for mark in "./\\"):
+        if graph not in graph_names():
+            raise GraphError([_no_such_graph(graph)])
+        spec, at = read_graph(find_graph(graph))
+    else:
+        spec, at = read_graph(Path(graph))
+    return check(spec, at, cues)
+
+
+def _no_such_graph(name: str) -> GraphMessage:
+    names = graph_names()
+    allowed = f"{', '.join(names)}, or a path to a file"
+    return GraphMessage(
+        name, 1, 1, (), "graph", "no installed graph of this name", allowed, nearest(name, names)
+    )

@@ -1,0 +1,156 @@
+"""The language reference as Markdown, made from the specification, the laws and the installed cues."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from inspect import cleandoc
+from typing import Any, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+from bayesnet_track.graph.checks.cues import CUE_LAWS
+from bayesnet_track.graph.checks.evidence import evidence_counts_once
+from bayesnet_track.graph.checks.joins import JOIN_LAWS
+from bayesnet_track.graph.checks.lifecycle import LIFE_LAWS
+from bayesnet_track.graph.checks.trees import TREE_LAWS
+from bayesnet_track.graph.checks.values import RULE_LAWS, VALUE_LAWS
+from bayesnet_track.graph.settings.base import Choice, Model, PluginChoice
+from bayesnet_track.graph.spec import LANGUAGE_VERSION, GraphSpec
+from bayesnet_track.graph.text.document import MAX_BYTES, MAX_DEPTH, MAX_NODES, MAX_SCALAR
+from bayesnet_track.graph.text.explain import expects, shape_of
+from bayesnet_track.graph.text.write import as_plain, flow_text
+from bayesnet_track.observation.cue import CueDeclaration, installed_cues
+
+_OPENING = f"""# The language, version {LANGUAGE_VERSION}
+
+<!-- Made by bayesnet_track.graph.text.reference; do not edit. -->
+
+A graph is one YAML file. Names begin with a letter and go on with letters, digits and `_`. Units stand in the
+keys (`_px`, `_px2`, `_box`: relative to the box). A *choice* is written as one key with its settings,
+`fuse: {{pool: {{a: 1, b: 2}}}}`, or, where every setting has a default, as a bare word, `fuse: product`.
+
+The file is UTF-8, at most {MAX_BYTES // 1024} KiB, {MAX_DEPTH} levels, {MAX_NODES:,} values, and
+{MAX_SCALAR:,} characters a value. Scalars are those of YAML 1.2: `on`, `off`, `yes` and `no` are words.
+Unknown keys, keys given twice, empty values, tags, anchors, aliases and merge keys are refused.
+
+Every error names `file:line:column: node: what was found; what is allowed; nearest name`.
+"""
+
+
+def language_reference(cues: Mapping[str, CueDeclaration] | None = None) -> str:
+    """The whole reference page; `cues` are the installed ones unless given."""
+    cues = installed_cues() if cues is None else cues
+    sections = [_OPENING, *(_section(model) for model in _models_in_order()), *_cues(cues), _laws()]
+    return "\n".join(sections)
+
+
+def _models_in_order() -> list[type[Model]]:
+    """The specification's models, each after the one that first uses it."""
+    found: list[type[Model]] = []
+    waiting: list[Any] = [GraphSpec]
+    while waiting:
+        kind = waiting.pop(0)
+        if isinstance(kind, type) and issubclass(kind, Model):
+            if kind not in found and (kind.model_fields or issubclass(kind, PluginChoice)):
+                found.append(kind)
+                waiting = [field.annotation for field in kind.model_fields.values()] + waiting
+        else:
+            waiting = [*get_args(kind), *waiting] if get_origin(kind) is not None else waiting
+    return found
+
+
+def _section(model: type[Model]) -> str:
+    parts = [f"## {_title(model)}\n", _prose(model.__doc__ or "")]
+    if not issubclass(model, PluginChoice):
+        parts.append(_table(model))
+    return "\n".join(parts)
+
+
+def _title(model: type[BaseModel]) -> str:
+    """The name of a model's section: its words in lower case.
+
+    >>> _title(GraphSpec)
+    'graph'
+    """
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", model.__name__).lower()
+    return {"graph spec": "graph", "agent choice": "agent", "detector choice": "detector"}.get(words, words)
+
+
+def _prose(docstring: str) -> str:
+    """A docstring as Markdown: literal blocks become YAML."""
+    text = cleandoc(docstring).replace("``", "`")
+    head, mark, example = text.partition("Example::\n")
+    if not mark:
+        return text + "\n"
+    return f"{head}```yaml\n{cleandoc(example)}\n```\n"
+
+
+def _table(model: type[BaseModel]) -> str:
+    first = "one of" if issubclass(model, Choice) else "key"
+    lines = [f"| {first} | value | default | meaning |", "|---|---|---|---|"]
+    for name, field in model.model_fields.items():
+        value = _linked(field) or expects(field.annotation, field.metadata) or "see its type"
+        default = "" if issubclass(model, Choice) else _default(field)
+        cells = (f"`{name}`", value, default, field.description or "")
+        lines.append("| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _linked(field: FieldInfo) -> str:
+    """Links to the sections of the models in a field's value, or empty when it has none."""
+    links = []
+    for kind in shape_of(field.annotation).kinds:
+        bare = shape_of(kind).only
+        if get_origin(bare) is dict:
+            inner = [_link(part) for part in shape_of(get_args(bare)[1]).kinds]
+            if not any(inner):
+                return ""
+            links.append(f"name: {' or '.join(inner)}, for each")
+        elif (link := _link(bare)) and bare is not None:
+            links.append(link)
+        elif len(shape_of(field.annotation).kinds) > 1:
+            links.append(expects(kind))
+    return " or ".join(links)
+
+
+def _link(kind: Any) -> str:
+    bare = shape_of(kind).only
+    if not (isinstance(bare, type) and issubclass(bare, Model)):
+        return ""
+    if not bare.model_fields:
+        return "no settings"
+    title = _title(bare)
+    return f"[{title}](#{title.replace(' ', '-')})"
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    value = field.get_default(call_default_factory=False)
+    if value is None or value is PydanticUndefined or value == "":
+        return ""
+    return f"`{flow_text(as_plain(value))}`"
+
+
+def _cues(cues: Mapping[str, CueDeclaration]) -> Iterator[str]:
+    yield "## Cues\n"
+    yield "The installed cues. Every cue's likelihood is at most 1 and at least its `floor`.\n"
+    for name, cue in cues.items():
+        facts = [f"{cue.summary[:1].upper()}{cue.summary[1:].rstrip('.')}."]
+        facts += ["Blind on a gray source."] if cue.needs_color else []
+        facts += [f"Declared cost {cue.cost_ms:g} ms for 1000 hypotheses."]
+        facts += [f"Learns at up to {cue.rate_max:g} per frame."] if cue.rate_max is not None else []
+        facts += ["Opaque: what it keeps cannot be stored."] if cue.opaque else []
+        yield f"### {name}\n\n{' '.join(facts)}\n\n{_table(cue.parameters)}"
+
+
+def _laws() -> str:
+    laws = (*TREE_LAWS, *CUE_LAWS, *LIFE_LAWS, *VALUE_LAWS, *RULE_LAWS, evidence_counts_once, *JOIN_LAWS)
+    lines = ["## Laws\n", "A graph is accepted when all of these hold:\n"]
+    for law in laws:
+        first = cleandoc(law.__doc__ or "").split("\n\n")[0].replace("\n", " ")
+        lines.append(f"- {first}")
+    return "\n".join(lines) + "\n"
