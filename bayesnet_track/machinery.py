@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from bayesnet_track.belief.contract import Belief, Motion
-from bayesnet_track.belief.gaussian import GaussianFilter
-from bayesnet_track.belief.grid import GridFilter
-from bayesnet_track.belief.motion import make_motion
-from bayesnet_track.belief.particles import ParticleFilter
-from bayesnet_track.belief.rotating import Rotating
+from bayesnet_track.belief.gaussian.belief import GaussianFilter
+from bayesnet_track.belief.grid.belief import GridFilter
+from bayesnet_track.belief.motion.models import make_motion
+from bayesnet_track.belief.motion.rotating import Rotating
+from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.executor import Crew, Executor, Serial
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget

@@ -23,8 +23,8 @@ from filter_peers import Model, plain, request, run
 from measuring import environment, on_one_thread, table
 
 from bayesnet_track.belief.contract import Evidence, Floats, Step
-from bayesnet_track.belief.motion import make_motion
-from bayesnet_track.belief.particles import ParticleFilter, ParticleSet
+from bayesnet_track.belief.motion.models import make_motion
+from bayesnet_track.belief.particles.belief import ParticleFilter, ParticleSet
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.cue import Hypotheses

@@ -11,12 +11,12 @@ from functools import partial
 
 import numpy as np
 
-from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Evidence
-from bayesnet_track.belief.grid import GridFilter
-from bayesnet_track.belief.grid_cells import GridBelief, Lattice
-from bayesnet_track.belief.grid_motion import predicted
-from bayesnet_track.belief.motion import make_motion
+from bayesnet_track.belief.grid.belief import GridFilter
+from bayesnet_track.belief.grid.cells import GridBelief, Lattice
+from bayesnet_track.belief.grid.motion import predicted
+from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.cue import Hypotheses

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, Evidence, Step
-from bayesnet_track.belief.importance import surprise
-from bayesnet_track.belief.motion import KinematicMotion, linear_gaussian, make_motion
-from bayesnet_track.belief.particles import ParticleFilter, ParticleSet
+from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian, make_motion
+from bayesnet_track.belief.particles.belief import ParticleFilter, ParticleSet
+from bayesnet_track.belief.particles.importance import surprise
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.streams import Streams

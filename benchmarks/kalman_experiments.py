@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Belief, Evidence, Motion, Step
 from bayesnet_track.belief.estimate import estimate
-from bayesnet_track.belief.functions import FunctionMotion
-from bayesnet_track.belief.gaussian import GaussianFilter
-from bayesnet_track.belief.motion import make_motion
-from bayesnet_track.belief.particles import ParticleFilter
+from bayesnet_track.belief.gaussian.belief import GaussianFilter
+from bayesnet_track.belief.motion.functions import FunctionMotion
+from bayesnet_track.belief.motion.models import make_motion
+from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.gaussian import chi_square_quantile
 from bayesnet_track.numerics.streams import Streams

@@ -20,7 +20,7 @@ from kalman_experiments import HIDDEN, OTHER, TARGET, Floats, Track
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-from bayesnet_track.belief.particles import ParticleFilter
+from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.graph import spec
 
 Axes = Any

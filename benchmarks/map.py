@@ -16,8 +16,8 @@ import numpy as np
 from measuring import environment, on_one_thread, table
 
 from bayesnet_track.belief.contract import Motion
-from bayesnet_track.belief.map import map_index
-from bayesnet_track.belief.motion import make_motion
+from bayesnet_track.belief.motion.models import make_motion
+from bayesnet_track.belief.particles.map import map_index
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import LogWeights
 

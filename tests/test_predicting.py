@@ -7,10 +7,10 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.attached import Attached
-from bayesnet_track.belief.carried import Carried
-from bayesnet_track.belief.jumps import Jumping
-from bayesnet_track.belief.rotating import Rotating
+from bayesnet_track.belief.motion.attached import Attached
+from bayesnet_track.belief.motion.carried import Carried
+from bayesnet_track.belief.motion.jumps import Jumping
+from bayesnet_track.belief.motion.rotating import Rotating
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.events.jump_events import Reappeared
 from bayesnet_track.nets.predicting import Outlook, outlook, predicted

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.belief.contract import BOX_FIELDS
-from bayesnet_track.belief.particles import ParticleSet
+from bayesnet_track.belief.particles.belief import ParticleSet
 from bayesnet_track.graph.spec import Logistic, Slack
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.net.net import StatusChanged

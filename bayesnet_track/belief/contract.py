@@ -14,7 +14,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.noise import Transition
+from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.journal.events.basic import Event
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Hypotheses, Measurement

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS
-from bayesnet_track.belief.motion import KinematicMotion
+from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.graph.spec import Given
 from bayesnet_track.inference.parts import part_matrix
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights

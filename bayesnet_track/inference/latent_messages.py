@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.noise import box_coordinates, log_noise_density, noisy
+from bayesnet_track.belief.motion.noise import box_coordinates, log_noise_density, noisy
 from bayesnet_track.graph.spec import Noise
 from bayesnet_track.observation.cue import Hypotheses
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evidence
-from bayesnet_track.belief.noise import sample_noise
+from bayesnet_track.belief.motion.noise import sample_noise
 from bayesnet_track.executor import each_at_once
 from bayesnet_track.graph.spec import Noise
 from bayesnet_track.inference.absent import Missing

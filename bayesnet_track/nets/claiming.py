@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.assign import assign, gains
 from bayesnet_track.adapt.claims import NOBODY
 from bayesnet_track.adapt.lifecycle import Life
-from bayesnet_track.belief.bounds import Confined
-from bayesnet_track.belief.gaussian_predict import predict
+from bayesnet_track.belief.gaussian.predict import predict
+from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate

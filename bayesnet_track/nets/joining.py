@@ -23,10 +23,10 @@ from bayesnet_track.adapt.joins import (
     Reach,
     spanning_tree,
 )
-from bayesnet_track.belief.attached import Attached, with_carried, without_carried
 from bayesnet_track.belief.contract import Posterior, Step
-from bayesnet_track.belief.particle_set import ParticleSet
-from bayesnet_track.belief.particles import reweighted
+from bayesnet_track.belief.motion.attached import Attached, with_carried, without_carried
+from bayesnet_track.belief.particles.belief import reweighted
+from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.graph.settings.joins import Attachment, Join
 from bayesnet_track.inference.joint import Edge, Marginal, Member, Pair, joint_marginals

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.backoff import next_try
 from bayesnet_track.adapt.conditions import Reading, read_level
-from bayesnet_track.belief.attached import Attached
-from bayesnet_track.belief.carried import Carried, camera_shift, size_kept
 from bayesnet_track.belief.contract import Motion
-from bayesnet_track.belief.jumps import Jumping, Search
-from bayesnet_track.belief.motion import KinematicMotion
-from bayesnet_track.belief.rotating import Rotating
-from bayesnet_track.belief.widened import widened, widening
+from bayesnet_track.belief.motion.attached import Attached
+from bayesnet_track.belief.motion.carried import Carried, camera_shift, size_kept
+from bayesnet_track.belief.motion.jumps import Jumping, Search
+from bayesnet_track.belief.motion.models import KinematicMotion
+from bayesnet_track.belief.motion.rotating import Rotating
+from bayesnet_track.belief.motion.widened import widened, widening
 from bayesnet_track.graph.settings.adapt import Level
 from bayesnet_track.graph.settings.motion import Recover
 from bayesnet_track.journal.events.life_events import DetectorFailed

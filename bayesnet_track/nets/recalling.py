@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.lifecycle import Identity
 from bayesnet_track.adapt.recognise import Compared, elsewhere, looks, placed
-from bayesnet_track.belief.bounds import Confined
+from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.graph.settings.lifecycle import Recall
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate

@@ -7,7 +7,7 @@ from typing import Any
 
 from bayesnet_track.adapt.shedding import Load, Running, balance
 from bayesnet_track.belief.contract import Belief
-from bayesnet_track.belief.particles import ParticleFilter
+from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.graph.spec import Particles
 from bayesnet_track.journal.events.inputs import LateFrame, SpareTime
 from bayesnet_track.journal.net.net import Decision, Net

@@ -15,7 +15,7 @@ from bayesnet_track.adapt.guard import watch
 from bayesnet_track.adapt.learn import learn_first
 from bayesnet_track.adapt.memory import Memory, Streak
 from bayesnet_track.adapt.situation import Situation
-from bayesnet_track.belief.bounds import Confined
+from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.parts import nominal_boxes
 from bayesnet_track.journal.events.basic import FrameMetrics

@@ -21,9 +21,9 @@ from bayesnet_track.adapt.measure import measure
 from bayesnet_track.adapt.parts import part_rates
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.adapt.situation import Situation, quiet_level
-from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Motion, Posterior, Step
 from bayesnet_track.belief.estimate import estimate
+from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate

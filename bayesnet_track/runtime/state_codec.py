@@ -24,10 +24,10 @@ from bayesnet_track.adapt.joins import Carried, JoinMemory, Level, PairMemory
 from bayesnet_track.adapt.lifecycle import Candidate, Identity, Life, Lifeline
 from bayesnet_track.adapt.memory import Memory, Quiet, Streak
 from bayesnet_track.adapt.shedding import Load
-from bayesnet_track.belief.gaussian import GaussianPosterior
-from bayesnet_track.belief.grid_cells import GridBelief, Lattice
-from bayesnet_track.belief.need import Need, Sized
-from bayesnet_track.belief.particle_set import ParticleSet
+from bayesnet_track.belief.gaussian.belief import GaussianPosterior
+from bayesnet_track.belief.grid.cells import GridBelief, Lattice
+from bayesnet_track.belief.particles.particle_set import ParticleSet
+from bayesnet_track.belief.particles.sample_size import Need, Sized
 from bayesnet_track.engine import Engine, State, TargetState
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.journal.net.join_decisions import Joined

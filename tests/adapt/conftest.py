@@ -9,7 +9,7 @@ from bayesnet_track.adapt.measure import Measures, measure
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.rules import Situation, decide
 from bayesnet_track.belief.contract import BOX_FIELDS, Step
-from bayesnet_track.belief.particles import ParticleSet
+from bayesnet_track.belief.particles.belief import ParticleSet
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import evaluate
 from bayesnet_track.journal.net.net import Net, TargetNet, apply

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from bayesnet_track.belief.motion import make_motion
+from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.streams import Streams
 

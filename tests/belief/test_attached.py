@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.attached import FIELD, Attached, with_carried, without_carried
-from bayesnet_track.belief.map import map_index
-from bayesnet_track.belief.motion import make_motion
-from bayesnet_track.belief.particle_set import ParticleSet
+from bayesnet_track.belief.motion.attached import FIELD, Attached, with_carried, without_carried
+from bayesnet_track.belief.motion.models import make_motion
+from bayesnet_track.belief.particles.map import map_index
+from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.graph.spec import Motion
 from bayesnet_track.numerics.log_weights import LogWeights
 

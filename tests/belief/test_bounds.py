@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesnet_track.belief.bounds import Confined
-from bayesnet_track.belief.motion import make_motion
+from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.graph.spec import Motion
 
 WALK = make_motion(

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.carried import CameraShift, Carried, camera_shift, size_kept
-from bayesnet_track.belief.functions import derivative
-from bayesnet_track.belief.gaussian_predict import predict
-from bayesnet_track.belief.motion import linear_gaussian
-from bayesnet_track.belief.widened import widened, widening
+from bayesnet_track.belief.gaussian.predict import predict
+from bayesnet_track.belief.motion.carried import CameraShift, Carried, camera_shift, size_kept
+from bayesnet_track.belief.motion.functions import derivative
+from bayesnet_track.belief.motion.models import linear_gaussian
+from bayesnet_track.belief.motion.widened import widened, widening
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.settings.motion import KeepSize
 

@@ -5,7 +5,7 @@ import pytest
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Step
 from bayesnet_track.belief.estimate import estimate
-from bayesnet_track.belief.particles import ParticleSet
+from bayesnet_track.belief.particles.belief import ParticleSet
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import LogWeights
 

@@ -4,10 +4,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesnet_track.belief.functions import FunctionMotion, derivative, extended_update, unscented_update
-from bayesnet_track.belief.gaussian import GaussianFilter
-from bayesnet_track.belief.gaussian_predict import predict
-from bayesnet_track.belief.motion import linear_gaussian
+from bayesnet_track.belief.gaussian.belief import GaussianFilter
+from bayesnet_track.belief.gaussian.predict import predict
+from bayesnet_track.belief.motion.functions import (
+    FunctionMotion,
+    derivative,
+    extended_update,
+    unscented_update,
+)
+from bayesnet_track.belief.motion.models import linear_gaussian
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.gaussian import linear_update
 
@@ -163,7 +168,7 @@ def test_sides_stay_a_pixel_wide(rng):
 
 def test_particles_take_it_too(turning, stream_of):
     from bayesnet_track.belief.contract import Evidence
-    from bayesnet_track.belief.particles import ParticleFilter
+    from bayesnet_track.belief.particles.belief import ParticleFilter
 
     def seen(hypotheses, log_prior):
         assert set(hypotheses.fields) == set(FIELDS[4:])

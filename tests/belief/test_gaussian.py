@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
-from bayesnet_track.belief.gaussian import GaussianFilter, GaussianPosterior
-from bayesnet_track.belief.gaussian_predict import predict
-from bayesnet_track.belief.gaussian_update import take
-from bayesnet_track.belief.motion import linear_gaussian
-from bayesnet_track.belief.particles import ParticleFilter
+from bayesnet_track.belief.gaussian.belief import GaussianFilter, GaussianPosterior
+from bayesnet_track.belief.gaussian.predict import predict
+from bayesnet_track.belief.gaussian.update import take
+from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.models import linear_gaussian
+from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.graph import spec
 from bayesnet_track.observation.cue import Measurement
 

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.functions import FunctionMotion
-from bayesnet_track.belief.gaussian import GaussianPosterior
+from bayesnet_track.belief.gaussian.belief import GaussianPosterior
+from bayesnet_track.belief.motion.functions import FunctionMotion
 from bayesnet_track.engine import make_engine
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.codec import from_json, to_json

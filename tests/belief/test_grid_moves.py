@@ -5,15 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Evidence
-from bayesnet_track.belief.grid import GridFilter
-from bayesnet_track.belief.grid_cells import GridBelief, Lattice
-from bayesnet_track.belief.grid_evidence import log_gaussian
-from bayesnet_track.belief.grid_gaps import Leap, Span, _leapt, leapt, moving
-from bayesnet_track.belief.grid_motion import _bounded, _change, axis_steps, predicted, scale_sd
-from bayesnet_track.belief.grid_reset import judged_in_box, judged_on_image
-from bayesnet_track.belief.grid_window import Limits, Patch
+from bayesnet_track.belief.grid.belief import GridFilter
+from bayesnet_track.belief.grid.cells import GridBelief, Lattice
+from bayesnet_track.belief.grid.evidence import log_gaussian
+from bayesnet_track.belief.grid.gaps import Leap, Span, _leapt, leapt, moving
+from bayesnet_track.belief.grid.motion import _bounded, _change, axis_steps, predicted, scale_sd
+from bayesnet_track.belief.grid.reset import judged_in_box, judged_on_image
+from bayesnet_track.belief.grid.window import Limits, Patch
+from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.distributions import spreading_matrix
 from bayesnet_track.observation.cue import Measurement

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from bayesnet_track.belief.contract import Evidence
-from bayesnet_track.belief.importance import surprise
-from bayesnet_track.belief.kernels import Kernels, log_mixture, log_prior
-from bayesnet_track.belief.motion import linear_gaussian
-from bayesnet_track.belief.particles import ParticleFilter, ParticleSet
-from bayesnet_track.belief.proposals import neighbourhoods
+from bayesnet_track.belief.motion.models import linear_gaussian
+from bayesnet_track.belief.particles.belief import ParticleFilter, ParticleSet
+from bayesnet_track.belief.particles.importance import surprise
+from bayesnet_track.belief.particles.kernels import Kernels, log_mixture, log_prior
+from bayesnet_track.belief.particles.proposals import neighbourhoods
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.alternatives import auxiliary_pass, edited, mixture_pass, selected
 from bayesnet_track.belief.contract import Evidence
-from bayesnet_track.belief.fitted import (
+from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.belief.particles.adaptive_size import evaluated, moved
+from bayesnet_track.belief.particles.alternatives import auxiliary_pass, edited, mixture_pass, selected
+from bayesnet_track.belief.particles.fitted import (
     STRETCH,
     Message,
     fitted_message,
@@ -15,11 +17,9 @@ from bayesnet_track.belief.fitted import (
     flattened,
     paired_log_density,
 )
-from bayesnet_track.belief.noise import Transition
-from bayesnet_track.belief.particle_set import Inputs, ParticleSet
-from bayesnet_track.belief.passes import Pass, joined, prior_of
-from bayesnet_track.belief.proposals import Draws, fitted_draws, mixed, parent_draws, taken
-from bayesnet_track.belief.sizes import evaluated, moved
+from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
+from bayesnet_track.belief.particles.passes import Pass, joined, prior_of
+from bayesnet_track.belief.particles.proposals import Draws, fitted_draws, mixed, parent_draws, taken
 from bayesnet_track.graph.settings.proposals import Adaptive, Auxiliary, LikelihoodMixture, Rejection
 from bayesnet_track.numerics.gaussian import weighted_moments
 from bayesnet_track.numerics.log_weights import LogWeights

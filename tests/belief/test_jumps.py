@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Evidence
-from bayesnet_track.belief.jumps import Jumping, Places, Search
-from bayesnet_track.belief.particles import ParticleFilter, ParticleSet
+from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.jumps import Jumping, Places, Search
+from bayesnet_track.belief.particles.belief import ParticleFilter, ParticleSet
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.jump_events import Reappeared
 from bayesnet_track.numerics.log_weights import LogWeights

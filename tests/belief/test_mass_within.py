@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from bayesnet_track.belief.contract import BOX_FIELDS
-from bayesnet_track.belief.gaussian import GaussianPosterior
-from bayesnet_track.belief.grid_cells import GridBelief, Lattice
-from bayesnet_track.belief.particle_set import ParticleSet
+from bayesnet_track.belief.gaussian.belief import GaussianPosterior
+from bayesnet_track.belief.grid.cells import GridBelief, Lattice
+from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.numerics.log_weights import LogWeights
 
 MEAN = np.array([50.0, 40.0, 20.0, 20.0])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track.belief.contract import Evidence
-from bayesnet_track.belief.motion import linear_gaussian
-from bayesnet_track.belief.particles import ParticleFilter
+from bayesnet_track.belief.motion.models import linear_gaussian
+from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.resampling import SCHEMES

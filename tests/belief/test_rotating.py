@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.attached import Attached
-from bayesnet_track.belief.jumps import Jumping, Search
-from bayesnet_track.belief.map import map_index
-from bayesnet_track.belief.motion import make_motion
-from bayesnet_track.belief.rotating import Rotating
+from bayesnet_track.belief.motion.attached import Attached
+from bayesnet_track.belief.motion.jumps import Jumping, Search
+from bayesnet_track.belief.motion.models import make_motion
+from bayesnet_track.belief.motion.rotating import Rotating
+from bayesnet_track.belief.particles.map import map_index
 from bayesnet_track.graph.spec import Motion
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import ANGLE

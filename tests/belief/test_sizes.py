@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from bayesnet_track.belief.contract import Evidence
-from bayesnet_track.belief.need import Need, Sized, need_of
-from bayesnet_track.belief.particles import ParticleFilter, ParticleSet
-from bayesnet_track.belief.resized import NOTABLE, Sizing, begin_with, limit_of, turning_of
+from bayesnet_track.belief.particles.belief import ParticleFilter, ParticleSet
+from bayesnet_track.belief.particles.resized import NOTABLE, Sizing, begin_with, limit_of, turning_of
+from bayesnet_track.belief.particles.sample_size import Need, Sized, need_of
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.basic import ParticlesResized
 from bayesnet_track.journal.text.sentences import explain

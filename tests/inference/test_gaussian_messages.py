@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from bayesnet_track.adapt.measure import measure
 from bayesnet_track.belief.contract import BOX_FIELDS, Step
-from bayesnet_track.belief.particles import ParticleSet
+from bayesnet_track.belief.particles.belief import ParticleSet
 from bayesnet_track.inference.gaussian_messages import measurement_message
 from bayesnet_track.inference.messages import evaluate, without
 from bayesnet_track.numerics.log_weights import LogWeights

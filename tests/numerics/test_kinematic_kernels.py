@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.motion import make_motion
+from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.kernels.kinematic_kernels import drifted, driven, driven_by
 

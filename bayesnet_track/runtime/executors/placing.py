@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Literal
 
-from bayesnet_track.belief.functions import FunctionMotion
+from bayesnet_track.belief.motion.functions import FunctionMotion
 from bayesnet_track.engine import Engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.observation.cue import CueDeclaration, installed_cues

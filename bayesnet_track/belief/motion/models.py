@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Ancestors
-from bayesnet_track.belief.noise import (
+from bayesnet_track.belief.motion.noise import (
     Transition,
     add_noise,
     box_coordinates,

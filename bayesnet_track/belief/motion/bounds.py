@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesnet_track.belief.contract import Ancestors, Floats, Motion
-from bayesnet_track.belief.noise import Transition
+from bayesnet_track.belief.motion.noise import Transition
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 from bayesnet_track.belief.contract import Report
-from bayesnet_track.belief.need import Need, Sized
+from bayesnet_track.belief.particles.sample_size import Need, Sized
 from bayesnet_track.graph.settings.particles import AdaptiveSize
 from bayesnet_track.journal.events.basic import ParticlesResized
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Ancestors, Motion
-from bayesnet_track.belief.noise import Transition
-from bayesnet_track.belief.particle_set import ParticleSet
+from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.observation.cue import ANGLE
 
 Floats = NDArray[np.float64]

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Motion
-from bayesnet_track.belief.grid_cells import GridBelief, Lattice, X, Y
-from bayesnet_track.belief.grid_gaps import Leap, leapt
-from bayesnet_track.belief.grid_window import Limits, Patch, limits_of, stacked, within
+from bayesnet_track.belief.grid.cells import GridBelief, Lattice, X, Y
+from bayesnet_track.belief.grid.gaps import Leap, leapt
+from bayesnet_track.belief.grid.window import Limits, Patch, limits_of, stacked, within
 from bayesnet_track.numerics.distributions import gaussian_taps, spreading_matrix
 
 Floats = NDArray[np.float64]

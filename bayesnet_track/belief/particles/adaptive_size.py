@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Report
-from bayesnet_track.belief.jumps import Jumping, jumped, jumping_of, reappeared
-from bayesnet_track.belief.need import Need, Sized, need_of
-from bayesnet_track.belief.particle_set import Inputs, ParticleSet
-from bayesnet_track.belief.passes import Pass, joined
-from bayesnet_track.belief.resized import Sizing, begin_with, halved, report_of
+from bayesnet_track.belief.motion.jumps import Jumping, jumped, jumping_of, reappeared
+from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
+from bayesnet_track.belief.particles.passes import Pass, joined
+from bayesnet_track.belief.particles.resized import Sizing, begin_with, halved, report_of
+from bayesnet_track.belief.particles.sample_size import Need, Sized, need_of
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights

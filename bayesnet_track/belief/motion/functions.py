@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Ancestors
-from bayesnet_track.belief.noise import Transition
+from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.numerics.gaussian import (
     Updated,
     innovation_likelihood,

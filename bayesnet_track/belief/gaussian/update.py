@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Motion
+from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.gaussian import (
     chi_square_cdf,

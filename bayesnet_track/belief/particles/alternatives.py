@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evidence
-from bayesnet_track.belief.fitted import flattened
-from bayesnet_track.belief.kernels import Kernels, log_prior
-from bayesnet_track.belief.noise import Transition
-from bayesnet_track.belief.particle_set import Inputs
-from bayesnet_track.belief.passes import Pass, joined, prior_of
-from bayesnet_track.belief.proposals import Both, inside, log_sum, mixed, reweighted
-from bayesnet_track.belief.sizes import evaluated, moved
+from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.belief.particles.adaptive_size import evaluated, moved
+from bayesnet_track.belief.particles.fitted import flattened
+from bayesnet_track.belief.particles.kernels import Kernels, log_prior
+from bayesnet_track.belief.particles.particle_set import Inputs
+from bayesnet_track.belief.particles.passes import Pass, joined, prior_of
+from bayesnet_track.belief.particles.proposals import Both, inside, log_sum, mixed, reweighted
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.graph.settings.proposals import Auxiliary, LikelihoodMixture, Rejection, West
 from bayesnet_track.numerics.gaussian import weighted_moments

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.noise import Transition
+from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.numerics.gaussian import weighted_moments
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.resampling import systematic

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, Motion, Report, Step, Stream
-from bayesnet_track.belief.importance import drawn
-from bayesnet_track.belief.map import map_index
-from bayesnet_track.belief.need import Sized
-from bayesnet_track.belief.particle_set import Inputs, ParticleSet, weighted_quantiles
-from bayesnet_track.belief.passes import Pass, prior_of
-from bayesnet_track.belief.sizes import start_size
+from bayesnet_track.belief.particles.adaptive_size import start_size
+from bayesnet_track.belief.particles.importance import drawn
+from bayesnet_track.belief.particles.map import map_index
+from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet, weighted_quantiles
+from bayesnet_track.belief.particles.passes import Pass, prior_of
+from bayesnet_track.belief.particles.sample_size import Sized
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 

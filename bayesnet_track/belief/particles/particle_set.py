@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, Motion, Stream
-from bayesnet_track.belief.need import Sized
+from bayesnet_track.belief.particles.sample_size import Sized
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.numerics.disc import weighted_mass_in_disc
 from bayesnet_track.numerics.divergence import selected, uncertainty_deviation

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Ancestors, Motion
-from bayesnet_track.belief.motion import KinematicMotion
-from bayesnet_track.belief.noise import Transition
+from bayesnet_track.belief.motion.models import KinematicMotion
+from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.graph.settings.motion import KeepSize
 
 Floats = NDArray[np.float64]

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Ancestors, Motion
-from bayesnet_track.belief.fitted import flattened
-from bayesnet_track.belief.noise import Transition
-from bayesnet_track.belief.particle_set import Inputs
+from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.belief.particles.fitted import flattened
+from bayesnet_track.belief.particles.particle_set import Inputs
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.journal.events.jump_events import Reappeared
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights

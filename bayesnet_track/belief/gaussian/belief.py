@@ -12,17 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, Evidence, Motion, Report, Step, Stream
-from bayesnet_track.belief.gaussian_predict import predict, require_linear
-from bayesnet_track.belief.gaussian_update import (
-    Asked,
-    Gated,
-    Taken,
-    ask,
-    fitted,
-    log_message,
-    matched,
-    take,
-)
+from bayesnet_track.belief.gaussian.predict import predict, require_linear
+from bayesnet_track.belief.gaussian.update import Asked, Gated, Taken, ask, fitted, log_message, matched, take
 from bayesnet_track.belief.states import WeightedStates, hypotheses_of
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.basic import Event, MeasurementGated

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Motion
-from bayesnet_track.belief.functions import FunctionMotion
-from bayesnet_track.belief.motion import KinematicMotion, linear_gaussian
-from bayesnet_track.belief.rotating import Rotating
+from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.functions import FunctionMotion
+from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian
+from bayesnet_track.belief.motion.rotating import Rotating
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.gaussian import root, sigma_points, symmetric
 

@@ -12,19 +12,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import BOX_FIELDS, Evaluate, Evidence, Motion, Report, Step, Stream
-from bayesnet_track.belief.grid_cells import GridBelief, Lattice
-from bayesnet_track.belief.grid_evidence import asked_again, log_gaussian
-from bayesnet_track.belief.grid_motion import predicted, scale_sd
-from bayesnet_track.belief.grid_reset import (
+from bayesnet_track.belief.grid.cells import GridBelief, Lattice
+from bayesnet_track.belief.grid.evidence import asked_again, log_gaussian
+from bayesnet_track.belief.grid.motion import predicted, scale_sd
+from bayesnet_track.belief.grid.reset import (
     Verdict,
     judged_in_box,
     judged_on_image,
     unknown_velocity,
     window_around,
 )
-from bayesnet_track.belief.grid_window import limits_of
+from bayesnet_track.belief.grid.window import limits_of
+from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.states import WeightedStates, hypotheses_of
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.distributions import flattened, spreading_matrix

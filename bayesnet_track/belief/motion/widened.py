@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from bayesnet_track.belief.motion import KinematicMotion
+from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.graph.settings.motion import BoxSd
 
 

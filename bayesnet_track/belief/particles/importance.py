@@ -8,13 +8,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.alternatives import auxiliary_pass, edited, mixture_pass, refined
 from bayesnet_track.belief.contract import Evidence, Report
-from bayesnet_track.belief.need import Sized
-from bayesnet_track.belief.particle_set import Inputs
-from bayesnet_track.belief.passes import Pass
-from bayesnet_track.belief.proposals import Both, fitted_draws, log_sum, parent_draws, taken
-from bayesnet_track.belief.sizes import First, first_pass, resized_by, start_size
+from bayesnet_track.belief.particles.adaptive_size import First, first_pass, resized_by, start_size
+from bayesnet_track.belief.particles.alternatives import auxiliary_pass, edited, mixture_pass, refined
+from bayesnet_track.belief.particles.particle_set import Inputs
+from bayesnet_track.belief.particles.passes import Pass
+from bayesnet_track.belief.particles.proposals import Both, fitted_draws, log_sum, parent_draws, taken
+from bayesnet_track.belief.particles.sample_size import Sized
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.settings.proposals import Adaptive, Auxiliary, LikelihoodMixture, Rejection, West
 from bayesnet_track.journal.events.basic import SecondPass

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.grid_window import Limits, Patch, kept
+from bayesnet_track.belief.grid.window import Limits, Patch, kept
 from bayesnet_track.numerics.distributions import SUBCELL, gaussian_taps
 
 Floats = NDArray[np.float64]

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Motion
-from bayesnet_track.belief.grid_cells import Lattice
+from bayesnet_track.belief.grid.cells import Lattice
+from bayesnet_track.belief.motion.bounds import Confined
 
 Floats = NDArray[np.float64]
 

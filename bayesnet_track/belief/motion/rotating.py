@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Ancestors, Motion
-from bayesnet_track.belief.noise import Transition
+from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.observation.cue import ANGLE
 
 Floats = NDArray[np.float64]

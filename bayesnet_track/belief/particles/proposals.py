@@ -12,12 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.bounds import Confined
 from bayesnet_track.belief.contract import Motion
-from bayesnet_track.belief.fitted import EFFECTIVE, fitted_message, fitted_proposal, paired_log_density
-from bayesnet_track.belief.particle_set import Inputs
-from bayesnet_track.belief.passes import Pass, joined, prior_of
-from bayesnet_track.belief.sizes import evaluated
+from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.particles.adaptive_size import evaluated
+from bayesnet_track.belief.particles.fitted import (
+    EFFECTIVE,
+    fitted_message,
+    fitted_proposal,
+    paired_log_density,
+)
+from bayesnet_track.belief.particles.particle_set import Inputs
+from bayesnet_track.belief.particles.passes import Pass, joined, prior_of
 from bayesnet_track.graph.settings.proposals import Adaptive
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.resampling import systematic

@@ -1,0 +1,1 @@
+"""The Gaussian belief: Kalman, extended and unscented filters."""

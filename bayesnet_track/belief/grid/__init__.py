@@ -1,0 +1,1 @@
+"""The grid belief: the General Distribution Filter over cells."""

@@ -1,0 +1,1 @@
+"""Motion models and the noise that they add."""

@@ -1,0 +1,1 @@
+"""The particle belief: proposals, sample sizes, passes over hypotheses."""
