@@ -12,7 +12,6 @@ from bayesnet_track.belief.grid.belief import GridFilter
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.motion.rotating import Rotating
 from bayesnet_track.belief.particles.belief import ParticleFilter
-from bayesnet_track.executor import Crew, Executor, Serial
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.checks.cues import plugin_parameters
@@ -22,6 +21,7 @@ from bayesnet_track.graph.settings.motion import Moving
 from bayesnet_track.graph.spec import Guard, Join, Learn
 from bayesnet_track.graph.text.write import as_plain, flow_text
 from bayesnet_track.inference.absent import Absent
+from bayesnet_track.inference.executor import Crew, Executor, Serial
 from bayesnet_track.inference.parts import part_of_agents
 from bayesnet_track.numerics.compile_watch import working_clock
 from bayesnet_track.numerics.streams import Streams

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Tracker
-from bayesnet_track.adapt.guard import judge, watch
 from bayesnet_track.graph.spec import Guard
+from bayesnet_track.inference.guard import judge, watch
 from bayesnet_track.journal.net.net import Quarantined
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.depth import PointMap, RightEye

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.motion.noise import sample_noise
-from bayesnet_track.executor import each_at_once
 from bayesnet_track.graph.spec import Noise
 from bayesnet_track.inference.absent import Missing
 from bayesnet_track.inference.compile import Plan
+from bayesnet_track.inference.executor import each_at_once
 from bayesnet_track.inference.gaussian_messages import latent_gaussian, measurement_message, to_power
 from bayesnet_track.inference.latent_messages import grid_message, kernel_message
 from bayesnet_track.inference.observe import Observer, observe, remember

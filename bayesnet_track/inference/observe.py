@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Stream
-from bayesnet_track.executor import AgentUnavailable, Executor, Halves, Serial, asked, is_elsewhere
 from bayesnet_track.inference.absent import Missing, Roll
 from bayesnet_track.inference.compile import Observe
+from bayesnet_track.inference.executor import AgentUnavailable, Executor, Halves, Serial, asked, is_elsewhere
 from bayesnet_track.observation.cue import AnyCue, Hypotheses, Measurement, Reference
 from bayesnet_track.observation.guests import FAULTS, foreign_part, real_numbers, said
 from bayesnet_track.observation.planes import PlaneCache, Region

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.backoff import next_try, quarantined
-from bayesnet_track.adapt.guard import watch
-from bayesnet_track.adapt.learn import learn_first
 from bayesnet_track.adapt.memory import Memory, Streak
 from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.inference.compile import compile_plan
+from bayesnet_track.inference.guard import watch
+from bayesnet_track.inference.learn import learn_first
 from bayesnet_track.inference.parts import nominal_boxes
 from bayesnet_track.journal.events.basic import FrameMetrics
 from bayesnet_track.journal.net.net import Decision, Quarantined, Readmitted, TargetNet, TargetStarted

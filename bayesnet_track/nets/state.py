@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.guard import Watched
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.inference.compile import Plan, compile_plan
+from bayesnet_track.inference.guard import Watched
 from bayesnet_track.journal.net.net import Decision, Net, apply
 from bayesnet_track.machinery import Engine, Machinery
 from bayesnet_track.nets.predicting import Outlook

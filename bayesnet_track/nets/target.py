@@ -15,10 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.backoff import quarantined
-from bayesnet_track.adapt.guard import changes, watch
-from bayesnet_track.adapt.learn import learning_rate, over_frames
-from bayesnet_track.adapt.measure import measure
-from bayesnet_track.adapt.parts import part_rates
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.adapt.situation import Situation, quiet_level
 from bayesnet_track.belief.contract import Motion, Posterior, Step
@@ -26,7 +22,11 @@ from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.inference.compile import Plan, compile_plan
+from bayesnet_track.inference.guard import changes, watch
+from bayesnet_track.inference.learn import learning_rate, over_frames
+from bayesnet_track.inference.measure import measure
 from bayesnet_track.inference.messages import Observer, evaluate
+from bayesnet_track.inference.part_measures import part_rates
 from bayesnet_track.journal.events.basic import DegenerateBelief, Event, FrameMetrics
 from bayesnet_track.journal.events.join_events import JoinMetrics
 from bayesnet_track.journal.net.net import Decision, Net, Quarantined

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.guard import Watched
 from bayesnet_track.adapt.information import Worth
 from bayesnet_track.adapt.joins import Carried, JoinMemory, Level, PairMemory
 from bayesnet_track.adapt.lifecycle import Candidate, Identity, Life, Lifeline
@@ -30,6 +29,7 @@ from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.particles.sample_size import Need, Sized
 from bayesnet_track.engine import Engine, State, TargetState
 from bayesnet_track.inference.compile import Plan, compile_plan
+from bayesnet_track.inference.guard import Watched
 from bayesnet_track.journal.net.join_decisions import Joined
 from bayesnet_track.journal.net.net import Fault, Net, TargetNet
 from bayesnet_track.nets.predicting import Outlook

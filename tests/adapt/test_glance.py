@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bayesnet_track.adapt.learn import over_frames
+from bayesnet_track.inference.learn import over_frames
 from bayesnet_track.journal.net.net import Activated, Deactivated, Quarantined, TargetNet, Toggled, apply
 from bayesnet_track.journal.net.net import Net as LiveNets
 from bayesnet_track.journal.text.sentences import explain

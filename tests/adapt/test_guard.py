@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesnet_track.adapt.guard import Watched, changes, guard, judge, watch
 from bayesnet_track.graph.spec import Guard
+from bayesnet_track.inference.guard import Watched, changes, guard, judge, watch
 from bayesnet_track.observation.cue import Hypotheses, blend_arrays
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 

@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from bayesnet_track.adapt.guard import Watched, judge
 from bayesnet_track.graph.spec import Guard
+from bayesnet_track.inference.guard import Watched, judge
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.net.net import Activated, StatusChanged
 from bayesnet_track.observation.cue import Hypotheses

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.engine import step
-from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.journal.events.inputs import AgentMissed
 from bayesnet_track.journal.net.net import Quarantined, Readmitted, Toggled
 

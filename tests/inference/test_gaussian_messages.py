@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.adapt.measure import measure
 from bayesnet_track.belief.contract import BOX_FIELDS, Step
 from bayesnet_track.belief.particles.belief import ParticleSet
 from bayesnet_track.inference.gaussian_messages import measurement_message
+from bayesnet_track.inference.measure import measure
 from bayesnet_track.inference.messages import evaluate, without
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Hypotheses, Measurement

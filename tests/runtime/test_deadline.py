@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.journal.events.inputs import AgentMissed, LateFrame, SpareTime
 from bayesnet_track.journal.net.net import Net, ParticlesLimited, TargetNet
 from bayesnet_track.journal.reader import read_inputs

@@ -10,8 +10,8 @@ from types import MappingProxyType, TracebackType
 from typing import Self
 
 from bayesnet_track.engine import Engine
-from bayesnet_track.executor import Executor, Serial
 from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.inference.executor import Executor, Serial
 from bayesnet_track.observation.cue import CueDeclaration
 from bayesnet_track.runtime.executors.net_crew import NetCrew
 from bayesnet_track.runtime.executors.placing import (

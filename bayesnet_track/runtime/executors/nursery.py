@@ -13,7 +13,7 @@ from contextlib import suppress
 from threading import Lock
 from types import MappingProxyType
 
-from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.runtime.child import cut, python, tie
 
 MODULE = "bayesnet_track.runtime.executors.worker"

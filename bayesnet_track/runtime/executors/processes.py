@@ -11,7 +11,7 @@ from functools import partial
 from threading import RLock
 from typing import Any
 
-from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.observation.planes import Frame, Region
 from bayesnet_track.runtime.deadline import Patience
 from bayesnet_track.runtime.executors.frames import FrameStore, SharedFrame

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from threading import Lock
 from typing import Any
 
-from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.observation.planes import Frame, Region
 from bayesnet_track.runtime.deadline import Patience
 from bayesnet_track.runtime.executors.nursery import START_S

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from threading import Thread
 from typing import Any
 
-from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.observation.cue import AnyCue
 from bayesnet_track.runtime.executors.nursery import Nursery
 from bayesnet_track.runtime.executors.packing import packed, repacked

@@ -9,7 +9,7 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.runtime.child import cut
 from bayesnet_track.runtime.executors.frames import SLOTS, SharedFrame, parts_of
 from bayesnet_track.runtime.executors.nursery import Nursery

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesnet_track.executor import AgentUnavailable
+from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.journal.events.inputs import AgentMissed
 from bayesnet_track.journal.net.net import Quarantined, StatusChanged
 from bayesnet_track.journal.reader import read_inputs

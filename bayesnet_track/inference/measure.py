@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.conditions import Inside
-from bayesnet_track.adapt.parts import PartMeasure, measure_parts
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Posterior, Step
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.messages import without
+from bayesnet_track.inference.part_measures import PartMeasure, measure_parts
 from bayesnet_track.inference.parts import PartBelief, part_beliefs, part_of_agents
 from bayesnet_track.numerics.disc import weighted_mass_in_disc
 from bayesnet_track.numerics.divergence import selected, uncertainty_deviation

@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.learn import learning_rate
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Learn, Lost
+from bayesnet_track.inference.learn import learning_rate
 from bayesnet_track.inference.parts import PartBelief, part_of_agents
 
 Floats = NDArray[np.float64]

@@ -8,7 +8,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from bayesnet_track.adapt.conditions import read_level
-from bayesnet_track.executor import (
+from bayesnet_track.graph.spec import Learn
+from bayesnet_track.inference.absent import Missing, Roll
+from bayesnet_track.inference.executor import (
     AgentUnavailable,
     Executor,
     Halves,
@@ -17,8 +19,6 @@ from bayesnet_track.executor import (
     each_at_once,
     is_elsewhere,
 )
-from bayesnet_track.graph.spec import Learn
-from bayesnet_track.inference.absent import Missing, Roll
 from bayesnet_track.observation.cue import AnyCue, Floats, LocallyAdaptable, Reference, Turnable, context_of
 from bayesnet_track.observation.guests import FAULTS, text_of
 from bayesnet_track.observation.planes import PlaneCache, region_of_boxes

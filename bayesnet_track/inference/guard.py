@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 
-from bayesnet_track.adapt.learn import NO_PARTS, blended
-from bayesnet_track.executor import AgentUnavailable
 from bayesnet_track.graph.spec import Guard
 from bayesnet_track.inference.absent import Missing, Roll
+from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.inference.learn import NO_PARTS, blended
 from bayesnet_track.journal.events.basic import Event, ReferenceGuarded
 from bayesnet_track.observation.cue import AnyCue, Cue, Floats, Hypotheses, Reference, context_of
 from bayesnet_track.observation.guests import FAULTS, text_of
