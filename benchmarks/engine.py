@@ -32,7 +32,7 @@ from measuring import (
 )
 from peers import Peer, peers
 
-from bayesnet_track.engine import Engine, State, make_engine, start_target, step
+from bayesnet_track.engine.step import Engine, State, make_engine, start_target, step
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.planes import Frame

@@ -19,7 +19,7 @@ from measuring import table
 from numpy.typing import NDArray
 from placed_agents import WORK
 
-from bayesnet_track.engine import Engine, Outcome, State, make_engine, start_target, step
+from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, start_target, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.spec import GraphSpec

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.engine import State, first_look, make_engine, step
+from bayesnet_track.engine.starts import Start, start_targets
+from bayesnet_track.engine.step import State, first_look, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import check
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.starts import Start, start_targets
 from bayesnet_track.scenes.carried import carried_box
 from bayesnet_track.scenes.crowd import SIDE, crowd
 from bayesnet_track.scenes.scene import Scene

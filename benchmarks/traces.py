@@ -10,7 +10,8 @@ from measuring import Image
 from numpy.typing import NDArray
 from peers import MeanShift
 
-from bayesnet_track.engine import Engine, Outcome, make_engine, step
+from bayesnet_track.engine.starts import Start, start_targets
+from bayesnet_track.engine.step import Engine, Outcome, make_engine, step
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.basic import FrameMetrics
@@ -18,7 +19,6 @@ from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.numerics.resampling import resample
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.starts import Start, start_targets
 from bayesnet_track.scenes import Scene
 
 Floats = NDArray[np.float64]

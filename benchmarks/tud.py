@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.engine import make_engine
+from bayesnet_track.engine.step import make_engine
 from bayesnet_track.evaluate.mot import score_mot
 from bayesnet_track.evaluate.mot_files import read_mot_truth
 from bayesnet_track.evaluate.mot_pairs import Tracks

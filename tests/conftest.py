@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from bayesnet_track.engine import Engine, Outcome, State, make_engine, start_target, step
+from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, start_target, step
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.spec import GraphSpec

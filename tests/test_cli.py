@@ -23,12 +23,12 @@ import yaml
 
 from bayesnet_track import commands
 from bayesnet_track.cli import EXIT_CODES, main
+from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.graphs import find_graph, graph_names
 from bayesnet_track.journal.net.net import Activated, Deactivated
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.numerics.compile_watch import WATCH, CompileWatch
 from bayesnet_track.observation.cue import installed_cues
-from bayesnet_track.runtime.starts import start_targets
 from bayesnet_track.runtime.stop import Terminated
 from bayesnet_track.scenes import make_scene, scene_names
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesnet_track.engine import State, start_target, step
+from bayesnet_track.engine.step import State, start_target, step
 from bayesnet_track.journal.events.basic import DegenerateBelief
 from bayesnet_track.journal.net.net import (
     Activated,
@@ -294,7 +294,7 @@ def test_black_frames_lose_the_target_and_it_is_found_again(fakes):
 
 
 def test_a_real_cue_loses_its_target_in_the_dark():
-    from bayesnet_track.engine import make_engine
+    from bayesnet_track.engine.step import make_engine
     from bayesnet_track.graph.checks.run import check_graph
     from bayesnet_track.graph.spec import GraphSpec
     from bayesnet_track.observation.planes import Frame

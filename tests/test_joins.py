@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.engine import first_look, make_engine, step
+from bayesnet_track.engine.starts import Start, start_targets
+from bayesnet_track.engine.step import first_look, make_engine, step
 from bayesnet_track.graph.checks.run import check
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.codec import from_json, to_json
@@ -13,7 +14,6 @@ from bayesnet_track.journal.events.basic import AttachmentChanged, OcclusionChan
 from bayesnet_track.journal.net.net import Decision, Joined, Parted, replay
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.starts import Start, start_targets
 from bayesnet_track.scenes import make_scene
 from bayesnet_track.scenes.carried import BEHIND, carried_box
 from bayesnet_track.scenes.crowd import crowd

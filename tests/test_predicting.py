@@ -11,9 +11,9 @@ from bayesnet_track.belief.motion.attached import Attached
 from bayesnet_track.belief.motion.carried import Carried
 from bayesnet_track.belief.motion.jumps import Jumping
 from bayesnet_track.belief.motion.rotating import Rotating
+from bayesnet_track.engine.predicting import Outlook, outlook, predicted
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.events.jump_events import Reappeared
-from bayesnet_track.nets.predicting import Outlook, outlook, predicted
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 
@@ -184,7 +184,7 @@ def test_a_target_that_leaps_is_found_again_and_that_is_told(fakes, by):
         engine = fakes.engine(nodes_of(**settings), {"eye": see})[0]
         place["at"] = (60.0, 50.0)
         outcomes = fakes.play(engine, 3, {"1": tuple(BOX)})
-        from bayesnet_track.engine import step
+        from bayesnet_track.engine.step import step
 
         place["at"] = (105.0, 85.0)
         for index in range(4, 14):

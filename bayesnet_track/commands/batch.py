@@ -25,9 +25,9 @@ def batch(options: argparse.Namespace) -> int:
     from bayesnet_track.batch.places import Place, Processes
     from bayesnet_track.batch.table import BatchProgress, csv_text
     from bayesnet_track.batch.work import FAILED
+    from bayesnet_track.engine.starts import has_births
     from bayesnet_track.graph.text.load import load_graph
     from bayesnet_track.journal.atomic import write_atomically
-    from bayesnet_track.runtime.starts import has_births
 
     graph = load_graph(options.graph)
     videos = _videos(options)

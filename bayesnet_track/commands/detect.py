@@ -207,8 +207,8 @@ def _shown(
     options: argparse.Namespace, name: str, detector: Any, pair: FramePair, state: DetectorState
 ) -> DetectorState:
     """The state of a detector that learns, with the target of --learn."""
+    from bayesnet_track.engine.starts import StartError, check_box
     from bayesnet_track.numerics.boxes import centre_from_corner
-    from bayesnet_track.runtime.starts import StartError, check_box
 
     if options.learn is not None:
         try:

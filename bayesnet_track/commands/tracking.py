@@ -64,6 +64,7 @@ def demo(options: argparse.Namespace) -> int:
 
 
 def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
+    from bayesnet_track.engine.starts import has_births
     from bayesnet_track.evaluate.runs import score_run
     from bayesnet_track.graph.text.load import load_graph
     from bayesnet_track.journal.reader import read_events
@@ -71,7 +72,6 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     from bayesnet_track.runtime.run import Start
     from bayesnet_track.runtime.rundir import RunDirectory
     from bayesnet_track.runtime.scene_source import SceneSource
-    from bayesnet_track.runtime.starts import has_births
 
     with users_mistake():
         source = SceneSource.named(options.scene, options.seed, options.end)
@@ -104,8 +104,8 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Track in a video."""
+    from bayesnet_track.engine.starts import has_births
     from bayesnet_track.graph.text.load import load_graph
-    from bayesnet_track.runtime.starts import has_births
 
     if options.end is not None and options.end <= options.start:
         raise UsageError(f"--end {options.end} must be greater than --start {options.start}")
@@ -231,10 +231,10 @@ def follow(
 
     A `view` may hold it between two frames, and stop it.
     """
+    from bayesnet_track.engine.starts import StartError
     from bayesnet_track.observation.detector import DetectorError
     from bayesnet_track.runtime.executors import PlacingError
     from bayesnet_track.runtime.progress import Progress
-    from bayesnet_track.runtime.starts import StartError
 
     progress = Progress(sys.stderr, expected, sys.stderr.isatty(), options.log_json)
     stop: StopRequest = options.stop

@@ -55,8 +55,8 @@ def begin(
     out: Path,
 ) -> Sequence[Start] | None:
     """The boxes to start with, drawn on the page where none is given; None when stopped before."""
+    from bayesnet_track.engine.starts import has_births
     from bayesnet_track.runtime.rundir import RunDirectory
-    from bayesnet_track.runtime.starts import has_births
 
     stop: StopRequest = options.stop
     view.controls.can_switch = getattr(options, "inputs", None) is None

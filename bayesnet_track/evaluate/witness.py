@@ -8,16 +8,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.engine import Engine, State, make_engine, step
+from bayesnet_track.engine.score import FEATURES, marginal_points
+from bayesnet_track.engine.starts import Start, check_started, check_starts, start_targets
+from bayesnet_track.engine.step import Engine, State, make_engine, step
+from bayesnet_track.engine.target import weigh
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.events.basic import FrameMetrics
-from bayesnet_track.nets.score import FEATURES, marginal_points
-from bayesnet_track.nets.target import weigh
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
-from bayesnet_track.runtime.starts import Start, check_started, check_starts, start_targets
 
 Floats = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.engine import Engine, State
+from bayesnet_track.engine.step import Engine, State
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.writer import OutputError, Position

@@ -18,6 +18,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from bayesnet_track.engine.starts import Start
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.write import graph_sha256
@@ -25,7 +26,6 @@ from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.writer import read_position
 from bayesnet_track.runtime.origin import Origin
 from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
-from bayesnet_track.runtime.starts import Start
 from bayesnet_track.runtime.versions import versions
 
 if TYPE_CHECKING:

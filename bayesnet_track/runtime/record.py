@@ -10,6 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from bayesnet_track.engine.starts import has_births
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.codec import from_json, to_json
@@ -27,7 +28,6 @@ from bayesnet_track.journal.writer import (
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.run import Result
 from bayesnet_track.runtime.rundir import RunDirectory
-from bayesnet_track.runtime.starts import has_births
 from bayesnet_track.runtime.tracks import NO_IDS, CsvWriter, MotWriter
 from bayesnet_track.runtime.videowriter import VideoWriter
 

@@ -9,7 +9,7 @@ from os import PathLike
 from pathlib import Path
 
 from bayesnet_track.belief.contract import Motion
-from bayesnet_track.engine import Engine
+from bayesnet_track.engine.step import Engine
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.atomic import PART
 from bayesnet_track.journal.codec import JournalError, from_json

@@ -11,7 +11,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.engine import Engine, Outcome, State, make_engine, step
+from bayesnet_track.engine.starts import Start, StartError, check_started, check_starts, start_targets
+from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.events.basic import JOURNAL_VERSION, Event, FrameMetrics, RunEnded, RunStarted
 from bayesnet_track.journal.events.inputs import Input
@@ -22,7 +23,6 @@ from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.frames import EndReason, SourceItem
 from bayesnet_track.runtime.inputs import Asked, nothing
 from bayesnet_track.runtime.interchange import Detections
-from bayesnet_track.runtime.starts import Start, StartError, check_started, check_starts, start_targets
 from bayesnet_track.runtime.versions import versions
 
 __all__ = ["FrameSource", "Result", "Sink", "Start", "StartError", "Summary", "run"]

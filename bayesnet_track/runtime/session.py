@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import cast
 
 from bayesnet_track.belief.contract import Motion
-from bayesnet_track.engine import Engine, make_engine
+from bayesnet_track.engine.starts import Start, StartError, check_starts
+from bayesnet_track.engine.step import Engine, make_engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
@@ -31,7 +32,6 @@ from bayesnet_track.runtime.replace import replace_run, settle
 from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
 from bayesnet_track.runtime.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.sources import open_source
-from bayesnet_track.runtime.starts import Start, StartError, check_starts
 from bayesnet_track.runtime.stereo_source import check_depth
 
 CornerBox = tuple[float, float, float, float]

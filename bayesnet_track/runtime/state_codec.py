@@ -27,13 +27,13 @@ from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.particles.sample_size import Need, Sized
-from bayesnet_track.engine import Engine, State, TargetState
+from bayesnet_track.engine.predicting import Outlook
+from bayesnet_track.engine.score import Scored
+from bayesnet_track.engine.step import Engine, State, TargetState
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.guard import Watched
 from bayesnet_track.journal.net.join_decisions import Joined
 from bayesnet_track.journal.net.net import Fault, Net, TargetNet
-from bayesnet_track.nets.predicting import Outlook
-from bayesnet_track.nets.score import Scored
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.planes import Frame
 

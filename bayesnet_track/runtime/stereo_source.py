@@ -34,7 +34,7 @@ from bayesnet_track.runtime.sources import check_range, make_reader
 from bayesnet_track.vision.stereo.stereo import RectifiedPair, Rectifier, read_calibration
 
 if TYPE_CHECKING:
-    from bayesnet_track.engine import Engine
+    from bayesnet_track.engine.step import Engine
 
 Image = NDArray[np.uint8]
 Completed = tuple[Image, Depth]

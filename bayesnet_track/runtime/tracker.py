@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Motion
-from bayesnet_track.engine import Engine, Outcome, State, make_engine, step
+from bayesnet_track.engine.starts import Start, check_started, check_starts, start_targets
+from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
@@ -21,7 +22,6 @@ from bayesnet_track.observation.depth import Depth, RightEye
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.images import to_bgr
 from bayesnet_track.runtime.interchange import Detections
-from bayesnet_track.runtime.starts import Start, check_started, check_starts, start_targets
 
 CornerBox = tuple[float, float, float, float]
 

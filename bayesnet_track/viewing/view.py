@@ -9,12 +9,12 @@ from functools import partial
 from types import TracebackType
 from typing import Any, Self
 
+from bayesnet_track.engine.starts import Start, check_starts
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.events.basic import Event, FrameMetrics
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.run import FrameSource, Result
-from bayesnet_track.runtime.starts import Start, check_starts
 from bayesnet_track.view.run_page import live_page
 from bayesnet_track.viewing.controls import POLL_S, Controls, GiveUp, never
 from bayesnet_track.viewing.feed import Feed

@@ -7,8 +7,8 @@ import pytest
 
 from bayesnet_track.adapt.claims import NOBODY, alike, claim, distances, pair_up
 from bayesnet_track.adapt.lifecycle import Identity, belief_overlap, refusals_to_tell
-from bayesnet_track.adapt.recognise import LOOKALIKE, Compared, looks, match, placed
 from bayesnet_track.belief.motion.models import make_motion
+from bayesnet_track.engine.lifecycle.recognise import LOOKALIKE, Compared, looks, match, placed
 from bayesnet_track.graph.settings.lifecycle import Recall
 from bayesnet_track.graph.spec import Motion
 

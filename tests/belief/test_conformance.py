@@ -5,7 +5,7 @@ import pytest
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
 from bayesnet_track.belief.motion.bounds import Confined
-from bayesnet_track.engine import make_engine
+from bayesnet_track.engine.step import make_engine
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.basic import Event
 from bayesnet_track.journal.text.sentences import explain

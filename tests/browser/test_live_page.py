@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli import main
+from bayesnet_track.engine.starts import Start
 from bayesnet_track.journal.reader import read_inputs
 from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.session import track
-from bayesnet_track.runtime.starts import Start
 from bayesnet_track.scenes import make_scene
 
 pytestmark = pytest.mark.slow

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import track
+from bayesnet_track.engine.starts import StartError
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
@@ -20,7 +21,6 @@ from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.observation.depth import RightEye, StereoGeometry
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.frames import SourceError
-from bayesnet_track.runtime.starts import StartError
 
 WIDTH, HEIGHT, FRAMES = 96, 72, 7
 GEOMETRY = StereoGeometry(300.0, 0.2, WIDTH / 2, HEIGHT / 2)

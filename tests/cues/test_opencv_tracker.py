@@ -8,7 +8,7 @@ import pytest
 
 from bayesnet_track.commands.answer import OK
 from bayesnet_track.commands.graphs import validate
-from bayesnet_track.engine import State, make_engine, start_target, step
+from bayesnet_track.engine.step import State, make_engine, start_target, step
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bayesnet_track.engine.score import FEATURES
 from bayesnet_track.evaluate.calibration import (
     auroc,
     brier,
@@ -19,7 +20,6 @@ from bayesnet_track.evaluate.calibration import (
 )
 from bayesnet_track.evaluate.fitting import fit, leave_one_out
 from bayesnet_track.evaluate.witness import Witness
-from bayesnet_track.nets.score import FEATURES
 
 
 @settings(max_examples=60, deadline=None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.engine import step
+from bayesnet_track.engine.step import step
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.journal.events.inputs import AgentMissed
 from bayesnet_track.journal.net.net import Quarantined, Readmitted, Toggled

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Tracker
+from bayesnet_track.engine.score import Scored, most, with_rival
 from bayesnet_track.evaluate.calibration import longest_run
 from bayesnet_track.graph.spec import Logistic, Rivals
 from bayesnet_track.journal.events.rival_events import RivalSeen
-from bayesnet_track.nets.score import Scored, most, with_rival
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.scenes import make_scene
 

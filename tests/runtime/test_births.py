@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli import main
+from bayesnet_track.engine.starts import StartError
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.write import write_graph
 from bayesnet_track.journal.events.basic import RunStarted
@@ -16,7 +17,6 @@ from bayesnet_track.journal.events.life_events import CandidateConfirmed
 from bayesnet_track.journal.reader import read_events
 from bayesnet_track.observation.detector import DetectorError
 from bayesnet_track.runtime.session import track
-from bayesnet_track.runtime.starts import StartError
 from bayesnet_track.runtime.tracker import Tracker
 
 

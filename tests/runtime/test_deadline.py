@@ -122,7 +122,7 @@ def test_a_frame_comes_in_time_though_an_agent_is_ten_times_slower(fakes):
     nodes = {"root": {"fuse": "product", "belief": {"particles": {"size": 60}}}, "a": "root", "b": "root"}
     engine, _ = fakes.engine(nodes, {"a": fakes.gaussian(52, 41, 9), "b": slow})
     deadline, spent, outcomes = Deadline(budget_ms, waiting), [], fakes.play(engine, 0)
-    from bayesnet_track.engine import step
+    from bayesnet_track.engine.step import step
 
     for index in range(1, 12):
         given = deadline.told(index, outcomes[-1].state.net)

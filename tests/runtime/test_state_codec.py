@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track import load_graph
-from bayesnet_track.engine import Engine, State, make_engine, step
+from bayesnet_track.engine.starts import Start, has_births, start_targets
+from bayesnet_track.engine.step import Engine, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graphs import graph_names
 from bayesnet_track.inference.compile import Plan
@@ -20,7 +21,6 @@ from bayesnet_track.observation.detector import GIVEN
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.detection_files import FileDetector
 from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.runtime.starts import Start, has_births, start_targets
 from bayesnet_track.runtime.state_codec import CLASSES, StateError, decode_state, encode_state
 
 SCENES = {

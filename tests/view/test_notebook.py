@@ -6,7 +6,7 @@ import pytest
 
 from bayesnet_track import load_graph, open_run
 from bayesnet_track.cli import main
-from bayesnet_track.engine import make_engine
+from bayesnet_track.engine.step import make_engine
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.view.notebook import run_html, table

@@ -9,7 +9,7 @@ from dataclasses import replace
 from types import MappingProxyType, TracebackType
 from typing import Self
 
-from bayesnet_track.engine import Engine
+from bayesnet_track.engine.step import Engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.inference.executor import Executor, Serial
 from bayesnet_track.observation.cue import CueDeclaration

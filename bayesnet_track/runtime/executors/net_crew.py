@@ -8,10 +8,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+from bayesnet_track.engine.crew import Advanced
+from bayesnet_track.engine.state import TargetState
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.journal.net.net import Net
-from bayesnet_track.nets.crew import Advanced
-from bayesnet_track.nets.state import TargetState
 from bayesnet_track.observation.planes import FramePair, Region
 from bayesnet_track.runtime.executors.net_host import Asked
 from bayesnet_track.runtime.executors.proxy import Desk

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Literal
 
 from bayesnet_track.belief.motion.functions import FunctionMotion
-from bayesnet_track.engine import Engine
+from bayesnet_track.engine.step import Engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.observation.cue import CueDeclaration, installed_cues
 from bayesnet_track.runtime.executors.net_host import make_net_host

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesnet_track.engine import State, make_engine, start_target, step
+from bayesnet_track.engine.step import State, make_engine, start_target, step
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.runtime.executors import make_executor

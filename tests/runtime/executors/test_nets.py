@@ -7,7 +7,8 @@ import signal
 
 import pytest
 
-from bayesnet_track.engine import State, make_engine, step
+from bayesnet_track.engine.starts import Start, has_births, start_targets
+from bayesnet_track.engine.step import State, make_engine, step
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.codec import to_json
@@ -16,7 +17,6 @@ from bayesnet_track.runtime.executors import make_executor
 from bayesnet_track.runtime.executors.net_crew import NetCrew
 from bayesnet_track.runtime.executors.placing import PlacingError
 from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.runtime.starts import Start, has_births, start_targets
 from bayesnet_track.scenes import make_scene
 
 ALONE = {"joins": ()}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bayesnet_track.engine import make_engine
+from bayesnet_track.engine.step import make_engine
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.runtime.executors import PlacingError, make_executor, parse_places

@@ -8,7 +8,8 @@ import signal
 import numpy as np
 import pytest
 
-from bayesnet_track.engine import State, make_engine, step
+from bayesnet_track.engine.starts import Start, start_targets
+from bayesnet_track.engine.step import State, make_engine, step
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.runtime.executors import make_executor
 from bayesnet_track.runtime.executors.placing import PlacingError
@@ -16,7 +17,6 @@ from bayesnet_track.runtime.executors.processes import Employed
 from bayesnet_track.runtime.executors.ray_actors import RayActors
 from bayesnet_track.runtime.executors.workers import Limits
 from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.runtime.starts import Start, start_targets
 from bayesnet_track.scenes import make_scene
 
 FRAMES = 12

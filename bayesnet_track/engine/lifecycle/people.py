@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.lifecycle import Life
+from bayesnet_track.engine.state import TargetState, applied
 from bayesnet_track.journal.events.basic import Event, FrameMetrics
 from bayesnet_track.journal.net.net import Decision, Net
-from bayesnet_track.nets.state import TargetState, applied
 
 Floats = NDArray[np.float64]
 

@@ -8,11 +8,11 @@ from typing import Any
 from bayesnet_track.adapt.shedding import Load, Running, balance
 from bayesnet_track.belief.contract import Belief
 from bayesnet_track.belief.particles.belief import ParticleFilter
+from bayesnet_track.engine.compiled import Engine
+from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Particles
 from bayesnet_track.journal.events.inputs import LateFrame, SpareTime
 from bayesnet_track.journal.net.net import Decision, Net
-from bayesnet_track.machinery import Engine
-from bayesnet_track.nets.state import TargetState
 
 LEAST_SHARE, LEAST = 8, 100
 """A fixed number of hypotheses is cut to an eighth at most, and never below this."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from bayesnet_track.engine.compiled import Engine
+from bayesnet_track.engine.outside import Outside
+from bayesnet_track.engine.state import TargetState
+from bayesnet_track.engine.target import Concluded, conclude, weigh
 from bayesnet_track.journal.net.net import Net
-from bayesnet_track.machinery import Engine
-from bayesnet_track.nets.outside import Outside
-from bayesnet_track.nets.state import TargetState
-from bayesnet_track.nets.target import Concluded, conclude, weigh
 from bayesnet_track.observation.planes import FramePair, PlaneCache
 
 

@@ -16,20 +16,20 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.joins import JoinMemory, decide_joins
 from bayesnet_track.adapt.lifecycle import Life
 from bayesnet_track.adapt.shedding import Load
+from bayesnet_track.engine.compiled import Engine, Machinery, make_engine
+from bayesnet_track.engine.crew import advance, send_off
+from bayesnet_track.engine.joining import Together, join_all, reach_of, weigh_all
+from bayesnet_track.engine.lifecycle.claiming import Looked, look_first
+from bayesnet_track.engine.lifecycle.people import Population
+from bayesnet_track.engine.lifecycle.population import live
+from bayesnet_track.engine.outside import Outside, sorted_out
+from bayesnet_track.engine.shedding import balanced
+from bayesnet_track.engine.starting import start
+from bayesnet_track.engine.state import TargetState, applied, recompiled
+from bayesnet_track.engine.target import Weighed, conclude
 from bayesnet_track.journal.events.basic import Event, FrameMetrics
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.net.net import Net
-from bayesnet_track.machinery import Engine, Machinery, make_engine
-from bayesnet_track.nets.claiming import Looked, look_first
-from bayesnet_track.nets.crew import advance, send_off
-from bayesnet_track.nets.joining import Together, join_all, reach_of, weigh_all
-from bayesnet_track.nets.outside import Outside, sorted_out
-from bayesnet_track.nets.people import Population
-from bayesnet_track.nets.population import live
-from bayesnet_track.nets.shedding import balanced
-from bayesnet_track.nets.starting import start
-from bayesnet_track.nets.state import TargetState, applied, recompiled
-from bayesnet_track.nets.target import Weighed, conclude
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 
 __all__ = [

@@ -19,14 +19,14 @@ from bayesnet_track.adapt.claims import NOBODY
 from bayesnet_track.adapt.lifecycle import Life
 from bayesnet_track.belief.gaussian.predict import predict
 from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.engine.compiled import Engine
+from bayesnet_track.engine.lifecycle.detecting import Found, look
+from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.journal.events.life_events import DetectorFailed
 from bayesnet_track.journal.net.net import Net
-from bayesnet_track.machinery import Engine
-from bayesnet_track.nets.detecting import Found, look
-from bayesnet_track.nets.state import TargetState
 from bayesnet_track.observation.cue import CLAIM, ClaimRule, Hypotheses
 from bayesnet_track.observation.planes import Frame, PlaneCache
 

@@ -28,6 +28,9 @@ from bayesnet_track.belief.motion.attached import Attached, with_carried, withou
 from bayesnet_track.belief.particles.belief import reweighted
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.states import hypotheses_of
+from bayesnet_track.engine.compiled import Engine
+from bayesnet_track.engine.state import TargetState
+from bayesnet_track.engine.target import Weighed, weigh
 from bayesnet_track.graph.settings.joins import Attachment, Join
 from bayesnet_track.inference.joint import Edge, Marginal, Member, Pair, joint_marginals
 from bayesnet_track.inference.messages import Observer, evaluate
@@ -39,9 +42,6 @@ from bayesnet_track.journal.events.join_events import (
     RingChanged,
 )
 from bayesnet_track.journal.net.net import Net
-from bayesnet_track.machinery import Engine
-from bayesnet_track.nets.state import TargetState
-from bayesnet_track.nets.target import Weighed, weigh
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import resample
 from bayesnet_track.observation.planes import Frame, PlaneCache

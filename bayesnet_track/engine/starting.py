@@ -14,16 +14,16 @@ from bayesnet_track.adapt.backoff import next_try, quarantined
 from bayesnet_track.adapt.memory import Memory, Streak
 from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.engine.compiled import Engine, Machinery
+from bayesnet_track.engine.frame_metrics import first_frame_metrics
+from bayesnet_track.engine.predicting import outlook
+from bayesnet_track.engine.state import TargetState, inside_frame
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.guard import watch
 from bayesnet_track.inference.learn import learn_first
 from bayesnet_track.inference.parts import nominal_boxes
 from bayesnet_track.journal.events.basic import FrameMetrics
 from bayesnet_track.journal.net.net import Decision, Quarantined, Readmitted, TargetNet, TargetStarted
-from bayesnet_track.machinery import Engine, Machinery
-from bayesnet_track.nets.frame_metrics import first_frame_metrics
-from bayesnet_track.nets.predicting import outlook
-from bayesnet_track.nets.state import TargetState, inside_frame
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 

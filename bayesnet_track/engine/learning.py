@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.backoff import quarantined
 from bayesnet_track.adapt.situation import Situation
+from bayesnet_track.engine.compiled import Engine, Machinery
+from bayesnet_track.engine.state import TargetState
 from bayesnet_track.inference.guard import Judged, Watched, guard, judge
 from bayesnet_track.inference.learn import adapt_reference, learn_references
 from bayesnet_track.journal.net.net import Decision, LocallyAdapted, Quarantined
-from bayesnet_track.machinery import Engine, Machinery
-from bayesnet_track.nets.state import TargetState
 from bayesnet_track.observation.cue import ANGLE, Hypotheses, LocallyAdaptable, Reference
 from bayesnet_track.observation.planes import PlaneCache
 

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.lifecycle import Identity
-from bayesnet_track.adapt.recognise import Compared, elsewhere, looks, placed
 from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.engine.compiled import Engine
+from bayesnet_track.engine.lifecycle.recognise import Compared, elsewhere, looks, placed
 from bayesnet_track.graph.settings.lifecycle import Recall
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
-from bayesnet_track.machinery import Engine
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame, PlaneCache
 

@@ -21,6 +21,15 @@ from bayesnet_track.belief.contract import Motion, Posterior, Step
 from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.states import hypotheses_of
+from bayesnet_track.engine.compiled import Engine
+from bayesnet_track.engine.frame_metrics import frame_metrics
+from bayesnet_track.engine.learning import angle_of, learn
+from bayesnet_track.engine.predicting import Predicted, predicted
+from bayesnet_track.engine.rivals import rival_seen
+from bayesnet_track.engine.score import most, probability, with_rival
+from bayesnet_track.engine.shedding import within
+from bayesnet_track.engine.starting import start_late
+from bayesnet_track.engine.state import TargetState, applied, inside_frame, with_agents
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.guard import changes, watch
 from bayesnet_track.inference.learn import learning_rate, over_frames
@@ -30,15 +39,6 @@ from bayesnet_track.inference.part_measures import part_rates
 from bayesnet_track.journal.events.basic import DegenerateBelief, Event, FrameMetrics
 from bayesnet_track.journal.events.join_events import JoinMetrics
 from bayesnet_track.journal.net.net import Decision, Net, Quarantined
-from bayesnet_track.machinery import Engine
-from bayesnet_track.nets.frame_metrics import frame_metrics
-from bayesnet_track.nets.learning import angle_of, learn
-from bayesnet_track.nets.predicting import Predicted, predicted
-from bayesnet_track.nets.rivals import rival_seen
-from bayesnet_track.nets.score import most, probability, with_rival
-from bayesnet_track.nets.shedding import within
-from bayesnet_track.nets.starting import start_late
-from bayesnet_track.nets.state import TargetState, applied, inside_frame, with_agents
 from bayesnet_track.observation.planes import Frame, PlaneCache
 
 __all__ = ["Concluded", "TargetState", "Weighed", "conclude", "weigh"]

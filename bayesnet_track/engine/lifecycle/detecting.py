@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.backoff import next_try
 from bayesnet_track.adapt.lifecycle import Life
+from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.journal.events.life_events import DetectorFailed
 from bayesnet_track.journal.net.net import Fault
-from bayesnet_track.machinery import Engine
 from bayesnet_track.observation.detector import Detections, Detector, DetectorState, LearningDetector, checked
 from bayesnet_track.observation.guests import FAULTS, said
 from bayesnet_track.observation.planes import Frame, FramePair

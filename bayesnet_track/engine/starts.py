@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.engine import Engine, Outcome, State, first_look, start_target, with_outside
+from bayesnet_track.engine.outside import sorted_out
+from bayesnet_track.engine.step import Engine, Outcome, State, first_look, start_target, with_outside
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.text.messages import nearest
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.net.net import Quarantined
-from bayesnet_track.nets.outside import sorted_out
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.planes import Frame
 

@@ -27,17 +27,17 @@ from bayesnet_track.adapt.lifecycle import (
     refusals_to_tell,
     time_to_die,
 )
-from bayesnet_track.adapt.recognise import Match, match
+from bayesnet_track.engine.compiled import Engine
+from bayesnet_track.engine.lifecycle.claiming import Looked
+from bayesnet_track.engine.lifecycle.detecting import Found, look
+from bayesnet_track.engine.lifecycle.people import Population
+from bayesnet_track.engine.lifecycle.recalling import compare
+from bayesnet_track.engine.lifecycle.recognise import Match, match
+from bayesnet_track.engine.starting import restart, start
+from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.lifecycle import Birth, LifeRules
 from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed
 from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
-from bayesnet_track.machinery import Engine
-from bayesnet_track.nets.claiming import Looked
-from bayesnet_track.nets.detecting import Found, look
-from bayesnet_track.nets.people import Population
-from bayesnet_track.nets.recalling import compare
-from bayesnet_track.nets.starting import restart, start
-from bayesnet_track.nets.state import TargetState
 from bayesnet_track.observation.planes import Frame, PlaneCache
 
 Floats = NDArray[np.float64]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
+from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.inference.absent import Absent
 from bayesnet_track.journal.events.inputs import (
     AgentMissed,
@@ -16,7 +17,6 @@ from bayesnet_track.journal.events.inputs import (
     Toggled,
 )
 from bayesnet_track.journal.net.net import Net
-from bayesnet_track.machinery import Engine
 
 ByHand = Toggled | Released
 

@@ -16,11 +16,11 @@ from bayesnet_track.belief.motion.jumps import Jumping, Search
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.rotating import Rotating
 from bayesnet_track.belief.motion.widened import widened, widening
+from bayesnet_track.engine.compiled import Machinery
 from bayesnet_track.graph.settings.adapt import Level
 from bayesnet_track.graph.settings.motion import Recover
 from bayesnet_track.journal.events.life_events import DetectorFailed
 from bayesnet_track.journal.net.net import Fault
-from bayesnet_track.machinery import Machinery
 from bayesnet_track.observation.detector import NOTHING, Detector, DetectorState, LearningDetector, checked
 from bayesnet_track.observation.guests import FAULTS, said
 from bayesnet_track.observation.planes import FramePair, PlaneCache, Region

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.belief.contract import Posterior
+from bayesnet_track.engine.compiled import Engine, Machinery
+from bayesnet_track.engine.predicting import Outlook
+from bayesnet_track.engine.score import Scored
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.guard import Watched
 from bayesnet_track.journal.net.net import Decision, Net, apply
-from bayesnet_track.machinery import Engine, Machinery
-from bayesnet_track.nets.predicting import Outlook
-from bayesnet_track.nets.score import Scored
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.planes import Frame
 

@@ -1,0 +1,1 @@
+"""Track management: births, ends, association and re-identification."""
