@@ -22,10 +22,10 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.runtime.run import Start
-from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.session import track
-from bayesnet_track.scenes import Scene, make_scene
-from bayesnet_track.scenes.children import FLIGHTS, FRAMES
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import Scene, make_scene
+from bayesnet_track.sources.scenes.children import FLIGHTS, FRAMES
 
 Floats = NDArray[np.float64]
 NAME = "ball_between_children"

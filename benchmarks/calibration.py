@@ -29,7 +29,7 @@ from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scenes import make_scene
 
 SCENES = ("two_squares", "occluder", "occluder_long")
 

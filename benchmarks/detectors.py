@@ -18,10 +18,10 @@ from bayesnet_track.evaluate.detections import DetectionScore, score_detections,
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.detector import Detections, installed_detectors
 from bayesnet_track.observation.planes import Frame, FramePair
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.runtime.sources import open_source
-from bayesnet_track.scenes import make_scene
-from bayesnet_track.scenes.street import street
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.street import street
+from bayesnet_track.sources.sources import open_source
 
 Floats = NDArray[np.float64]
 

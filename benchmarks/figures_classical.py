@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.cue import Hypotheses, Reference, installed_cues
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region, region_of_boxes
-from bayesnet_track.scenes import Scene, make_scene
+from bayesnet_track.sources.scenes import Scene, make_scene
 
 Floats = NDArray[np.float64]
 FIGURES = Path(__file__).parents[1] / "docs" / "figures"

@@ -28,8 +28,8 @@ from bayesnet_track.cues.shading import polynomials
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.cue import Cue, Hypotheses, Reference, installed_cues
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region
-from bayesnet_track.scenes.render import Movie, Sprite
-from bayesnet_track.scenes.texture import ORANGE, gray_cells, smooth_background
+from bayesnet_track.sources.scenes.render import Movie, Sprite
+from bayesnet_track.sources.scenes.texture import ORANGE, gray_cells, smooth_background
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]

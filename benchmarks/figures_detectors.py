@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.detector import Detections, installed_detectors
 from bayesnet_track.observation.planes import Frame, FramePair
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import make_scene
-from bayesnet_track.scenes.scene import Scene
-from bayesnet_track.scenes.street import street
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.scene import Scene
+from bayesnet_track.sources.scenes.street import street
 from bayesnet_track.vision.planes.shape_planes import EdgePlane
 from bayesnet_track.vision.shape.shape_examples import frame_example
 from bayesnet_track.vision.shape.shape_model import learn_model, save_model

@@ -21,8 +21,8 @@ from bayesnet_track.graphs import find_graph
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.cue import Hypotheses, Measurement, Reference, installed_cues
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region, region_of_boxes
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import Scene, make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import Scene, make_scene
 from bayesnet_track.vision.kernels.mean_shift_kernels import kernel_histogram
 
 Floats = NDArray[np.float64]

@@ -20,7 +20,7 @@ from bayesnet_track.cues.motion import CUE, MotionCue
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.cue import Hypotheses, Reference
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scenes import make_scene
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -27,7 +27,7 @@ from bayesnet_track.graph.spec import AgentNode
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.net.net import LocallyAdapted, SelfStopped
 from bayesnet_track.runtime.run import Start
-from bayesnet_track.scenes import Scene, make_scene
+from bayesnet_track.sources.scenes import Scene, make_scene
 
 GRAY, COLOR_UD = "#15803d", "#b26a10"
 FRAMES = (4, 20, 23, 30)

@@ -36,7 +36,7 @@ from traces import Trace, trace
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.net.net import SelfStopped
 from bayesnet_track.runtime.run import Start
-from bayesnet_track.scenes import Scene, make_scene
+from bayesnet_track.sources.scenes import Scene, make_scene
 
 TARGETS, THIN = (BEST, PEER), "#fde047"
 Span = tuple[int, int, str]

@@ -22,7 +22,7 @@ from bayesnet_track.observation.cue import Floats, Hypotheses
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, region_of_boxes
 from bayesnet_track.runtime.run import Start
-from bayesnet_track.scenes import Scene, make_scene
+from bayesnet_track.sources.scenes import Scene, make_scene
 from bayesnet_track.vision.detectors.gray_level import GrayLevel, GrayLevelParameters, outliers
 from bayesnet_track.vision.planes.gray_plane import gray
 

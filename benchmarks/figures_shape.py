@@ -19,9 +19,9 @@ from bayesnet_track.cues.shape import CUE
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region
-from bayesnet_track.scenes import Scene, make_scene
-from bayesnet_track.scenes.render import Movie
-from bayesnet_track.scenes.silhouettes import person
+from bayesnet_track.sources.scenes import Scene, make_scene
+from bayesnet_track.sources.scenes.render import Movie
+from bayesnet_track.sources.scenes.silhouettes import person
 from bayesnet_track.vision.shape.shape_contours import contours, fields
 from bayesnet_track.vision.shape.shape_examples import mask_example
 from bayesnet_track.vision.shape.shape_model import ShapeModel, learn_model

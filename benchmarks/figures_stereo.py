@@ -18,8 +18,8 @@ from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.cue import Hypotheses, installed_cues
 from bayesnet_track.observation.depth import RightEye
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region, region_of_boxes
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import Scene, make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import Scene, make_scene
 from bayesnet_track.vision.planes.stereo_planes import Correlation, PointsPlane, Range, SemiGlobal
 from bayesnet_track.vision.stereo.stereo_blobs import StereoBlobSettings, detect_stereo_blobs
 

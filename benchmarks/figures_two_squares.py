@@ -36,7 +36,7 @@ from bayesnet_track.journal.net.net import Activated
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, region_of_boxes
-from bayesnet_track.scenes import Scene, random_geometry, two_squares
+from bayesnet_track.sources.scenes import Scene, random_geometry, two_squares
 
 SEEDS = range(20)
 CLOSE_PX = 60

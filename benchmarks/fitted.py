@@ -34,7 +34,7 @@ from bayesnet_track.evaluate.scores import success_auc
 from bayesnet_track.evaluate.witness import Witness, with_features, witness
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.observation.cue import installed_cues
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scenes import make_scene
 
 Floats = NDArray[np.float64]
 

@@ -141,7 +141,7 @@ def gray_pictures(folder: Path | None, count: int) -> tuple[list[NDArray[np.uint
     import cv2
 
     from bayesnet_track.numerics.boxes import centre_from_corner
-    from bayesnet_track.scenes import make_scene
+    from bayesnet_track.sources.scenes import make_scene
     from bayesnet_track.vision.planes.gray_plane import gray
 
     if folder is None:

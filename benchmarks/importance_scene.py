@@ -20,10 +20,10 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.basic import Event, SecondPass
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.run import Result, Start, run
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes.render import Sprite
-from bayesnet_track.scenes.scene import Scene, assemble
-from bayesnet_track.scenes.texture import ORANGE, shaded_cells, smooth_background
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.render import Sprite
+from bayesnet_track.sources.scenes.scene import Scene, assemble
+from bayesnet_track.sources.scenes.texture import ORANGE, shaded_cells, smooth_background
 
 WIDTH, HEIGHT, SIDE, FRAMES = 320, 240, 16.0, 46
 FLIGHTS = (12, 24, 36)

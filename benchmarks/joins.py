@@ -20,9 +20,9 @@ from bayesnet_track.graph.checks.run import check
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.scenes.carried import carried_box
-from bayesnet_track.scenes.crowd import SIDE, crowd
-from bayesnet_track.scenes.scene import Scene
+from bayesnet_track.sources.scenes.carried import carried_box
+from bayesnet_track.sources.scenes.crowd import SIDE, crowd
+from bayesnet_track.sources.scenes.scene import Scene
 
 Floats = NDArray[np.float64]
 

@@ -20,9 +20,9 @@ from pathlib import Path
 from measuring import Image, decoded, environment, moving_target, on_one_thread, table
 
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.frames import EndReason
 from bayesnet_track.runtime.run import Start
 from bayesnet_track.runtime.session import track
+from bayesnet_track.sources.frames import EndReason
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,8 +19,8 @@ from measuring import environment, on_one_thread, table
 from two_squares import held_to_the_end, opencv_run, track_scene
 
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.scenes import Scene
-from bayesnet_track.scenes.occluder import occluder
+from bayesnet_track.sources.scenes import Scene
+from bayesnet_track.sources.scenes.occluder import occluder
 
 HIDDEN = (11, 22)
 

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from bayesnet_track.commands.calibrate import read_all
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.planes import Region
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.vision.planes.stereo_planes import Correlation, Matcher, Range, SemiGlobal
 from bayesnet_track.vision.stereo.chessboard import calibrate
 from bayesnet_track.vision.stereo.stereo_blobs import StereoBlobSettings, detect_stereo_blobs

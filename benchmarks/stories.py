@@ -27,8 +27,8 @@ from bayesnet_track.journal.net.net import (
 )
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.run import Result
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import Scene, make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import Scene, make_scene
 
 Floats = NDArray[np.float64]
 

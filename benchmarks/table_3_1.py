@@ -29,8 +29,8 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.run import Start, run
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import Scene, make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import Scene, make_scene
 
 SCENES = ("person_same_clothes_nearer", "person_color_stereo", "person_same_clothes")
 SCHEMES = {

@@ -19,7 +19,7 @@ from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.numerics.resampling import resample
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.scenes import Scene
+from bayesnet_track.sources.scenes import Scene
 
 Floats = NDArray[np.float64]
 

@@ -20,8 +20,8 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.net.net import Activated, Deactivated
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.run import Result, Start, run
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import Scene, random_geometry, two_squares
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import Scene, random_geometry, two_squares
 
 LAST = 10
 

@@ -10,9 +10,9 @@ from bayesnet_track.journal.events.basic import ParticlesResized, SecondPass
 from bayesnet_track.journal.net.net import Deactivated
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.runtime.run import Start
-from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.session import track
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
 
 NAME = "ball_between_children"
 LEAPS = [*range(3, 9), *range(23, 29)]

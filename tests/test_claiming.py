@@ -13,7 +13,7 @@ from bayesnet_track.journal.events.life_events import BirthsRefused
 from bayesnet_track.journal.net.net import TargetStarted
 from bayesnet_track.observation.detector import NOTHING, Detections
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.detection_files import FileDetector, file_detector
+from bayesnet_track.sources.detection_files import FileDetector, file_detector
 
 WIDTH, HEIGHT = 320, 240
 GRAY = np.zeros((HEIGHT, WIDTH, 3), np.uint8)

@@ -30,7 +30,7 @@ from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.numerics.compile_watch import WATCH, CompileWatch
 from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.runtime.stop import Terminated
-from bayesnet_track.scenes import make_scene, scene_names
+from bayesnet_track.sources.scenes import make_scene, scene_names
 
 ROOT = Path(__file__).parents[1]
 RUN_FILES = {

@@ -11,7 +11,7 @@ import pytest
 from bayesnet_track.cli import main, make_parser
 from bayesnet_track.commands.completion import _actions, _kind
 from bayesnet_track.graphs import graph_names
-from bayesnet_track.scenes import scene_names
+from bayesnet_track.sources.scenes import scene_names
 
 BASH = shutil.which("bash")
 

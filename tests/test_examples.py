@@ -12,8 +12,8 @@ from bayesnet_track import Start, Tracker, track
 from bayesnet_track.journal.net.net import Activated, Deactivated, Decision, Quarantined, StatusChanged
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.run import Result
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import Scene, make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import Scene, make_scene
 
 
 def play(graph: str, scene: Scene, seed: int) -> list[Result]:

@@ -14,9 +14,9 @@ from bayesnet_track.journal.events.basic import AttachmentChanged, OcclusionChan
 from bayesnet_track.journal.net.net import Decision, Joined, Parted, replay
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.scenes import make_scene
-from bayesnet_track.scenes.carried import BEHIND, carried_box
-from bayesnet_track.scenes.crowd import crowd
+from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.scenes.carried import BEHIND, carried_box
+from bayesnet_track.sources.scenes.crowd import crowd
 
 
 def tracked(scene, graph, seed, frames=None):

@@ -12,7 +12,7 @@ import yaml
 from bayesnet_track.cli import main
 from bayesnet_track.evaluate.truth import format_truth
 from bayesnet_track.observation.cue import installed_cues
-from bayesnet_track.scenes import Scene, make_scene
+from bayesnet_track.sources.scenes import Scene, make_scene
 from bayesnet_track.vision.stereo.stereo import RectifiedPair, write_calibration
 
 FRAMES = range(0, 60, 4)

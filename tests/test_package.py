@@ -33,7 +33,7 @@ def python(*arguments, **settings):
 
 HEAVY = {"cv2", "av", "numba", "scipy", "matplotlib"}
 LIGHT = [
-    "import bayesnet_track.runtime.sources",
+    "import bayesnet_track.sources.sources",
     "import bayesnet_track.evaluate.runs",
     "from bayesnet_track.journal import reader, explain, writer",
     "from bayesnet_track.observation.cue import installed_cues; installed_cues()",

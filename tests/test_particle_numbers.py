@@ -15,8 +15,8 @@ from bayesnet_track.journal.net.net import Decision, replay
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.text.explain import why
 from bayesnet_track.journal.text.sentences import explain
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
 
 GRAPH: dict[str, Any] = {
     "name": "thrown_ball",

@@ -9,8 +9,8 @@ from bayesnet_track import Start, track
 from bayesnet_track.journal.net.net import Activated, StatusChanged
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.runtime.run import Result
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import Scene, make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import Scene, make_scene
 
 
 def play(scene: Scene, seed: int) -> list[Result]:

@@ -10,7 +10,7 @@ from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.numerics.divergence import uncertainty_deviation
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region
-from bayesnet_track.scenes import Scene, make_scene
+from bayesnet_track.sources.scenes import Scene, make_scene
 
 
 @pytest.fixture(scope="module")

@@ -17,8 +17,8 @@ import pytest
 from scipy.stats import binom
 
 from bayesnet_track.commands.tracking import SCENE_GRAPHS
-from bayesnet_track.scenes import make_scene, random_geometry, two_squares
-from bayesnet_track.scenes.occluder import occluder
+from bayesnet_track.sources.scenes import make_scene, random_geometry, two_squares
+from bayesnet_track.sources.scenes.occluder import occluder
 
 pytestmark = pytest.mark.slow
 

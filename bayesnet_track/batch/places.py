@@ -15,7 +15,7 @@ from typing import Protocol
 
 from bayesnet_track.batch.jobs import Job
 from bayesnet_track.batch.work import Row, failed_row
-from bayesnet_track.runtime.child import cut, python, tie
+from bayesnet_track.sources.child import cut, python, tie
 
 WAIT_S = 0.2
 

@@ -44,14 +44,14 @@ def do(job: Job, progress: Callable[[int, int | None], None]) -> Row:
     Raises:
         BatchError: the run that is there already was asked for otherwise.
     """
-    from bayesnet_track.runtime.frames import OnResize
     from bayesnet_track.runtime.recipe import Recipe, RecipeError
     from bayesnet_track.runtime.replace import settle_broken
     from bayesnet_track.runtime.resume import resume, standing
     from bayesnet_track.runtime.run import Summary
     from bayesnet_track.runtime.rundir import RunDirectory
     from bayesnet_track.runtime.session import track
-    from bayesnet_track.runtime.sources import open_source
+    from bayesnet_track.sources.frames import OnResize
+    from bayesnet_track.sources.sources import open_source
 
     summary = Summary()
     settle_broken(RunDirectory(Path(job.out)))

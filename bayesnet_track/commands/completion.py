@@ -33,7 +33,7 @@ def completion_script(parser: argparse.ArgumentParser, shell: str) -> str:
         raise UsageError("this needs the package shtab: pip install shtab") from error
     from bayesnet_track.graphs import graph_names
     from bayesnet_track.observation.detector import installed_detectors
-    from bayesnet_track.scenes import scene_names
+    from bayesnet_track.sources.scenes import scene_names
 
     names = {
         "graphs": (tuple(graph_names()), True),

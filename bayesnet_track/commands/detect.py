@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from bayesnet_track.observation.cue import CueDeclaration
     from bayesnet_track.observation.detector import Detector, DetectorDeclaration, DetectorState
     from bayesnet_track.observation.planes import Frame, FramePair
-    from bayesnet_track.runtime.frames import Source
+    from bayesnet_track.sources.frames import Source
 
 JSON_LINES = (".jsonl", ".json", ".ndjson")
 
@@ -54,8 +54,8 @@ class Printed:
 def detect(options: argparse.Namespace) -> int:
     """Detect in every frame; write MOT or JSON Lines, and a video on request."""
     from bayesnet_track.observation.detector import DetectorError, LearningDetector
-    from bayesnet_track.runtime.frames import SourceError
-    from bayesnet_track.runtime.stereo_source import WAYS
+    from bayesnet_track.sources.frames import SourceError
+    from bayesnet_track.sources.stereo_source import WAYS
 
     if options.end is not None and options.end <= options.start:
         raise UsageError(f"--end {options.end} must be greater than --start {options.start}")
@@ -94,8 +94,8 @@ def _detect_all(
     from bayesnet_track.journal.writer import LineFile
     from bayesnet_track.observation.detector import LearningDetector
     from bayesnet_track.observation.planes import Frame, FramePair
-    from bayesnet_track.runtime.detections import format_frame
     from bayesnet_track.runtime.videowriter import VideoWriter
+    from bayesnet_track.sources.detections import format_frame
     from bayesnet_track.view.detections import draw_detections
 
     learns = isinstance(detector, LearningDetector)
@@ -130,8 +130,8 @@ def _detect_all(
 
 def _opened(options: argparse.Namespace) -> Source:
     """The source, with depth where the options name a second eye or another sensor."""
-    from bayesnet_track.runtime.sources import open_source
-    from bayesnet_track.runtime.stereo_source import open_stereo_source
+    from bayesnet_track.sources.sources import open_source
+    from bayesnet_track.sources.stereo_source import open_stereo_source
 
     window = (options.source, options.start, options.end, options.allow_network, options.on_resize)
     if options.right is None and options.stereo is None and options.depth is None:

@@ -54,7 +54,7 @@ def find_videos(options: argparse.Namespace) -> Iterator[Video]:
 def frames_of(video: Video, end: int | None) -> Iterator[Iterator[Frame]]:
     """The frames of a video before `end`, all that there are when it is None."""
     from bayesnet_track.observation.planes import Frame
-    from bayesnet_track.runtime.sources import open_source
+    from bayesnet_track.sources.sources import open_source
 
     with open_source(video.source, 0, end) as source:
         expected = source.expected_frames

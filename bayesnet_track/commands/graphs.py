@@ -126,7 +126,7 @@ def list_installed(options: argparse.Namespace) -> int:
     from bayesnet_track.observation.detector import ENTRY_POINT_GROUP as DETECTORS
     from bayesnet_track.observation.detector import installed_detectors
     from bayesnet_track.observation.plugins import allowed, others
-    from bayesnet_track.scenes import scene_names
+    from bayesnet_track.sources.scenes import scene_names
 
     say(f"graphs (name one, or copy its file from {graph_folder()}):")
     for graph, about in graphs_about().items():

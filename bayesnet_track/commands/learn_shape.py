@@ -51,8 +51,8 @@ Examples = list[tuple[str, Floats, float]]
 
 
 def _from_masks(options: argparse.Namespace) -> tuple[int, Examples]:
-    from bayesnet_track.runtime.images import natural_key, read_image
-    from bayesnet_track.runtime.sources import IMAGE_SUFFIXES
+    from bayesnet_track.sources.images import natural_key, read_image
+    from bayesnet_track.sources.sources import IMAGE_SUFFIXES
     from bayesnet_track.vision.shape.shape_examples import mask_example
 
     folder, found = Path(options.masks), []
@@ -73,7 +73,7 @@ def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
     from bayesnet_track.evaluate.truth import read_truth
     from bayesnet_track.numerics.boxes import centre_from_corner
     from bayesnet_track.observation.planes import Frame
-    from bayesnet_track.runtime.sources import open_source
+    from bayesnet_track.sources.sources import open_source
     from bayesnet_track.vision.planes.shape_planes import EdgePlane
     from bayesnet_track.vision.shape.shape_examples import frame_example
 

@@ -12,7 +12,7 @@ from bayesnet_track.commands.answer import INCOMPLETE, OK, UsageError, complain,
 from bayesnet_track.commands.detect import read_parameters
 
 if TYPE_CHECKING:
-    from bayesnet_track.runtime.frames import Source
+    from bayesnet_track.sources.frames import Source
 
 Floats = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def learn_stereo(options: argparse.Namespace) -> int:
 
 
 def _opened(options: argparse.Namespace, end: int) -> Source:
-    from bayesnet_track.runtime.stereo_source import open_stereo_source
+    from bayesnet_track.sources.stereo_source import open_stereo_source
 
     window = (options.source, options.start, end, options.allow_network, options.on_resize)
     return open_stereo_source(

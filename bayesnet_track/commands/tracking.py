@@ -19,10 +19,10 @@ from bayesnet_track.numerics.compile_watch import WATCH
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
     from bayesnet_track.runtime.executors import Executing
-    from bayesnet_track.runtime.frames import Source
     from bayesnet_track.runtime.progress import Progress
     from bayesnet_track.runtime.run import FrameSource, Result, Start, Summary
     from bayesnet_track.runtime.stop import StopRequest
+    from bayesnet_track.sources.frames import Source
     from bayesnet_track.viewing.view import LiveView
 
 SCENE_GRAPHS = {
@@ -71,7 +71,7 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     from bayesnet_track.journal.text.explain import explain, has_several_targets
     from bayesnet_track.runtime.run import Start
     from bayesnet_track.runtime.rundir import RunDirectory
-    from bayesnet_track.runtime.scene_source import SceneSource
+    from bayesnet_track.sources.scene_source import SceneSource
 
     with users_mistake():
         source = SceneSource.named(options.scene, options.seed, options.end)
@@ -129,8 +129,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _opened(options: argparse.Namespace) -> Source:
     """The source, with depth where the options name a second eye or another sensor."""
-    from bayesnet_track.runtime.sources import open_source
-    from bayesnet_track.runtime.stereo_source import open_stereo_source
+    from bayesnet_track.sources.sources import open_source
+    from bayesnet_track.sources.stereo_source import open_stereo_source
 
     window = (options.start, options.end, options.allow_network, options.on_resize)
     if options.right is None and options.stereo is None and options.depth is None:
@@ -157,11 +157,11 @@ def _track(
     video: bool,
     view: LiveView | None = None,
 ) -> int:
-    from bayesnet_track.runtime.detection_files import file_detector
     from bayesnet_track.runtime.inputs import replayed
     from bayesnet_track.runtime.rerun_sink import rerun_sinks
     from bayesnet_track.runtime.run import Summary
     from bayesnet_track.runtime.session import track
+    from bayesnet_track.sources.detection_files import file_detector
 
     detections = getattr(options, "detections", None)
     if detections is not None:

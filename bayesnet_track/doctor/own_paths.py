@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 import numpy as np
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.sources import open_source
+from bayesnet_track.sources.sources import open_source
 from bayesnet_track.runtime.videowriter import VideoWriter
 shown = [np.full((48, 64, 3), 40 * n, np.uint8) for n in range(6)]
 with tempfile.TemporaryDirectory() as folder:
@@ -46,7 +46,7 @@ import numpy as np
 from bayesnet_track.observation.cue import Hypotheses, installed_cues
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scenes import make_scene
 scene = make_scene("two_squares", 0)
 declared = installed_cues()["color_histogram"]
 cue = declared.make(declared.parameters())
@@ -62,8 +62,8 @@ print(f"{on - off:.1f}")
 _WORKER = """
 import itertools
 from bayesnet_track import Start, track
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
 def play(executor, workers):
     scene = make_scene("two_squares", 0)
     source = SceneSource(scene, "scene:two_squares")

@@ -30,8 +30,8 @@ _TRACK = """
 import hashlib, itertools, json, time
 from bayesnet_track import Start, track
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
 def play():
     scene = make_scene("two_squares", 0)
     run = track("two_squares", SceneSource(scene, "scene:two_squares"), [Start(scene.start_box)], seed=0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from bayesnet_track.evaluate.mot_pairs import Tracks
-from bayesnet_track.runtime.mot_lines import MotLines, parse_mot, read_text
+from bayesnet_track.sources.mot_lines import MotLines, parse_mot, read_text
 
 IGNORED = 0.0
 """The confidence of a true box that says: not to be scored."""

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from bayesnet_track.journal.events.basic import RunStarted
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.frames import SourceError
 from bayesnet_track.runtime.rundir import RunDirectory
+from bayesnet_track.sources.frames import SourceError
 
 if TYPE_CHECKING:
     from bayesnet_track.runtime.run import FrameSource
@@ -78,9 +78,9 @@ def _between(
 def _source(directory: RunDirectory, started: RunStarted) -> FrameSource:
     """The run's source: as its recipe says, or, of a run without one, as its journal names it."""
     from bayesnet_track.runtime.recipe import Recipe
-    from bayesnet_track.runtime.scene_source import SceneSource
-    from bayesnet_track.runtime.sources import open_source
-    from bayesnet_track.scenes import make_scene
+    from bayesnet_track.sources.scene_source import SceneSource
+    from bayesnet_track.sources.scenes import make_scene
+    from bayesnet_track.sources.sources import open_source
 
     if directory.recipe.is_file():
         origin = Recipe.read(directory).origin
@@ -95,7 +95,7 @@ def _source(directory: RunDirectory, started: RunStarted) -> FrameSource:
 
 
 def _video(directory: RunDirectory, started: RunStarted) -> FrameSource:
-    from bayesnet_track.runtime.sources import open_source
+    from bayesnet_track.sources.sources import open_source
 
     if not directory.video.is_file():
         raise FileNotFoundError(f"and the run wrote no {directory.video.name}")

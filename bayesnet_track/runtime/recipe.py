@@ -24,14 +24,14 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.write import graph_sha256
 from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.writer import read_position
-from bayesnet_track.runtime.origin import Origin
 from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.versions import versions
+from bayesnet_track.sources.origin import Origin
 
 if TYPE_CHECKING:
-    from bayesnet_track.runtime.frames import Source
     from bayesnet_track.runtime.run import FrameSource
-    from bayesnet_track.runtime.scene_source import SceneSource
+    from bayesnet_track.sources.frames import Source
+    from bayesnet_track.sources.scene_source import SceneSource
 
 RECIPE_VERSION = 1
 HAS_MANIFEST = "manifest"

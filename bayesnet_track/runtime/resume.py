@@ -39,8 +39,8 @@ from bayesnet_track.runtime.replace import settle, settle_broken
 from bayesnet_track.runtime.run import FrameSource, Result, Resumed, Sink, Summary, run
 from bayesnet_track.runtime.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.session import kept, opaque_agents, placed, prepared
-from bayesnet_track.runtime.stereo_source import check_depth
 from bayesnet_track.runtime.unchanged import ResumeError, check_outputs, check_plain, check_same, permit_move
+from bayesnet_track.sources.stereo_source import check_depth
 
 __all__ = ["ResumeError", "Standing", "resume", "standing"]
 

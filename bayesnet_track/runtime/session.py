@@ -21,7 +21,6 @@ from bayesnet_track.observation import plugins
 from bayesnet_track.observation.detector import GIVEN
 from bayesnet_track.runtime.checkpoint import EVERY_S, Checkpoints
 from bayesnet_track.runtime.deadline import Deadline
-from bayesnet_track.runtime.detection_files import file_detector
 from bayesnet_track.runtime.executors import RETRIES, Executing, make_executor
 from bayesnet_track.runtime.inputs import Asked, as_asked
 from bayesnet_track.runtime.lock import locked
@@ -31,8 +30,9 @@ from bayesnet_track.runtime.record import Recorder
 from bayesnet_track.runtime.replace import replace_run, settle
 from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
 from bayesnet_track.runtime.rundir import FILES, RunDirectory
-from bayesnet_track.runtime.sources import open_source
-from bayesnet_track.runtime.stereo_source import check_depth
+from bayesnet_track.sources.detection_files import file_detector
+from bayesnet_track.sources.sources import open_source
+from bayesnet_track.sources.stereo_source import check_depth
 
 CornerBox = tuple[float, float, float, float]
 

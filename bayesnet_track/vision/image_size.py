@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from struct import Struct, error, unpack_from
 
-from bayesnet_track.runtime.frames import PictureError
+from bayesnet_track.sources.frames import PictureError
 
 MAX_PIXELS = 1 << 27
 """Pixels of a picture, of a video as of an image file: 134 million."""

@@ -12,7 +12,7 @@ at how sure the tracker is.
 import matplotlib.pyplot as plt
 
 from bayesnet_track import Tracker
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scenes import make_scene
 
 scene = make_scene("two_squares", seed=0)
 tracker = Tracker("two_squares")  # a graph of the library; a path, or `general` for anything

@@ -16,7 +16,7 @@ import numpy as np
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.cue import Hypotheses, installed_cues
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scenes import make_scene
 
 scene = make_scene("orange_and_gray", seed=0)
 everywhere = Region(0, 0, scene.width, scene.height)

@@ -9,8 +9,8 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.net.net import Activated, Concentration, Deactivated
 from bayesnet_track.runtime.run import Start, run
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import two_squares
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import two_squares
 
 TEST = {"concentrated": {"within_box": 0.5}}
 

@@ -22,7 +22,7 @@ from bayesnet_track.cli import main
 from bayesnet_track.runtime.lock import locked
 from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.session import track
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scenes import make_scene
 
 
 @pytest.fixture(scope="module")

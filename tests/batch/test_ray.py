@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli import main
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scenes import make_scene
 
 MEASURED = ("frames", "agents_per_frame", "score_mean", "auc", "status")
 

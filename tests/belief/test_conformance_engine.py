@@ -15,8 +15,8 @@ from bayesnet_track.journal.text.explain import why
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.rundir import FILES
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
 
 FRAMES = 41
 SQUARES = yaml.safe_load(find_graph("two_squares").read_text())

@@ -16,7 +16,7 @@ from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.events.basic import BeliefReset
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.observation.cue import Measurement
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scenes import make_scene
 
 BOX = np.array([100.0, 80.0, 20.0, 10.0])
 NOISE = {

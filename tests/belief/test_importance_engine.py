@@ -12,10 +12,10 @@ from bayesnet_track.journal.events.basic import SecondPass
 from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.run import Start, run
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes.render import Sprite
-from bayesnet_track.scenes.scene import assemble
-from bayesnet_track.scenes.texture import ORANGE, shaded_cells, smooth_background
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes.render import Sprite
+from bayesnet_track.sources.scenes.scene import assemble
+from bayesnet_track.sources.scenes.texture import ORANGE, shaded_cells, smooth_background
 
 
 class Told:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli import main
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scenes import make_scene
 
 pytestmark = pytest.mark.slow
 

@@ -8,7 +8,7 @@ import cv2
 import pytest
 
 from bayesnet_track.cli import main
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scenes import make_scene
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 
 from bayesnet_track.observation.detector import NOTHING, Detector, DetectorParameters, installed_detectors
 from bayesnet_track.observation.planes import Frame, FramePair
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scenes import make_scene
 
 NAMES = sorted(installed_detectors())
 TEN = 10

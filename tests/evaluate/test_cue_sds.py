@@ -13,7 +13,7 @@ from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.observation.cue import Residual
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scenes import make_scene
 
 
 @pytest.mark.parametrize("gross", [0.0, 0.02])

@@ -11,7 +11,7 @@ from bayesnet_track.evaluate.calibration import longest_run
 from bayesnet_track.graph.spec import Logistic, Rivals
 from bayesnet_track.journal.events.rival_events import RivalSeen
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scenes import make_scene
 
 SEEN = RivalSeen(5, "1", 80.0, 60.0, 0.9, 1.5, 4.0, 0.3, 250)
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from bayesnet_track.journal.events.basic import FramesMissing, SourceDamaged
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.frames import SourceError
-from bayesnet_track.runtime.sources import open_source
+from bayesnet_track.sources.frames import SourceError
+from bayesnet_track.sources.sources import open_source
 
 
 def damaged(data, seed):

@@ -19,7 +19,7 @@ import numpy as np
 
 from bayesnet_track import Start, track
 from bayesnet_track.runtime.resume import resume
-from bayesnet_track.runtime.sources import open_source
+from bayesnet_track.sources.sources import open_source
 
 FRAMES, SIDE = 36, 10
 EVERY_S = 0.01

@@ -23,9 +23,9 @@ from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.runtime.recipe import RecipeError
 from bayesnet_track.runtime.resume import standing
 from bayesnet_track.runtime.rundir import RunDirectoryError
-from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.verify import verify
 from bayesnet_track.runtime.videowriter import VideoWriter
+from bayesnet_track.sources.scene_source import SceneSource
 
 FRAMES, EVERY_S = 4, 1e-6
 CHANGES = ("sync", "sync_folder", "replace", "unlink", "make_folder", "remove_folder")

@@ -10,7 +10,7 @@ import pytest
 
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
-from bayesnet_track.runtime.sources import SourceError, open_source
+from bayesnet_track.sources.sources import SourceError, open_source
 
 pytestmark = pytest.mark.reliability
 

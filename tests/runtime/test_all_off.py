@@ -8,8 +8,8 @@ import pytest
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.net.hand_decisions import Toggled
 from bayesnet_track.runtime.run import Start
-from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.session import track
+from bayesnet_track.sources.scene_source import SceneSource
 
 OFF, FRAMES = 12, 33
 WITHIN = 6

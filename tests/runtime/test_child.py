@@ -15,10 +15,10 @@ import pytest
 
 from bayesnet_track.batch import places
 from bayesnet_track.batch.jobs import Job, Video
-from bayesnet_track.runtime.child import cut, python, tie
 from bayesnet_track.runtime.executors.nursery import Nursery
-from bayesnet_track.runtime.isolated import IsolatedReader
-from bayesnet_track.runtime.sandbox import Limits
+from bayesnet_track.sources.child import cut, python, tie
+from bayesnet_track.sources.isolated import IsolatedReader
+from bayesnet_track.sources.sandbox import Limits
 
 TOLD = "import json, sys; print(json.dumps(sys.path))"
 posix = pytest.mark.skipif(os.name != "posix", reason="nothing of the kind is known elsewhere")

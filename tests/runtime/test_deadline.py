@@ -13,9 +13,9 @@ from bayesnet_track.journal.events.inputs import AgentMissed, LateFrame, SpareTi
 from bayesnet_track.journal.net.net import Net, ParticlesLimited, TargetNet
 from bayesnet_track.journal.reader import read_inputs
 from bayesnet_track.runtime.deadline import FOR_AGENTS, FOR_ONE, WARM_UP, Deadline
-from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.session import track
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
 
 FILES = ("journal.jsonl", "frames.jsonl", "tracks.txt", "tracks.csv", "inputs.jsonl")
 SHORT = Net({"1": TargetNet("plate", frozenset("a"), shed=("b",))})

@@ -8,9 +8,9 @@ from bayesnet_track.journal.events.inputs import InputRefused, Released
 from bayesnet_track.journal.net.net import Activated, Deactivated, Toggled, replay
 from bayesnet_track.journal.reader import read_events, read_inputs
 from bayesnet_track.runtime.inputs import Switchboard
-from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.session import track
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
 
 FILES = ("journal.jsonl", "frames.jsonl", "tracks.txt", "tracks.csv", "inputs.jsonl")
 

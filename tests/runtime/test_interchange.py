@@ -13,7 +13,7 @@ from bayesnet_track import Detections, Tracker, open_run, track
 from bayesnet_track.cli import main
 from bayesnet_track.runtime.exports import as_coco, as_csv, as_jsonl, as_mot
 from bayesnet_track.runtime.tables import AGENT_COLUMNS, TRACK_COLUMNS
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scenes import make_scene
 
 COLUMNS = (
     "frame,time_s,target,kind,x,y,w,h,angle,status,score,ud_px2,quiet_px2,sd_x,sd_y,sd_w,sd_h,"

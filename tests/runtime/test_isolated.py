@@ -13,10 +13,10 @@ import pytest
 from bayesnet_track.cli import main
 from bayesnet_track.journal.events.basic import SourceDamaged
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.frames import Source
-from bayesnet_track.runtime.isolated import IsolatedReader
-from bayesnet_track.runtime.sandbox import Limits
-from bayesnet_track.runtime.sources import SourceError, open_source
+from bayesnet_track.sources.frames import Source
+from bayesnet_track.sources.isolated import IsolatedReader
+from bayesnet_track.sources.sandbox import Limits
+from bayesnet_track.sources.sources import SourceError, open_source
 
 
 def slow(*values):
@@ -28,8 +28,8 @@ import os
 import sys
 sys.path[:] = {path!r}
 import numpy as np
-from bayesnet_track.runtime import decoding
-from bayesnet_track.runtime.frames import Picture
+from bayesnet_track.sources import decoding
+from bayesnet_track.sources.frames import Picture
 
 class Hostile:
     declared_frames, frame_interval_s, gap_from = 5, 0.04, 1.5

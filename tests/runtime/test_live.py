@@ -11,8 +11,8 @@ import pytest
 
 from bayesnet_track.journal.events.basic import FramesDropped, FramesMissing, SourceDamaged, SourceStalled
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.frames import Dropped, Picture, Source
-from bayesnet_track.runtime.live import LiveReader, _Drops
+from bayesnet_track.sources.frames import Dropped, Picture, Source
+from bayesnet_track.sources.live import LiveReader, _Drops
 
 INTERVAL_S = 0.01
 
@@ -125,7 +125,7 @@ def test_closing_ends_a_wait():
 def test_two_eyes_are_paired_by_what_is_newest():
     """Each drops pictures for itself: still one pair comes after another."""
     from bayesnet_track.observation.depth import RightEye
-    from bayesnet_track.runtime.stereo_source import Joined
+    from bayesnet_track.sources.stereo_source import Joined
 
     def completer(index, second, image):
         return image, RightEye(second.pixels()[0], None)

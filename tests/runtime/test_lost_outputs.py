@@ -15,8 +15,8 @@ from bayesnet_track.journal.writer import LineFile, OutputError
 from bayesnet_track.runtime.record import Recorder
 from bayesnet_track.runtime.run import Result, Start, run
 from bayesnet_track.runtime.rundir import RunDirectory
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
 
 OUTPUTS = ("journal.jsonl", "frames.jsonl", "tracks.txt", "tracks.csv", "timings.jsonl", "video.mkv")
 

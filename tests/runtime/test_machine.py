@@ -19,7 +19,7 @@ from bayesnet_track.journal.events.machine_events import MachineChanged
 from bayesnet_track.journal.reader import read_events
 from bayesnet_track.runtime.machine import describe_machine, name_differences
 from bayesnet_track.runtime.resume import ResumeError, resume
-from bayesnet_track.runtime.scene_source import SceneSource
+from bayesnet_track.sources.scene_source import SceneSource
 
 FRAMES = 6
 

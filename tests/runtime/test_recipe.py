@@ -10,11 +10,11 @@ import pytest
 
 from bayesnet_track import Start, track
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.runtime.frames import SourceError
-from bayesnet_track.runtime.origin import Origin, fingerprint
 from bayesnet_track.runtime.recipe import Recipe, RecipeError, make_recipe
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.runtime.sources import open_source
+from bayesnet_track.sources.frames import SourceError
+from bayesnet_track.sources.origin import Origin, fingerprint
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.sources import open_source
 
 
 @pytest.fixture

@@ -18,8 +18,8 @@ from bayesnet_track.runtime import session
 from bayesnet_track.runtime.record import Recorder
 from bayesnet_track.runtime.run import Start, run
 from bayesnet_track.runtime.rundir import FILES, RunDirectory, RunDirectoryError
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
 
 FULL = Path("/dev/full")
 linux_only = pytest.mark.skipif(not FULL.exists(), reason="/dev/full is Linux's")

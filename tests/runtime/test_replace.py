@@ -16,8 +16,8 @@ from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.runtime.replace import replace_run, settle
 from bayesnet_track.runtime.resume import resume, standing
 from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
-from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.verify import verify
+from bayesnet_track.sources.scene_source import SceneSource
 
 
 def tracked(folder: Path, frames: int, seed: int = 0, **options: object) -> Path:

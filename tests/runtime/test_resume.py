@@ -23,7 +23,7 @@ from bayesnet_track.runtime.recipe import RecipeError
 from bayesnet_track.runtime.resume import ResumeError, resume, standing
 from bayesnet_track.runtime.run import Result, Summary
 from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
-from bayesnet_track.runtime.scene_source import SceneSource
+from bayesnet_track.sources.scene_source import SceneSource
 
 FRAMES = 10
 

@@ -24,10 +24,10 @@ from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.run import Start, StartError, Summary, run
-from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.session import track
-from bayesnet_track.runtime.sources import open_source
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
+from bayesnet_track.sources.sources import open_source
 
 REPRODUCIBLE = ("journal.jsonl", "frames.jsonl", "tracks.txt", "tracks.csv", "graph.yaml")
 SQUARE = (0, 5, 10, 10)

@@ -11,7 +11,7 @@ from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.runtime.recipe import Recipe
 from bayesnet_track.runtime.run import StartError, Summary
 from bayesnet_track.runtime.rundir import FILES, RunDirectoryError
-from bayesnet_track.runtime.sources import SourceError, open_source
+from bayesnet_track.sources.sources import SourceError, open_source
 
 SQUARE = (0, 5, 10, 10)
 """Corner box of the bright square in the first picture of this folder's videos; it moves 2 px a frame."""

@@ -9,7 +9,7 @@ from scipy.stats import binom
 
 from bayesnet_track.journal.events.basic import SourceDamaged
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.sources import SourceError, open_source
+from bayesnet_track.sources.sources import SourceError, open_source
 
 CONTAINERS = ["plain.mp4", "start.mp4", "xvid.avi", "h264.mkv"]
 FRAMES = 40

@@ -9,8 +9,8 @@ import pytest
 
 from bayesnet_track.journal.events.basic import FrameSizeChanged, FramesMissing, SourceDamaged
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.sources import SourceError, open_source
-from bayesnet_track.runtime.timing import Timing, timing_of
+from bayesnet_track.sources.sources import SourceError, open_source
+from bayesnet_track.sources.timing import Timing, timing_of
 
 CONTAINERS = [
     ("a.mp4", "libx264"),

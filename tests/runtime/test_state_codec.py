@@ -19,9 +19,9 @@ from bayesnet_track.journal.codec import to_json
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.detector import GIVEN
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.detection_files import FileDetector
-from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.state_codec import CLASSES, StateError, decode_state, encode_state
+from bayesnet_track.sources.detection_files import FileDetector
+from bayesnet_track.sources.scene_source import SceneSource
 
 SCENES = {
     "kalman_ball": "flying_ball",
@@ -39,7 +39,7 @@ FEW, MANY = 8, 40
 
 
 def scene_of(graph: str, frames: int) -> SceneSource:
-    from bayesnet_track.scenes import scene_names
+    from bayesnet_track.sources.scenes import scene_names
 
     name = SCENES.get(graph, graph if graph in scene_names() else "two_squares")
     return SceneSource.named(name, 0, frames)

@@ -15,10 +15,10 @@ import pytest
 from bayesnet_track.journal.events.basic import FramesMissing, SourceStalled
 from bayesnet_track.journal.reader import read_events
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime import sources
-from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.session import track
-from bayesnet_track.runtime.sources import SourceError, open_source
+from bayesnet_track.sources import sources
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.sources import SourceError, open_source
 
 pytestmark = pytest.mark.slow
 

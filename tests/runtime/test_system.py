@@ -12,8 +12,8 @@ from bayesnet_track.cli import main
 from bayesnet_track.doctor import packages
 from bayesnet_track.runtime import system
 from bayesnet_track.runtime.executors import PlacingError
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
 
 ABSENT = {"win32": ("fcntl", "resource"), "darwin": ("msvcrt",), "linux": ("msvcrt",)}
 

@@ -13,7 +13,7 @@ import yaml
 from bayesnet_track import Tracker
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graphs import find_graph
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scenes import make_scene
 
 SCENE = make_scene("two_squares")
 BOX = SCENE.start_box
@@ -350,7 +350,7 @@ before = state()
 import tempfile
 from bayesnet_track import Tracker, track
 from bayesnet_track.cli import main
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scenes import make_scene
 
 scene = make_scene("two_squares")
 tracker = Tracker("general")

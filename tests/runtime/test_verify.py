@@ -17,8 +17,8 @@ from bayesnet_track.runtime.lock import locked
 from bayesnet_track.runtime.manifest import ManifestError, read_manifest
 from bayesnet_track.runtime.resume import resume, standing
 from bayesnet_track.runtime.rundir import RunDirectory
-from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.verify import verify
+from bayesnet_track.sources.scene_source import SceneSource
 
 FRAMES = 4
 OUTPUTS = {

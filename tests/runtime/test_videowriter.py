@@ -10,8 +10,8 @@ import pytest
 
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.sources import open_source
 from bayesnet_track.runtime.videowriter import VideoWriter
+from bayesnet_track.sources.sources import open_source
 
 NAMES = ["v.mkv", "v.mp4"]
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.scenes import make_scene, random_geometry, scene_names, two_squares
-from bayesnet_track.scenes.occluder import occluder
-from bayesnet_track.scenes.scene import visible_share
-from bayesnet_track.scenes.squares import bouncing
+from bayesnet_track.sources.scenes import make_scene, random_geometry, scene_names, two_squares
+from bayesnet_track.sources.scenes.occluder import occluder
+from bayesnet_track.sources.scenes.scene import visible_share
+from bayesnet_track.sources.scenes.squares import bouncing
 
 
 def shared_area(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -14,8 +14,8 @@ from bayesnet_track.cli import main
 from bayesnet_track.graph.checks.run import check
 from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.starter.ask import ask_all, chosen
 from bayesnet_track.starter.compose import graph_text
 from bayesnet_track.starter.task import APART, BELIEF, BUDGET, FOLLOW, HARD, SPEED, Task, TaskError

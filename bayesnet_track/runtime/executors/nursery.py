@@ -14,7 +14,7 @@ from threading import Lock
 from types import MappingProxyType
 
 from bayesnet_track.inference.executor import AgentUnavailable
-from bayesnet_track.runtime.child import cut, python, tie
+from bayesnet_track.sources.child import cut, python, tie
 
 MODULE = "bayesnet_track.runtime.executors.worker"
 

@@ -16,9 +16,9 @@ import sys
 import time
 from contextlib import suppress
 
-from bayesnet_track.runtime.child import die_with
 from bayesnet_track.runtime.executors.memory import limit_memory
 from bayesnet_track.runtime.executors.nursery import END_S, NUMBER, READY, UNKNOWN, WORKER
+from bayesnet_track.sources.child import die_with
 
 POLL_S = 0.002
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from bayesnet_track.inference.executor import AgentUnavailable
-from bayesnet_track.runtime.child import cut
 from bayesnet_track.runtime.executors.frames import SLOTS, SharedFrame, parts_of
 from bayesnet_track.runtime.executors.nursery import Nursery
 from bayesnet_track.runtime.executors.questions import Answer, Sent, Told
 from bayesnet_track.runtime.executors.wire import ASK, DISMISS, EMPLOY, receive, send
+from bayesnet_track.sources.child import cut
 
 
 class WorkerLost(Exception):

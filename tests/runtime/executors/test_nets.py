@@ -16,8 +16,8 @@ from bayesnet_track.journal.events.inputs import Toggled
 from bayesnet_track.runtime.executors import make_executor
 from bayesnet_track.runtime.executors.net_crew import NetCrew
 from bayesnet_track.runtime.executors.placing import PlacingError
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
 
 ALONE = {"joins": ()}
 """What makes the crowd's graph one of targets that do not depend on each other."""

@@ -16,8 +16,8 @@ from bayesnet_track.runtime.executors.placing import PlacingError
 from bayesnet_track.runtime.executors.processes import Employed
 from bayesnet_track.runtime.executors.ray_actors import RayActors
 from bayesnet_track.runtime.executors.workers import Limits
-from bayesnet_track.runtime.scene_source import SceneSource
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
 
 FRAMES = 12
 

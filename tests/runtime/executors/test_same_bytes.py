@@ -11,9 +11,9 @@ from bayesnet_track.commands.tracking import SCENE_GRAPHS
 from bayesnet_track.engine.starts import Start, has_births
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.runtime.executors import make_executor
-from bayesnet_track.runtime.scene_source import SceneSource
 from bayesnet_track.runtime.session import track
-from bayesnet_track.scenes import make_scene
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.scenes import make_scene
 
 FILES = ("journal.jsonl", "frames.jsonl", "tracks.txt", "tracks.csv")
 EXECUTORS = [("threads", 1), ("threads", 2), ("threads", 8), ("processes", 1), ("processes", 2)]

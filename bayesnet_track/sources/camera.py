@@ -1,0 +1,56 @@
+"""A camera as a source: true times from the clock, through OpenCV."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from bayesnet_track.sources.frames import SourceError
+from bayesnet_track.sources.live import Image, LiveReader
+
+DEFAULT_RATE = 30.0
+
+
+class Camera:
+    """The pictures of the camera with this index, as they come.
+
+    Raises:
+        SourceError: there is no such camera.
+    """
+
+    def __init__(self, index: str) -> None:
+        import cv2
+
+        self._camera: Any = cv2.VideoCapture(int(index))
+        if not self._camera.isOpened():
+            raise SourceError(
+                index,
+                "no camera with this index can be opened",
+                "index of a connected camera",
+                "check the connection",
+            )
+        rate = float(self._camera.get(cv2.CAP_PROP_FPS))
+        self.frame_interval_s = 1.0 / (rate if np.isfinite(rate) and rate > 0 else DEFAULT_RATE)
+
+    def __iter__(self) -> Iterator[Image]:
+        while True:
+            ok, image = self._camera.read()
+            if not ok:
+                raise OSError("the camera stopped giving pictures")
+            yield np.ascontiguousarray(image, dtype=np.uint8), True
+
+    def close(self) -> None:
+        """Let go of the camera."""
+        self._camera.release()
+
+
+def camera_reader(index: str) -> LiveReader:
+    """The newest pictures of a camera, in units of the rate that it declares (else 30 a second).
+
+    Raises:
+        SourceError: there is no such camera.
+    """
+    first = Camera(index)
+    return LiveReader(lambda: Camera(index), first.frame_interval_s, first)

@@ -1,0 +1,153 @@
+"""Detections that stand in a file, MOT or JSON Lines, as a detector."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.numerics.boxes import centre_from_corner
+from bayesnet_track.observation.detector import NOTHING, Detections, DetectorState
+from bayesnet_track.observation.planes import FramePair
+from bayesnet_track.sources.mot_lines import parse_mot, read_text
+
+Floats = NDArray[np.float64]
+Found = tuple[Floats, float, str]
+"""A corner box (4,) in px, its score, its label."""
+
+
+@dataclass(frozen=True, eq=False)
+class FileDetector:
+    """A detector that finds what a file says of the current frame.
+
+    Attributes:
+        found: index of a frame (from 0) -> its detections; other frames have none.
+    """
+
+    found: Mapping[int, Detections]
+
+    def start(self) -> DetectorState:
+        """Nothing is remembered."""
+        return {}
+
+    def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
+        """What the file holds of the current frame, matched by its index."""
+        return self.found.get(frames.current.index, NOTHING), state
+
+
+def file_detector(path: str | Path) -> FileDetector:
+    """The detector of a file of detections; see `parse_detections`.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: a malformed line; says file and line.
+    """
+    return FileDetector(parse_detections(read_text(path), str(path)))
+
+
+def parse_detections(text: str, name: str = "<detections>") -> dict[int, Detections]:
+    """Index of each frame with detections -> those, the best first, ties as in the file.
+
+    A text whose first character is a brace is JSON Lines, as `format_frame` writes them: an object a line
+    with frame (from 0) and detections, each with box (left, top, width, height), score (0..1; 1 when left
+    out) and label (empty when left out). Any other is MOT: frame (from 1), id (not looked at), left, top,
+    width, height, confidence. A missing confidence is 1; those of a file that go beyond 0..1 are on a scale
+    of their own, and mapped linearly: the file's lowest to 0, its highest to 1 (all equal, as the usual -1:
+    all to 1).
+
+    Raises:
+        ValueError: a malformed line; says file and line.
+
+    >>> parse_detections("1,-1,10,20,41,31,0.5,-1,-1,-1")[0].boxes.tolist()
+    [[30.0, 35.0, 41.0, 31.0]]
+    """
+    if text.lstrip().startswith("{"):
+        return _by_frame(_json_lines(text, name))
+    lines = parse_mot(text, name)
+    scores = _shares(lines.rest[:, 0])
+    for row in np.flatnonzero(~np.isfinite(scores)):
+        raise ValueError(f"{lines.place(int(row))}: confidence {scores[row]:g}; expected a finite number")
+    return _by_frame(
+        (int(frame), (box, float(score), ""))
+        for frame, box, score in zip(lines.frames, lines.boxes, scores, strict=True)
+    )
+
+
+def _by_frame(found: Iterable[tuple[int, Found]]) -> dict[int, Detections]:
+    frames = defaultdict(list)
+    for frame, one in found:
+        frames[frame].append(one)
+    return {frame: _detections(several) for frame, several in frames.items()}
+
+
+def _detections(found: list[Found]) -> Detections:
+    best_first = sorted(found, key=lambda one: -one[1])
+    boxes, scores, labels = zip(*best_first, strict=True)
+    return Detections(centre_from_corner(np.array(boxes)), np.array(scores), labels)
+
+
+def _shares(confidences: Floats) -> Floats:
+    """Confidences (N,), NaN where missing, as scores 0..1; what is not finite otherwise stays."""
+    given = ~np.isnan(confidences)
+    scores = np.where(given, confidences, 1.0)
+    values = confidences[given]
+    if not np.isfinite(values).all() or ((values >= 0) & (values <= 1)).all():
+        return scores
+    low, high = values.min(), values.max()
+    scores[given] = (values - low) / (high - low) if high > low else 1.0
+    return scores
+
+
+def _json_lines(text: str, name: str) -> Iterable[tuple[int, Found]]:
+    for number, line in enumerate(text.split("\n"), start=1):
+        if line.strip():
+            place = f"{name}:{number}"
+            frame, found = _object(line, place)
+            for k, one in enumerate(found):
+                yield frame, _detection(one, f"{place}: detection {k + 1}")
+
+
+def _object(line: str, place: str) -> tuple[int, list[Any]]:
+    try:
+        entry = json.loads(line)
+        frame, found = entry["frame"], entry["detections"]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise ValueError(f"{place}: expected an object with frame and detections") from None
+    if not _is_whole(frame) or frame < 0:
+        raise ValueError(f"{place}: frame {_shown(frame)}; expected a whole number from 0 on")
+    if not isinstance(found, list):
+        raise ValueError(f"{place}: detections {_shown(found)}; expected a list")
+    return frame, found
+
+
+def _detection(one: Any, place: str) -> Found:
+    if not isinstance(one, dict) or "box" not in one:
+        raise ValueError(f"{place}: {_shown(one)}; expected an object with box, score, label")
+    box, score, label = one["box"], one.get("score", 1.0), one.get("label", "")
+    if not isinstance(box, list) or len(box) != 4 or not all(map(_is_finite, box)) or min(box[2:]) <= 0:
+        raise ValueError(
+            f"{place}: box {_shown(box)}; expected [left, top, width, height], width and height above 0"
+        )
+    if not _is_finite(score) or not 0 <= score <= 1:
+        raise ValueError(f"{place}: score {_shown(score)}; expected a number from 0 to 1")
+    if not isinstance(label, str):
+        raise ValueError(f"{place}: label {_shown(label)}; expected a text")
+    return np.array(box, dtype=np.float64), float(score), label
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
+
+
+def _shown(value: Any) -> str:
+    return json.dumps(value)[:60]

@@ -1,0 +1,318 @@
+"""What every source of frames has in common: its items, its errors, and the rules of time and size.
+
+A *reader* (images, video, camera) gives raw pictures; `Source` turns them into frames and into the journal's
+events about the source. The rules, the same for every kind of source:
+
+- **Index.** Frames are counted from 0 at the start of the source. A picture that cannot be decoded keeps its
+  number: the next frame's index is one higher.
+- **Time** is in nominal frame intervals. Where it jumps, `FramesMissing` comes before the frame after
+  the gap. Where it stands still or runs backwards, `SourceDamaged` ends the source.
+- **Size.** A picture of another size, or gray where the first was in colour or the other way round, gives
+  `FrameSizeChanged`; then the source ends ("stop"), or the picture is resized to the first one's size
+  ("rescale"; never where the frames carry depth).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.journal.events.basic import (
+    FramesDropped,
+    FrameSizeChanged,
+    FramesMissing,
+    SourceDamaged,
+    SourceStalled,
+)
+from bayesnet_track.observation.depth import Depth
+from bayesnet_track.observation.planes import Frame
+from bayesnet_track.sources.origin import Origin
+
+SourceItem = Frame | FramesMissing | FramesDropped | FrameSizeChanged | SourceDamaged | SourceStalled
+OnResize = Literal["stop", "rescale"]
+EndReason = Literal["end_of_source", "source_truncated", "source_damaged", "frame_size_changed"]
+Pixels = Callable[[], tuple[NDArray[np.uint8], bool]]
+
+
+class SourceError(ValueError):
+    """A source that cannot be opened or read at all.
+
+    Attributes:
+        given: the source as given.
+        found: what was found there.
+        allowed: what would be accepted.
+        mend: what to do.
+    """
+
+    def __init__(self, given: str, found: str, allowed: str, mend: str) -> None:
+        self.given, self.found, self.allowed, self.mend = given, found, allowed, mend
+        super().__init__(f"source {given!r}: {found}; allowed: {allowed}; {mend}")
+
+
+class PictureError(ValueError):
+    """One picture that cannot be decoded."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One picture of a reader.
+
+    Attributes:
+        index: its number, from 0.
+        time: its time in nominal frame intervals.
+        time_s: the same in seconds.
+        pixels: gives ((H, W, 3) uint8 BGR, has_color) when asked; raises PictureError.
+        skipped: how many before it were dropped, since something newer was there.
+        complete: makes of these pixels the frame's own and its depth, where the source has depth; raises
+            PictureError.
+    """
+
+    index: int
+    time: float
+    time_s: float
+    pixels: Pixels
+    complete: Callable[[NDArray[np.uint8]], tuple[NDArray[np.uint8], Depth]] | None = None
+    skipped: int = 0
+
+
+@dataclass(frozen=True)
+class Damage:
+    """Something a reader could not read.
+
+    Attributes:
+        index: number of the next picture.
+        reason: what the decoder said.
+        truncated: True when the source ends before its declared end.
+    """
+
+    index: int
+    reason: str
+    truncated: bool = False
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """Pictures of a live source that were dropped since this was last told.
+
+    Attributes:
+        index: number of the next picture.
+        pictures: how many.
+    """
+
+    index: int
+    pictures: int
+
+
+@dataclass(frozen=True)
+class Stalled:
+    """A live source gave no picture for a while, and is connected to anew.
+
+    Attributes:
+        index: number of the next picture.
+        seconds: since the last picture.
+        reason: what was wrong.
+        attempt: how often it has been tried since the last picture, this time included.
+    """
+
+    index: int
+    seconds: float
+    reason: str
+    attempt: int
+
+
+ReaderItem = Picture | Damage | Dropped | Stalled
+
+
+class Reader(Protocol):
+    """Raw pictures in order."""
+
+    @property
+    def declared_frames(self) -> int | None:
+        """Number of frames that the source declares, or None."""
+        ...
+
+    @property
+    def frame_interval_s(self) -> float:
+        """Nominal seconds between frames."""
+        ...
+
+    @property
+    def gap_from(self) -> float:
+        """Steps of time from this length on, in nominal intervals, count as a gap."""
+        ...
+
+    def __iter__(self) -> Iterator[ReaderItem]: ...
+
+    def close(self) -> None:
+        """Let go of files and devices."""
+        ...
+
+
+class Source:
+    """An opened source: a context manager and a one-way iterator of `SourceItem`.
+
+    Attributes:
+        description: the source as given.
+        width: columns of the first frame.
+        height: rows of the first frame.
+        has_color: whether the first frame has colour.
+        has_depth: whether the first frame has a second eye or points.
+        declared_frames: number of frames that the whole source declares, or None.
+        expected_frames: how many of them lie between `start` and `end`, or None.
+        frame_interval_s: nominal seconds between frames.
+        is_live: whether it goes on however long a frame takes, as a camera does.
+        frames: frames handed out so far.
+        end_reason: why it ended, in the words of `RunEnded.reason`; end_of_source while nothing is wrong.
+        origin: how it was opened, where it can be opened again.
+
+    Raises:
+        SourceError: no frame can be read.
+    """
+
+    def __init__(
+        self,
+        description: str,
+        reader: Reader,
+        start: int | None,
+        end: int | None,
+        on_resize: OnResize,
+        origin: Origin | None = None,
+    ) -> None:
+        self.description, self.origin = description, origin
+        self.declared_frames = reader.declared_frames
+        self.frame_interval_s = reader.frame_interval_s
+        self.is_live = bool(getattr(reader, "is_live", False))
+        self.frames = 0
+        self.end_reason: EndReason = "end_of_source"
+        self._reader = reader
+        self._start, self._end, self._on_resize = start or 0, end, on_resize
+        self._items = self._read()
+        self._ahead: list[SourceItem] = []
+        try:
+            first = self._first_frame()
+        except BaseException:
+            self.close()
+            raise
+        self.width, self.height, self.has_color = first.width, first.height, first.has_color
+        self.has_depth = first.depth is not None
+
+    @property
+    def expected_frames(self) -> int | None:
+        """How many frames lie between `start` and `end`; None when the source declares no number."""
+        if self.declared_frames is None:
+            return None if self._end is None else self._end - self._start
+        last = self.declared_frames if self._end is None else min(self._end, self.declared_frames)
+        return max(last - self._start, 0)
+
+    @property
+    def first_frame(self) -> Frame | None:
+        """The first frame; None once it was handed out."""
+        return next((item for item in self._ahead if isinstance(item, Frame)), None)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of files and devices; safe to call twice."""
+        self._items.close()
+        self._reader.close()
+
+    def __iter__(self) -> Iterator[SourceItem]:
+        return self
+
+    def __next__(self) -> SourceItem:
+        item = self._ahead.pop(0) if self._ahead else next(self._items)
+        self.frames += isinstance(item, Frame)
+        return item
+
+    def _first_frame(self) -> Frame:
+        for item in self._items:
+            self._ahead.append(item)
+            if isinstance(item, Frame):
+                return item
+        said = "; ".join(dict.fromkeys(i.reason for i in self._ahead if isinstance(i, SourceDamaged)))
+        window = f" from frame {self._start} on" if self._start else ""
+        raise SourceError(
+            self.description,
+            f"no frame can be read{window}" + (f" ({said})" if said else ""),
+            "a source with at least one readable frame"
+            + ("" if self.declared_frames is None else f"; this one declares {self.declared_frames} frames"),
+            "check that the file is whole, or choose an earlier start"
+            if self._start
+            else "check that it is whole",
+        )
+
+    def _read(self) -> Any:
+        first: Frame | None = None
+        last: Frame | None = None
+        shape: tuple[int, int, bool] | None = None
+        for item in self._reader:
+            if isinstance(item, Damage):
+                if item.index >= self._start:
+                    yield self._damaged(item.index, item.reason, item.truncated)
+                continue
+            if item.index < self._start:
+                continue
+            if isinstance(item, Dropped):
+                yield FramesDropped(item.index, item.pictures)
+                continue
+            if isinstance(item, Stalled):
+                yield SourceStalled(item.index, item.seconds, item.reason, item.attempt)
+                continue
+            if last is not None and not item.time > last.time:
+                yield self._damaged(
+                    item.index,
+                    f"time runs backwards or stands still: {item.time_s:.6f} s after {last.time_s:.6f} s",
+                )
+                return
+            depth: Depth | None = None
+            try:
+                image, has_color = item.pixels()
+                if item.complete is not None:
+                    image, depth = item.complete(image)
+            except PictureError as error:
+                yield self._damaged(item.index, str(error))
+                continue
+            # Pictures that were dropped are not missing: the steps between all that came count.
+            steps = item.skipped + 1
+            if last is not None and item.time - last.time >= steps * self._reader.gap_from:
+                yield FramesMissing(item.index, item.time - last.time - 1.0)
+            now = (image.shape[1], image.shape[0], has_color)
+            if shape is not None and now != shape:
+                # Depth cannot be brought to another size: its geometry is that of the pixels.
+                action = "stop" if depth is not None and now[:2] != shape[:2] else self._on_resize
+                yield FrameSizeChanged(item.index, now[0], now[1], action)
+                if action == "stop":
+                    self.end_reason = "frame_size_changed"
+                    return
+            shape = now
+            if first is not None:
+                image = _resized(image, first.width, first.height)
+            last = Frame(item.index, item.time, image, has_color, item.time_s, depth)
+            first = first or last
+            yield last
+            if self._end is not None and item.index + 1 >= self._end:
+                return
+
+    def _damaged(self, index: int, reason: str, truncated: bool = False) -> SourceDamaged:
+        self.end_reason = "source_truncated" if truncated else "source_damaged"
+        return SourceDamaged(index, reason)
+
+
+def _resized(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+    if image.shape[:2] == (height, width):
+        return image
+    import cv2
+
+    shrinks = image.shape[0] > height or image.shape[1] > width
+    resized = cv2.resize(
+        image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    )
+    return np.asarray(resized, dtype=np.uint8)

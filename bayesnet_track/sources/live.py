@@ -1,0 +1,202 @@
+"""A live source: a thread takes what it gives, the tracker takes the newest, and a stall is waited out.
+
+Pictures that come while the tracker is busy are dropped, so that what is tracked is never old. Times are
+those of arrival, so that the belief is predicted over the true time between the pictures that are used. When
+nothing comes for a while, the connection is given up and made again, after longer and longer pauses.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.sources.frames import Damage, Dropped, Picture, ReaderItem, Stalled
+
+STALL_S = 2.0
+"""Seconds without a picture after which a connection counts as stalled."""
+
+CONNECT_S = 10.0
+"""Seconds that a new connection may take to its first picture."""
+
+PAUSE_S, LONGEST_PAUSE_S = 0.5, 15.0
+"""Pause before the second attempt in a row, which doubles up to the longest; the first has none."""
+
+GIVE_UP_S = 120.0
+"""Seconds without a picture after which the source has ended."""
+
+TELL_S, SELDOM_S = 1.0, 60.0
+"""Seconds between two notices of dropped pictures: the first, doubling up to the last."""
+
+Image = tuple[NDArray[np.uint8], bool]
+
+
+class Feed(Protocol):
+    """An open connection: pictures as ((H, W, 3) uint8 BGR, has_color), until it ends or breaks."""
+
+    def __iter__(self) -> Iterator[Image]: ...
+
+    def close(self) -> None:
+        """Let go of the device or connection; called by the thread that reads it."""
+        ...
+
+
+class LiveReader:
+    """The newest pictures of what `connect` opens, until nothing comes for `give_up_s`.
+
+    Args:
+        connect: opens it; raises where it cannot.
+        first: what was opened already, or None.
+        frame_interval_s: seconds between pictures, as the source says.
+        stall_s: seconds without a picture that count as a stall.
+        connect_s: seconds that a new connection may take.
+        give_up_s: seconds without a picture after which it has ended.
+        pause_s: pause before the second attempt in a row, which then doubles.
+
+    Attributes:
+        counts_dropped: whether the index counts dropped pictures, too.
+    """
+
+    gap_from = 2.0
+    declared_frames: int | None = None
+    is_live = True
+
+    def __init__(
+        self,
+        connect: Callable[[], Feed],
+        frame_interval_s: float,
+        first: Feed | None = None,
+        *,
+        stall_s: float = STALL_S,
+        connect_s: float = CONNECT_S,
+        give_up_s: float = GIVE_UP_S,
+        pause_s: float = PAUSE_S,
+    ) -> None:
+        self.frame_interval_s = frame_interval_s
+        self.counts_dropped = True
+        self._connect, self._stall_s, self._connect_s = connect, stall_s, connect_s
+        self._give_up_s, self._pause_s = give_up_s, pause_s
+        self._listener = _Listener(connect if first is None else lambda: first)
+        self._is_closed, self._connecting = threading.Event(), threading.Lock()
+
+    def close(self) -> None:
+        """Let go of it; a picture that is waited for is not waited for any more."""
+        with self._connecting:
+            self._is_closed.set()
+            self._listener.abandon()
+
+    def __iter__(self) -> Iterator[ReaderItem]:
+        began: float | None = None
+        last = time.monotonic()
+        index = attempts = 0
+        drops = _Drops()
+        while not self._is_closed.is_set():
+            patience = self._stall_s if self._listener.taken else self._connect_s
+            arrived = self._listener.take(patience)
+            if arrived is not None:
+                moment, image, dropped = arrived
+                began = moment if began is None else began
+                index += dropped if self.counts_dropped else 0
+                told = drops.told(moment, dropped)
+                if told:
+                    yield Dropped(index, told)
+                time_s = moment - began
+                yield Picture(index, time_s / self.frame_interval_s, time_s, _given(image), skipped=dropped)
+                last, attempts, index = moment, 0, index + 1
+                continue
+            waited = time.monotonic() - last
+            reason = self._listener.reason or f"no picture for {patience:g} s"
+            self._listener.abandon()
+            if waited >= self._give_up_s:
+                yield Damage(index, f"the source gave no picture for {waited:.0f} s: {reason}")
+                return
+            attempts += 1
+            yield Stalled(index, waited, reason, attempts)
+            if attempts > 1:
+                self._is_closed.wait(min(self._pause_s * 2.0 ** (attempts - 2), LONGEST_PAUSE_S))
+            with self._connecting:
+                if self._is_closed.is_set():
+                    return
+                self._listener = _Listener(self._connect)
+
+
+class _Listener:
+    """A thread that reads one connection and keeps its newest picture."""
+
+    def __init__(self, connect: Callable[[], Feed]) -> None:
+        self.taken, self.reason = 0, ""
+        self._connect = connect
+        self._news = threading.Condition()
+        self._newest: tuple[float, Image] | None = None
+        self._came = 0
+        self._is_over = self._is_abandoned = False
+        self._feed: Feed | None = None
+        # What hangs in a driver cannot be woken: such a thread is left alone, and ends with the process.
+        threading.Thread(target=self._listen, name="live source", daemon=True).start()
+
+    def take(self, patience_s: float) -> tuple[float, Image, int] | None:
+        """The newest picture, its moment, and how many before it were dropped; None when none comes."""
+        with self._news:
+            self._news.wait_for(lambda: self._newest is not None or self._is_over, patience_s)
+            if self._newest is None:
+                return None
+            moment, image = self._newest
+            dropped, self._newest, self.taken = self._came - self.taken - 1, None, self._came
+            return moment, image, dropped
+
+    def abandon(self) -> None:
+        """Read no further; what reads in a process of its own is ended at once."""
+        with self._news:
+            self._is_abandoned = self._is_over = True
+            self._news.notify_all()
+            cancel = getattr(self._feed, "cancel", None)
+        if cancel is not None:
+            cancel()
+
+    def _listen(self) -> None:
+        reason = "the connection ended"
+        try:
+            feed = self._connect()
+            with self._news:
+                self._feed = feed
+            try:
+                for image in feed:
+                    with self._news:
+                        if self._is_abandoned:
+                            return
+                        self._newest = time.monotonic(), image
+                        self._came += 1
+                        self._news.notify_all()
+            finally:
+                with self._news:
+                    self._feed = None
+                feed.close()
+        except Exception as error:  # whatever a driver says: the connection is made again
+            reason = str(error) or type(error).__name__
+        with self._news:
+            self.reason, self._is_over = reason, True
+            self._news.notify_all()
+
+
+class _Drops:
+    """Counts dropped pictures, and says when to tell of them: seldom, where it goes on."""
+
+    def __init__(self) -> None:
+        self._untold, self._due, self._every_s = 0, 0.0, TELL_S
+
+    def told(self, moment: float, dropped: int) -> int:
+        """How many to tell of now; 0 when it is not the time, or there are none."""
+        self._untold += dropped
+        if not self._untold or moment < self._due:
+            return 0
+        told, self._untold = self._untold, 0
+        self._due, self._every_s = moment + self._every_s, min(2.0 * self._every_s, SELDOM_S)
+        return told
+
+
+def _given(image: Image) -> Any:
+    return lambda: image

@@ -1,0 +1,226 @@
+"""How a source was opened: enough to open it again, and to see whether it still holds the same frames."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from errno import EINVAL
+from pathlib import Path
+from stat import S_ISREG
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from bayesnet_track.sources.frames import Source
+    from bayesnet_track.sources.scene_source import SceneSource
+
+Kind = Literal["plain", "right", "side_by_side", "depth", "scene", "own"]
+
+SAMPLES, SAMPLE_BYTES = 16, 1 << 16
+ENDS_BYTES = 1 << 20
+"""Of a file longer than all of these together, only they are read."""
+
+
+@dataclass(frozen=True)
+class Fingerprint:
+    """What a part of a source held.
+
+    Attributes:
+        files: how many files.
+        size: their bytes.
+        sha256: of one file its size and samples of its bytes (all of a small one); of several their names and
+            sizes, and the samples of the first, the middle and the last one.
+    """
+
+    files: int
+    size: int
+    sha256: str
+
+    def __str__(self) -> str:
+        return f"{self.files} file{'' if self.files == 1 else 's'}, {self.size} bytes, {self.sha256[:12]}"
+
+
+@dataclass(frozen=True)
+class Origin:
+    """How a source was opened.
+
+    Attributes:
+        kind: which of the ways: one eye, two (a source for the right one, or both in a picture), an eye with
+            another sensor's depth, a built-in scene, or a source object of one's own.
+        text: the source as given; of a scene its name.
+        description: the source in the words of the journal.
+        start: first frame, or None.
+        end: frame to stop before, or None.
+        on_resize: what a change of size does.
+        allow_network: whether it might be a URL.
+        right: source of the right eye.
+        depth: folder or glob of depth files.
+        calibration: the pair's file.
+        seed: of a scene.
+        isolate_decoder: whether it is decoded in a process of its own.
+        absolute: a path as given -> the same from the root.
+        fingerprint: source, right, depth, calibration -> what it held.
+    """
+
+    kind: Kind
+    text: str
+    description: str
+    start: int | None = None
+    end: int | None = None
+    on_resize: Literal["stop", "rescale"] = "stop"
+    allow_network: bool = False
+    right: str | None = None
+    depth: str | None = None
+    calibration: str | None = None
+    seed: int = 0
+    isolate_decoder: bool = False
+    absolute: Mapping[str, str] = field(default_factory=dict)
+    fingerprint: Mapping[str, Fingerprint] = field(default_factory=dict)
+
+    @property
+    def only_once(self) -> str | None:
+        """Why the same frames cannot be read again; None where they can."""
+        from bayesnet_track.sources.sources import is_file
+
+        if self.kind == "own":
+            return f"its frames came from an object ({self.description}) that cannot be made again"
+        for text in (self.text, self.right):
+            if self.kind == "scene" or text is None or is_file(text):
+                continue
+            what = "camera" if text.isdigit() else "network source"
+            return f"its frames came from a {what} ({text}), which has others by now"
+        return None
+
+    def marked(self) -> Origin:
+        """With absolute paths and fingerprints of the files as they are now.
+
+        Raises:
+            OSError: a file cannot be read.
+            SourceError: there is no source any more.
+        """
+        from bayesnet_track.sources.sources import is_file
+
+        given = [text for text in self._parts().values() if is_file(text)]
+        absolute = {text: str(Path(text).absolute()) for text in given}
+        return replace(self, absolute=absolute, fingerprint=self._fingerprints(absolute))
+
+    def changes(self) -> tuple[str, ...]:
+        """What is not as it was when the source was opened, in words: "source: 1 file, ... now 1 file, ...".
+
+        Raises:
+            OSError: a file cannot be read.
+            SourceError: there is no source any more.
+        """
+        now = self._fingerprints(self._places())
+        return tuple(
+            f"{part}: {self.fingerprint[part]}, now {found}"
+            for part, found in now.items()
+            if part in self.fingerprint and found != self.fingerprint[part]
+        )
+
+    def open(self) -> Source | SceneSource:
+        """The source from its first frame on; its paths where they were, or else as given.
+
+        Raises:
+            SourceError: it can only be read once, or no longer.
+            CalibrationError: the calibration file cannot be used.
+        """
+        from bayesnet_track.sources.frames import SourceError
+
+        if self.only_once is not None:
+            raise SourceError(
+                self.description, self.only_once, "files and built-in scenes", "start a new run"
+            )
+        if self.kind == "scene":
+            from bayesnet_track.sources.scene_source import SceneSource
+
+            return SceneSource.named(self.text, self.seed, self.end)
+        from bayesnet_track.sources.sources import open_source
+        from bayesnet_track.sources.stereo_source import open_stereo_source
+
+        at = self._places()
+        # What is read again are files, however they are named: a run directory is data and allows nothing.
+        window = (self.start, self.end, False, self.on_resize)
+        if self.kind == "plain":
+            source = open_source(at[self.text], *window, self.isolate_decoder)
+        else:
+            source = open_stereo_source(
+                at[self.text],
+                *window,
+                right=None if self.right is None else at[self.right],
+                depth=None if self.depth is None else at[self.depth],
+                side_by_side=self.kind == "side_by_side",
+                calibration=None if self.calibration is None else at[self.calibration],
+                isolate_decoder=self.isolate_decoder,
+            )
+        source.description, source.origin = self.description, self
+        return source
+
+    def _parts(self) -> dict[str, str]:
+        if self.kind in ("scene", "own"):
+            return {}
+        given = {"source": self.text, "right": self.right, "depth": self.depth}
+        given["calibration"] = self.calibration
+        return {part: text for part, text in given.items() if text is not None}
+
+    def _places(self) -> dict[str, str]:
+        """Each path as given -> where it is now: as it was, or as given where that is gone."""
+        from glob import has_magic
+
+        found = {}
+        for text in self._parts().values():
+            then = self.absolute.get(text, text)
+            found[text] = then if has_magic(text) or os.path.exists(then) else text  # noqa: PTH110
+        return found
+
+    def _fingerprints(self, at: Mapping[str, str]) -> dict[str, Fingerprint]:
+        from bayesnet_track.sources.depth_files import depth_files
+        from bayesnet_track.sources.sources import files_of, is_file
+
+        found = {}
+        for part, text in self._parts().items():
+            if is_file(text):
+                where = at[text]
+                several = depth_files(where) if part == "depth" else files_of(where)
+                found[part] = fingerprint([Path(where)] if part == "calibration" else several)
+        return found
+
+
+def fingerprint(files: Sequence[Path]) -> Fingerprint:
+    """What the files hold, told from their names, sizes and samples of their bytes.
+
+    Raises:
+        OSError: one cannot be read.
+    """
+    sizes = [_size(path) for path in files]
+    digest = hashlib.sha256()
+    if len(files) > 1:
+        for path, size in zip(files, sizes, strict=True):
+            digest.update(f"{path.name}\0{size}\n".encode("utf-8", "surrogateescape"))
+    for chosen in sorted({0, len(files) // 2, len(files) - 1}) if files else ():
+        digest.update(f"{sizes[chosen]}\n".encode())
+        for sample in _samples(files[chosen], sizes[chosen]):
+            digest.update(sample)
+    return Fingerprint(len(files), sum(sizes), digest.hexdigest())
+
+
+def _size(path: Path) -> int:
+    """Of a plain file: a device or a pipe might never end."""
+    found = path.stat()
+    if not S_ISREG(found.st_mode):
+        raise OSError(EINVAL, "not a plain file", str(path))
+    return found.st_size
+
+
+def _samples(path: Path, size: int) -> Iterable[bytes]:
+    with path.open("rb") as file:
+        if size <= 2 * ENDS_BYTES + SAMPLES * SAMPLE_BYTES:
+            yield file.read()
+            return
+        yield file.read(ENDS_BYTES)
+        for number in range(SAMPLES):
+            file.seek(size * (number + 1) // (SAMPLES + 1))
+            yield file.read(SAMPLE_BYTES)
+        file.seek(size - ENDS_BYTES)
+        yield file.read(ENDS_BYTES)

@@ -1,0 +1,59 @@
+"""Many discs alike that cross each other's ways at random."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.sources.scenes.render import Sprite
+from bayesnet_track.sources.scenes.scene import Scene, assemble
+from bayesnet_track.sources.scenes.texture import ORANGE, flat, smooth_background
+
+Floats = NDArray[np.float64]
+
+WIDTH, HEIGHT, SIDE, NOISE_SD = 640, 480, 28.0, 4.0
+TURN_SD = 0.06
+"""Change of heading per frame, radians."""
+BORDER, TURN_BACK = 60.0, 0.25
+"""Distance from a border, px, from which on it turns away, and how strongly at the border itself."""
+
+
+def crowd(seed: int = 0, count: int = 10, frames: int = 200) -> Scene:
+    """`count` orange discs, all alike, on winding ways from border to border; the first is the target.
+
+    640x480 px, discs of 28 px, speeds uniform in 1.5 .. 4 px per frame, headings a random walk. None touches
+    another in the first 5 frames; a later one hides an earlier one.
+
+    Raises:
+        ValueError: so many find no place apart from each other.
+    """
+    rng = np.random.Generator(np.random.Philox(seed))
+    paths: list[Floats] = []
+    for _ in range(400 * count):
+        path = _winding(rng, frames)
+        if all(np.abs(path - other)[:5, :2].max(axis=1).min() > SIDE + 2 for other in paths):
+            paths.append(path)
+        if len(paths) == count:
+            break
+    else:
+        raise ValueError(f"no room for {count} discs")
+    background = smooth_background(WIDTH, HEIGHT, 100.0, 12.0, rng)
+    sprites = tuple(Sprite(flat(ORANGE), path, is_round=True) for path in paths)
+    return assemble("crowd", background, sprites, 0, NOISE_SD, seed, plates=("disc",) * count)
+
+
+def _winding(rng: np.random.Generator, frames: int) -> Floats:
+    """(frames, 4) centre boxes of a disc that turns a little in each frame, and away from borders."""
+    low = np.full(2, (SIDE - 1) / 2)
+    high = np.array([WIDTH, HEIGHT]) - 1 - low
+    place, speed, heading = rng.uniform(low, high), rng.uniform(1.5, 4.0), rng.uniform(0.0, 2 * np.pi)
+    turns = rng.normal(0.0, TURN_SD, frames)
+    path = np.empty((frames, 2))
+    for frame in range(frames):
+        path[frame] = place
+        ahead = speed * np.array([np.cos(heading + turns[frame]), np.sin(heading + turns[frame])])
+        inward = np.clip(low + BORDER - place, 0.0, None) - np.clip(place - high + BORDER, 0.0, None)
+        ahead += inward * (speed / BORDER) * TURN_BACK
+        heading = float(np.arctan2(ahead[1], ahead[0]))
+        place = np.clip(place + speed * ahead / np.linalg.norm(ahead), low, high)
+    return np.column_stack([path, np.full((frames, 2), SIDE)])

@@ -1,0 +1,217 @@
+"""Opening a source of frames from the text a person gives: file, folder, glob, camera index or URL."""
+
+from __future__ import annotations
+
+import difflib
+import glob
+import os
+import re
+from pathlib import Path
+
+from bayesnet_track.sources.frames import OnResize, Reader, Source, SourceError, SourceItem
+from bayesnet_track.sources.origin import Origin
+
+__all__ = ["Source", "SourceError", "SourceItem", "open_source"]
+
+KINDS = "a video file, a folder of images, a glob of images, a camera index such as 0, an http or rtsp URL"
+LIVE_SCHEMES = frozenset({"rtsp", "rtsps"})
+NETWORK_SCHEMES = frozenset({"http", "https", "rtsp", "rtsps"})
+IMAGE_SUFFIXES = frozenset(
+    {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".pbm", ".pnm", ".jp2"}
+)
+VIDEO_SUFFIXES = frozenset(
+    {".mp4", ".m4v", ".mov", ".3gp", ".3g2", ".mj2", ".mkv", ".webm", ".avi", ".ts", ".mts", ".m2ts"}
+    | {".mpg", ".mpeg", ".h264", ".264", ".h265", ".265", ".hevc", ".ivf", ".obu", ".ogg", ".ogv", ".flv"}
+    | {".asf", ".wmv", ".mjpg", ".mjpeg", ".gif", ".apng", ".nut", ".dv", ".mxf", ".y4m", ".wtv", ".rm"}
+)
+"""What the neighbours of a missing source are known by; a source that is there may have any name."""
+SEQUENCE_FOLDERS = ("img", "img1")
+_SCHEME = re.compile(r"^([A-Za-z][A-Za-z0-9+.\-]+)(?::|,,)")
+
+
+def open_source(
+    text: str,
+    start: int | None = None,
+    end: int | None = None,
+    allow_network: bool = False,
+    on_resize: OnResize = "stop",
+    isolate_decoder: bool = False,
+) -> Source:
+    """The source that `text` names.
+
+    `start` and `end` are frame indices, from 0, `end` exclusive. URLs are opened only with `allow_network`;
+    every other protocol (`concat:`, `subfile,`, `file:`, `pipe:`, ...) is refused. `on_resize` says what a
+    change of frame size does: "stop" ends the source, "rescale" brings the picture to the first one's size.
+    `isolate_decoder` decodes in a process of its own, held down by limits (`isolated.IsolatedReader`): the
+    same frames, and a decoder that crashes, hangs or takes too much memory ends the source, not the program.
+
+    Raises:
+        SourceError: nothing can be read there; says what was found, what is allowed and how to mend it.
+    """
+    check_range(text, start, end)
+    reader = make_reader(text, allow_network, isolate_decoder, start or 0)
+    origin = Origin(
+        "plain", text, text, start, end, on_resize, allow_network, isolate_decoder=isolate_decoder
+    )
+    return Source(text, reader, start, end, on_resize, origin)
+
+
+def check_range(text: str, start: int | None, end: int | None) -> None:
+    """Refuse a range without a frame; raises SourceError."""
+    first = start or 0
+    if first < 0 or (end is not None and end <= first):
+        raise SourceError(
+            text,
+            f"start {start} and end {end} hold no frame",
+            "0 <= start < end, counted from 0, end exclusive",
+            "give another range",
+        )
+
+
+def make_reader(text: str, allow_network: bool, isolate: bool = False, start: int = 0) -> Reader:
+    """The reader of what `text` names, as `open_source` takes it; raises SourceError.
+
+    Pixels of pictures before `start` are not asked for.
+    """
+    if not text or "\0" in text:
+        raise SourceError(text, "it is empty or holds a NUL", KINDS, "name a source")
+    if text.isascii() and text.isdigit():
+        if isolate:
+            raise SourceError(text, "a camera decodes no file", "isolation of files and URLs", "leave it out")
+        from bayesnet_track.sources.camera import camera_reader
+
+        return camera_reader(text)
+    path = Path(text)
+    scheme = _SCHEME.match(text)
+    if scheme:
+        _check_scheme(text, scheme.group(1).lower(), allow_network)
+        if scheme.group(1).lower() in LIVE_SCHEMES:
+            from bayesnet_track.sources.stream import stream_reader
+
+            return stream_reader(lambda: _video(text, True, isolate, 0))
+        return _video(text, True, isolate, start)
+    try:
+        if path.is_dir():
+            return _images(text, _in_folder(text, path), isolate, start)
+        if path.is_file():
+            if not os.access(path, os.R_OK):
+                raise SourceError(text, "permission denied", KINDS, "make the file readable")
+            if path.suffix.lower() in IMAGE_SUFFIXES:
+                return _images(text, [path], isolate, start)
+            return _video(text, False, isolate, start)
+        if path.exists():
+            raise SourceError(text, "it is neither a regular file nor a folder", KINDS, "give one of these")
+    except PermissionError as error:
+        raise SourceError(text, "permission denied", KINDS, "make it readable") from error
+    except OSError as error:
+        raise SourceError(text, f"{error.strerror}", KINDS, "check the name") from error
+    if glob.has_magic(text):
+        return _images(text, _matching(text), isolate, start)
+    raise SourceError(text, "no such file or folder", KINDS, _nearest(path))
+
+
+def is_file(text: str) -> bool:
+    """True for what names files: no camera and no URL."""
+    return not (text.isascii() and text.isdigit()) and _SCHEME.match(text) is None
+
+
+def files_of(text: str) -> list[Path]:
+    """The files that a path or a glob names, images in the order of the frames; raises SourceError."""
+    from bayesnet_track.sources.images import natural_key
+
+    path = Path(text)
+    if path.is_dir():
+        return sorted(_in_folder(text, path), key=natural_key)
+    if path.is_file():
+        return [path]
+    if glob.has_magic(text):
+        return sorted(_matching(text), key=natural_key)
+    raise SourceError(text, "no such file or folder", KINDS, _nearest(path))
+
+
+def _matching(text: str) -> list[Path]:
+    found = [Path(name) for name in glob.glob(text, recursive=True)]  # noqa: PTH207 (keeps absolute patterns)
+    images = [name for name in found if name.suffix.lower() in IMAGE_SUFFIXES and name.is_file()]
+    if images:
+        return images
+    raise SourceError(
+        text,
+        f"the pattern matches {len(found)} files, none of them an image",
+        f"images ({' '.join(sorted(IMAGE_SUFFIXES))})",
+        "quote the pattern so that the shell leaves it alone, and check it",
+    )
+
+
+def _check_scheme(text: str, scheme: str, allow_network: bool) -> None:
+    if scheme not in NETWORK_SCHEMES:
+        raise SourceError(
+            text,
+            f"the protocol {scheme!r} is refused",
+            KINDS,
+            "give a plain path (./ in front if its name has a colon)",
+        )
+    if not allow_network:
+        raise SourceError(
+            text,
+            "it is on the network",
+            "network sources with --allow-network (allow_network=True)",
+            "add that",
+        )
+
+
+def _in_folder(text: str, folder: Path) -> list[Path]:
+    for place in (folder, *(folder / name for name in SEQUENCE_FOLDERS)):
+        if place.is_dir():
+            found = [p for p in place.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file()]
+            if found:
+                return found
+    raise SourceError(
+        text,
+        f"the folder holds no image ({sum(1 for _ in folder.iterdir())} entries)",
+        f"images ({' '.join(sorted(IMAGE_SUFFIXES))}) in it or in {' or '.join(SEQUENCE_FOLDERS)} below it",
+        "give the folder that holds the images",
+    )
+
+
+def _images(text: str, paths: list[Path], isolate: bool, start: int) -> Reader:
+    from bayesnet_track.sources.images import ImageReader
+
+    reader = ImageReader(text, paths)
+    if not isolate:
+        return reader
+    from bayesnet_track.sources.isolated import IsolatedReader
+
+    return IsolatedReader(text, reader, start=start)
+
+
+def _video(text: str, network: bool, isolate: bool, start: int) -> Reader:
+    if isolate:
+        from bayesnet_track.sources.isolated import IsolatedReader
+
+        return IsolatedReader(text, network=network, start=start)
+    from bayesnet_track.sources.video import VideoReader
+
+    return VideoReader(text, network)
+
+
+def _nearest(path: Path) -> str:
+    parent = path.parent
+    if not parent.is_dir():
+        return f"the folder {str(parent)!r} does not exist either"
+    try:
+        names = sorted(entry.name for entry in parent.iterdir())
+        near = difflib.get_close_matches(path.name, names, n=20, cutoff=0.5)
+        found = next((name for name in near if _could_be_read(parent / name)), None)
+    except OSError:
+        return "check the name"
+    return "check the name" if found is None else f"did you mean {str(parent / found)!r}?"
+
+
+def _could_be_read(path: Path) -> bool:
+    """True for videos, images and folders of images, by their names."""
+    if not path.is_dir():
+        return path.suffix.lower() in VIDEO_SUFFIXES | IMAGE_SUFFIXES
+    try:
+        return bool(_in_folder(str(path), path))
+    except SourceError:
+        return False

@@ -1,0 +1,323 @@
+"""Sources with depth: two eyes, two eyes in one picture, or one eye and the depth of another sensor.
+
+What comes out are frames of the rectified left picture that carry the right one (or points). Pictures are
+paired by their number, and their times have to agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.observation.depth import Depth, PointMap, RightEye
+from bayesnet_track.sources.depth_files import depth_files, read_points
+from bayesnet_track.sources.frames import (
+    Damage,
+    OnResize,
+    Picture,
+    PictureError,
+    Reader,
+    ReaderItem,
+    Source,
+    SourceError,
+)
+from bayesnet_track.sources.images import ImageReader, times_of
+from bayesnet_track.sources.live import LiveReader
+from bayesnet_track.sources.origin import Kind, Origin
+from bayesnet_track.sources.sources import check_range, make_reader
+from bayesnet_track.vision.stereo.stereo import RectifiedPair, Rectifier, read_calibration
+
+if TYPE_CHECKING:
+    from bayesnet_track.engine.step import Engine
+
+Image = NDArray[np.uint8]
+Completed = tuple[Image, Depth]
+Completer = Callable[[int, Picture | None, Image], Completed]
+"""(frame, the second eye's picture, the first eye's pixels) -> the frame's own pixels and its depth."""
+
+WAYS = "--right SOURCE, --stereo side_by_side or --depth FOLDER"
+OUT_OF_STEP = 0.5
+"""Pictures of a pair whose times differ by more than this many frame intervals are not of one moment."""
+
+
+def open_stereo_source(
+    left: str,
+    start: int | None = None,
+    end: int | None = None,
+    allow_network: bool = False,
+    on_resize: OnResize = "stop",
+    *,
+    right: str | None = None,
+    depth: str | None = None,
+    side_by_side: bool = False,
+    calibration: str | Path | None = None,
+    isolate_decoder: bool = False,
+) -> Source:
+    """A source whose frames carry a second eye or points.
+
+    Args:
+        left: the left eye, any source; with `side_by_side` both eyes in one picture, the left one left.
+        right: the right eye, any source.
+        depth: instead of a right eye, depth images (16 bit, 0 for unknown) or ``.npy`` arrays, (H, W) depths
+            or (H, W, 3) points in m, one per picture: a folder or a glob.
+        calibration: OpenCV YAML file; only ``.npy`` points do without.
+        start, end, allow_network, on_resize, isolate_decoder: as for `open_source`; depth images are read
+            in this process.
+
+    Raises:
+        SourceError: nothing can be read, or the eyes do not belong together.
+        CalibrationError: the calibration file cannot be used.
+    """
+    given = sum((right is not None, depth is not None, side_by_side))
+    if given != 1:
+        raise SourceError(left, f"{given} second eyes are given", f"one of {WAYS}", "choose one")
+    check_range(left, start, end)
+    rectifier = None if calibration is None else read_calibration(Path(calibration))
+    if rectifier is None and depth is None:
+        raise SourceError(
+            left,
+            "a pair without a calibration has no depth",
+            "a pair with --calibration FILE (OpenCV YAML)",
+            "make one from chessboard pictures with `bayesnet-track calibrate`",
+        )
+    first = make_reader(left, allow_network, isolate_decoder, start or 0)
+    try:
+        if side_by_side and rectifier is not None:
+            description, reader = f"{left} (side by side)", Joined(left, first, partial(halves, rectifier))
+        elif depth is not None:
+            description, paths = f"{left} with depth {depth}", depth_files(depth)
+            _check_alike(first, paths, left, depth)
+            rectified = rectifier if isinstance(rectifier, RectifiedPair) else None
+            reader = Joined(left, first, partial(measured, paths, rectified))
+        else:
+            assert right is not None and rectifier is not None
+            description = f"{left} + {right}"
+            second = make_reader(right, allow_network, isolate_decoder, start or 0)
+            if (files := _files(second)) is not None:
+                _check_alike(first, files.paths, left, right)
+            reader = Joined(left, first, partial(two_eyes, rectifier), second)
+    except BaseException:
+        first.close()
+        raise
+    kind: Kind = "side_by_side" if side_by_side else "right" if depth is None else "depth"
+    pair = None if calibration is None else str(calibration)
+    origin = Origin(
+        kind,
+        left,
+        description,
+        start,
+        end,
+        on_resize,
+        allow_network,
+        right,
+        depth,
+        calibration=pair,
+        isolate_decoder=isolate_decoder,
+    )
+    return Source(description, reader, start, end, on_resize, origin)
+
+
+def check_depth(engine: Engine, source: object) -> None:
+    """Refuse a source without depth for a graph with an agent that needs it.
+
+    Raises:
+        SourceError: names the agents, and how to give a pair.
+    """
+    if getattr(source, "has_depth", False):
+        return
+    agents = [
+        agent
+        for machine in engine.machinery.values()
+        for agent, cue in machine.cues.items()
+        if any(getattr(plane, "needs_depth", False) for plane in cue.needs)
+    ]
+    if agents:
+        raise SourceError(
+            str(getattr(source, "description", "")),
+            f"one eye, and {', '.join(agents)} of the graph {'needs' if len(agents) == 1 else 'need'} depth",
+            f"a pair or another sensor's depth ({WAYS}, with --calibration FILE)",
+            "give one of them, or another graph",
+        )
+
+
+# ------------------------------------------------------------------------------------ pairing
+
+
+def two_eyes(rectifier: Rectifier, index: int, second: Picture | None, image: Image) -> Completed:
+    """Two pictures of a calibrated pair, rectified; raises PictureError."""
+    assert second is not None
+    try:
+        right, _ = second.pixels()
+    except PictureError as error:
+        raise PictureError(f"right eye: {error}") from error
+    return _rectified(rectifier, image, right)
+
+
+def halves(rectifier: Rectifier, index: int, second: Picture | None, image: Image) -> Completed:
+    """Both eyes in one picture, rectified; raises PictureError."""
+    half, odd = divmod(image.shape[1], 2)
+    if odd:
+        raise PictureError(f"{_size(image)} has no two halves of the same width")
+    left, right = (np.ascontiguousarray(part) for part in (image[:, :half], image[:, half:]))
+    return _rectified(rectifier, left, right)
+
+
+def measured(
+    paths: Sequence[Path], pair: RectifiedPair | None, index: int, second: Picture | None, image: Image
+) -> Completed:
+    """The picture as it is, and the points of another sensor; raises PictureError."""
+    if index >= len(paths):
+        raise PictureError(f"there are {len(paths)} depth files, none for frame {index}")
+    points = read_points(paths[index], pair)
+    if points.shape[:2] != image.shape[:2]:
+        raise PictureError(f"depth is {_size(points)}, the picture {_size(image)}")
+    return image, PointMap(points)
+
+
+class Joined:
+    """A reader whose pictures are completed to frames with depth.
+
+    What does not fit in the first picture is an error of the source; later it is damage.
+    """
+
+    def __init__(self, text: str, first: Reader, completer: Completer, second: Reader | None = None) -> None:
+        self._text, self._first, self._second, self._completer = text, first, second, completer
+        self._has_begun = False
+        for reader in self._readers if second is not None else ():
+            if isinstance(reader, LiveReader):  # the newest of one eye goes with the newest of the other
+                reader.counts_dropped = False
+        self.frame_interval_s, self.gap_from = first.frame_interval_s, first.gap_from
+        self.is_live = any(isinstance(reader, LiveReader) for reader in (first, second))
+        counts = [reader.declared_frames for reader in self._readers if reader.declared_frames is not None]
+        self.declared_frames: int | None = max(counts, default=None)
+
+    @property
+    def _readers(self) -> list[Reader]:
+        return [self._first] if self._second is None else [self._first, self._second]
+
+    def close(self) -> None:
+        """Let go of both."""
+        for reader in self._readers:
+            reader.close()
+
+    def __iter__(self) -> Iterator[ReaderItem]:
+        if self._second is None:
+            for item in self._first:
+                yield self._completed(item, None) if isinstance(item, Picture) else item
+            return
+        yield from self._pairs(iter(self._first), iter(self._second))
+
+    def _pairs(self, first: Iterator[ReaderItem], second: Iterator[ReaderItem]) -> Iterator[ReaderItem]:
+        has_clock = None not in (reader.declared_frames for reader in self._readers)
+        left, right = _Eye("left", first), _Eye("right", second)
+        while True:
+            yield from left.advance()
+            yield from right.advance()
+            one, other = left.picture, right.picture
+            if one is None or other is None:
+                ended, longer = (left, other) if one is None else (right, one)
+                if longer is not None and not ended.is_truncated:
+                    reason = f"the {ended.name} eye ends at frame {longer.index}, the other one goes on"
+                    yield Damage(longer.index, reason, True)
+                return
+            if one.index != other.index:
+                early = left if one.index < other.index else right
+                assert early.picture is not None
+                yield Damage(early.picture.index, f"only the {early.name} eye has a picture")
+                early.picture = None
+                continue
+            if has_clock and abs(one.time - other.time) > OUT_OF_STEP:
+                times = f"left at {one.time_s:.3f} s, right at {other.time_s:.3f} s"
+                yield Damage(one.index, f"the eyes are out of step: {times}")
+                return
+            left.picture = right.picture = None
+            yield self._completed(one, other)
+
+    def _completed(self, picture: Picture, second: Picture | None) -> Picture:
+        return replace(picture, complete=partial(self._complete, picture.index, second))
+
+    def _complete(self, index: int, second: Picture | None, image: Image) -> Completed:
+        try:
+            done = self._completer(index, second, image)
+        except PictureError as error:
+            if self._has_begun:
+                raise
+            raise SourceError(
+                self._text,
+                f"frame {index}: {error}",
+                "two eyes (or eye and depth) of one size, that of the calibration",
+                "check that they belong together",
+            ) from error
+        self._has_begun = True
+        return done
+
+
+class _Eye:
+    """One reader's next picture."""
+
+    def __init__(self, name: str, items: Iterator[ReaderItem]) -> None:
+        self.name, self._items = name, items
+        self.picture: Picture | None = None
+        self.is_truncated = False
+
+    def advance(self) -> Iterator[ReaderItem]:
+        """Hold the next picture, if none is held and there is one; what was wrong before it."""
+        while self.picture is None:
+            item = next(self._items, None)
+            if item is None:
+                return
+            if isinstance(item, Picture):
+                self.picture = item
+            elif not isinstance(item, Damage):
+                yield item
+            else:
+                self.is_truncated |= item.truncated
+                yield replace(item, reason=f"{self.name} eye: {item.reason}")
+
+
+def _rectified(rectifier: Rectifier, left: Image, right: Image) -> Completed:
+    if left.shape != right.shape:
+        raise PictureError(f"the left eye is {_size(left)}, the right one {_size(right)}")
+    if left.shape[:2] != (rectifier.height, rectifier.width):
+        raise PictureError(
+            f"the pictures are {_size(left)}, the calibration is for {rectifier.width}x{rectifier.height}"
+        )
+    one, other = rectifier.rectify(left, right)
+    return one, RightEye(other, rectifier.geometry)
+
+
+def _size(image: NDArray[np.generic]) -> str:
+    return f"{image.shape[1]}x{image.shape[0]}"
+
+
+def _check_alike(first: Reader, paths: Sequence[Path], left: str, right: str) -> None:
+    """Refuse image files of which one has no partner."""
+    own = _files(first)
+    if own is None:
+        return
+    times = times_of(paths)
+    matched: Callable[[int], bool] = lambda n: abs(own.times[n] - times[n]) <= OUT_OF_STEP  # noqa: E731
+    shorter = min(len(times), len(own.times))
+    lone = next((n for n in range(shorter) if not matched(n)), shorter)
+    if lone == shorter and len(times) == len(own.times):
+        return
+    names = [str(files[lone].name) if lone < len(files) else "none" for files in (own.paths, paths)]
+    raise SourceError(
+        f"{left} + {right}",
+        f"{len(own.paths)} and {len(paths)} files, and frame {lone} has no partner "
+        f"(left {names[0]}, right {names[1]})",
+        "as many files on either side, with the same numbers",
+        "take out what has no partner",
+    )
+
+
+def _files(reader: Reader) -> ImageReader | None:
+    """The image files of a reader; None when it reads a video or a camera."""
+    files = getattr(reader, "files", reader)
+    return files if isinstance(files, ImageReader) else None

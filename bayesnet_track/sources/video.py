@@ -1,0 +1,252 @@
+"""A video file or network stream as a source, decoded by PyAV: true times, true sizes, damage reported.
+
+OpenCV's reader is not used: at damage it ends as if the file did, and it rescales a change of size unseen.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+from av.video.reformatter import VideoReformatter
+from numpy.typing import NDArray
+
+from bayesnet_track.sources.frames import Damage, Picture, PictureError, SourceError
+from bayesnet_track.sources.timing import Declared, Timing, declared_by, timing_of
+from bayesnet_track.vision.image_size import MAX_PIXELS
+
+# Playlists and scripts (hls, concat, ...) name other files and hosts: only self-contained formats are read.
+FORMATS = (
+    "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg,mpegvideo,m4v,h264,hevc,av1,obu,ivf,ogg,flv,asf,"
+    "mjpeg,gif,apng,nut,dv,mxf,yuv4mpegpipe,wtv,rm,swf,amv"
+)
+NETWORK_FORMATS = f"{FORMATS},hls,dash,rtsp,sdp,rtp,mpjpeg,live_flv"
+NETWORK_PROTOCOLS = "http,https,httpproxy,tcp,tls,udp,rtp,rtsp"
+NETWORK_TIMEOUT_S = 10.0
+PROBE_PACKETS = 300
+MAX_FAILURES = 50
+ATTACHED_PICTURE = 0x0400
+# Titles need not be UTF-8, and are not needed. From PyAV 19 they are always read so, without an option.
+TOLERANT_METADATA: dict[str, Any] = (
+    {"metadata_errors": "replace"} if int(av.__version__.split(".")[0]) < 19 else {}
+)
+# In others a packet may hold a picture that is never shown; a transport stream may begin before a key frame.
+ONE_PICTURE_A_PACKET = frozenset({"h264", "hevc", "mpeg4", "mjpeg"})
+FAULTS = (av.error.FFmpegError, ValueError, OverflowError, MemoryError)
+
+
+class VideoReader:
+    """Pictures of the first video stream, in display order and upright (a stored rotation is applied).
+
+    A stream whose pixel format has no colour is gray; the pixels of a colour format are not looked at.
+    After the last picture the declared length is compared with what was there.
+
+    Raises:
+        SourceError: not a video, or none of the formats that stand on their own.
+    """
+
+    def __init__(self, text: str, network: bool = False) -> None:
+        self._text = text
+        stamps: list[int] = []
+        if not network:
+            with _open(text, network) as container:
+                stamps = _probe(container, _video_stream(text, container))
+        self._container = _open(text, network)
+        self._stream = _video_stream(text, self._container)
+        self._stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
+        self._timing: Timing = timing_of(self._stream, stamps)
+        self._declared: Declared = declared_by(self._container, self._stream, self._timing)
+        self.declared_frames = self._declared.frames
+        self.frame_interval_s = self._timing.interval_s
+        self.gap_from = self._timing.gap_from
+        # One for all: each would start threads of its own, which end only when the frame is collected.
+        self._reformatter = VideoReformatter()
+        self._index = 0
+        self._packets = 0
+        self._silent = 0
+        self._lost = 0
+        self._end_s = 0.0
+        # AVI has no presentation times: reordered, the n-th picture has the n-th smallest decoding time.
+        self._is_avi = self._container.format.name == "avi"
+        reordered = self._is_avi and self._stream.codec_context.has_b_frames
+        self._untimed: list[int] | None = [] if reordered else None
+        self._origin: int | None = stamps[0] if stamps and self._untimed is None else None
+
+    def close(self) -> None:
+        """Let go of the file or connection."""
+        self._container.close()
+
+    def __iter__(self) -> Iterator[Picture | Damage]:
+        failures = 0
+        packets = self._container.demux(self._stream)
+        while failures < MAX_FAILURES:
+            try:
+                packet = next(packets)
+            except StopIteration:
+                break
+            except FAULTS as error:
+                yield Damage(self._index, f"the container is damaged: {_words(error)}")
+                failures += 1
+                packets = self._container.demux(self._stream)
+                continue
+            # An empty packet would tell the decoder that the stream is over.
+            if packet.size == 0:
+                continue
+            failures = 0
+            yield from self._decode(packet)
+        yield from self._decode(None)
+        yield from self._ending()
+
+    def _decode(self, packet: Any) -> Iterator[Picture | Damage]:
+        if packet is not None:
+            self._packets += 1
+            self._lost = 0
+            self._silent += bool(getattr(packet, "is_discard", False))
+            if packet.is_corrupt:
+                yield Damage(self._index, "a packet is cut off or damaged")
+            if self._untimed is not None and packet.dts is not None:
+                heapq.heappush(self._untimed, packet.dts)
+        try:
+            frames = self._stream.codec_context.decode(packet)
+        except FAULTS as error:
+            yield Damage(self._index, f"the decoder refused a frame: {_words(error)}")
+            if packet is not None:
+                self._lost = int(packet.is_corrupt)  # the last one is where the file was cut
+                self._index += 1
+                if self._untimed and packet.dts in self._untimed:
+                    self._untimed.remove(packet.dts)
+                    heapq.heapify(self._untimed)
+            return
+        for frame in frames:
+            picture = self._picture(frame)
+            if isinstance(picture, Picture):
+                self._index += 1
+            yield picture
+
+    def _picture(self, frame: Any) -> Picture | Damage:
+        if self._untimed is not None:
+            stamp = heapq.heappop(self._untimed) if self._untimed else None
+        else:
+            stamp = frame.pts if frame.pts is not None else frame.dts
+        if stamp is None:
+            time = self._end_s / self.frame_interval_s
+        else:
+            self._origin = stamp if self._origin is None else self._origin
+            time = self._timing.intervals(stamp - self._origin)
+        seconds = time * self.frame_interval_s
+        limit = self._declared.duration_s
+        if limit is not None and seconds > limit + 1.0:
+            return Damage(
+                self._index, f"a frame's time, {seconds:.3f} s, is past the declared end, {limit:.3f} s"
+            )
+        self._end_s = max(self._end_s, seconds + self.frame_interval_s)
+        return Picture(self._index, time, seconds, partial(pixels_of, frame, self._reformatter))
+
+    def _ending(self) -> Iterator[Damage]:
+        frames, duration = self._stream.frames, self._declared.duration_s
+        blank = self._packets - self._silent - self._index
+        whole = self._declared.duration_s is not None
+        if whole and blank > 0 and self._stream.codec_context.name in ONE_PICTURE_A_PACKET:
+            yield Damage(self._index, f"{blank} damaged frames gave no picture")
+        end = self._end_s
+        if self._declared.from_zero and self._origin is not None:
+            end += float(self._origin * self._timing.tick)
+        if frames > 0:
+            # AVI counts the frames that were left out, too.
+            read = max(self._packets - self._lost, round(end / self.frame_interval_s) if self._is_avi else 0)
+            if read < frames:
+                yield Damage(self._index, f"the file is truncated: read {read} of {frames} frames", True)
+        elif duration is not None and end < duration - self._declared.slack_s:
+            read_of = f"{self._index} of {self.declared_frames} frames, " if self.declared_frames else ""
+            reason = f"the file is truncated: read {read_of}{end:.3f} of {duration:.3f} s"
+            yield Damage(self._index, reason, True)
+
+
+def pixels_of(frame: Any, reformatter: Any) -> tuple[NDArray[np.uint8], bool]:
+    """The pixels of a decoded frame, upright, as ((H, W, 3) uint8 BGR, has_color).
+
+    Raises:
+        PictureError: the pixel format cannot be converted.
+    """
+    has_color = not frame.format.name.startswith(("gray", "mono", "ya8", "ya16"))
+    try:
+        image = reformatter.reformat(frame, format="bgr24" if has_color else "gray").to_ndarray()
+    except FAULTS as error:
+        raise PictureError(f"a frame cannot be converted: {_words(error)}") from error
+    if not has_color:
+        image = np.repeat(image[:, :, np.newaxis], 3, axis=2)
+    return np.ascontiguousarray(np.rot90(image, _quarter_turns(frame))), has_color
+
+
+def _quarter_turns(frame: Any) -> int:
+    """How many quarter turns against the clock bring the stored picture upright."""
+    degrees = getattr(frame, "rotation", None)
+    if degrees is None:  # PyAV 12; asking for side data leaves frames to the garbage collector
+        stored = frame.side_data.get("DISPLAYMATRIX")
+        matrix = np.array([1, 0]) if stored is None else np.frombuffer(stored, dtype=np.int32)
+        degrees = math.degrees(-math.atan2(matrix[1], matrix[0]))
+    return round(degrees / 90) % 4
+
+
+def _open(text: str, network: bool) -> Any:
+    options = {"protocol_whitelist": NETWORK_PROTOCOLS, "format_whitelist": NETWORK_FORMATS}
+    if not network:
+        # The explicit protocol keeps FFmpeg from reading a protocol into the file's name.
+        options = {"protocol_whitelist": "file", "format_whitelist": FORMATS}
+    name = text if network else f"file:{Path(text).absolute()}"
+    timeout = (NETWORK_TIMEOUT_S, NETWORK_TIMEOUT_S) if network else None
+    try:
+        return av.open(name, mode="r", options=options, timeout=timeout, **TOLERANT_METADATA)
+    except FAULTS as error:
+        raise _not_a_video(text, _words(error)) from error
+
+
+def _video_stream(text: str, container: Any) -> Any:
+    for stream in container.streams.video:
+        if stream.codec_context is None:  # and PyAV 12 would say that its flags are None
+            continue
+        # A cover picture is a video stream of one frame. Its flag is an enum or, in older versions, absent.
+        flags = getattr(stream, "disposition", 0)
+        cover = bool(getattr(flags, "value", flags) & ATTACHED_PICTURE)
+        if not cover:
+            return stream
+    raise _not_a_video(text, "no video stream that can be decoded in it")
+
+
+def _not_a_video(text: str, found: str) -> SourceError:
+    return SourceError(
+        text,
+        f"not a readable video: {found}",
+        "videos that FFmpeg reads and that stand on their own (MP4, MKV, AVI, TS, ...)",
+        "check that the file is whole; an MP4 whose writing was cut short has lost its index",
+    )
+
+
+def _probe(container: Any, stream: Any) -> list[int]:
+    """The sorted times of the first packets, in the stream's time base.
+
+    Every picture up to the last decoding time is among them; later ones would leave holes.
+    """
+    stamps: list[int] = []
+    known_until: int | None = None
+    try:
+        for packet in container.demux(stream):
+            stamp = packet.pts if packet.pts is not None else packet.dts
+            if packet.size and stamp is not None and not getattr(packet, "is_discard", False):
+                stamps.append(stamp)
+                known_until = packet.dts if packet.dts is not None else known_until
+            if len(stamps) >= PROBE_PACKETS:
+                break
+    except FAULTS:
+        pass
+    return sorted(stamp for stamp in stamps if known_until is None or stamp <= known_until)
+
+
+def _words(error: BaseException) -> str:
+    return str(getattr(error, "strerror", None) or error or type(error).__name__)
