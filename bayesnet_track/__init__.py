@@ -19,23 +19,23 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from bayesnet_track.graph.spec import GraphSpec as GraphSpec
     from bayesnet_track.graph.text.load import load_graph as load_graph
-    from bayesnet_track.runtime.interchange import Detections as Detections
-    from bayesnet_track.runtime.opened import Run as Run
-    from bayesnet_track.runtime.opened import open_run as open_run
+    from bayesnet_track.runtime.recording.interchange import Detections as Detections
+    from bayesnet_track.runtime.recording.opened import Run as Run
+    from bayesnet_track.runtime.recording.opened import open_run as open_run
     from bayesnet_track.runtime.run import Result as Result
     from bayesnet_track.runtime.run import Start as Start
     from bayesnet_track.runtime.session import track as track
     from bayesnet_track.runtime.tracker import Tracker as Tracker
 
 _HOMES = {
-    "Detections": "bayesnet_track.runtime.interchange",
+    "Detections": "bayesnet_track.runtime.recording.interchange",
     "GraphSpec": "bayesnet_track.graph.spec",
     "Result": "bayesnet_track.runtime.run",
-    "Run": "bayesnet_track.runtime.opened",
+    "Run": "bayesnet_track.runtime.recording.opened",
     "Start": "bayesnet_track.runtime.run",
     "Tracker": "bayesnet_track.runtime.tracker",
     "load_graph": "bayesnet_track.graph.text.load",
-    "open_run": "bayesnet_track.runtime.opened",
+    "open_run": "bayesnet_track.runtime.recording.opened",
     "track": "bayesnet_track.runtime.session",
 }
 

@@ -13,7 +13,7 @@ from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue import CueDeclaration, CueParameters, installed_cues
 from bayesnet_track.observation.detector import installed_detectors
-from bayesnet_track.runtime.recipe import Recipe
+from bayesnet_track.runtime.checkpoints.recipe import Recipe
 
 BOX = (10, 10, 20, 20)
 PACKAGE = """

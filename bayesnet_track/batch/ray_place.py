@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from bayesnet_track.batch.jobs import Job
 from bayesnet_track.batch.places import WAIT_S, Told
 from bayesnet_track.batch.work import Row, failed_row
-from bayesnet_track.runtime.executors.ray_cluster import connect
+from bayesnet_track.runtime.executors.ray.ray_cluster import connect
 
 RETRIES = 2
 """How often a job whose process or node died is started again."""

@@ -10,7 +10,7 @@ from bayesnet_track.batch.jobs import BatchError, Job
 from bayesnet_track.runtime.run import Start
 
 if TYPE_CHECKING:
-    from bayesnet_track.runtime.recipe import Recipe
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe
 
 Row = dict[str, str | int | float | None]
 
@@ -44,11 +44,11 @@ def do(job: Job, progress: Callable[[int, int | None], None]) -> Row:
     Raises:
         BatchError: the run that is there already was asked for otherwise.
     """
-    from bayesnet_track.runtime.recipe import Recipe, RecipeError
-    from bayesnet_track.runtime.replace import settle_broken
-    from bayesnet_track.runtime.resume import resume, standing
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
+    from bayesnet_track.runtime.checkpoints.resume import resume, standing
+    from bayesnet_track.runtime.recording.replace import settle_broken
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
     from bayesnet_track.runtime.run import Summary
-    from bayesnet_track.runtime.rundir import RunDirectory
     from bayesnet_track.runtime.session import track
     from bayesnet_track.sources.frames import OnResize
     from bayesnet_track.sources.sources import open_source
@@ -82,7 +82,7 @@ def row_of(job: Job) -> Row:
     from bayesnet_track.evaluate.scores import frames_per_second
     from bayesnet_track.journal.events.basic import RunEnded
     from bayesnet_track.journal.net.net import Switch
-    from bayesnet_track.runtime.opened import open_run
+    from bayesnet_track.runtime.recording.opened import open_run
 
     run = open_run(job.out)
     events, metrics = run.events, run.metrics

@@ -125,11 +125,11 @@ def _allow(options: argparse.Namespace) -> None:
 def _code_of(error: Exception, command: str) -> int | None:
     from bayesnet_track.journal.codec import JournalError
     from bayesnet_track.journal.writer import OutputError
-    from bayesnet_track.runtime.checkpoint import CheckpointError
-    from bayesnet_track.runtime.manifest import ManifestError
-    from bayesnet_track.runtime.recipe import RecipeError
-    from bayesnet_track.runtime.resume import ResumeError
-    from bayesnet_track.runtime.rundir import RunDirectoryError
+    from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
+    from bayesnet_track.runtime.checkpoints.recipe import RecipeError
+    from bayesnet_track.runtime.checkpoints.resume import ResumeError
+    from bayesnet_track.runtime.recording.manifest import ManifestError
+    from bayesnet_track.runtime.recording.rundir import RunDirectoryError
     from bayesnet_track.sources.frames import SourceError
     from bayesnet_track.vision.stereo.stereo import CalibrationError
 

@@ -11,12 +11,12 @@ from bayesnet_track.commands.answer import OK, UsageError, check_free, complain,
 
 if TYPE_CHECKING:
     from bayesnet_track.journal.compare import Comparison, Total
-    from bayesnet_track.runtime.opened import Run
+    from bayesnet_track.runtime.recording.opened import Run
 
 
 def compare(options: argparse.Namespace) -> int:
     """Tell where two runs part, and why."""
-    from bayesnet_track.runtime.opened import open_run
+    from bayesnet_track.runtime.recording.opened import open_run
 
     check_page(options)
     first, second = open_run(options.first, complain), open_run(options.second, complain)
@@ -49,7 +49,7 @@ def sources_apart(first: Run, second: Run) -> list[str]:
 
 def _origins_apart(first: Run, second: Run) -> list[str]:
     """By what the sources held where both recipes tell it, else by their names."""
-    from bayesnet_track.runtime.recipe import Recipe, RecipeError
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
 
     by_name = [run.started.source for run in (first, second)]
     try:

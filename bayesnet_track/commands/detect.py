@@ -94,7 +94,7 @@ def _detect_all(
     from bayesnet_track.journal.writer import LineFile
     from bayesnet_track.observation.detector import LearningDetector
     from bayesnet_track.observation.planes import Frame, FramePair
-    from bayesnet_track.runtime.videowriter import VideoWriter
+    from bayesnet_track.runtime.recording.videowriter import VideoWriter
     from bayesnet_track.sources.detections import format_frame
     from bayesnet_track.view.detections import draw_detections
 

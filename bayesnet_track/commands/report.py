@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from bayesnet_track.graph.checked import CheckedGraph
-    from bayesnet_track.runtime.pictures import Found
-    from bayesnet_track.runtime.rundir import RunDirectory
+    from bayesnet_track.runtime.recording.pictures import Found
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
 
 FOLDER, INDEX = "report", "index.html"
 Data = tuple[dict[str, Any], dict[str, Any]]
@@ -32,8 +32,8 @@ def report(options: argparse.Namespace) -> int:
     """Write the page of a run."""
     from bayesnet_track.journal.events.basic import RunStarted
     from bayesnet_track.journal.reader import read_events, read_metrics
-    from bayesnet_track.runtime.pictures import pictures_of
-    from bayesnet_track.runtime.rundir import RunDirectory
+    from bayesnet_track.runtime.recording.pictures import pictures_of
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
     from bayesnet_track.view.page_data import read_timings, run_data
 
     directory = RunDirectory.open(options.run)
@@ -68,7 +68,7 @@ def report(options: argparse.Namespace) -> int:
 
 def _list(directory: RunDirectory) -> None:
     """Let `verify` know the page, where the run has a manifest that can be trusted."""
-    from bayesnet_track.runtime.manifest import ManifestError, add_output
+    from bayesnet_track.runtime.recording.manifest import ManifestError, add_output
 
     try:
         add_output(directory, "report")

@@ -11,15 +11,15 @@ from bayesnet_track.commands.tracking import executor_of, follow
 from bayesnet_track.commands.viewing import begin_again, viewed
 
 if TYPE_CHECKING:
-    from bayesnet_track.runtime.rundir import RunDirectory
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
 
 
 def resume(options: argparse.Namespace) -> int:
     """Go on with a run."""
-    from bayesnet_track.runtime.replace import settle_broken
-    from bayesnet_track.runtime.resume import resume, standing
+    from bayesnet_track.runtime.checkpoints.resume import resume, standing
+    from bayesnet_track.runtime.recording.replace import settle_broken
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
     from bayesnet_track.runtime.run import Summary
-    from bayesnet_track.runtime.rundir import RunDirectory
 
     directory = RunDirectory(Path(options.run))
     settle_broken(directory)

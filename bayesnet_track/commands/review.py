@@ -12,7 +12,7 @@ from bayesnet_track.commands.answer import OK, UsageError, complain, say, users_
 
 if TYPE_CHECKING:
     from bayesnet_track.journal.events.basic import Event
-    from bayesnet_track.runtime.rundir import RunDirectory
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
 
 
 def log(options: argparse.Namespace) -> int:
@@ -21,7 +21,7 @@ def log(options: argparse.Namespace) -> int:
     from bayesnet_track.journal.reader import read_events, read_metrics
     from bayesnet_track.journal.text.explain import explain, has_several_targets, why
     from bayesnet_track.journal.text.story import tell_life
-    from bayesnet_track.runtime.rundir import RunDirectory
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
 
     directory = RunDirectory.open(options.run)
     events = list(read_events(directory.journal, complain))
@@ -85,7 +85,7 @@ def score(options: argparse.Namespace) -> int:
     """Score a run, or a file of tracks, against ground truth."""
     from bayesnet_track.evaluate.mot_files import is_mot
     from bayesnet_track.evaluate.runs import score_run
-    from bayesnet_track.runtime.rundir import RunDirectory
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
 
     given = Path(options.run)
     if os.path.isfile(given):  # noqa: PTH113 (a name that is too long is no file, and raises nothing)

@@ -19,11 +19,11 @@ from bayesnet_track.numerics.compile_watch import WATCH
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
     from bayesnet_track.runtime.executors import Executing
+    from bayesnet_track.runtime.live_view.view import LiveView
     from bayesnet_track.runtime.progress import Progress
     from bayesnet_track.runtime.run import FrameSource, Result, Start, Summary
     from bayesnet_track.runtime.stop import StopRequest
     from bayesnet_track.sources.frames import Source
-    from bayesnet_track.viewing.view import LiveView
 
 SCENE_GRAPHS = {
     "ball_between_children": "ball_between_children",
@@ -69,8 +69,8 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     from bayesnet_track.graph.text.load import load_graph
     from bayesnet_track.journal.reader import read_events
     from bayesnet_track.journal.text.explain import explain, has_several_targets
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
     from bayesnet_track.runtime.run import Start
-    from bayesnet_track.runtime.rundir import RunDirectory
     from bayesnet_track.sources.scene_source import SceneSource
 
     with users_mistake():
@@ -158,7 +158,7 @@ def _track(
     view: LiveView | None = None,
 ) -> int:
     from bayesnet_track.runtime.inputs import replayed
-    from bayesnet_track.runtime.rerun_sink import rerun_sinks
+    from bayesnet_track.runtime.recording.rerun_sink import rerun_sinks
     from bayesnet_track.runtime.run import Summary
     from bayesnet_track.runtime.session import track
     from bayesnet_track.sources.detection_files import file_detector

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from bayesnet_track.commands.answer import BAD_SOURCE, INCOMPLETE, OK, say
 
 if TYPE_CHECKING:
-    from bayesnet_track.runtime.verify import Verified
+    from bayesnet_track.runtime.recording.verify import Verified
 
 SAID = {
     "missing": "missing",
@@ -26,7 +26,7 @@ WITHOUT = {
 
 def verify(options: argparse.Namespace) -> int:
     """Compare a run with its manifest."""
-    from bayesnet_track.runtime.verify import verify
+    from bayesnet_track.runtime.recording.verify import verify
 
     found = verify(options.run)
     if options.json:

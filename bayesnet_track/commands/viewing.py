@@ -12,10 +12,10 @@ from bayesnet_track.commands.answer import UsageError, complain, words
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
+    from bayesnet_track.runtime.live_view.view import LiveView
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
     from bayesnet_track.runtime.run import FrameSource, Start
-    from bayesnet_track.runtime.rundir import RunDirectory
     from bayesnet_track.runtime.stop import StopRequest
-    from bayesnet_track.viewing.view import LiveView
 
 
 @contextmanager
@@ -26,7 +26,7 @@ def viewed(options: argparse.Namespace) -> Iterator[LiveView | None]:
             raise UsageError("--view-now and --open are of a live view: give --view, too")
         yield None
         return
-    from bayesnet_track.viewing.view import LiveView
+    from bayesnet_track.runtime.live_view.view import LiveView
 
     stop: StopRequest = options.stop
     try:
@@ -56,7 +56,7 @@ def begin(
 ) -> Sequence[Start] | None:
     """The boxes to start with, drawn on the page where none is given; None when stopped before."""
     from bayesnet_track.engine.starts import has_births
-    from bayesnet_track.runtime.rundir import RunDirectory
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
 
     stop: StopRequest = options.stop
     view.controls.can_switch = getattr(options, "inputs", None) is None
@@ -87,8 +87,8 @@ def begin_again(
     """Show what the run that goes on has behind it, and wait for the page."""
     from bayesnet_track.journal.events.basic import RunEnded, RunStarted
     from bayesnet_track.journal.reader import read_events, read_metrics
-    from bayesnet_track.runtime.recipe import Recipe
-    from bayesnet_track.runtime.resume import standing
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe
+    from bayesnet_track.runtime.checkpoints.resume import standing
     from bayesnet_track.view.page_data import read_timings
 
     stop: StopRequest = options.stop

@@ -11,18 +11,18 @@ from bayesnet_track.commands.answer import BAD_OUTPUT, INCOMPLETE, OK, UsageErro
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
-    from bayesnet_track.runtime.opened import Run
-    from bayesnet_track.runtime.recipe import Recipe
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe
+    from bayesnet_track.runtime.recording.opened import Run
 
 
 def what_if(options: argparse.Namespace) -> int:
     """Run again, then compare."""
     from bayesnet_track.commands.compare import check_page, tell_comparison
     from bayesnet_track.graph.text.change import ChangeError, change_graph
-    from bayesnet_track.runtime.manifest import add_output
-    from bayesnet_track.runtime.opened import open_run
-    from bayesnet_track.runtime.recipe import Recipe, RecipeError
-    from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
+    from bayesnet_track.runtime.recording.manifest import add_output
+    from bayesnet_track.runtime.recording.opened import open_run
+    from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 
     check_page(options)
     try:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.sources import open_source
-from bayesnet_track.runtime.videowriter import VideoWriter
+from bayesnet_track.runtime.recording.videowriter import VideoWriter
 shown = [np.full((48, 64, 3), 40 * n, np.uint8) for n in range(6)]
 with tempfile.TemporaryDirectory() as folder:
     path = Path(folder) / "short.mp4"

@@ -19,10 +19,10 @@ from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.net.net import Decision, Switch
 from bayesnet_track.numerics.compile_watch import WATCH
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.runtime.checkpoints.versions import versions
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.inputs import Asked, nothing
-from bayesnet_track.runtime.interchange import Detections
-from bayesnet_track.runtime.versions import versions
+from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.sources.frames import EndReason, SourceItem
 
 __all__ = ["FrameSource", "Result", "Sink", "Start", "StartError", "Summary", "run"]

@@ -19,17 +19,17 @@ from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.detector import GIVEN
-from bayesnet_track.runtime.checkpoint import EVERY_S, Checkpoints
+from bayesnet_track.runtime.checkpoints.checkpoint import EVERY_S, Checkpoints
+from bayesnet_track.runtime.checkpoints.recipe import Recipe, file_sha256, make_recipe
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import RETRIES, Executing, make_executor
 from bayesnet_track.runtime.inputs import Asked, as_asked
-from bayesnet_track.runtime.lock import locked
-from bayesnet_track.runtime.manifest import finish
-from bayesnet_track.runtime.recipe import Recipe, file_sha256, make_recipe
-from bayesnet_track.runtime.record import Recorder
-from bayesnet_track.runtime.replace import replace_run, settle
+from bayesnet_track.runtime.recording.lock import locked
+from bayesnet_track.runtime.recording.manifest import finish
+from bayesnet_track.runtime.recording.record import Recorder
+from bayesnet_track.runtime.recording.replace import replace_run, settle
+from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
-from bayesnet_track.runtime.rundir import FILES, RunDirectory
 from bayesnet_track.sources.detection_files import file_detector
 from bayesnet_track.sources.sources import open_source
 from bayesnet_track.sources.stereo_source import check_depth

@@ -20,7 +20,7 @@ from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.depth import Depth, RightEye
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.interchange import Detections
+from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.sources.images import to_bgr
 
 CornerBox = tuple[float, float, float, float]

@@ -19,8 +19,8 @@ from bayesnet_track.batch import places
 from bayesnet_track.batch.jobs import BatchError, Job, Video, read_list, videos_of
 from bayesnet_track.batch.work import ROW, do
 from bayesnet_track.cli import main
-from bayesnet_track.runtime.lock import locked
-from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
+from bayesnet_track.runtime.recording.lock import locked
+from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scenes import make_scene
 

@@ -14,7 +14,7 @@ from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.text.explain import why
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.runtime.rundir import FILES
+from bayesnet_track.runtime.recording.rundir import FILES
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
 

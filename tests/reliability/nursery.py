@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from bayesnet_track import Start, track
-from bayesnet_track.runtime.resume import resume
+from bayesnet_track.runtime.checkpoints.resume import resume
 from bayesnet_track.sources.sources import open_source
 
 FRAMES, SIDE = 36, 10

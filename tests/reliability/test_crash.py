@@ -20,11 +20,11 @@ from bayesnet_track import Start, track
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.writer import OutputError
-from bayesnet_track.runtime.recipe import RecipeError
-from bayesnet_track.runtime.resume import standing
-from bayesnet_track.runtime.rundir import RunDirectoryError
-from bayesnet_track.runtime.verify import verify
-from bayesnet_track.runtime.videowriter import VideoWriter
+from bayesnet_track.runtime.checkpoints.recipe import RecipeError
+from bayesnet_track.runtime.checkpoints.resume import standing
+from bayesnet_track.runtime.recording.rundir import RunDirectoryError
+from bayesnet_track.runtime.recording.verify import verify
+from bayesnet_track.runtime.recording.videowriter import VideoWriter
 from bayesnet_track.sources.scene_source import SceneSource
 
 FRAMES, EVERY_S = 4, 1e-6
@@ -40,7 +40,7 @@ pytestmark = [
 
 @pytest.fixture(autouse=True)
 def in_order(at_once: type, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bayesnet_track.runtime.checkpoint.ThreadPoolExecutor", at_once)
+    monkeypatch.setattr("bayesnet_track.runtime.checkpoints.checkpoint.ThreadPoolExecutor", at_once)
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from bayesnet_track.runtime.recipe import RecipeError
-from bayesnet_track.runtime.resume import standing
+from bayesnet_track.runtime.checkpoints.recipe import RecipeError
+from bayesnet_track.runtime.checkpoints.resume import standing
 
 SIDE_BY_SIDE = 2
 SCRIPT = Path(__file__).with_name("nursery.py")

@@ -22,8 +22,8 @@ import cv2
 import pytest
 
 from bayesnet_track.journal import disk
-from bayesnet_track.runtime.recipe import RecipeError
-from bayesnet_track.runtime.resume import resume
+from bayesnet_track.runtime.checkpoints.recipe import RecipeError
+from bayesnet_track.runtime.checkpoints.resume import resume
 
 FRAMES, EVERY_S = 4, 1e-6
 Work = Callable[[Path], None]
@@ -244,7 +244,7 @@ def files(folder: Path) -> dict[str, str]:
 
 @pytest.fixture(autouse=True)
 def in_order(at_once: type, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bayesnet_track.runtime.checkpoint.ThreadPoolExecutor", at_once)
+    monkeypatch.setattr("bayesnet_track.runtime.checkpoints.checkpoint.ThreadPoolExecutor", at_once)
     cv2.setNumThreads(1)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from bayesnet_track.journal.events.basic import RunEnded
 from bayesnet_track.journal.reader import read_events, read_metrics
-from bayesnet_track.runtime.rundir import RunDirectory
+from bayesnet_track.runtime.recording.rundir import RunDirectory
 
 pytestmark = pytest.mark.reliability
 TIMES, LATEST_S = 50, 2.0

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from bayesnet_track.cli import main
-from bayesnet_track.runtime.checkpoint import CheckpointError
-from bayesnet_track.runtime.recipe import Recipe, RecipeError
-from bayesnet_track.runtime.resume import standing
+from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
+from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
+from bayesnet_track.runtime.checkpoints.resume import standing
 
 EARLIER = Path(__file__).with_name("earlier")
 VERSIONS = sorted(path.name for path in EARLIER.iterdir() if path.is_dir())

@@ -18,7 +18,7 @@ import pytest
 
 from bayesnet_track import track
 from bayesnet_track.cli import main
-from bayesnet_track.runtime.resume import ResumeError, resume
+from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.sources.scene_source import SceneSource
 
 FINISHED = Path(__file__).with_name("earlier") / "0.1.0" / "finished"

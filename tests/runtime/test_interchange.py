@@ -11,8 +11,8 @@ import pytest
 
 from bayesnet_track import Detections, Tracker, open_run, track
 from bayesnet_track.cli import main
-from bayesnet_track.runtime.exports import as_coco, as_csv, as_jsonl, as_mot
-from bayesnet_track.runtime.tables import AGENT_COLUMNS, TRACK_COLUMNS
+from bayesnet_track.runtime.recording.exports import as_coco, as_csv, as_jsonl, as_mot
+from bayesnet_track.runtime.recording.tables import AGENT_COLUMNS, TRACK_COLUMNS
 from bayesnet_track.sources.scenes import make_scene
 
 COLUMNS = (

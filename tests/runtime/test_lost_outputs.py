@@ -12,9 +12,9 @@ from bayesnet_track.cli import main
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.writer import LineFile, OutputError
-from bayesnet_track.runtime.record import Recorder
+from bayesnet_track.runtime.recording.record import Recorder
+from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.run import Result, Start, run
-from bayesnet_track.runtime.rundir import RunDirectory
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
 

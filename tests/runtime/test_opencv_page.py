@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from bayesnet_track.runtime.videowriter import VideoWriter
+from bayesnet_track.runtime.recording.videowriter import VideoWriter
 from bayesnet_track.sources.scenes import make_scene
 
 PAGE = Path(__file__).parents[2] / "docs" / "opencv.md"

@@ -8,8 +8,8 @@ import pytest
 
 from bayesnet_track.cli import main
 from bayesnet_track.journal.reader import read_events
-from bayesnet_track.runtime.pictures import pictures_of
-from bayesnet_track.runtime.rundir import RunDirectory
+from bayesnet_track.runtime.recording.pictures import pictures_of
+from bayesnet_track.runtime.recording.rundir import RunDirectory
 
 
 @pytest.fixture

@@ -15,9 +15,9 @@ from bayesnet_track.journal.net.net import TargetStarted
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.writer import LineFile, OutputError
 from bayesnet_track.runtime import session
-from bayesnet_track.runtime.record import Recorder
+from bayesnet_track.runtime.recording.record import Recorder
+from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.run import Start, run
-from bayesnet_track.runtime.rundir import FILES, RunDirectory, RunDirectoryError
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
 

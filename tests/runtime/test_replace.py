@@ -13,10 +13,10 @@ from bayesnet_track.cli import main
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.events.basic import Event
 from bayesnet_track.journal.writer import OutputError
-from bayesnet_track.runtime.replace import replace_run, settle
-from bayesnet_track.runtime.resume import resume, standing
-from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
-from bayesnet_track.runtime.verify import verify
+from bayesnet_track.runtime.checkpoints.resume import resume, standing
+from bayesnet_track.runtime.recording.replace import replace_run, settle
+from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
+from bayesnet_track.runtime.recording.verify import verify
 from bayesnet_track.sources.scene_source import SceneSource
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from bayesnet_track.journal.events.basic import FrameMetrics, RunEnded
 from bayesnet_track.journal.net.net import Quarantined, TargetStarted
-from bayesnet_track.runtime.rerun_sink import RerunError, RerunSink, rerun_sinks
+from bayesnet_track.runtime.recording.rerun_sink import RerunError, RerunSink, rerun_sinks
 
 
 class Recording:

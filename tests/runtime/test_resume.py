@@ -15,14 +15,14 @@ import pytest
 
 from bayesnet_track import Start, track
 from bayesnet_track.journal.events.inputs import Toggled
-from bayesnet_track.runtime import resume as resuming
-from bayesnet_track.runtime.checkpoint import CheckpointError
+from bayesnet_track.runtime.checkpoints import resume as resuming
+from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
+from bayesnet_track.runtime.checkpoints.recipe import RecipeError
+from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume, standing
 from bayesnet_track.runtime.inputs import Switchboard
-from bayesnet_track.runtime.lock import locked
-from bayesnet_track.runtime.recipe import RecipeError
-from bayesnet_track.runtime.resume import ResumeError, resume, standing
+from bayesnet_track.runtime.recording.lock import locked
+from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.run import Result, Summary
-from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.sources.scene_source import SceneSource
 
 FRAMES = 10
@@ -335,7 +335,7 @@ def test_a_run_is_told_when_what_its_agents_keep_cannot_be_stored(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: dict[str, str]
 ) -> None:
     monkeypatch.setattr("bayesnet_track.runtime.session.opaque_agents", lambda engine: ("mil",))
-    monkeypatch.setattr("bayesnet_track.runtime.resume.opaque_agents", lambda engine: ("mil",))
+    monkeypatch.setattr("bayesnet_track.runtime.checkpoints.resume.opaque_agents", lambda engine: ("mil",))
     run = begun(tmp_path / "run", 5)
     assert standing(run).frame is None
     said: list[str] = []

@@ -2,8 +2,8 @@
 
 import pytest
 
-from bayesnet_track.runtime.lock import is_locked, locked
-from bayesnet_track.runtime.rundir import FILES, RunDirectory, RunDirectoryError
+from bayesnet_track.runtime.recording.lock import is_locked, locked
+from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory, RunDirectoryError
 
 
 def test_a_new_folder_is_made_with_its_parents(tmp_path):

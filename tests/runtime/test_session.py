@@ -8,9 +8,9 @@ import pytest
 import bayesnet_track
 from bayesnet_track import Result, Start, load_graph, track
 from bayesnet_track.graph.text.messages import GraphError
-from bayesnet_track.runtime.recipe import Recipe
+from bayesnet_track.runtime.checkpoints.recipe import Recipe
+from bayesnet_track.runtime.recording.rundir import FILES, RunDirectoryError
 from bayesnet_track.runtime.run import StartError, Summary
-from bayesnet_track.runtime.rundir import FILES, RunDirectoryError
 from bayesnet_track.sources.sources import SourceError, open_source
 
 SQUARE = (0, 5, 10, 10)

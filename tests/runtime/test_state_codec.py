@@ -19,7 +19,7 @@ from bayesnet_track.journal.codec import to_json
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.detector import GIVEN
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.state_codec import CLASSES, StateError, decode_state, encode_state
+from bayesnet_track.runtime.checkpoints.state_codec import CLASSES, StateError, decode_state, encode_state
 from bayesnet_track.sources.detection_files import FileDetector
 from bayesnet_track.sources.scene_source import SceneSource
 

@@ -18,7 +18,7 @@ from bayesnet_track.cli import main
 from bayesnet_track.journal.events.basic import RunEnded
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.runtime import stop as module
-from bayesnet_track.runtime.rundir import RunDirectory
+from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.stop import SIGNALS, StopRequest, Terminated
 
 HANG_S = 300
@@ -375,7 +375,7 @@ def test_what_is_left_half_made_does_not_complain(monkeypatch):
 HELD = """
 import sys
 from bayesnet_track.cli import main
-from bayesnet_track.runtime.record import Recorder
+from bayesnet_track.runtime.recording.record import Recorder
 
 record = Recorder.frame
 

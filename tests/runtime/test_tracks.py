@@ -5,7 +5,7 @@ import csv
 import pytest
 
 from bayesnet_track.journal.events.basic import FrameMetrics
-from bayesnet_track.runtime.tracks import CSV_COLUMNS, CsvWriter, MotWriter
+from bayesnet_track.runtime.recording.tracks import CSV_COLUMNS, CsvWriter, MotWriter
 
 
 def metrics(frame, target="square", box=(30.0, 35.0, 41.0, 31.0), **more):

@@ -13,11 +13,11 @@ import pytest
 
 from bayesnet_track import Start, track
 from bayesnet_track.cli import main
-from bayesnet_track.runtime.lock import locked
-from bayesnet_track.runtime.manifest import ManifestError, read_manifest
-from bayesnet_track.runtime.resume import resume, standing
-from bayesnet_track.runtime.rundir import RunDirectory
-from bayesnet_track.runtime.verify import verify
+from bayesnet_track.runtime.checkpoints.resume import resume, standing
+from bayesnet_track.runtime.recording.lock import locked
+from bayesnet_track.runtime.recording.manifest import ManifestError, read_manifest
+from bayesnet_track.runtime.recording.rundir import RunDirectory
+from bayesnet_track.runtime.recording.verify import verify
 from bayesnet_track.sources.scene_source import SceneSource
 
 FRAMES = 4

@@ -10,7 +10,7 @@ import pytest
 
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.videowriter import VideoWriter
+from bayesnet_track.runtime.recording.videowriter import VideoWriter
 from bayesnet_track.sources.sources import open_source
 
 NAMES = ["v.mkv", "v.mp4"]
@@ -79,7 +79,7 @@ import resource, signal, sys
 from pathlib import Path
 import numpy as np
 from bayesnet_track.journal.writer import OutputError
-from bayesnet_track.runtime.videowriter import VideoWriter
+from bayesnet_track.runtime.recording.videowriter import VideoWriter
 limit = int(sys.argv[2])
 if limit:
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

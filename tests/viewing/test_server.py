@@ -9,15 +9,15 @@ import time
 
 import pytest
 
-from bayesnet_track.viewing import server as serving
-from bayesnet_track.viewing.connections import (
+from bayesnet_track.runtime.live_view import server as serving
+from bayesnet_track.runtime.live_view.connections import (
     MOST_PROVEN,
     MOST_UNPROVEN,
     MOST_UNPROVEN_OF_ONE,
     Connections,
 )
-from bayesnet_track.viewing.controls import Refused
-from bayesnet_track.viewing.server import Handler, Server
+from bayesnet_track.runtime.live_view.controls import Refused
+from bayesnet_track.runtime.live_view.server import Handler, Server
 
 
 class Served:

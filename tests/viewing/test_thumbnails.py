@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.viewing import thumbnails
-from bayesnet_track.viewing.thumbnails import Thumbnails, encode
+from bayesnet_track.runtime.live_view import thumbnails
+from bayesnet_track.runtime.live_view.thumbnails import Thumbnails, encode
 
 NOISE = np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8)
 

@@ -10,12 +10,12 @@ import pytest
 from bayesnet_track.engine.starts import Start
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.reader import read_events, read_metrics
+from bayesnet_track.runtime.live_view.controls import Controls, Refused
+from bayesnet_track.runtime.live_view.view import LiveView
 from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.view.page_data import read_timings
-from bayesnet_track.viewing.controls import Controls, Refused
-from bayesnet_track.viewing.view import LiveView
 
 FILES = ("journal.jsonl", "frames.jsonl", "tracks.txt", "tracks.csv", "inputs.jsonl")
 FRAMES = 12

@@ -23,7 +23,7 @@ from bayesnet_track.runtime.executors.placing import (
     with_proxies,
 )
 from bayesnet_track.runtime.executors.processes import Employed, PlacingError, Processes
-from bayesnet_track.runtime.executors.ray_actors import RayActors
+from bayesnet_track.runtime.executors.ray.ray_actors import RayActors
 from bayesnet_track.runtime.executors.single import one_thread_inside
 from bayesnet_track.runtime.executors.threads import Threads
 from bayesnet_track.runtime.executors.workers import Limits

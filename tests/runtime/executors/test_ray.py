@@ -14,7 +14,7 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.runtime.executors import make_executor
 from bayesnet_track.runtime.executors.placing import PlacingError
 from bayesnet_track.runtime.executors.processes import Employed
-from bayesnet_track.runtime.executors.ray_actors import RayActors
+from bayesnet_track.runtime.executors.ray.ray_actors import RayActors
 from bayesnet_track.runtime.executors.workers import Limits
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene

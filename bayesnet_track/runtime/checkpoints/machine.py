@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from bayesnet_track.runtime.versions import versions
+from bayesnet_track.runtime.checkpoints.versions import versions
 
 SETTINGS = ("GLIBC_TUNABLES", "OPENBLAS_CORETYPE")
 """Environment variables that choose other code for the same function, beyond those the libraries report."""

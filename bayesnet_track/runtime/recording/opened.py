@@ -18,9 +18,16 @@ from bayesnet_track.journal.net.net import TargetStarted
 from bayesnet_track.journal.reader import Notice, read_events, read_metrics
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.journal.timings import read_seconds
-from bayesnet_track.runtime.interchange import Detections
-from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
-from bayesnet_track.runtime.tables import AGENT_COLUMNS, TRACK_COLUMNS, Row, agent_rows, columns, track_rows
+from bayesnet_track.runtime.recording.interchange import Detections
+from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
+from bayesnet_track.runtime.recording.tables import (
+    AGENT_COLUMNS,
+    TRACK_COLUMNS,
+    Row,
+    agent_rows,
+    columns,
+    track_rows,
+)
 from bayesnet_track.view.notebook import run_html
 from bayesnet_track.view.timeline import draw_timeline
 

@@ -19,8 +19,8 @@ from bayesnet_track.journal.reader import Notice
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.ahead import keep_ahead, told_before
-from bayesnet_track.runtime.checkpoint import (
+from bayesnet_track.runtime.checkpoints.ahead import keep_ahead, told_before
+from bayesnet_track.runtime.checkpoints.checkpoint import (
     EVERY_S,
     Checkpoint,
     CheckpointError,
@@ -28,18 +28,24 @@ from bayesnet_track.runtime.checkpoint import (
     newest_checkpoint,
     remove,
 )
+from bayesnet_track.runtime.checkpoints.recipe import Recipe
+from bayesnet_track.runtime.checkpoints.unchanged import (
+    ResumeError,
+    check_outputs,
+    check_plain,
+    check_same,
+    permit_move,
+)
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.inputs import Asked, as_asked
-from bayesnet_track.runtime.lock import locked
-from bayesnet_track.runtime.manifest import finish, read_manifest, tidy
-from bayesnet_track.runtime.recipe import Recipe
-from bayesnet_track.runtime.record import Recorder
-from bayesnet_track.runtime.replace import settle, settle_broken
+from bayesnet_track.runtime.recording.lock import locked
+from bayesnet_track.runtime.recording.manifest import finish, read_manifest, tidy
+from bayesnet_track.runtime.recording.record import Recorder
+from bayesnet_track.runtime.recording.replace import settle, settle_broken
+from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.run import FrameSource, Result, Resumed, Sink, Summary, run
-from bayesnet_track.runtime.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.session import kept, opaque_agents, placed, prepared
-from bayesnet_track.runtime.unchanged import ResumeError, check_outputs, check_plain, check_same, permit_move
 from bayesnet_track.sources.stereo_source import check_depth
 
 __all__ = ["ResumeError", "Standing", "resume", "standing"]

@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
+from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 
 TAKEN = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
 """What systems answer when another process has the lock."""

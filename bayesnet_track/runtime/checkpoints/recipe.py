@@ -24,8 +24,8 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.write import graph_sha256
 from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.writer import read_position
-from bayesnet_track.runtime.rundir import RunDirectory, RunDirectoryError
-from bayesnet_track.runtime.versions import versions
+from bayesnet_track.runtime.checkpoints.versions import versions
+from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.sources.origin import Origin
 
 if TYPE_CHECKING:

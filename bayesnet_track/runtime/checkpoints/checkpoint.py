@@ -14,7 +14,7 @@ from contextlib import suppress
 from typing import Self
 
 from bayesnet_track.journal.writer import OutputError
-from bayesnet_track.runtime.checkpoint_file import (
+from bayesnet_track.runtime.checkpoints.checkpoint_file import (
     Checkpoint,
     CheckpointError,
     drop_damaged,
@@ -24,11 +24,11 @@ from bayesnet_track.runtime.checkpoint_file import (
     remove,
     write_checkpoint,
 )
-from bayesnet_track.runtime.machine import describe_machine
-from bayesnet_track.runtime.record import Recorder, Written
+from bayesnet_track.runtime.checkpoints.machine import describe_machine
+from bayesnet_track.runtime.checkpoints.state_codec import StateError, encode_state
+from bayesnet_track.runtime.recording.record import Recorder, Written
+from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.run import Reached
-from bayesnet_track.runtime.rundir import RunDirectory
-from bayesnet_track.runtime.state_codec import StateError, encode_state
 
 __all__ = [
     "EVERY_S",

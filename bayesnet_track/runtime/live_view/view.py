@@ -14,12 +14,12 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.events.basic import Event, FrameMetrics
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.runtime.live_view.controls import POLL_S, Controls, GiveUp, never
+from bayesnet_track.runtime.live_view.feed import Feed
+from bayesnet_track.runtime.live_view.server import Server
+from bayesnet_track.runtime.live_view.thumbnails import Thumbnails
 from bayesnet_track.runtime.run import FrameSource, Result
 from bayesnet_track.view.run_page import live_page
-from bayesnet_track.viewing.controls import POLL_S, Controls, GiveUp, never
-from bayesnet_track.viewing.feed import Feed
-from bayesnet_track.viewing.server import Server
-from bayesnet_track.viewing.thumbnails import Thumbnails
 
 AT_A_TIME = 400_000
 """Bytes of lines in one answer."""

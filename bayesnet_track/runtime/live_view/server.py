@@ -17,8 +17,8 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any, Protocol
 from urllib.parse import parse_qs, urlsplit
 
-from bayesnet_track.viewing.connections import Connections
-from bayesnet_track.viewing.controls import Refused
+from bayesnet_track.runtime.live_view.connections import Connections
+from bayesnet_track.runtime.live_view.controls import Refused
 
 FIRST_PORT, PORTS = 8760, 20
 LARGEST_REQUEST = 64_000

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.journal.events.basic import RunStarted
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.rundir import RunDirectory
+from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.sources.frames import SourceError
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def _between(
 
 def _source(directory: RunDirectory, started: RunStarted) -> FrameSource:
     """The run's source: as its recipe says, or, of a run without one, as its journal names it."""
-    from bayesnet_track.runtime.recipe import Recipe
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe
     from bayesnet_track.sources.scene_source import SceneSource
     from bayesnet_track.sources.scenes import make_scene
     from bayesnet_track.sources.sources import open_source

@@ -18,8 +18,8 @@ from pathlib import Path
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.atomic import PART, write_atomically
 from bayesnet_track.journal.writer import output_error
-from bayesnet_track.runtime.lock import locked
-from bayesnet_track.runtime.rundir import FILES, REPLACING, STAGED, RunDirectory
+from bayesnet_track.runtime.recording.lock import locked
+from bayesnet_track.runtime.recording.rundir import FILES, REPLACING, STAGED, RunDirectory
 
 
 def replace_run(directory: RunDirectory, files: Mapping[str, bytes]) -> None:

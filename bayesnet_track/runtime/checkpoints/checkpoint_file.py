@@ -19,10 +19,10 @@ from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.writer import OutputError, Position
 from bayesnet_track.observation.depth import PointMap, RightEye
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.record import Written
+from bayesnet_track.runtime.checkpoints.state_codec import StateError, decode_state, state_format
+from bayesnet_track.runtime.recording.record import Written
+from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.run import Reached
-from bayesnet_track.runtime.rundir import FILES, RunDirectory
-from bayesnet_track.runtime.state_codec import StateError, decode_state, state_format
 
 CHECKPOINT_FORMAT = 2
 """Raised when older programs cannot read what is written; each program reads its own format only."""

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Literal
 
 from bayesnet_track.journal.writer import Position, read_position
-from bayesnet_track.runtime.lock import is_locked
-from bayesnet_track.runtime.manifest import Manifest, passing, read_manifest
-from bayesnet_track.runtime.resume import standing
-from bayesnet_track.runtime.rundir import FILES, LOCK, STAGED, RunDirectory
+from bayesnet_track.runtime.checkpoints.resume import standing
+from bayesnet_track.runtime.recording.lock import is_locked
+from bayesnet_track.runtime.recording.manifest import Manifest, passing, read_manifest
+from bayesnet_track.runtime.recording.rundir import FILES, LOCK, STAGED, RunDirectory
 
 Finding = Literal["ok", "missing", "truncated", "changed", "extra"]
 Status = Literal["verified", "changed", "unfinished", "running", "unknown"]

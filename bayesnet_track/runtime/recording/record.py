@@ -26,10 +26,10 @@ from bayesnet_track.journal.writer import (
     read_position,
 )
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.runtime.recording.rundir import RunDirectory
+from bayesnet_track.runtime.recording.tracks import NO_IDS, CsvWriter, MotWriter
+from bayesnet_track.runtime.recording.videowriter import VideoWriter
 from bayesnet_track.runtime.run import Result
-from bayesnet_track.runtime.rundir import RunDirectory
-from bayesnet_track.runtime.tracks import NO_IDS, CsvWriter, MotWriter
-from bayesnet_track.runtime.videowriter import VideoWriter
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.reader import read_inputs
-from bayesnet_track.runtime.rundir import RunDirectory
+from bayesnet_track.runtime.recording.rundir import RunDirectory
 
 
 def told_before(directory: RunDirectory) -> Mapping[int, Sequence[Input]]:

@@ -16,8 +16,8 @@ from typing import Any
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.atomic import PART, write_atomically
 from bayesnet_track.journal.writer import Position, output_error, read_position
-from bayesnet_track.runtime.lock import locked
-from bayesnet_track.runtime.rundir import FILES, RunDirectory
+from bayesnet_track.runtime.recording.lock import locked
+from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 
 FORMAT = 1
 

@@ -8,12 +8,12 @@ from bayesnet_track.belief.contract import Motion
 from bayesnet_track.journal.events.machine_events import MachineChanged
 from bayesnet_track.journal.reader import Notice
 from bayesnet_track.journal.writer import read_position
-from bayesnet_track.runtime.checkpoint import Checkpoint
-from bayesnet_track.runtime.machine import describe_machine, name_differences
-from bayesnet_track.runtime.recipe import Recipe
+from bayesnet_track.runtime.checkpoints.checkpoint import Checkpoint
+from bayesnet_track.runtime.checkpoints.machine import describe_machine, name_differences
+from bayesnet_track.runtime.checkpoints.recipe import Recipe
+from bayesnet_track.runtime.checkpoints.versions import versions
+from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.run import FrameSource
-from bayesnet_track.runtime.rundir import FILES, RunDirectory
-from bayesnet_track.runtime.versions import versions
 from bayesnet_track.sources.frames import SourceError
 
 

@@ -10,10 +10,10 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.journal.codec import JournalError
-from bayesnet_track.runtime.tables import TRACK_COLUMNS, Row, track_rows
+from bayesnet_track.runtime.recording.tables import TRACK_COLUMNS, Row, track_rows
 
 if TYPE_CHECKING:
-    from bayesnet_track.runtime.opened import Run
+    from bayesnet_track.runtime.recording.opened import Run
 
 
 def as_mot(run: Run, lost: bool = False) -> str:

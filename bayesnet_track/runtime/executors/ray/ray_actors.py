@@ -26,8 +26,8 @@ from bayesnet_track.runtime.executors.processes import (
     check_sendable,
 )
 from bayesnet_track.runtime.executors.questions import ADVANCE, Answer, Foreign, Question, Sent, Told
-from bayesnet_track.runtime.executors.ray_cluster import calmest, connect, living
-from bayesnet_track.runtime.executors.ray_frames import RayFrameStore, StoredFrame, fetched
+from bayesnet_track.runtime.executors.ray.ray_cluster import calmest, connect, living
+from bayesnet_track.runtime.executors.ray.ray_frames import RayFrameStore, StoredFrame, fetched
 from bayesnet_track.runtime.executors.workers import Late, Limits, WorkerLost
 
 

@@ -1,0 +1,1 @@
+"""Checkpoints, resuming, and replaying with another value."""
