@@ -26,8 +26,8 @@ from sequences import Sequence as Video
 from sequences import find_sequences, track
 
 from bayesnet_track import Tracker
-from bayesnet_track.commands import fit_tracking, fit_videos
-from bayesnet_track.commands.fit import graph_text
+from bayesnet_track.cli.commands import fit_tracking, fit_videos
+from bayesnet_track.cli.commands.fit import graph_text
 from bayesnet_track.evaluate.cue_sds import fit_sds, residuals_of, shares_inside
 from bayesnet_track.evaluate.fitting import Fitted, fit, mass_below
 from bayesnet_track.evaluate.scores import success_auc

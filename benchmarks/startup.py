@@ -22,7 +22,7 @@ import time
 
 from measuring import environment, table
 
-COMMAND_LINE = "import sys; from bayesnet_track.cli import main; sys.exit(main({arguments!r}))"
+COMMAND_LINE = "import sys; from bayesnet_track.cli.main import main; sys.exit(main({arguments!r}))"
 
 FIRST_FRAME = """
 import sys

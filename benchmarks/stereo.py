@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.commands.calibrate import read_all
+from bayesnet_track.cli.commands.calibrate import read_all
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.planes import Region
 from bayesnet_track.sources.scene_source import SceneSource

@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.recording.opened import open_run
 
 

@@ -13,8 +13,8 @@ import packaging.requirements  # noqa: F401 - loaded before the folder of packag
 import pytest
 
 import bayesnet_track
-from bayesnet_track.doctor import examine, libraries, machine, own_paths, packages, selftest
-from bayesnet_track.doctor.finding import Finding, try_code
+from bayesnet_track.cli.doctor import examine, libraries, machine, own_paths, packages, selftest
+from bayesnet_track.cli.doctor.finding import Finding, try_code
 
 ROOT = Path(__file__).parents[1]
 

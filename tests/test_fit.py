@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.graph.text.load import load_graph
 
 GRAPH = """# my graph

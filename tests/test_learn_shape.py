@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.vision.shape.shape_model import load_model
 
 

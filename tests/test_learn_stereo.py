@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.evaluate.truth import format_truth
 from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.sources.scenes import Scene, make_scene

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.reader import read_metrics
@@ -37,15 +37,15 @@ LIGHT = [
     "import bayesnet_track.evaluate.runs",
     "from bayesnet_track.journal import reader, explain, writer",
     "from bayesnet_track.observation.cue import installed_cues; installed_cues()",
-    "from bayesnet_track.cli import main; main(['validate', 'general', 'two_squares'])",
-    "from bayesnet_track.cli import main; main(['list'])",
-    "from bayesnet_track.cli import main; main(['schema'])",
-    "from bayesnet_track.cli import main; main(['graph', 'general', '--formula'])",
+    "from bayesnet_track.cli.main import main; main(['validate', 'general', 'two_squares'])",
+    "from bayesnet_track.cli.main import main; main(['list'])",
+    "from bayesnet_track.cli.main import main; main(['schema'])",
+    "from bayesnet_track.cli.main import main; main(['graph', 'general', '--formula'])",
 ]
 LIGHTEST = [
     "import bayesnet_track",
-    "from bayesnet_track.cli import main, make_parser; make_parser().format_help()",
-    "from bayesnet_track.cli import main; main(['--version'])",
+    "from bayesnet_track.cli.main import main, make_parser; make_parser().format_help()",
+    "from bayesnet_track.cli.main import main; main(['--version'])",
 ]
 
 
@@ -236,7 +236,7 @@ def test_the_wheel_holds_everything_that_a_run_needs(wheel):
     others = {"bayesnet_track/py.typed", f"{about}/licenses/LICENSE"}
     assert modules | graphs | others <= names
     assert {name.split("/")[0] for name in names} == {"bayesnet_track", about}
-    assert "bayesnet-track = bayesnet_track.cli:main" in points
+    assert "bayesnet-track = bayesnet_track.cli.main:main" in points
     assert all(f"{cue} = bayesnet_track.cues.{cue}:CUE" in points for cue in BUILT_IN)
 
 

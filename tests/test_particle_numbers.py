@@ -9,7 +9,7 @@ from typing import Any, get_args
 import pytest
 
 from bayesnet_track import GraphSpec, Start, track
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.basic import ParticlesResized
 from bayesnet_track.journal.net.net import Decision, replay
 from bayesnet_track.journal.reader import read_events, read_metrics

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Tracker, track
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue import CueDeclaration, CueParameters, installed_cues

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from bayesnet_track.arguments import whole_number
-from bayesnet_track.parsers.plugins import add_plugins
+from bayesnet_track.cli.options.arguments import whole_number
+from bayesnet_track.cli.options.plugins import add_plugins
 
 
 def add_batch(commands: argparse._SubParsersAction[Any]) -> None:

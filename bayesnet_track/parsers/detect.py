@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from bayesnet_track.parsers.plugins import add_plugins
-from bayesnet_track.parsers.sources import add_depth_options, add_window_options
+from bayesnet_track.cli.options.plugins import add_plugins
+from bayesnet_track.cli.options.sources import add_depth_options, add_window_options
 
 
 def add_detect(commands: argparse._SubParsersAction[Any]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from bayesnet_track.starter.ask import QUESTIONS
+from bayesnet_track.cli.starter.ask import QUESTIONS
 
 
 def add_init(commands: argparse._SubParsersAction[Any]) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from bayesnet_track.parsers.executors import add_executor_options
-from bayesnet_track.parsers.plugins import add_plugins
-from bayesnet_track.parsers.view import add_view_options
+from bayesnet_track.cli.options.executors import add_executor_options
+from bayesnet_track.cli.options.plugins import add_plugins
+from bayesnet_track.cli.options.view import add_view_options
 
 
 def add_resume(commands: argparse._SubParsersAction[Any]) -> None:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from bayesnet_track.arguments import whole_number
-from bayesnet_track.parsers.executors import add_executor_options
-from bayesnet_track.parsers.outside import add_outside_options
-from bayesnet_track.parsers.plugins import add_plugins
-from bayesnet_track.parsers.rerun import add_rerun_option
+from bayesnet_track.cli.options.arguments import whole_number
+from bayesnet_track.cli.options.executors import add_executor_options
+from bayesnet_track.cli.options.outside import add_outside_options
+from bayesnet_track.cli.options.plugins import add_plugins
+from bayesnet_track.cli.options.rerun import add_rerun_option
+from bayesnet_track.cli.options.sources import add_depth_options, add_window_options
+from bayesnet_track.cli.options.view import add_view_options
 from bayesnet_track.parsers.resume import add_checkpoints
-from bayesnet_track.parsers.sources import add_depth_options, add_window_options
-from bayesnet_track.parsers.view import add_view_options
 
 
 def add_demo(commands: argparse._SubParsersAction[Any]) -> None:

@@ -6,9 +6,9 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
-from bayesnet_track.arguments import whole_number
+from bayesnet_track.cli.options.arguments import whole_number
+from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.parsers.compare import add_comparison_options
-from bayesnet_track.parsers.plugins import add_plugins
 
 
 def as_what_if(arguments: Sequence[str]) -> list[str]:

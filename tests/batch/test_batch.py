@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.batch import places
-from bayesnet_track.batch.jobs import BatchError, Job, Video, read_list, videos_of
-from bayesnet_track.batch.work import ROW, do
-from bayesnet_track.cli import main
+from bayesnet_track.cli.batch import places
+from bayesnet_track.cli.batch.jobs import BatchError, Job, Video, read_list, videos_of
+from bayesnet_track.cli.batch.work import ROW, do
+from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.recording.lock import locked
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.session import track

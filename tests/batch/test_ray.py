@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.sources.scenes import make_scene
 
 MEASURED = ("frames", "agents_per_frame", "score_mean", "auc", "status")

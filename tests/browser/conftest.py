@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.basic import FrameMetrics, RunEnded, RunStarted
 from bayesnet_track.journal.net.net import Activated, Cause, Deactivated, StatusChanged, TargetStarted

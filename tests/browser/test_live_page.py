@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.engine.starts import Start
 from bayesnet_track.journal.reader import read_inputs
 from bayesnet_track.runtime.session import track

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.sources.scenes import make_scene
 
 pytestmark = pytest.mark.slow

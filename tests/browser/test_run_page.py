@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.journal.net.net import FitCause, StatusChanged
 
 pytestmark = pytest.mark.slow

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.commands.answer import OK
-from bayesnet_track.commands.graphs import validate
+from bayesnet_track.cli.commands.answer import OK
+from bayesnet_track.cli.commands.graphs import validate
 from bayesnet_track.engine.step import State, make_engine, start_target, step
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph

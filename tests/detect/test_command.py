@@ -7,7 +7,7 @@ import json
 import cv2
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.sources.scenes import make_scene
 
 

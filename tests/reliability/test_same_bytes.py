@@ -6,7 +6,7 @@ import hashlib
 
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 
 pytestmark = pytest.mark.reliability
 

@@ -20,7 +20,7 @@ TIMES, LATEST_S = 50, 2.0
 # Before and after `main`, signals are the interpreter's.
 RUN = """
 import os, signal, sys
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 for each in (signal.SIGINT, signal.SIGTERM):
     signal.signal(each, lambda number, _: os._exit(128 + number))
 print("ready", file=sys.stderr, flush=True)

@@ -15,7 +15,7 @@ from types import ModuleType
 import cv2
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 
 FRAMES = 4
 

@@ -5,7 +5,7 @@ import re
 import av
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.basic import RunEnded, SourceDamaged
 from bayesnet_track.journal.reader import read_events
 

@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.engine.starts import StartError
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.write import write_graph

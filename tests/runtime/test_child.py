@@ -13,8 +13,8 @@ from contextlib import suppress
 
 import pytest
 
-from bayesnet_track.batch import places
-from bayesnet_track.batch.jobs import Job, Video
+from bayesnet_track.cli.batch import places
+from bayesnet_track.cli.batch.jobs import Job, Video
 from bayesnet_track.runtime.executors.nursery import Nursery
 from bayesnet_track.sources.child import cut, python, tie
 from bayesnet_track.sources.isolated import IsolatedReader

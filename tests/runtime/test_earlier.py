@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
 from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
 from bayesnet_track.runtime.checkpoints.resume import standing

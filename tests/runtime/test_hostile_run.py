@@ -17,7 +17,7 @@ import cv2
 import pytest
 
 from bayesnet_track import track
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.sources.scene_source import SceneSource
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.observation.detector import DetectorError, installed_detectors
 from bayesnet_track.sources.depth_files import read_points
 from bayesnet_track.sources.frames import PictureError

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Detections, Tracker, open_run, track
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.recording.exports import as_coco, as_csv, as_jsonl, as_mot
 from bayesnet_track.runtime.recording.tables import AGENT_COLUMNS, TRACK_COLUMNS
 from bayesnet_track.sources.scenes import make_scene

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.basic import SourceDamaged
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.frames import Source

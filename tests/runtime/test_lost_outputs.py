@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.writer import LineFile, OutputError

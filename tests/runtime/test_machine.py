@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from bayesnet_track import Start, track
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.basic import RunEnded
 from bayesnet_track.journal.events.machine_events import MachineChanged
 from bayesnet_track.journal.reader import read_events

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.journal.reader import read_events
 from bayesnet_track.runtime.recording.pictures import pictures_of
 from bayesnet_track.runtime.recording.rundir import RunDirectory

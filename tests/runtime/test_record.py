@@ -92,7 +92,7 @@ def test_a_full_disk_is_told_at_once_and_leaves_whole_lines(graph, tmp_path, nam
 @linux_only
 @pytest.mark.parametrize("name", ["journal", "csv", "graph", "video"])
 def test_a_full_disk_is_exit_code_6(tmp_path, capsys, monkeypatch, name):
-    from bayesnet_track.cli import main
+    from bayesnet_track.cli.main import main
 
     begin = session.begin
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from bayesnet_track import Result, Start, track
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.events.basic import Event
 from bayesnet_track.journal.writer import OutputError

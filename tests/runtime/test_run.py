@@ -128,7 +128,7 @@ def test_another_process_gives_the_same_bytes(recorded, tmp_path):
 def test_kernels_from_the_cache_give_the_same_bytes_as_those_just_compiled(tmp_path):
     """Also where nothing can be cached."""
     line = ["demo", "--graph", "general", "--end", "40", "--quiet", "--out"]
-    run_it = "import sys; from bayesnet_track.cli import main; sys.exit(main(sys.argv[1:]))"
+    run_it = "import sys; from bayesnet_track.cli.main import main; sys.exit(main(sys.argv[1:]))"
     # How Numba tries whether it may write somewhere.
     denied = "def denied(**_): raise PermissionError(13, 'denied')\n"
     denied += "import tempfile; tempfile.TemporaryFile = denied\n"

@@ -13,8 +13,8 @@ from importlib import import_module
 
 import pytest
 
-from bayesnet_track import commands
-from bayesnet_track.cli import main
+from bayesnet_track.cli import dispatch as commands
+from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.basic import RunEnded
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.runtime import stop as module
@@ -315,12 +315,12 @@ def test_an_interrupted_import_ends_the_command(answer, number, tmp_path, monkey
 def test_an_import_of_ours_that_is_interrupted_ends_the_command(capsys, monkeypatch):
     class Finder:
         def find_spec(self, name, path=None, target=None):
-            if name == "bayesnet_track.commands":
+            if name == "bayesnet_track.cli.dispatch":
                 signal.raise_signal(signal.SIGINT)
 
-    for name in [name for name in sys.modules if name.startswith("bayesnet_track.commands")]:
+    for name in [name for name in sys.modules if name.startswith("bayesnet_track.cli.dispatch")]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delattr("bayesnet_track.commands")
+    monkeypatch.delattr("bayesnet_track.cli.dispatch")
     monkeypatch.setattr(sys, "meta_path", [Finder(), *sys.meta_path])
     assert main(["list"]) == 130
     assert capsys.readouterr() == ("", "")
@@ -374,7 +374,7 @@ def test_what_is_left_half_made_does_not_complain(monkeypatch):
 
 HELD = """
 import sys
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.recording.record import Recorder
 
 record = Recorder.frame
@@ -458,7 +458,7 @@ WATCHED = """
 import os
 import signal
 import sys
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 
 after, number, *arguments = sys.argv[1:]
 events = 0

@@ -7,9 +7,10 @@ import sys
 
 import pytest
 
-from bayesnet_track import commands, track
-from bayesnet_track.cli import main
-from bayesnet_track.doctor import packages
+from bayesnet_track import track
+from bayesnet_track.cli import dispatch as commands
+from bayesnet_track.cli.doctor import packages
+from bayesnet_track.cli.main import main
 from bayesnet_track.runtime import system
 from bayesnet_track.runtime.executors import PlacingError
 from bayesnet_track.sources.scene_source import SceneSource
@@ -99,7 +100,7 @@ for package in (bayesnet_track, bayesnet_track.cues):
     for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
         if not module.name.endswith("__main__") and "ray" not in module.name:
             importlib.import_module(module.name)
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 sys.exit(main(["demo", "--end", "3", "--quiet", "--out", sys.argv[1]]))
 """
 

@@ -349,7 +349,7 @@ def state():
 before = state()
 import tempfile
 from bayesnet_track import Tracker, track
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.sources.scenes import make_scene
 
 scene = make_scene("two_squares")

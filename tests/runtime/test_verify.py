@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from bayesnet_track import Start, track
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.checkpoints.resume import resume, standing
 from bayesnet_track.runtime.recording.lock import locked
 from bayesnet_track.runtime.recording.manifest import ManifestError, read_manifest

@@ -10,15 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track import Start, track
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
+from bayesnet_track.cli.starter.ask import ask_all, chosen
+from bayesnet_track.cli.starter.compose import graph_text
+from bayesnet_track.cli.starter.task import APART, BELIEF, BUDGET, FOLLOW, HARD, SPEED, Task, TaskError
 from bayesnet_track.graph.checks.run import check
 from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
-from bayesnet_track.starter.ask import ask_all, chosen
-from bayesnet_track.starter.compose import graph_text
-from bayesnet_track.starter.task import APART, BELIEF, BUDGET, FOLLOW, HARD, SPEED, Task, TaskError
 
 HERE = Path(__file__).parent
 HARDER = frozenset

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cli import main
+from bayesnet_track.cli.main import main
 from bayesnet_track.vision.stereo.chessboard import calibrate
 from bayesnet_track.vision.stereo.stereo import CalibrationError, Rectification, read_calibration
 

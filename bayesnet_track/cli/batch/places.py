@@ -1,0 +1,127 @@
+"""Where the jobs of a batch run: behind a small protocol, here in processes of this computer."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import tempfile
+import threading
+from collections.abc import Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from queue import Empty, SimpleQueue
+from typing import Protocol
+
+from bayesnet_track.cli.batch.jobs import Job
+from bayesnet_track.cli.batch.work import Row, failed_row
+from bayesnet_track.sources.child import cut, python, tie
+
+WAIT_S = 0.2
+
+
+@dataclass(frozen=True)
+class Told:
+    """What is heard of a job.
+
+    Attributes:
+        job: the job.
+        done: frames done.
+        expected: frames to do, or None.
+        row: its row, when it is over.
+    """
+
+    job: Job
+    done: int = 0
+    expected: int | None = None
+    row: Row | None = None
+
+
+class Place(Protocol):
+    """Where jobs run."""
+
+    def run(self, jobs: Sequence[Job]) -> Generator[Told | None, None, None]:
+        """Do the jobs; what is heard of them as it comes, each one's row in the end, None when all is quiet.
+
+        A job that fails, or whose process dies, has a row that says so. Closing the iterator ends the jobs
+        that run; they can be gone on with.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Processes:
+    """A process for each job, so many at a time: one that dies takes no other with it.
+
+    Attributes:
+        at_a_time: how many.
+    """
+
+    at_a_time: int
+
+    def run(self, jobs: Sequence[Job]) -> Generator[Told | None, None, None]:
+        """As of a `Place`."""
+        heard: SimpleQueue[Told] = SimpleQueue()
+        running: set[subprocess.Popen[str]] = set()
+        is_over = threading.Event()
+        pool = ThreadPoolExecutor(self.at_a_time)
+        try:
+            for job in jobs:
+                pool.submit(_supervise, job, heard, running, is_over)
+            left = len(jobs)
+            while left:
+                try:
+                    told = heard.get(timeout=WAIT_S)
+                except Empty:
+                    yield None
+                    continue
+                left -= told.row is not None
+                yield told
+        finally:
+            is_over.set()
+            for process in tuple(running):
+                with suppress(OSError):
+                    process.terminate()
+            pool.shutdown(cancel_futures=True)
+
+
+def _supervise(
+    job: Job, heard: SimpleQueue[Told], running: set[subprocess.Popen[str]], is_over: threading.Event
+) -> None:
+    if is_over.is_set():
+        return
+    row: Row | None = None
+    pipe = subprocess.PIPE
+    held, lifeline = tie()
+    command = python("from bayesnet_track.cli.batch.worker import main; sys.exit(main())", held=held)
+    files = () if held < 0 else (held,)
+    try:
+        with (
+            tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as complaints,
+            subprocess.Popen(
+                command, stdin=pipe, stdout=pipe, stderr=complaints, text=True, pass_fds=files
+            ) as process,
+        ):
+            running.add(process)
+            if is_over.is_set():  # it was not among those that were ended
+                process.terminate()
+            assert process.stdin is not None and process.stdout is not None
+            process.stdin.write(job.to_json() + "\n")
+            process.stdin.close()
+            for line in process.stdout:
+                what = json.loads(line)
+                if "row" in what:
+                    row = what["row"]
+                else:
+                    heard.put(Told(job, what["done"], what["expected"]))
+            code = process.wait()
+            running.discard(process)
+            if row is None:
+                complaints.seek(0)
+                said = complaints.read().strip().splitlines()
+                row = failed_row(job, f"its process ended with {code}" + (f": {said[-1]}" if said else ""))
+    except (OSError, ValueError) as error:
+        row = failed_row(job, str(error))
+    finally:
+        cut(held, lifeline)
+    heard.put(Told(job, row=row))

@@ -1,0 +1,73 @@
+"""The jobs of a batch as tasks of a Ray cluster, one processor each.
+
+The sources and the folder of the results must be there under the same paths on every node. A job whose node
+dies is started again by Ray, and goes on where its files end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+from bayesnet_track.cli.batch.jobs import Job
+from bayesnet_track.cli.batch.places import WAIT_S, Told
+from bayesnet_track.cli.batch.work import Row, failed_row
+from bayesnet_track.runtime.executors.ray.ray_cluster import connect
+
+RETRIES = 2
+"""How often a job whose process or node died is started again."""
+
+
+@dataclass(frozen=True)
+class RayTasks:
+    """A task for each job, as many at a time as the cluster has processors.
+
+    Attributes:
+        address: of the cluster; None starts one here.
+    """
+
+    address: str | None = None
+
+    def run(self, jobs: Sequence[Job]) -> Generator[Told | None, None, None]:
+        """As of a `Place`.
+
+        Raises:
+            PlacingError: Ray is not installed, or there is no cluster.
+        """
+        owns_ray = connect(self.address)
+        import ray
+
+        task = ray.remote(_done).options(num_cpus=1, max_retries=RETRIES)
+        waiting = {task.remote(job.to_json()): job for job in jobs}
+        try:
+            while waiting:
+                over, _ = ray.wait(list(waiting), timeout=WAIT_S)
+                if not over:
+                    yield None
+                for promised in over:
+                    job = waiting.pop(promised)
+                    try:
+                        row: Row = ray.get(promised)
+                    except ray.exceptions.RayError as error:
+                        row = failed_row(job, f"its task was lost ({type(error).__name__})")
+                    yield Told(job, row=row)
+        finally:
+            for promised in waiting:
+                with suppress(ray.exceptions.RayError):
+                    ray.cancel(promised, force=True)
+            if owns_ray:
+                ray.shutdown()
+
+
+def _done(line: str) -> Row:
+    from bayesnet_track.cli.batch.work import do
+    from bayesnet_track.cli.commands.answer import words
+    from bayesnet_track.observation import plugins
+
+    job = Job.from_json(line)
+    plugins.allow(job.plugins)
+    try:
+        return do(job, lambda done, expected: None)
+    except (OSError, ValueError) as error:
+        return failed_row(job, " ".join(words(error).split()))

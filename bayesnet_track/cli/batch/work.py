@@ -1,0 +1,164 @@
+"""One job of a batch: begun, gone on with, or found finished; and its row of the table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bayesnet_track.cli.batch.jobs import BatchError, Job
+from bayesnet_track.runtime.run import Start
+
+if TYPE_CHECKING:
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe
+
+Row = dict[str, str | int | float | None]
+
+ROW = (
+    "video",
+    "seed",
+    "status",
+    "frames",
+    "fps",
+    "lost_frames",
+    "agents_per_frame",
+    "reconfigurations",
+    "score_mean",
+    "auc",
+    "auc_strict",
+    "precision20",
+    "mean_iou",
+    "lost_episodes",
+    "reason",
+)
+"""Columns of the table of results."""
+
+FINISHED, FAILED = "finished", "failed"
+
+
+def do(job: Job, progress: Callable[[int, int | None], None]) -> Row:
+    """Track to the end, going on where an earlier try stopped; the row of it.
+
+    `progress` is told of frames done and to do. What fails passes through.
+
+    Raises:
+        BatchError: the run that is there already was asked for otherwise.
+    """
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
+    from bayesnet_track.runtime.checkpoints.resume import resume, standing
+    from bayesnet_track.runtime.recording.replace import settle_broken
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
+    from bayesnet_track.runtime.run import Summary
+    from bayesnet_track.runtime.session import track
+    from bayesnet_track.sources.frames import OnResize
+    from bayesnet_track.sources.sources import open_source
+
+    summary = Summary()
+    settle_broken(RunDirectory(Path(job.out)))
+    try:
+        now = standing(job.out)
+    except RecipeError:
+        now = None
+    if now is not None:
+        _check_same(job, Recipe.read(job.out))
+    if now is not None and not now.is_finished:
+        for _ in resume(job.out, summary=summary):
+            progress(summary.frames, None)
+    elif now is None:
+        on_resize: OnResize = "rescale" if job.on_resize == "rescale" else "stop"
+        with open_source(job.video.source, end=job.end, on_resize=on_resize) as source:
+            expected = source.expected_frames
+            results = track(
+                job.graph, source, _starts(job), out=job.out, seed=job.seed, summary=summary, overwrite=True
+            )
+            for _ in results:
+                progress(summary.frames, expected)
+    return row_of(job)
+
+
+def row_of(job: Job) -> Row:
+    """The row of a finished run; raises OSError, ValueError when its files do not make one."""
+    from bayesnet_track.evaluate.runs import score_run
+    from bayesnet_track.evaluate.scores import frames_per_second
+    from bayesnet_track.journal.events.basic import RunEnded
+    from bayesnet_track.journal.net.net import Switch
+    from bayesnet_track.runtime.recording.opened import open_run
+
+    run = open_run(job.out)
+    events, metrics = run.events, run.metrics
+    ended = next((event for event in reversed(events) if isinstance(event, RunEnded)), None)
+    is_complete = ended is not None and ended.complete
+    row: Row = dict.fromkeys(ROW)
+    row |= {
+        "video": job.video.name,
+        "seed": job.seed,
+        "status": FINISHED if is_complete else FAILED,
+        "frames": 0 if ended is None else ended.frames,
+        "fps": frames_per_second(list(run.seconds.values())),
+        "lost_frames": len({line.frame for line in metrics if line.status == "lost"}),
+        "agents_per_frame": _mean([float(len(line.active)) for line in metrics]),
+        "reconfigurations": sum(isinstance(event, Switch) for event in events),
+        "score_mean": _mean([line.score for line in metrics]),
+        "reason": "" if is_complete else "no end" if ended is None else ended.reason,
+    }
+    if job.video.truth is not None and metrics:
+        found = score_run(job.out, job.video.truth, target=metrics[0].target)
+        row |= {name: getattr(found, name) for name in ROW if name in _SCORES}
+    return {name: round(value, 6) if isinstance(value, float) else value for name, value in row.items()}
+
+
+_SCORES = ("auc", "auc_strict", "precision20", "mean_iou", "lost_episodes")
+
+
+def failed_row(job: Job, reason: str) -> Row:
+    """The row of a job that failed."""
+    row: Row = dict.fromkeys(ROW)
+    return row | {"video": job.video.name, "seed": job.seed, "status": FAILED, "reason": reason}
+
+
+def _check_same(job: Job, recipe: Recipe) -> None:
+    """Refuse a run that was asked for otherwise: its results would be taken for this job's."""
+    from bayesnet_track.graph.text.load import load_graph
+    from bayesnet_track.graph.text.write import graph_sha256
+
+    origin = recipe.origin
+    source = origin.absolute.get(origin.text, origin.text)
+    known = job.video.source in (source, origin.text) or str(Path(job.video.source).absolute()) == source
+    was_and_is: dict[str, tuple[object, object]] = {
+        "graph": (recipe.graph_sha256[:12], graph_sha256(load_graph(job.graph).text)[:12]),
+        "source": (source, source if known else job.video.source),
+        "start": (recipe.starts, tuple(_starts(job) or ())),
+        "seed": (recipe.seed, job.seed),
+        "end": (origin.end, job.end),
+        "on_resize": (origin.on_resize, job.on_resize),
+    }
+    others = [
+        f"{name} {_word(was)}, now {_word(now)}" for name, (was, now) in was_and_is.items() if was != now
+    ]
+    if others:
+        raise BatchError(
+            f"{job.out}: the run there was asked for otherwise: {'; '.join(others)}; "
+            "give another --out, or remove it"
+        )
+
+
+def _word(value: object) -> str:
+    if isinstance(value, tuple):
+        return " ".join(",".join(f"{part:g}" for part in one.box) for one in value) or "none"
+    return "none" if value is None else str(value)
+
+
+def _starts(job: Job) -> list[Start] | None:
+    from bayesnet_track.evaluate.truth import read_truth
+
+    if job.video.init is not None:
+        x, y, w, h = (float(part) for part in job.video.init.split(","))
+        return [Start((x, y, w, h))]
+    if job.video.init_from is None:
+        return None
+    x, y, w, h = (float(value) for value in read_truth(job.video.init_from)[0])
+    return [Start((x, y, w, h))]
+
+
+def _mean(values: list[float]) -> float | None:
+    return sum(values) / len(values) if values else None

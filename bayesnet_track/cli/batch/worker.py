@@ -1,0 +1,45 @@
+"""A job in a process of its own: read from the input; how far it is, and its row, told as lines of JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+
+from bayesnet_track.cli.batch.jobs import Job
+
+EVERY_S = 0.5
+
+
+def main() -> int:
+    """Do one job; the exit code."""
+    from bayesnet_track.cli.batch.work import do, failed_row
+    from bayesnet_track.cli.commands.answer import words
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the batch decides
+    answers = os.dup(1)
+    os.dup2(2, 1)  # what cues print must not stand among the answers
+
+    def tell(what: object) -> None:
+        os.write(answers, json.dumps(what).encode() + b"\n")
+
+    job = Job.from_json(sys.stdin.readline())
+    if job.plugins:
+        from bayesnet_track.observation import plugins
+
+        plugins.allow(list(job.plugins))
+    shown = 0.0
+
+    def progress(done: int, expected: int | None) -> None:
+        nonlocal shown
+        if time.monotonic() >= shown + EVERY_S:
+            shown = time.monotonic()
+            tell({"done": done, "expected": expected})
+
+    try:
+        tell({"row": do(job, progress)})
+    except (OSError, ValueError) as error:
+        tell({"row": failed_row(job, " ".join(words(error).split()))})
+    return 0

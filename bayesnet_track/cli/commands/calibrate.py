@@ -1,0 +1,76 @@
+"""The command `calibrate`: chessboard pictures in, calibration file out."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bayesnet_track.cli.commands.answer import OK, UsageError, check_free, say, users_mistake, writing
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+
+def calibrate(options: argparse.Namespace) -> int:
+    """Calibrate a pair of cameras from pictures of a chessboard."""
+    from bayesnet_track.vision.stereo.chessboard import calibrate as fit
+    from bayesnet_track.vision.stereo.stereo import write_calibration
+
+    board = parse_board(options.board)
+    out = Path(options.out)
+    check_free(out, options.overwrite)
+    left, right = read_all(options.left), read_all(options.right)
+    with users_mistake():
+        fitted = fit(left, right, board, options.square_m)
+    with writing(out):
+        write_calibration(out, fitted.cameras)
+    x, y, z = (-1000 * value for value in fitted.cameras.translation)
+    unused = ", ".join(str(n) for n in range(len(left)) if n not in fitted.used)
+    say(f"board whole in {len(fitted.used)} of {len(left)} pairs" + (f", not in {unused}" if unused else ""))
+    say(
+        f"reprojection rms: left {fitted.left_rms_px:.3f} px, right {fitted.right_rms_px:.3f} px, "
+        f"both together {fitted.pair_rms_px:.3f} px"
+    )
+    say(f"rows after rectification differ by {fitted.epipolar_px:.3f} px")
+    say(f"right camera at {x:.1f}, {y:.1f}, {z:.1f} mm of the left one (x right, y down, z forward)")
+    say(f"wrote {out}")
+    return OK
+
+
+def parse_board(text: str) -> tuple[int, int]:
+    """Inner corners across and down from ``9x6``.
+
+    Raises:
+        UsageError: it is something else.
+    """
+    across, _, down = text.partition("x")
+    if not (across.isascii() and across.isdigit() and down.isascii() and down.isdigit()):
+        raise UsageError(f"--board {text!r}: two numbers such as 9x6 are needed, the inner corners")
+    board = int(across), int(down)
+    if min(board) < 3 or max(board) > 100:
+        raise UsageError(f"--board {text!r}: from 3 to 100 inner corners each way are allowed")
+    return board
+
+
+def read_all(text: str) -> list[NDArray[np.uint8]]:
+    """Every picture of a folder, glob or video.
+
+    Raises:
+        SourceError: there is none, or one of them cannot be read.
+    """
+    from bayesnet_track.observation.planes import Frame
+    from bayesnet_track.sources.frames import SourceError
+    from bayesnet_track.sources.sources import open_source
+
+    with open_source(text) as source:
+        items = list(source)
+        if source.end_reason != "end_of_source":
+            raise SourceError(
+                text,
+                f"it ends early: {source.end_reason.replace('_', ' ')}",
+                "pictures of one size that can all be read",
+                "take out what is damaged, in both eyes",
+            )
+    return [item.image for item in items if isinstance(item, Frame)]

@@ -1,0 +1,172 @@
+"""The command `compare`: two runs over the same source, as text and as one page."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bayesnet_track.cli.commands.answer import (
+    OK,
+    UsageError,
+    check_free,
+    complain,
+    say,
+    users_mistake,
+    writing,
+)
+
+if TYPE_CHECKING:
+    from bayesnet_track.journal.compare import Comparison, Total
+    from bayesnet_track.runtime.recording.opened import Run
+
+
+def compare(options: argparse.Namespace) -> int:
+    """Tell where two runs part, and why."""
+    from bayesnet_track.runtime.recording.opened import open_run
+
+    check_page(options)
+    first, second = open_run(options.first, complain), open_run(options.second, complain)
+    apart = sources_apart(first, second)
+    if apart and not options.force:
+        raise UsageError(
+            f"{first.name} and {second.name} are runs of different sources: {'; '.join(apart)}; frames of "
+            "the same number do not show the same picture (--force compares them all the same)"
+        )
+    return tell_comparison(first, second, options)
+
+
+def check_page(options: argparse.Namespace) -> None:
+    """Refuse to write the page over another file, before anything is done for it; raises OutputError."""
+    if options.html is not None:
+        check_free(Path(options.html), options.overwrite)
+
+
+def sources_apart(first: Run, second: Run) -> list[str]:
+    """What shows that two runs did not see the same pictures; empty when nothing does."""
+    a, b = first.started, second.started
+    said = _origins_apart(first, second)
+    if (a.width, a.height, a.has_color) != (b.width, b.height, b.has_color):
+        sizes = [f"{one.width}x{one.height}{'' if one.has_color else ' gray'}" for one in (a, b)]
+        said.append(" and ".join(sizes))
+    if not said and not {line.frame for line in first.metrics} & {line.frame for line in second.metrics}:
+        said.append("they have no frame in common")
+    return said
+
+
+def _origins_apart(first: Run, second: Run) -> list[str]:
+    """By what the sources held where both recipes tell it, else by their names."""
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
+
+    by_name = [run.started.source for run in (first, second)]
+    try:
+        a, b = (Recipe.read(run.directory).origin for run in (first, second))
+    except RecipeError:
+        same = os.path.normpath(by_name[0]) == os.path.normpath(by_name[1])
+        return [] if same else [" and ".join(by_name)]
+    if a.kind == b.kind == "scene":
+        scenes = [f"{one.description} of seed {one.seed}" for one in (a, b)]
+        return [] if scenes[0] == scenes[1] else [" and ".join(scenes)]
+    if a.kind != b.kind:
+        return [f"{by_name[0]} ({a.kind}) and {by_name[1]} ({b.kind})"]
+    if a.fingerprint and b.fingerprint:
+        parts = [part for part in a.fingerprint if a.fingerprint[part] != b.fingerprint.get(part)]
+        return [f"{part} held {a.fingerprint[part]} and {b.fingerprint.get(part)}" for part in parts]
+    return [] if by_name[0] == by_name[1] else [" and ".join(by_name)]
+
+
+def tell_comparison(first: Run, second: Run, options: argparse.Namespace) -> int:
+    """Print the comparison of two runs, and write its page where --html asks for one."""
+    from dataclasses import replace
+
+    from bayesnet_track.graph.text.differences import differences
+    from bayesnet_track.journal.compare import compare as compare_runs
+    from bayesnet_track.journal.text.compare_text import compare_text, settings_apart
+
+    compared = compare_runs(first, second)
+    compared = replace(compared, totals=(*compared.totals, *_scores(first, second, compared, options.truth)))
+    settings = settings_apart(first.started, second.started)
+    settings += [str(one) for one in differences(first.graph_text, second.graph_text)]
+    if options.html is not None:
+        from bayesnet_track.view.compare_page import compare_page
+
+        page = compare_page(first, second, compared, settings)
+        with writing(Path(options.html)):
+            Path(options.html).write_text(page, encoding="utf-8")
+    if options.json:
+        say(_as_json(first, second, compared, settings))
+    else:
+        say(compare_text(first, second, compared, settings, 2**62 if options.all else 20))
+    if options.html is not None:
+        complain(f"wrote {options.html}")
+    return OK
+
+
+def _scores(first: Run, second: Run, compared: Comparison, given: str | None) -> list[Total]:
+    """Figures against the truth: of all targets where it is MOT, else of the first one."""
+    from bayesnet_track.evaluate.mot import score_mot_files
+    from bayesnet_track.evaluate.mot_files import is_mot
+    from bayesnet_track.evaluate.runs import score_run
+    from bayesnet_track.journal.compare import Total
+
+    truth = Path(given) if given is not None else first.directory.truth
+    if given is None and not truth.is_file():
+        return []
+    runs = (first, second)
+    with users_mistake():
+        if is_mot(truth):
+            mot = [score_mot_files(run.directory.mot, truth) for run in runs]
+            return [
+                Total("MOTA", mot[0].mota, mot[1].mota, False),
+                Total("IDF1", mot[0].idf1, mot[1].idf1, False),
+                Total("HOTA", mot[0].hota, mot[1].hota, False),
+                Total("identity switches", mot[0].idsw, mot[1].idsw, True),
+            ]
+        if not compared.pairs:
+            return []
+        pair = compared.pairs[0]
+        one = [score_run(run.directory.path, truth, name) for run, name in zip(runs, pair, strict=True)]
+    whose = f", target {pair[0]}" if len(first.targets) > 1 else ""
+    return [
+        Total(f"AUC{whose}", one[0].auc, one[1].auc, False),
+        Total(f"AUC, lost counts as 0{whose}", one[0].auc_strict, one[1].auc_strict, False),
+        Total(f"within 20 px{whose}", one[0].precision20, one[1].precision20, False),
+        Total(f"mean IoU{whose}", one[0].mean_iou, one[1].mean_iou, False),
+        Total(f"times off target{whose}", one[0].lost_episodes, one[1].lost_episodes, True),
+    ]
+
+
+def _as_json(first: Run, second: Run, compared: Comparison, settings: list[str]) -> str:
+    import json
+
+    from bayesnet_track.journal.codec import to_json
+
+    return json.dumps(
+        {
+            "first": first.name,
+            "second": second.name,
+            "settings": settings,
+            "pairs": compared.pairs,
+            "alone": compared.alone,
+            "agreed": compared.agreed,
+            "first_apart": compared.first_apart,
+            "moments": [
+                {
+                    "frame": moment.frame,
+                    "target": moment.target,
+                    "pair": moment.pair,
+                    "node": moment.node,
+                    "first": [json.loads(to_json(event)) for event in moment.first],
+                    "second": [json.loads(to_json(event)) for event in moment.second],
+                }
+                for moment in compared.moments
+            ],
+            "last_frames": compared.last_frames,
+            "totals": {one.name: (one.first, one.second) for one in compared.totals},
+            "distances": [
+                {"pair": pair, "frames": [(one.frame, one.px, one.iou) for one in line]}
+                for pair, line in compared.distances.items()
+            ],
+        }
+    )

@@ -1,0 +1,233 @@
+"""The command `detect`: what a detector finds in every frame of a source, as text."""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from bayesnet_track.cli.commands.answer import (
+    INCOMPLETE,
+    OK,
+    UsageError,
+    check_free,
+    complain,
+    say,
+    users_mistake,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bayesnet_track.observation.cue import CueDeclaration
+    from bayesnet_track.observation.detector import Detector, DetectorDeclaration, DetectorState
+    from bayesnet_track.observation.planes import Frame, FramePair
+    from bayesnet_track.sources.frames import Source
+
+JSON_LINES = (".jsonl", ".json", ".ndjson")
+
+
+class Lines(Protocol):
+    """Takes lines of text."""
+
+    def append(self, line: str) -> None:
+        """Add one."""
+        ...
+
+    def flush(self) -> None:
+        """Hand on what was added."""
+        ...
+
+
+class Printed:
+    """Lines to the standard output."""
+
+    def append(self, line: str) -> None:
+        """Print one."""
+        say(line)
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+
+def detect(options: argparse.Namespace) -> int:
+    """Detect in every frame; write MOT or JSON Lines, and a video on request."""
+    from bayesnet_track.observation.detector import DetectorError, LearningDetector
+    from bayesnet_track.sources.frames import SourceError
+    from bayesnet_track.sources.stereo_source import WAYS
+
+    if options.end is not None and options.end <= options.start:
+        raise UsageError(f"--end {options.end} must be greater than --start {options.start}")
+    declaration = _declaration(options.name)
+    parameters = read_parameters(declaration, options.set)
+    for path in (options.out, options.video):
+        if path is not None:
+            check_free(Path(path), options.overwrite)
+    with users_mistake():
+        detector = declaration.make(parameters)
+        state = detector.start()
+    if options.learn is not None and not isinstance(detector, LearningDetector):
+        raise UsageError(f"--learn: {declaration.name} cannot be shown a target")
+    with ExitStack() as stack:
+        source = stack.enter_context(_opened(options))
+        try:
+            declaration.check_source(source.has_color, source.has_depth)
+        except DetectorError as error:
+            needed = "one with colour" if declaration.needs_color else f"a pair or depth ({WAYS})"
+            mend = "give one, or use another detector"
+            raise SourceError(source.description, str(error), needed, mend) from error
+        try:
+            return _detect_all(options, declaration.name, detector, state, source, stack)
+        except DetectorError as error:
+            raise UsageError(str(error)) from error
+
+
+def _detect_all(
+    options: argparse.Namespace,
+    name: str,
+    detector: Detector,
+    state: DetectorState,
+    source: Source,
+    stack: ExitStack,
+) -> int:
+    from bayesnet_track.journal.writer import LineFile
+    from bayesnet_track.observation.detector import LearningDetector
+    from bayesnet_track.observation.planes import Frame, FramePair
+    from bayesnet_track.runtime.recording.videowriter import VideoWriter
+    from bayesnet_track.sources.detections import format_frame
+    from bayesnet_track.view.detections import draw_detections
+
+    learns = isinstance(detector, LearningDetector)
+    lines: Lines = Printed()
+    video: VideoWriter | None = None
+    previous: Frame | None = None
+    frames = found = 0
+    for item in source:
+        if not isinstance(item, Frame):
+            continue
+        pair = FramePair(item, previous)
+        if previous is None:
+            state = _shown(options, name, detector, pair, state) if learns else state
+            if options.out is not None:
+                lines = stack.enter_context(LineFile(Path(options.out)))
+            if options.video is not None:
+                size = (item.width, item.height, source.frame_interval_s)
+                video = stack.enter_context(VideoWriter(Path(options.video), *size))
+        detections, state = detector.detect(pair, state)
+        for line in format_frame(item, detections, _is_json(options)):
+            lines.append(line)
+        lines.flush()
+        if video is not None:
+            video.write(draw_detections(item.image, detections))
+        previous, frames, found = item, frames + 1, found + len(detections)
+    complain(f"{found} detections in {frames} frames")
+    if source.end_reason != "end_of_source":
+        complain(f"{source.description}: {source.end_reason.replace('_', ' ')}")
+        return INCOMPLETE
+    return OK
+
+
+def _opened(options: argparse.Namespace) -> Source:
+    """The source, with depth where the options name a second eye or another sensor."""
+    from bayesnet_track.sources.sources import open_source
+    from bayesnet_track.sources.stereo_source import open_stereo_source
+
+    window = (options.source, options.start, options.end, options.allow_network, options.on_resize)
+    if options.right is None and options.stereo is None and options.depth is None:
+        if options.calibration is not None:
+            raise UsageError("--calibration is of a pair: give --right, --stereo or --depth, too")
+        return open_source(*window, isolate_decoder=options.isolate_decoder)
+    return open_stereo_source(
+        *window,
+        right=options.right,
+        depth=options.depth,
+        side_by_side=options.stereo is not None,
+        calibration=options.calibration,
+        isolate_decoder=options.isolate_decoder,
+    )
+
+
+def _declaration(name: str) -> DetectorDeclaration:
+    from bayesnet_track.graph.text.messages import nearest
+    from bayesnet_track.observation.detector import ENTRY_POINT_GROUP, installed_detectors
+    from bayesnet_track.observation.plugins import why_absent
+
+    known = installed_detectors([name])
+    if name not in known:
+        if (absent := why_absent(ENTRY_POINT_GROUP, name)) is not None:
+            raise UsageError(f"detector {absent[0]}; {absent[1]}")
+        near = nearest(name, known)
+        hint = f"; did you mean {near}?" if near else ""
+        raise UsageError(f"no detector is called {name!r}; there are {', '.join(known)}{hint}")
+    return known[name]
+
+
+def read_parameters(declaration: DetectorDeclaration | CueDeclaration, settings: Sequence[str]) -> Any:
+    """A detector's or cue's parameters from texts ``key=value``, values as in YAML; raises UsageError."""
+    import yaml
+    from pydantic import ValidationError
+
+    from bayesnet_track.graph.text.messages import nearest
+
+    values: dict[str, Any] = {}
+    for text in settings:
+        key, equals, value = text.partition("=")
+        if not equals or not key:
+            raise UsageError(f"--set {text!r}: key=value is needed")
+        if key in values:
+            raise UsageError(f"--set {key} is given twice")
+        try:
+            values[key] = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise UsageError(f"--set {key}: {value!r} is no value: {error}") from error
+    try:
+        return declaration.parameters.model_validate(values)
+    except ValidationError as error:
+        raise UsageError("\n".join(_mistakes(error, declaration, nearest))) from None
+
+
+def _mistakes(error: Any, declaration: DetectorDeclaration | CueDeclaration, nearest: Any) -> list[str]:
+    fields, said = declaration.parameters.model_fields, []
+    for one in error.errors(include_url=False):
+        key = str(one["loc"][0]) if one["loc"] else ""
+        reason = one["msg"].removeprefix("Value error, ")
+        if one["type"] == "extra_forbidden":
+            near = nearest(key, fields)
+            hint = f"; did you mean {near}?" if near else ""
+            said.append(f"{declaration.name} has no parameter {key!r}; it has {', '.join(fields)}{hint}")
+        elif key in fields:
+            said.append(f"{key}: {reason} ({(fields[key].description or '').rstrip('.')})")
+        else:
+            said.append(reason)
+    return list(dict.fromkeys(said))
+
+
+def _shown(
+    options: argparse.Namespace, name: str, detector: Any, pair: FramePair, state: DetectorState
+) -> DetectorState:
+    """The state of a detector that learns, with the target of --learn."""
+    from bayesnet_track.engine.starts import StartError, check_box
+    from bayesnet_track.numerics.boxes import centre_from_corner
+
+    if options.learn is not None:
+        try:
+            box = [float(part) for part in options.learn.split(",")]
+            if len(box) != 4:
+                raise ValueError
+        except ValueError:
+            allowed = "four numbers X,Y,W,H are needed (top-left corner, px)"
+            raise UsageError(f"--learn {options.learn!r}: {allowed}") from None
+        try:
+            check_box(box, pair.current.width, pair.current.height)
+        except StartError as error:
+            raise UsageError(f"--learn {options.learn!r}: {error}") from None
+        shown: DetectorState = detector.learn(pair, centre_from_corner(box), state)
+        return shown
+    if not detector.knows_target(state):
+        raise UsageError(f"{name} has nothing to look for: give --learn X,Y,W,H, or --set what to look for")
+    return state
+
+
+def _is_json(options: argparse.Namespace) -> bool:
+    return options.out is not None and Path(options.out).suffix.lower() in JSON_LINES

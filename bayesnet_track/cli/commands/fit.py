@@ -1,0 +1,197 @@
+"""The command `fit`: calibrate a graph on videos with truth, and write what was estimated into its text."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayesnet_track.cli.commands.answer import OK, UsageError, complain, say, users_mistake, writing
+from bayesnet_track.cli.commands.fit_tracking import check_text, fit_policy, fit_sds
+from bayesnet_track.cli.commands.fit_videos import Video, find_videos, frames_of
+from bayesnet_track.journal.text.wording import plural
+
+if TYPE_CHECKING:
+    from bayesnet_track.evaluate.fitting import Checked, Fitted
+    from bayesnet_track.evaluate.witness import Witness
+    from bayesnet_track.graph.checked import CheckedGraph
+
+WHAT = ("score", "slack", "lost", "ud", "temperature", "sds", "policy")
+BEFORE = ("sds", "policy")
+"""What changes the tracking, and is fitted before the rest."""
+
+
+def fit(options: argparse.Namespace) -> int:
+    """Estimate, print or write."""
+    from bayesnet_track.evaluate.fitting import SIGNS, leave_one_out
+    from bayesnet_track.evaluate.fitting import fit as estimate
+    from bayesnet_track.graph.text.load import load_graph
+
+    what = _chosen("--what", options.what, WHAT)
+    features = _chosen("--features", options.features, tuple(SIGNS))
+    graph, text = load_graph(options.graph), graph_text(options.graph)
+    out = None if options.out is None else Path(options.out)
+    if out is not None:
+        with writing(out):
+            if out.exists() and not options.overwrite:
+                raise UsageError(f"{out} exists; --overwrite replaces it")
+    if options.leave_one_out and not set(what).isdisjoint(BEFORE):
+        raise UsageError("--leave-one-out judges score and regions; fit sds and policy to other videos first")
+    if "ud" in what and "policy" in what:
+        raise UsageError(
+            "--what: ud and policy both set the levels of `activate` and `deactivate`; choose one"
+        )
+    videos = list(find_videos(options))
+    if "sds" in what:
+        text = fit_sds(text, graph, videos, options.end)
+        graph = check_text(text, str(out or options.graph))
+    if "policy" in what:
+        text = fit_policy(text, graph, videos, options.end, options.seeds)
+        graph = check_text(text, str(out or options.graph))
+    if set(what) <= set(BEFORE):
+        return _put(out, text, f"fitted to {plural(len(videos), 'video')}")
+    witnesses = _witness(graph, videos, options, "temperature" in what)
+    with users_mistake():
+        if options.leave_one_out:
+            rows, everyone = leave_one_out(witnesses, features)
+            say(calibration_table(rows, everyone))
+            return OK
+        fitted = estimate(witnesses, features)
+    written = write_fitted(text, graph, fitted, what)
+    check_text(written, str(out or options.graph))
+    return _put(out, written, f"fitted to {fitted.frames} frames of {plural(fitted.videos, 'video')}")
+
+
+def _put(out: Path | None, text: str, said: str) -> int:
+    if out is None:
+        say(text.removesuffix("\n"))
+    else:
+        _write(out, text)
+        say(f"{out}: {said}")
+    return OK
+
+
+def graph_text(graph: str) -> str:
+    """The text of a graph file, or of an installed graph."""
+    from bayesnet_track.graphs import find_graph, graph_names
+
+    return (find_graph(graph) if graph in graph_names() else Path(graph)).read_text(encoding="utf-8")
+
+
+def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[str]) -> str:
+    """The graph's text with what was estimated, each with a comment that says from what."""
+    from bayesnet_track.graph.text.edit import set_value
+
+    name, plate = next(iter(graph.targets.items()))
+    path = ("targets", name, "nodes", plate.root)
+    spec = plate.inference(plate.root)
+    from_what = f"{fitted.frames} frames of {plural(fitted.videos, 'video')}"
+
+    def put(key: tuple[str, ...], value: Any, comment: str) -> None:
+        nonlocal text
+        text = set_value(text, (*path, *key), value, comment)
+
+    if "temperature" in what:
+        for agent, factor in fitted.temperatures.items():
+            value = _short(plate.agent(agent).temperature * factor)
+            where = ("targets", name, "nodes", agent, "temperature")
+            text = set_value(text, where, value, f"temperature: least surprised by the truth; {from_what}")
+    if "ud" in what and spec.adapt is not None:
+        for rule, side in (("activate", "above"), ("deactivate", "below")):
+            chosen = getattr(getattr(spec.adapt, rule), side, None)
+            if chosen is not None:
+                share = "90" if rule == "activate" else "50"
+                said = f"{share} % of the frames on target lie below; {from_what}"
+                put(("adapt", rule, side), {"ud_box": _short(fitted.ud_box[rule])}, said)
+    if "ud" in what and spec.learn is not None:
+        said = f"67 % of the frames on target lie below, at most 50 % of those off it; {from_what}"
+        put(("learn", "below"), {"ud_box": _short(fitted.ud_box["learn"])}, said)
+    if "score" in what:
+        others = {} if spec.score is None else {"memory": _short(spec.score.settings.memory)}
+        if spec.score is not None and spec.score.settings.full_fit > 0:
+            others["full_fit"] = _short(spec.score.settings.full_fit)
+        values = {name: _short(value) for name, value in fitted.logistic.items() if value or name == "bias"}
+        put(("score",), {"logistic": {**values, **others}}, f"probability of IoU > 0.5; {from_what}")
+    if "slack" in what:
+        sd, lost_sd = (_short(value) for value in fitted.slack)
+        put(("slack",), {"sd_box": sd, "lost_sd_box": lost_sd}, f"regions hold 50 % and 90 %; {from_what}")
+    if "lost" in what and "score" in what:
+        # A rival puts the score at one half, which has to count as uncertain.
+        least = 0.0 if spec.rivals is None else 0.51
+        levels = {
+            "score_below": _short(fitted.levels.score_below),
+            "uncertain_below": _short(max(fitted.levels.uncertain_below, least)),
+        }
+        kept = {} if spec.lost is None else {"fit_below": spec.lost.fit_below, "frames": spec.lost.frames}
+        said = f"2 % of the frames on target score below, and most told apart at uncertain; {from_what}"
+        put(("lost",), {**levels, **kept}, said)
+    return text
+
+
+def calibration_table(rows: Sequence[Checked], everyone: Checked) -> str:
+    """Coverage, ranking and reliability of videos that were not fitted on, in plain text."""
+    head = ["video", "frames", "on target", "said", "50 %", "90 %", "AUROC", "Brier"]
+    cells = [
+        [
+            one.name,
+            str(one.frames),
+            f"{one.on:.3f}",
+            f"{one.said:.3f}",
+            f"{one.coverage50:.3f}",
+            f"{one.coverage90:.3f}",
+            "-" if one.auroc is None else f"{one.auroc:.3f}",
+            f"{one.brier:.3f}",
+        ]
+        for one in (*rows, everyone)
+    ]
+    widths = [max(len(row[k]) for row in [head, *cells]) for k in range(len(head))]
+    lines = [
+        "  ".join(
+            c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in [head, *cells]
+    ]
+    lines += ["", "score         frames   said    was"]
+    lines += [
+        f"{one.low:.1f} to {one.high:.1f}  {one.frames:>8}  {one.said:.3f}  {one.was:.3f}"
+        for one in everyone.bins
+    ]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _chosen(option: str, text: str, known: Sequence[str]) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    for name in names:
+        if name not in known:
+            raise UsageError(f"{option}: no {name!r}; there are {', '.join(known)}")
+    if not names:
+        raise UsageError(f"{option} names nothing; there are {', '.join(known)}")
+    return names
+
+
+def _witness(
+    graph: CheckedGraph, videos: Sequence[Video], options: argparse.Namespace, temperatures: bool
+) -> list[Witness]:
+    from bayesnet_track.evaluate.witness import with_features, witness
+
+    measuring, found = with_features(graph), []
+    for video in videos:
+        for seed in range(options.seeds):
+            with frames_of(video, options.end) as frames, users_mistake():
+                one = witness(measuring, video.name, frames, video.truth, seed, temperatures)
+            complain(f"{video.name}, seed {seed}: {one.frames} frames, mean IoU {one.iou.mean():.3f}")
+            found.append(one)
+    return found
+
+
+def _short(value: float) -> float:
+    """Three digits, which is more than is known; whole numbers stay such."""
+    return float(f"{value:.3g}")
+
+
+def _write(path: Path, text: str) -> None:
+    """The whole file or none of it."""
+    from bayesnet_track.journal.atomic import write_atomically
+
+    write_atomically(path, text.encode("utf-8"))

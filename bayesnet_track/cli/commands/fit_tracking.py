@@ -1,0 +1,128 @@
+"""What `fit` estimates that changes the tracking: the sds of cues and the activation policy.
+
+Both are written into the graph before its score, regions and levels are fitted, which depend on them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from bayesnet_track.cli.commands.answer import complain, users_mistake
+from bayesnet_track.cli.commands.fit_videos import Video, frames_of
+from bayesnet_track.journal.text.wording import plural
+
+if TYPE_CHECKING:
+    from bayesnet_track.evaluate.cue_sds import FittedSd
+    from bayesnet_track.evaluate.policies import Chosen, Policy, Trial
+    from bayesnet_track.graph.checked import CheckedGraph
+
+
+def check_text(text: str, name: str) -> CheckedGraph:
+    """Check a graph's text against every law, as a run of it would; raises GraphError."""
+    from bayesnet_track.graph.checks.run import check
+    from bayesnet_track.graph.text.read import read_graph
+
+    return check(*read_graph(text, name))
+
+
+def fit_sds(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int | None) -> str:
+    """The graph's text with the standard deviations of its cues."""
+    from bayesnet_track.evaluate.cue_sds import fit_sds as estimate
+    from bayesnet_track.evaluate.cue_sds import residuals_of
+
+    found = []
+    for video in videos:
+        with frames_of(video, end) as frames, users_mistake():
+            found.append(residuals_of(graph, frames, video.truth))
+    with users_mistake():
+        fitted = estimate(found)
+    for (agent, parameter), one in fitted.items():
+        fifty, ninety = (f"{100 * share:.0f} %" for share in one.inside)
+        complain(
+            f"{agent}, {parameter}: {one.value:.3g} from {one.residuals} residuals; central 50 % and 90 % "
+            f"of such a Gaussian hold {fifty} and {ninety}"
+        )
+    return write_sds(text, graph, fitted, len(videos))
+
+
+def write_sds(text: str, graph: CheckedGraph, fitted: Mapping[tuple[str, str], FittedSd], videos: int) -> str:
+    """The graph's text with fitted standard deviations, each agent's with a comment that says from what."""
+    from bayesnet_track.graph.text.edit import set_value
+
+    name, plate = next(iter(graph.targets.items()))
+    for agent in dict.fromkeys(agent for agent, _ in fitted):
+        chosen = plate.agent(agent).agent
+        own = {key[1]: one for key, one in fitted.items() if key[0] == agent}
+        count = max(one.residuals for one in own.values())
+        comment = f"{', '.join(own)}: residuals at true boxes, {count} in {plural(videos, 'video')}"
+        values = {parameter: float(f"{one.value:.3g}") for parameter, one in own.items()}
+        where = ("targets", name, "nodes", agent, "agent")
+        if chosen.parameters:
+            for parameter, value in values.items():
+                text = set_value(text, (*where, chosen.plugin, parameter), value, comment)
+        else:
+            text = set_value(text, where, {chosen.plugin: values}, comment)
+    return text
+
+
+def fit_policy(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int | None, seeds: int) -> str:
+    """The graph's text with the activation policy that is chosen on `videos`."""
+    import numpy as np
+
+    from bayesnet_track.evaluate.policies import Trial, candidates, policy_of, search
+    from bayesnet_track.evaluate.scores import success_auc
+    from bayesnet_track.evaluate.witness import with_features, witness
+
+    plate = next(iter(graph.targets.values()))
+    rules = plate.inference(plate.root).adapt
+    with users_mistake():
+        own = policy_of(rules)
+
+    def run(policy: Policy, number: int) -> Trial:
+        video, trials = videos[number], []
+        measuring = with_features(check_text(write_policy(text, graph, policy), "a candidate"))
+        for seed in range(seeds):
+            with frames_of(video, end) as frames, users_mistake():
+                one = witness(measuring, video.name, frames, video.truth, seed)
+            trials.append((success_auc(one.iou), one.cost_ms))
+        auc, cost = np.mean(trials, axis=0)
+        complain(f"{video.name}, {_told(policy)}: AUC {auc:.3f}, {cost:.2f} ms")
+        return Trial(float(auc), float(cost))
+
+    with users_mistake():
+        chosen = search(candidates(own), len(videos), run)
+    complain(_summary(chosen))
+    comment = (
+        f"AUC {chosen.trial.auc:.3f}, before {chosen.own.auc:.3f}; declared {chosen.trial.cost_ms:.2f} ms, "
+        f"before {chosen.own.cost_ms:.2f}; {plural(len(videos), 'video')}"
+    )
+    return write_policy(text, graph, chosen.policy, comment)
+
+
+def write_policy(text: str, graph: CheckedGraph, policy: Policy, comment: str = "") -> str:
+    """The graph's text with an activation policy."""
+    from bayesnet_track.graph.text.edit import set_value
+
+    name, plate = next(iter(graph.targets.items()))
+    adapt = plate.inference(plate.root).adapt
+    assert adapt is not None and adapt.activate is not None and adapt.activate.above is not None
+    kind, where = adapt.activate.above.kind, ("targets", name, "nodes", plate.root, "adapt")
+    text = set_value(text, (*where, "activate", "above"), {kind: policy.activate}, comment)
+    text = set_value(text, (*where, "deactivate", "below"), {kind: policy.deactivate}, comment)
+    if policy.glance is not None:
+        text = set_value(text, (*where, "deactivate", "glance"), policy.glance, comment)
+    return text
+
+
+def _told(policy: Policy) -> str:
+    glance = "" if policy.glance is None else f", glance {policy.glance}"
+    return f"on above {policy.activate:g}, off below {policy.deactivate:g}{glance}"
+
+
+def _summary(chosen: Chosen) -> str:
+    return (
+        f"policy: {_told(chosen.policy)}; chosen from {chosen.candidates} in {chosen.runs} trials: AUC "
+        f"{chosen.trial.auc:.3f} (the graph's own {chosen.own.auc:.3f}), declared cost "
+        f"{chosen.trial.cost_ms:.2f} ms a frame (own {chosen.own.cost_ms:.2f})"
+    )

@@ -1,0 +1,149 @@
+"""The commands that look at graphs and at what is installed: `validate`, `graph`, `schema`, `list`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from textwrap import wrap
+from typing import TYPE_CHECKING
+
+from bayesnet_track.cli.commands.answer import BAD_GRAPH, OK, UsageError, complain, say, writing
+from bayesnet_track.graph.text.messages import GraphError, nearest
+
+if TYPE_CHECKING:
+    from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
+
+
+def validate(options: argparse.Namespace) -> int:
+    """Check graph files; all errors of all files."""
+    from bayesnet_track.graph.text.load import load_graph
+
+    code = OK
+    for name in options.graphs:
+        try:
+            graph = load_graph(name)
+        except GraphError as error:
+            complain(str(error))
+            code = BAD_GRAPH
+            continue
+        nodes = sum(len(plate.order) for plate in graph.targets.values())
+        agents = sum(len(plate.agents) for plate in graph.targets.values())
+        say(f"{name}: ok ({graph.spec.name}: {nodes} nodes, {agents} of them agents)")
+        opaque = ", ".join(_opaque(graph))
+        if opaque:
+            say(
+                f"  opaque: {opaque} cannot be stored; a run repeats from its start only, not from its middle"
+            )
+    return code
+
+
+def _opaque(graph: CheckedGraph) -> list[str]:
+    from bayesnet_track.graph.checks.run import cues_named
+    from bayesnet_track.observation.cue import installed_cues
+
+    cues = installed_cues(cues_named(graph.spec))
+    return [
+        f"{agent} ({cue})"
+        for plate in graph.targets.values()
+        for agent in plate.agents
+        if cues[cue := plate.agent(agent).agent.cue].opaque
+    ]
+
+
+def graph(options: argparse.Namespace) -> int:
+    """Show plan, formula and picture of a graph."""
+    from bayesnet_track.graph.text.load import load_graph
+
+    plates = _plates(load_graph(options.graph), options.target)
+    text = _density if options.formula or options.latex else _plan
+    if options.formula or options.latex or not (options.svg or options.png):
+        say("\n\n".join(text(plate, _active(plate), options.latex) for plate in plates))
+    plate, active = plates[0], _active(plates[0])
+    if options.svg is not None:
+        from bayesnet_track.view.graph_picture import graph_svg
+
+        _write(Path(options.svg), graph_svg(plate, active).encode())
+    if options.png is not None:
+        import cv2
+
+        from bayesnet_track.view.graph_picture import graph_image
+
+        _write(Path(options.png), cv2.imencode(".png", graph_image(plate, active))[1].tobytes())
+    return OK
+
+
+def _active(plate: CheckedTarget) -> frozenset[str]:
+    return frozenset(agent for agent in plate.agents if plate.agent(agent).active)
+
+
+def _density(plate: CheckedTarget, active: frozenset[str], as_latex: bool) -> str:
+    from bayesnet_track.graph.text.formula import formula_latex, formula_text
+
+    return formula_latex(plate, active) if as_latex else formula_text(plate, active)
+
+
+def _plan(plate: CheckedTarget, active: frozenset[str], as_latex: bool) -> str:
+    from bayesnet_track.inference.compile import compile_plan, describe_plan
+    from bayesnet_track.observation.cue import installed_cues
+
+    agents = {agent: plate.agent(agent) for agent in plate.agents}
+    cues = installed_cues(agent.agent.cue for agent in agents.values())
+    made = {name: cues[agent.agent.cue].make(plate.parameters[name]) for name, agent in agents.items()}
+    return describe_plan(compile_plan(plate, active, made), agents)
+
+
+def _plates(loaded: CheckedGraph, name: str | None) -> list[CheckedTarget]:
+    if name is None:
+        return list(loaded.targets.values())
+    if name not in loaded.targets:
+        close = nearest(name, loaded.targets)
+        near = f"; nearest: {close}" if close else ""
+        raise UsageError(f"no target {name!r}; there are {', '.join(loaded.targets)}{near}")
+    return [loaded.targets[name]]
+
+
+def _write(path: Path, content: bytes) -> None:
+    with writing(path):
+        path.write_bytes(content)
+    say(f"wrote {path}")
+
+
+def schema(options: argparse.Namespace) -> int:
+    """Print the JSON Schema of graph files."""
+    import json
+
+    from bayesnet_track.graph.text.schema import graph_schema
+
+    say(json.dumps(graph_schema(), indent=2))
+    return OK
+
+
+def list_installed(options: argparse.Namespace) -> int:
+    """List graphs, cues, detectors and scenes."""
+    from bayesnet_track.graphs import graph_folder, graphs_about
+    from bayesnet_track.observation.cue import ENTRY_POINT_GROUP as CUES
+    from bayesnet_track.observation.cue import installed_cues
+    from bayesnet_track.observation.detector import ENTRY_POINT_GROUP as DETECTORS
+    from bayesnet_track.observation.detector import installed_detectors
+    from bayesnet_track.observation.plugins import allowed, others
+    from bayesnet_track.sources.scenes import scene_names
+
+    say(f"graphs (name one, or copy its file from {graph_folder()}):")
+    for graph, about in graphs_about().items():
+        say(f"  {graph:29} {about}")
+    say("scenes (for `demo`):")
+    for line in wrap(", ".join(scene_names()), 100, break_on_hyphens=False):
+        say(f"  {line}")
+    say("cues:")
+    for cue in installed_cues(allowed()).values():
+        say(f"  {cue.name:22} {cue.summary}")
+    say("detectors:")
+    for detector in installed_detectors(allowed()).values():
+        say(f"  {detector.name:21} {detector.summary}")
+    for group, word in ((CUES, "cues"), (DETECTORS, "detectors")):
+        found = {name: package for name, package in others(group).items() if name not in allowed()}
+        if found:
+            say(f"{word} of other packages, not loaded (--allow-plugins NAME lets a graph use one):")
+        for name, package in found.items():
+            say(f"  {name:21} {package}")
+    return OK

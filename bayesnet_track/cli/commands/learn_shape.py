@@ -1,0 +1,110 @@
+"""The command `learn-shape`: a shape model from masks, or from boxes on a video."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.cli.commands.answer import (
+    INCOMPLETE,
+    OK,
+    UsageError,
+    complain,
+    say,
+    users_mistake,
+    writing,
+)
+
+if TYPE_CHECKING:
+    from bayesnet_track.vision.shape.shape_model import ShapeModel
+
+Floats = NDArray[np.float64]
+
+SHOWN = 5
+"""How many of the examples that are left out are named."""
+
+
+def learn_shape(options: argparse.Namespace) -> int:
+    """Learn a model from the silhouettes of masks or boxes, write it, and say what it holds."""
+    from bayesnet_track.vision.shape.shape_model import learn_model
+
+    if (options.source is None) != (options.boxes is None):
+        raise UsageError("--source and --boxes belong together: a video, and the target's boxes in it")
+    code, found = _from_masks(options) if options.masks is not None else _from_boxes(options)
+    examples = [vector for _, vector, support in found if support >= options.min_support]
+    poor = [name for name, _, support in found if support < options.min_support]
+    if poor:
+        named = ", ".join(poor[:SHOWN]) + (", ..." if len(poor) > SHOWN else "")
+        complain(f"{len(poor)} left out, with too little of the silhouette on edges: {named}")
+    if not examples:
+        raise UsageError(f"no example is left of {len(found)}; nothing is written")
+    model = learn_model(np.array(examples), options.keep)
+    _write(Path(options.out), model)
+    modes = f"{len(model.modes)} mode{'' if len(model.modes) == 1 else 's'}"
+    total = float(model.variances.sum()) / model.explained
+    spread = float(np.sqrt(total / model.mean.size))
+    say(
+        f"{options.out}: {len(examples)} examples, grid {model.grid}x{model.grid}, {modes} with "
+        f"{100 * model.explained:.1f} % of the variance; root mean square spread {spread:.3f} half sides"
+    )
+    return code
+
+
+Examples = list[tuple[str, Floats, float]]
+"""Name, shape vector and support of each."""
+
+
+def _from_masks(options: argparse.Namespace) -> tuple[int, Examples]:
+    from bayesnet_track.sources.images import natural_key, read_image
+    from bayesnet_track.sources.sources import IMAGE_SUFFIXES
+    from bayesnet_track.vision.shape.shape_examples import mask_example
+
+    folder, found = Path(options.masks), []
+    with users_mistake():
+        images = (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
+        paths = sorted(images, key=natural_key)
+        if not paths:
+            raise UsageError(f"{folder}: holds no images")
+        for path in paths:
+            try:
+                found.append((path.name, *mask_example(read_image(path)[0].max(axis=2), options.grid)))
+            except ValueError as error:
+                raise UsageError(f"{path}: {error}") from error
+    return OK, found
+
+
+def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
+    from bayesnet_track.evaluate.truth import read_truth
+    from bayesnet_track.numerics.boxes import centre_from_corner
+    from bayesnet_track.observation.planes import Frame
+    from bayesnet_track.sources.sources import open_source
+    from bayesnet_track.vision.planes.shape_planes import EdgePlane
+    from bayesnet_track.vision.shape.shape_examples import frame_example
+
+    with users_mistake():
+        boxes = centre_from_corner(read_truth(options.boxes))
+    edges, found = EdgePlane(options.edge_gray), []
+    with open_source(options.source, None, len(boxes)) as source:
+        for item in source:
+            if not isinstance(item, Frame) or item.index % options.every:
+                continue  # a notice, or not asked for
+            box = boxes[item.index]
+            if np.isfinite(box).all():
+                found.append((f"frame {item.index}", *frame_example(item, box, edges, options.grid)))
+    if not found:
+        raise UsageError(f"{options.boxes}: no box for any frame of {options.source}")
+    if source.end_reason != "end_of_source":
+        complain(f"{options.source}: {source.end_reason.replace('_', ' ')}; learnt from what could be read")
+        return INCOMPLETE, found
+    return OK, found
+
+
+def _write(path: Path, model: ShapeModel) -> None:
+    from bayesnet_track.vision.shape.shape_model import save_model
+
+    with writing(path):
+        save_model(path, model)

@@ -1,0 +1,148 @@
+"""The command `report`: the page of a run."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayesnet_track.cli.commands.answer import OK, UsageError, complain, say, users_mistake, words, writing
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from bayesnet_track.graph.checked import CheckedGraph
+    from bayesnet_track.runtime.recording.pictures import Found
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
+
+FOLDER, INDEX = "report", "index.html"
+Data = tuple[dict[str, Any], dict[str, Any]]
+
+
+def report(options: argparse.Namespace) -> int:
+    """Write the page of a run."""
+    from bayesnet_track.journal.events.basic import RunStarted
+    from bayesnet_track.journal.reader import read_events, read_metrics
+    from bayesnet_track.runtime.recording.pictures import pictures_of
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
+    from bayesnet_track.view.page_data import read_timings, run_data
+
+    directory = RunDirectory.open(options.run)
+    out = _place(options, directory)
+    events = list(read_events(directory.journal, complain))
+    metrics = list(read_metrics(directory.frames, complain)) if directory.frames.is_file() else []
+    if not events or not isinstance(events[0], RunStarted):
+        raise UsageError(f"{directory.journal}: it does not begin with run_started; there is nothing to show")
+    truth = _truth(directory, options.truth)
+    data = run_data(events, metrics, read_timings(directory.timings), _graph(directory), truth)
+    frames = [line.frame for line in metrics]
+    if options.frames == "none" or not frames:
+        missing = "left out by --frames none" if frames else "no frame was tracked"
+        _write_one(out, data, None, missing, 0)
+    else:
+        with pictures_of(directory, events[0], min(frames), max(frames)) as (found, missing):
+            if missing:
+                complain(f"{directory.path}: the page has no pictures: {missing}")
+            if found is not None and options.frames == "full":
+                _write_folder(out, data, found)
+            else:
+                _write_one(out, data, found, missing, len(set(frames)))
+    if out.resolve() == directory.report.resolve():
+        _list(directory)
+    say(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
+    if options.open:
+        import webbrowser
+
+        webbrowser.open(out.absolute().as_uri())
+    return OK
+
+
+def _list(directory: RunDirectory) -> None:
+    """Let `verify` know the page, where the run has a manifest that can be trusted."""
+    from bayesnet_track.runtime.recording.manifest import ManifestError, add_output
+
+    try:
+        add_output(directory, "report")
+    except (OSError, ManifestError) as error:
+        complain(f"{directory.report}: not listed in {directory.manifest.name}: {words(error)}")
+
+
+def _place(options: argparse.Namespace, directory: RunDirectory) -> Path:
+    """The HTML file to write; its folder is there."""
+    with writing(Path(options.out or directory.path)):
+        place = _allowed(options, directory)
+        place.parent.mkdir(parents=True, exist_ok=True)
+    return place
+
+
+def _allowed(options: argparse.Namespace, directory: RunDirectory) -> Path:
+    from bayesnet_track.view.run_page import is_page
+
+    if options.frames == "full":
+        folder = Path(options.out) if options.out else directory.path / FOLDER
+        if folder.is_dir() and any(folder.iterdir()) and not (folder / INDEX).is_file():
+            raise UsageError(f"--out {folder}: the folder holds something else; give a new or an empty one")
+        place = folder / INDEX
+    else:
+        place = Path(options.out) if options.out else directory.report
+        if place.is_dir():
+            raise UsageError(f"--out {place}: it is a folder; name a file, or ask for --frames full")
+        with users_mistake():
+            if options.out and place.exists() and not is_page(place):
+                raise UsageError(
+                    f"--out {place}: it is there already, and no page of a run; name another file"
+                )
+    return place
+
+
+def _graph(directory: RunDirectory) -> CheckedGraph | None:
+    """The run's graph; None, with a notice, where it cannot be read here (a cue is not installed, ...)."""
+    from bayesnet_track.graph.text.load import load_graph
+    from bayesnet_track.graph.text.messages import GraphError
+
+    try:
+        return load_graph(directory.graph)
+    except (GraphError, OSError) as error:
+        complain(f"{directory.graph}: the page shows no net: {error}")
+        return None
+
+
+def _truth(directory: RunDirectory, given: str | None) -> NDArray[Any] | None:
+    from bayesnet_track.evaluate.truth import read_truth
+
+    place = directory.truth if given is None else Path(given)
+    if given is None and not place.is_file():
+        return None
+    with users_mistake():
+        return read_truth(place)
+
+
+def _write_one(out: Path, data: Data, found: Found | None, missing: str, expected: int) -> None:
+    from bayesnet_track.view.page_pictures import Pictures, gather
+    from bayesnet_track.view.run_page import one_file, room_for_pictures
+
+    pictures = Pictures((), ())
+    if found is not None:
+        wanted = {row["frame"] for row in data[0]["events"] if row["sort"] != "note"}
+        pictures = gather(found.images, expected, wanted, room_for_pictures(*data), found.annotated)
+    _write(out, one_file(*data, pictures, missing))
+
+
+def _write_folder(out: Path, data: Data, found: Found) -> None:
+    from bayesnet_track.view.page_pictures import whole
+    from bayesnet_track.view.run_page import FRAMES_FOLDER, picture_name, with_folder
+
+    frames = []
+    with writing(out.parent):
+        (out.parent / FRAMES_FOLDER).mkdir(exist_ok=True)
+        for frame, picture in whole(found.images):
+            (out.parent / picture_name(frame)).write_bytes(picture)
+            frames.append(frame)
+    _write(out, with_folder(*data, tuple(frames), found.annotated))
+
+
+def _write(out: Path, pieces: Iterable[str]) -> None:
+    with writing(out), out.open("w", encoding="utf-8", errors="replace", newline="\n") as file:
+        for piece in pieces:
+            file.write(piece)

@@ -1,0 +1,58 @@
+"""The command that goes on with a run that was broken off: `resume`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bayesnet_track.cli.commands.answer import OK, complain, say
+from bayesnet_track.cli.commands.tracking import executor_of, follow
+from bayesnet_track.cli.commands.viewing import begin_again, viewed
+
+if TYPE_CHECKING:
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
+
+
+def resume(options: argparse.Namespace) -> int:
+    """Go on with a run."""
+    from bayesnet_track.runtime.checkpoints.resume import resume, standing
+    from bayesnet_track.runtime.recording.replace import settle_broken
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
+    from bayesnet_track.runtime.run import Summary
+
+    directory = RunDirectory(Path(options.run))
+    settle_broken(directory)
+    if standing(directory.path).is_finished:
+        for _ in resume(directory.path):  # removes what a kill in the last moment left
+            pass
+        say(f"{directory.path}: it is finished; there is nothing to do")
+        return OK
+    summary, expected = Summary(), _expected(directory)
+    with viewed(options) as view:
+        if view is not None:
+            begin_again(options, view, directory, expected)
+        results = resume(
+            directory.path,
+            summary=summary,
+            checkpoint_every=options.checkpoint_every,
+            executor=executor_of(options),
+            allow_other_machine=options.allow_other_machine,
+            sinks=[] if view is None else [view],
+            inputs=view if view is not None and view.controls.can_switch else None,
+            notice=lambda text: complain(f"{directory.path}: {text}"),
+        )
+        return follow(options, results, summary, expected, directory.path, view)
+
+
+def _expected(directory: RunDirectory) -> int | None:
+    """How many frames the journal says are to be tracked."""
+    from bayesnet_track.journal.codec import JournalError
+    from bayesnet_track.journal.events.basic import RunStarted
+    from bayesnet_track.journal.reader import read_events
+
+    try:
+        first = next(read_events(directory.journal), None)
+    except (OSError, JournalError):
+        return None
+    return first.declared_frames if isinstance(first, RunStarted) else None

@@ -1,0 +1,115 @@
+"""The commands that look back at a run: `log` and `score`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bayesnet_track.cli.commands.answer import OK, UsageError, complain, say, users_mistake
+
+if TYPE_CHECKING:
+    from bayesnet_track.journal.events.basic import Event
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
+
+
+def log(options: argparse.Namespace) -> int:
+    """Tell a run's reconfigurations."""
+    from bayesnet_track.journal.codec import to_json
+    from bayesnet_track.journal.reader import read_events, read_metrics
+    from bayesnet_track.journal.text.explain import explain, has_several_targets, why
+    from bayesnet_track.journal.text.story import tell_life
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
+
+    directory = RunDirectory.open(options.run)
+    events = list(read_events(directory.journal, complain))
+    if options.why is not None:
+        metrics = list(read_metrics(directory.frames, complain))
+        with users_mistake():
+            say(why(events, metrics, options.why))
+        return OK
+    if options.target is not None:
+        metrics = list(read_metrics(directory.frames, complain))
+        with users_mistake():
+            say(tell_life(events, metrics, options.target))
+        return OK
+    chosen = chosen_events(events, options)
+    if not chosen:
+        _check_node(directory, options.node)
+        complain("no event is left by these filters")
+    name_target = has_several_targets(events)
+    for event in chosen:
+        say(to_json(event) if options.json else explain(event, name_target))
+    return OK
+
+
+def chosen_events(events: Sequence[Event], options: argparse.Namespace) -> list[Event]:
+    """The events that --node, --kind and --frames leave."""
+    from bayesnet_track.journal.text.explain import Filter
+
+    frames = None
+    if options.frames is not None:
+        first, separator, last = options.frames.partition(":")
+        try:
+            frames = (int(first or 0), int(last) if last else 2**62)
+        except ValueError:
+            frames = (0, 0)
+        if not separator and first:
+            frames = (frames[0], frames[0] + 1)
+        if frames[0] >= frames[1]:
+            raise UsageError(
+                f"--frames {options.frames!r}: A:B with A < B is needed (or :B, or A:, or one A)"
+            )
+    with users_mistake():
+        keep = Filter(node=options.node, kind=options.kind, frames=frames)
+    return [event for event in events if keep.keeps(event)]
+
+
+def _check_node(directory: RunDirectory, node: str | None) -> None:
+    """Refuse a node that the run's graph does not have."""
+    from bayesnet_track.graph.text.messages import nearest
+    from bayesnet_track.graph.text.read import read_graph
+
+    if node is None or not directory.graph.is_file():
+        return
+    names = [name for target in read_graph(directory.graph)[0].targets.values() for name in target.nodes]
+    if node not in names:
+        close = nearest(node, names)
+        near = f"; nearest: {close}" if close else ""
+        raise UsageError(f"no node {node!r} in the run's graph; there are {', '.join(names)}{near}")
+
+
+def score(options: argparse.Namespace) -> int:
+    """Score a run, or a file of tracks, against ground truth."""
+    from bayesnet_track.evaluate.mot_files import is_mot
+    from bayesnet_track.evaluate.runs import score_run
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
+
+    given = Path(options.run)
+    if os.path.isfile(given):  # noqa: PTH113 (a name that is too long is no file, and raises nothing)
+        if not options.truth:
+            raise UsageError(f"{given}: a file of tracks brings no ground truth; name one with --truth FILE")
+        return _score_several(given, Path(options.truth), options)
+    directory = RunDirectory.open(given)
+    truth = Path(options.truth) if options.truth else directory.truth
+    if not os.path.isfile(truth):  # noqa: PTH113
+        raise UsageError(f"no ground truth at {truth}; name one with --truth FILE")
+    with users_mistake():
+        if is_mot(truth):
+            return _score_several(directory.mot, truth, options)
+        result = score_run(directory.path, truth, options.target)
+    say(result.json() if options.json else result.text(explained=True))
+    return OK
+
+
+def _score_several(tracks: Path, truth: Path, options: argparse.Namespace) -> int:
+    from bayesnet_track.evaluate.mot import score_mot_files
+
+    if options.target is not None:
+        raise UsageError(f"--target: all targets in {truth} are scored at once; leave it out")
+    with users_mistake():
+        result = score_mot_files(tracks, truth)
+    say(result.json() if options.json else result.text(explained=True))
+    return OK

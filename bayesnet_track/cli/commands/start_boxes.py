@@ -1,0 +1,47 @@
+"""Start boxes as they are given on the command line."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bayesnet_track.cli.commands.answer import UsageError, users_mistake
+
+if TYPE_CHECKING:
+    from bayesnet_track.runtime.run import Start
+
+
+def read_start(path: Path, frame: int) -> Start:
+    """The start that a ground-truth file has for `frame`.
+
+    Raises:
+        UsageError: the file cannot be read, or has no box for this frame.
+    """
+    from bayesnet_track.evaluate.truth import read_truth
+    from bayesnet_track.runtime.run import Start
+
+    with users_mistake():
+        boxes = read_truth(path)
+    if frame >= len(boxes):
+        raise UsageError(f"{path}: no box for frame {frame}; it has boxes for frames 0 to {len(boxes) - 1}")
+    x, y, w, h = (float(value) for value in boxes[frame])
+    if math.isnan(x):
+        raise UsageError(f"{path}: the target is absent in frame {frame}; choose another --start")
+    return Start((x, y, w, h))
+
+
+def parse_start(text: str) -> Start:
+    """A start from ``x,y,w,h`` or ``plate:x,y,w,h`` (top-left corner, px).
+
+    Raises:
+        UsageError: it is something else.
+    """
+    from bayesnet_track.runtime.run import Start
+
+    plate, _, numbers = text.rpartition(":")
+    try:
+        x, y, w, h = (float(part) for part in numbers.split(","))
+    except ValueError:
+        raise UsageError(f"--init {text!r}: four numbers X,Y,W,H are needed (top-left corner, px)") from None
+    return Start((x, y, w, h), plate or None)

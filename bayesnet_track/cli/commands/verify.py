@@ -1,0 +1,50 @@
+"""The command `verify`: whether the files of a run are what it wrote."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import TYPE_CHECKING
+
+from bayesnet_track.cli.commands.answer import BAD_SOURCE, INCOMPLETE, OK, say
+
+if TYPE_CHECKING:
+    from bayesnet_track.runtime.recording.verify import Verified
+
+SAID = {
+    "missing": "missing",
+    "truncated": "truncated since it was written",
+    "changed": "changed since it was written",
+    "extra": "not of this run",
+}
+WITHOUT = {
+    "unfinished": "unfinished: it has no manifest to compare with; `bayesnet-track resume {run}` finishes it",
+    "running": "a process is writing it now; verify it when it has ended",
+    "unknown": "an earlier version of bayesnet-track wrote it, without a manifest to compare with",
+}
+
+
+def verify(options: argparse.Namespace) -> int:
+    """Compare a run with its manifest."""
+    from bayesnet_track.runtime.recording.verify import verify
+
+    found = verify(options.run)
+    if options.json:
+        held = {"run": options.run, "status": found.status, "result": found.result, "outputs": found.outputs}
+        say(json.dumps(held, indent=1))
+    else:
+        _tell(options.run, found)
+    return {"verified": OK, "changed": BAD_SOURCE}.get(found.status, INCOMPLETE)
+
+
+def _tell(run: str, found: Verified) -> None:
+    if found.status in WITHOUT:
+        say(f"{run}: {WITHOUT[found.status].format(run=run)}")
+        return
+    wrong = {name: finding for name, finding in found.outputs.items() if finding != "ok"}
+    for name, finding in wrong.items():
+        say(f"{run}/{name}: {SAID[finding]}")
+    if wrong:
+        say(f"{run}: changed: {len(wrong)} of {len(found.outputs)} files are not as the run left them")
+    else:
+        say(f"{run}: verified: {len(found.outputs)} files, result {found.result}")

@@ -1,0 +1,86 @@
+"""The command `what-if`: an earlier run again with something changed, and the comparison of the two."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bayesnet_track.cli.commands.answer import BAD_OUTPUT, INCOMPLETE, OK, UsageError, complain, users_mistake
+
+if TYPE_CHECKING:
+    from bayesnet_track.graph.checked import CheckedGraph
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe
+    from bayesnet_track.runtime.recording.opened import Run
+
+
+def what_if(options: argparse.Namespace) -> int:
+    """Run again, then compare."""
+    from bayesnet_track.cli.commands.compare import check_page, tell_comparison
+    from bayesnet_track.graph.text.change import ChangeError, change_graph
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
+    from bayesnet_track.runtime.recording.manifest import add_output
+    from bayesnet_track.runtime.recording.opened import open_run
+    from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
+
+    check_page(options)
+    try:
+        first = open_run(options.run, complain)
+    except RunDirectoryError as error:
+        raise UsageError(str(error)) from error
+    try:
+        recipe = Recipe.read(first.directory)
+    except RecipeError as error:
+        raise UsageError(str(error)) from error
+    if recipe.only_once is not None:
+        raise UsageError(f"{options.run}: it cannot be run again: {recipe.only_once}")
+    with users_mistake():
+        changes = recipe.origin.changes()
+    if changes and not options.force:
+        raise UsageError(
+            f"{options.run}: the source has changed: {'; '.join(changes)} (--force goes on all the same)"
+        )
+    try:
+        graph = change_graph(first.graph_text, options.set, not options.no_adaptation)
+    except ChangeError as error:
+        raise UsageError(f"--set {error}") from error
+    out = Path(options.out or f"{str(options.run).rstrip('/')}-what-if")
+    if out.resolve() == first.directory.path.resolve():
+        raise UsageError(f"--out {out}: that is the run itself; give another folder")
+    code = _track_again(options, first, recipe, graph, out)
+    if code not in (OK, INCOMPLETE):
+        return code
+    second = RunDirectory.open(out)
+    if first.directory.truth.is_file() and not second.truth.exists():
+        try:
+            shutil.copyfile(first.directory.truth, second.truth)
+            add_output(second, "truth")
+        except OSError as error:
+            complain(f"{second.truth}: cannot write: {error.strerror}")
+            return BAD_OUTPUT
+    return tell_comparison(first, open_run(out, complain), options) or code
+
+
+def _track_again(
+    options: argparse.Namespace, first: Run, recipe: Recipe, graph: CheckedGraph, out: Path
+) -> int:
+    """The run of a recipe with another graph or seed; what came from outside then comes again."""
+    from bayesnet_track.cli.commands.tracking import follow
+    from bayesnet_track.runtime.run import Summary
+    from bayesnet_track.runtime.session import track
+
+    summary = Summary()
+    with recipe.opened() as source:
+        results = track(
+            graph,
+            source,
+            recipe.starts or None,
+            out=out,
+            seed=recipe.seed if options.seed is None else options.seed,
+            detections=None if recipe.detections is None else recipe.detections.place,
+            inputs=first.directory.inputs if first.directory.inputs.is_file() else None,
+            overwrite=options.overwrite,
+            summary=summary,
+        )
+        return follow(options, results, summary, source.expected_frames, out)

@@ -1,0 +1,144 @@
+"""What each command does: call the rooms below, print. What is heavy is imported where it is used."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping
+
+from bayesnet_track.cli.commands.answer import (
+    BAD_GRAPH,
+    BAD_OUTPUT,
+    BAD_SOURCE,
+    USAGE,
+    UsageError,
+    complain,
+    words,
+)
+from bayesnet_track.cli.commands.batch import batch
+from bayesnet_track.cli.commands.calibrate import calibrate
+from bayesnet_track.cli.commands.compare import compare
+from bayesnet_track.cli.commands.completion import completion
+from bayesnet_track.cli.commands.detect import detect
+from bayesnet_track.cli.commands.export import export
+from bayesnet_track.cli.commands.fit import fit
+from bayesnet_track.cli.commands.graphs import graph, list_installed, schema, validate
+from bayesnet_track.cli.commands.init import init
+from bayesnet_track.cli.commands.learn_shape import learn_shape
+from bayesnet_track.cli.commands.learn_stereo import learn_stereo
+from bayesnet_track.cli.commands.report import report
+from bayesnet_track.cli.commands.resume import resume
+from bayesnet_track.cli.commands.review import log, score
+from bayesnet_track.cli.commands.tracking import demo, run
+from bayesnet_track.cli.commands.verify import verify
+from bayesnet_track.cli.commands.what_if import what_if
+from bayesnet_track.graph.text.messages import GraphError
+from bayesnet_track.numerics.compile_watch import WATCH
+
+COMPILING = "compiling kernels, once, about 20 s"
+TRACKING = ("demo", "run", "resume", "batch", "what-if")
+SILENT = ("quiet", "log_json", "json")
+"""Options with which nothing is said of it: somebody reads by program, or does not want to know."""
+
+COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
+    "demo": demo,
+    "run": run,
+    "validate": validate,
+    "graph": graph,
+    "schema": schema,
+    "list": list_installed,
+    "log": log,
+    "calibrate": calibrate,
+    "compare": compare,
+    "completion": completion,
+    "detect": detect,
+    "export": export,
+    "fit": fit,
+    "report": report,
+    "resume": resume,
+    "batch": batch,
+    "init": init,
+    "score": score,
+    "learn-shape": learn_shape,
+    "learn-stereo": learn_stereo,
+    "verify": verify,
+    "what-if": what_if,
+}
+
+
+def call(options: argparse.Namespace) -> int:
+    """Carry out a parsed command line; the exit code.
+
+    Expected errors become one clear message; any other is an error in the program and passes through.
+    """
+    try:
+        _allow(options)
+        _say_what_is_missing(options)
+        with WATCH.told(tell_of_compiling(options)):
+            return COMMANDS[options.command](options)
+    except GraphError as error:
+        complain(str(error))
+        return BAD_GRAPH
+    except (OSError, ValueError) as error:
+        code = _code_of(error, options.command)
+        if code is None:
+            raise
+        complain(f"bayesnet-track {options.command}: {words(error)}")
+        return code
+
+
+def tell_of_compiling(options: argparse.Namespace) -> Callable[[], None]:
+    """Says once that kernels are compiled, where that is wanted: else the first run seems to hang."""
+    waiting = [] if any(getattr(options, name, False) for name in SILENT) else [COMPILING]
+
+    def tell() -> None:
+        if waiting:
+            complain(waiting.pop())
+
+    return tell
+
+
+def _say_what_is_missing(options: argparse.Namespace) -> None:
+    """At the start of a run, on a system that is not tested."""
+    from bayesnet_track.runtime import system
+
+    if options.command in TRACKING and not options.quiet and not getattr(options, "log_json", False):
+        missing = system.told()
+        if missing:
+            complain(missing)
+
+
+def _allow(options: argparse.Namespace) -> None:
+    """Let the plug-ins of other packages that the user names be loaded."""
+    names = [name for given in getattr(options, "allow_plugins", ()) for name in given]
+    if not names:
+        return
+    from bayesnet_track.observation import cue, detector, plugins
+
+    known = {**plugins.others(cue.ENTRY_POINT_GROUP), **plugins.others(detector.ENTRY_POINT_GROUP)}
+    for name in names:
+        if name not in known:
+            there = ", ".join(sorted(known)) or "none is installed"
+            raise UsageError(f"--allow-plugins {name}: no other package has it; there are: {there}")
+    plugins.allow(names)
+
+
+def _code_of(error: Exception, command: str) -> int | None:
+    from bayesnet_track.journal.codec import JournalError
+    from bayesnet_track.journal.writer import OutputError
+    from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
+    from bayesnet_track.runtime.checkpoints.recipe import RecipeError
+    from bayesnet_track.runtime.checkpoints.resume import ResumeError
+    from bayesnet_track.runtime.recording.manifest import ManifestError
+    from bayesnet_track.runtime.recording.rundir import RunDirectoryError
+    from bayesnet_track.sources.frames import SourceError
+    from bayesnet_track.vision.stereo.stereo import CalibrationError
+
+    if isinstance(error, UsageError):
+        return USAGE
+    if isinstance(error, SourceError | JournalError | CalibrationError):
+        return BAD_SOURCE
+    if isinstance(error, RecipeError | CheckpointError | ResumeError | ManifestError):
+        return BAD_SOURCE
+    if isinstance(error, RunDirectoryError):
+        return BAD_SOURCE if command in ("log", "score", "report", "compare", "export") else BAD_OUTPUT
+    return BAD_OUTPUT if isinstance(error, OutputError) else None

@@ -1,0 +1,62 @@
+"""Options of the commands that track about how and where agents are asked; none changes a result."""
+
+from __future__ import annotations
+
+import argparse
+
+from bayesnet_track.cli.options.arguments import whole_number
+
+
+def add_executor_options(parser: argparse.ArgumentParser) -> None:
+    """`--executor`, `--ray-address`, `--workers`, `--place`, `--agent-timeout`, `--agent-memory`."""
+    group = parser.add_argument_group("how agents are asked (changes no result)")
+    group.add_argument(
+        "--executor",
+        choices=["serial", "threads", "processes", "ray"],
+        default="serial",
+        help="one after the other, side by side in threads, in supervised worker processes, or on a Ray "
+        "cluster (default serial)",
+    )
+    group.add_argument(
+        "--ray-address",
+        metavar="ADDRESS",
+        help="of a Ray cluster for --executor ray: auto, HOST:PORT or ray://HOST:PORT "
+        "(default: start one here)",
+    )
+    group.add_argument(
+        "--workers",
+        type=whole_number(1),
+        metavar="N",
+        help="threads or worker processes (default: as many as there are processors)",
+    )
+    group.add_argument(
+        "--place",
+        action="append",
+        default=[],
+        metavar="AGENT=WHERE",
+        help="put an agent into the engine or a process: flow=process, person.flow=engine; or the whole "
+        "nets of a plate: person=process; goes before `on` in the graph",
+    )
+    group.add_argument(
+        "--agent-timeout",
+        type=_seconds,
+        metavar="S",
+        help="seconds after which an agent in a process that does not answer is given up "
+        "(default 10, and 30 for its first answers)",
+    )
+    group.add_argument(
+        "--agent-memory",
+        type=whole_number(1),
+        metavar="MB",
+        help="memory that a worker process may take, above what it starts with (default: no limit)",
+    )
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r}: a number of seconds above 0 is needed")
+    return value
