@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from bayesnet_track.cli.options.checkpoints import add_checkpoints
 from bayesnet_track.cli.options.executors import add_executor_options
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.view import add_view_options
@@ -31,24 +32,3 @@ def add_resume(commands: argparse._SubParsersAction[Any]) -> None:
     add_plugins(resume)
     add_executor_options(resume)
     add_view_options(resume)
-
-
-def add_checkpoints(parser: argparse.ArgumentParser) -> None:
-    """`--checkpoint-every`."""
-    parser.add_argument(
-        "--checkpoint-every",
-        type=_seconds,
-        default=1.0,
-        metavar="S",
-        help="seconds between checkpoints, from which `resume` goes on (default 1; 0 for none)",
-    )
-
-
-def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value < 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r}: a number of seconds from 0 on is needed")
-    return value

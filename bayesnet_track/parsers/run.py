@@ -6,13 +6,12 @@ import argparse
 from typing import Any
 
 from bayesnet_track.cli.options.arguments import whole_number
-from bayesnet_track.cli.options.executors import add_executor_options
 from bayesnet_track.cli.options.outside import add_outside_options
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.rerun import add_rerun_option
+from bayesnet_track.cli.options.runs import add_run_options
 from bayesnet_track.cli.options.sources import add_depth_options, add_window_options
 from bayesnet_track.cli.options.view import add_view_options
-from bayesnet_track.parsers.resume import add_checkpoints
 
 
 def add_demo(commands: argparse._SubParsersAction[Any]) -> None:
@@ -65,17 +64,3 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
     add_run_options(run)
     add_view_options(run)
     add_plugins(run)
-
-
-def add_run_options(parser: argparse.ArgumentParser) -> None:
-    """`--seed`, `--overwrite`, `--quiet`, `--log-json`, and how agents are asked."""
-    parser.add_argument(
-        "--seed", type=whole_number(0), default=0, metavar="N", help="seed of all randomness (default 0)"
-    )
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace an earlier run in the same directory"
-    )
-    parser.add_argument("--quiet", action="store_true", help="no progress line")
-    parser.add_argument("--log-json", action="store_true", help="progress as JSON lines")
-    add_checkpoints(parser)
-    add_executor_options(parser)
