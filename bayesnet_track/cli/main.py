@@ -9,22 +9,22 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
 from io import TextIOWrapper
 
+from bayesnet_track.cli.commands.batch import add_batch
+from bayesnet_track.cli.commands.compare import add_compare
+from bayesnet_track.cli.commands.completion import add_completion
+from bayesnet_track.cli.commands.detect import add_detect
+from bayesnet_track.cli.commands.export import add_export
+from bayesnet_track.cli.commands.fit import add_fit
+from bayesnet_track.cli.commands.init import add_init
+from bayesnet_track.cli.commands.report import add_report
+from bayesnet_track.cli.commands.resume import add_resume
+from bayesnet_track.cli.commands.tracking import add_demo, add_run
+from bayesnet_track.cli.commands.verify import add_verify
+from bayesnet_track.cli.commands.what_if import add_what_if, as_what_if
 from bayesnet_track.cli.options.arguments import whole_number
 from bayesnet_track.cli.options.doctor import add_doctor
 from bayesnet_track.cli.options.learn import add_calibrate, add_learn_shape, add_learn_stereo
 from bayesnet_track.cli.options.plugins import add_plugins
-from bayesnet_track.parsers.batch import add_batch
-from bayesnet_track.parsers.compare import add_compare
-from bayesnet_track.parsers.completion import add_completion
-from bayesnet_track.parsers.detect import add_detect
-from bayesnet_track.parsers.export import add_export
-from bayesnet_track.parsers.fit import add_fit
-from bayesnet_track.parsers.init import add_init
-from bayesnet_track.parsers.report import add_report
-from bayesnet_track.parsers.resume import add_resume
-from bayesnet_track.parsers.run import add_demo, add_run
-from bayesnet_track.parsers.verify import add_verify
-from bayesnet_track.parsers.what_if import add_what_if, as_what_if
 from bayesnet_track.runtime.stop import StopRequest, Terminated
 
 EXIT_CODES = """\

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import BAD_SOURCE, INCOMPLETE, OK, say
 
@@ -48,3 +48,16 @@ def _tell(run: str, found: Verified) -> None:
         say(f"{run}: changed: {len(wrong)} of {len(found.outputs)} files are not as the run left them")
     else:
         say(f"{run}: verified: {len(found.outputs)} files, result {found.result}")
+
+
+def add_verify(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    verify = commands.add_parser(
+        "verify",
+        help="check that the files of a finished run are what it wrote",
+        description="Compare every file of a run with the size and SHA-256 in its manifest.json. Exit code "
+        "0: all are as they were written; 4: a file was changed, truncated, removed or added, or this is no "
+        "run; 5: the run is unfinished (`resume` finishes it), still being written, or has no manifest.",
+    )
+    verify.add_argument("run", metavar="RUN", help="run directory")
+    verify.add_argument("--json", action="store_true", help="print what was found as JSON")
