@@ -22,7 +22,8 @@ import pytest
 import yaml
 
 from bayesnet_track.cli import dispatch as commands
-from bayesnet_track.cli.main import EXIT_CODES, main
+from bayesnet_track.cli.main import main
+from bayesnet_track.cli.parser import EXIT_CODES
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.graphs import find_graph, graph_names
 from bayesnet_track.journal.net.net import Activated, Deactivated

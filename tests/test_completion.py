@@ -9,7 +9,8 @@ import subprocess
 import pytest
 
 from bayesnet_track.cli.commands.completion import _actions, _kind
-from bayesnet_track.cli.main import main, make_parser
+from bayesnet_track.cli.main import main
+from bayesnet_track.cli.parser import make_parser
 from bayesnet_track.graphs import graph_names
 from bayesnet_track.sources.scenes import scene_names
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from bayesnet_track.cli.main import main, make_parser
+from bayesnet_track.cli.main import main
+from bayesnet_track.cli.parser import make_parser
 from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.graphs import graph_names
 
