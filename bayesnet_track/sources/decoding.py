@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from bayesnet_track.sources.frames import Damage, Picture, PictureError, Reader, SourceError
+from bayesnet_track.sources.frames import Damage, Picture, Reader, SourceError
 from bayesnet_track.sources.sandbox import Limits, begin_picture, give_up_rights
+from bayesnet_track.vision.image_size import PictureError
 
 SLOTS = 3
 """Pictures that may be on their way: one is read while others wait."""

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.sources.frames import PictureError, SourceError
+from bayesnet_track.sources.frames import SourceError
 from bayesnet_track.sources.images import natural_key
-from bayesnet_track.vision.image_size import check_size, read_checked
+from bayesnet_track.vision.image_size import PictureError, check_size, read_checked
 from bayesnet_track.vision.stereo.stereo import RectifiedPair
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")

@@ -31,6 +31,7 @@ from bayesnet_track.journal.events.basic import (
 from bayesnet_track.observation.depth import Depth
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.origin import Origin
+from bayesnet_track.vision.image_size import PictureError
 
 SourceItem = Frame | FramesMissing | FramesDropped | FrameSizeChanged | SourceDamaged | SourceStalled
 OnResize = Literal["stop", "rescale"]
@@ -51,10 +52,6 @@ class SourceError(ValueError):
     def __init__(self, given: str, found: str, allowed: str, mend: str) -> None:
         self.given, self.found, self.allowed, self.mend = given, found, allowed, mend
         super().__init__(f"source {given!r}: {found}; allowed: {allowed}; {mend}")
-
-
-class PictureError(ValueError):
-    """One picture that cannot be decoded."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.sources.frames import Damage, Picture, PictureError
-from bayesnet_track.vision.image_size import read_checked
+from bayesnet_track.sources.frames import Damage, Picture
+from bayesnet_track.vision.image_size import PictureError, read_checked
 
 IMAGE_INTERVAL_S = 1.0 / 25.0
 ROWS_AT_ONCE = 256

@@ -17,9 +17,9 @@ import numpy as np
 from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
-from bayesnet_track.sources.frames import Damage, Picture, PictureError, SourceError
+from bayesnet_track.sources.frames import Damage, Picture, SourceError
 from bayesnet_track.sources.timing import Declared, Timing, declared_by, timing_of
-from bayesnet_track.vision.image_size import MAX_PIXELS
+from bayesnet_track.vision.image_size import MAX_PIXELS, PictureError
 
 # Playlists and scripts (hls, concat, ...) name other files and hosts: only self-contained formats are read.
 FORMATS = (

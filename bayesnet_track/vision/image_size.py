@@ -12,8 +12,6 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from struct import Struct, error, unpack_from
 
-from bayesnet_track.sources.frames import PictureError
-
 MAX_PIXELS = 1 << 27
 """Pixels of a picture, of a video as of an image file: 134 million."""
 MAX_BYTES = 1 << 29
@@ -153,3 +151,7 @@ def _webp(data: bytes) -> Iterator[Size]:
     elif kind == b"VP8 ":
         width, height = unpack_from("<HH", data, 26)
         yield width & 0x3FFF, height & 0x3FFF
+
+
+class PictureError(ValueError):
+    """One picture that cannot be decoded."""
