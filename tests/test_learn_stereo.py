@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from bayesnet_track.cli.main import main
-from bayesnet_track.evaluate.truth import format_truth
 from bayesnet_track.observation.cue import installed_cues
+from bayesnet_track.sources.scene_source import format_truth
 from bayesnet_track.sources.scenes import Scene, make_scene
 from bayesnet_track.vision.stereo.stereo import RectifiedPair, write_calibration
 

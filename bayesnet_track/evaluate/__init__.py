@@ -3,7 +3,8 @@
 from bayesnet_track.evaluate.mot import MotScore, score_mot, score_mot_files
 from bayesnet_track.evaluate.runs import score_run
 from bayesnet_track.evaluate.scores import Score, as_table, score
-from bayesnet_track.evaluate.truth import format_truth, read_truth
+from bayesnet_track.evaluate.truth import read_truth
+from bayesnet_track.sources.scene_source import format_truth
 
 __all__ = [
     "MotScore",

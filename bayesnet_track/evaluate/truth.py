@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
@@ -38,13 +38,6 @@ def parse_truth(text: str, name: str = "<truth>") -> Floats:
     absent = ~np.isfinite(boxes).all(axis=1) | (boxes[:, 2:] <= 0).any(axis=1)
     boxes[absent] = np.nan
     return boxes
-
-
-def format_truth(boxes: ArrayLike) -> str:
-    """The text that `read_truth` reads back to the same (n, 4) boxes, bit for bit."""
-    return "".join(
-        ",".join(f"{float(value)!r}" for value in row) + "\n" for row in np.asarray(boxes, dtype=np.float64)
-    )
 
 
 def _box(line: str, place: str) -> list[float]:

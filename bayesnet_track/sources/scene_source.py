@@ -6,6 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.frames import EndReason
 from bayesnet_track.sources.origin import Origin
@@ -55,7 +58,6 @@ class SceneSource:
     @property
     def truth_text(self) -> str:
         """The ground truth of its frames as text: a corner box a line."""
-        from bayesnet_track.evaluate.truth import format_truth
 
         return format_truth(self.scene.truth[: self.expected_frames])
 
@@ -75,3 +77,10 @@ class SceneSource:
                 round(index * self.frame_interval_s, 9),
                 None if stereo is None else stereo.eye(index),
             )
+
+
+def format_truth(boxes: ArrayLike) -> str:
+    """The text that `read_truth` reads back to the same (n, 4) boxes, bit for bit."""
+    return "".join(
+        ",".join(f"{float(value)!r}" for value in row) + "\n" for row in np.asarray(boxes, dtype=np.float64)
+    )

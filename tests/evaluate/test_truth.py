@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.evaluate.truth import format_truth, parse_truth, read_truth
+from bayesnet_track.evaluate.truth import parse_truth, read_truth
+from bayesnet_track.sources.scene_source import format_truth
 
 
 @pytest.mark.parametrize(
