@@ -130,7 +130,7 @@ def _code_of(error: Exception, command: str) -> int | None:
     from bayesnet_track.runtime.checkpoints.resume import ResumeError
     from bayesnet_track.runtime.recording.manifest import ManifestError
     from bayesnet_track.runtime.recording.rundir import RunDirectoryError
-    from bayesnet_track.sources.frames import SourceError
+    from bayesnet_track.sources.paths import SourceError
     from bayesnet_track.vision.stereo.stereo import CalibrationError
 
     if isinstance(error, UsageError):

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from bayesnet_track.sources.frames import SourceError
 from bayesnet_track.sources.live import Image, LiveReader
+from bayesnet_track.sources.paths import SourceError
 
 DEFAULT_RATE = 30.0
 

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import glob
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.sources.frames import SourceError
-from bayesnet_track.sources.images import natural_key
 from bayesnet_track.vision.image_size import PictureError, check_size, read_checked
 from bayesnet_track.vision.stereo.stereo import RectifiedPair
-
-DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
 
 
 def read_points(path: Path, pair: RectifiedPair | None) -> NDArray[np.float32]:
@@ -61,18 +56,3 @@ def _depth_image(path: Path, pair: RectifiedPair | None) -> NDArray[np.generic]:
         raise PictureError(f"{path.name}: not a depth image of one channel, 16 bit or float")
     unit = np.float32(1.0 if image.dtype == np.float32 or pair is None else pair.depth_unit_m)
     return np.asarray(image.astype(np.float32) * unit)
-
-
-def depth_files(text: str) -> list[Path]:
-    """The depth files of a folder or glob, in natural order; raises SourceError when there is none."""
-    folder = Path(text)
-    names = folder.iterdir() if folder.is_dir() else (Path(name) for name in glob.glob(text))  # noqa: PTH207
-    found = sorted((p for p in names if p.suffix.lower() in DEPTH_SUFFIXES and p.is_file()), key=natural_key)
-    if not found:
-        raise SourceError(
-            text,
-            "no depth file there",
-            f"a folder or glob of {' '.join(DEPTH_SUFFIXES)}",
-            "give the folder that holds them",
-        )
-    return found

@@ -31,27 +31,13 @@ from bayesnet_track.journal.events.basic import (
 from bayesnet_track.observation.depth import Depth
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.origin import Origin
+from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.vision.image_size import PictureError
 
 SourceItem = Frame | FramesMissing | FramesDropped | FrameSizeChanged | SourceDamaged | SourceStalled
 OnResize = Literal["stop", "rescale"]
 EndReason = Literal["end_of_source", "source_truncated", "source_damaged", "frame_size_changed"]
 Pixels = Callable[[], tuple[NDArray[np.uint8], bool]]
-
-
-class SourceError(ValueError):
-    """A source that cannot be opened or read at all.
-
-    Attributes:
-        given: the source as given.
-        found: what was found there.
-        allowed: what would be accepted.
-        mend: what to do.
-    """
-
-    def __init__(self, given: str, found: str, allowed: str, mend: str) -> None:
-        self.given, self.found, self.allowed, self.mend = given, found, allowed, mend
-        super().__init__(f"source {given!r}: {found}; allowed: {allowed}; {mend}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.sources.frames import Damage, Picture
+from bayesnet_track.sources.paths import natural_key
 from bayesnet_track.vision.image_size import PictureError, read_checked
 
 IMAGE_INTERVAL_S = 1.0 / 25.0
 ROWS_AT_ONCE = 256
-_DIGITS = re.compile(r"(\d+)")
 _LAST_NUMBER = re.compile(r"^(.*?)(\d+)(\D*)$")
 
 
@@ -43,12 +43,6 @@ class ImageReader:
 
     def close(self) -> None:
         """Nothing stays open between images."""
-
-
-def natural_key(path: Path) -> tuple[tuple[tuple[int, str], ...], str]:
-    """Sort key that takes runs of digits as numbers."""
-    parts = _DIGITS.split(str(path))
-    return tuple((int(part), "") if n % 2 else (-1, part) for n, part in enumerate(parts)), str(path)
 
 
 def times_of(paths: Sequence[Path]) -> list[float]:

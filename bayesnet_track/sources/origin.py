@@ -81,7 +81,7 @@ class Origin:
     @property
     def only_once(self) -> str | None:
         """Why the same frames cannot be read again; None where they can."""
-        from bayesnet_track.sources.sources import is_file
+        from bayesnet_track.sources.paths import is_file
 
         if self.kind == "own":
             return f"its frames came from an object ({self.description}) that cannot be made again"
@@ -99,7 +99,7 @@ class Origin:
             OSError: a file cannot be read.
             SourceError: there is no source any more.
         """
-        from bayesnet_track.sources.sources import is_file
+        from bayesnet_track.sources.paths import is_file
 
         given = [text for text in self._parts().values() if is_file(text)]
         absolute = {text: str(Path(text).absolute()) for text in given}
@@ -126,7 +126,7 @@ class Origin:
             SourceError: it can only be read once, or no longer.
             CalibrationError: the calibration file cannot be used.
         """
-        from bayesnet_track.sources.frames import SourceError
+        from bayesnet_track.sources.paths import SourceError
 
         if self.only_once is not None:
             raise SourceError(
@@ -175,8 +175,7 @@ class Origin:
         return found
 
     def _fingerprints(self, at: Mapping[str, str]) -> dict[str, Fingerprint]:
-        from bayesnet_track.sources.depth_files import depth_files
-        from bayesnet_track.sources.sources import files_of, is_file
+        from bayesnet_track.sources.paths import depth_files, files_of, is_file
 
         found = {}
         for part, text in self._parts().items():

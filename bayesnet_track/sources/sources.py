@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-import difflib
 import glob
 import os
-import re
 from pathlib import Path
 
-from bayesnet_track.sources.frames import OnResize, Reader, Source, SourceError, SourceItem
+from bayesnet_track.sources.frames import OnResize, Reader, Source, SourceItem
 from bayesnet_track.sources.origin import Origin
+from bayesnet_track.sources.paths import (
+    _SCHEME,
+    IMAGE_SUFFIXES,
+    KINDS,
+    SourceError,
+    _in_folder,
+    _matching,
+    _nearest,
+)
 
 __all__ = ["Source", "SourceError", "SourceItem", "open_source"]
 
-KINDS = "a video file, a folder of images, a glob of images, a camera index such as 0, an http or rtsp URL"
 LIVE_SCHEMES = frozenset({"rtsp", "rtsps"})
 NETWORK_SCHEMES = frozenset({"http", "https", "rtsp", "rtsps"})
-IMAGE_SUFFIXES = frozenset(
-    {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".pbm", ".pnm", ".jp2"}
-)
-VIDEO_SUFFIXES = frozenset(
-    {".mp4", ".m4v", ".mov", ".3gp", ".3g2", ".mj2", ".mkv", ".webm", ".avi", ".ts", ".mts", ".m2ts"}
-    | {".mpg", ".mpeg", ".h264", ".264", ".h265", ".265", ".hevc", ".ivf", ".obu", ".ogg", ".ogv", ".flv"}
-    | {".asf", ".wmv", ".mjpg", ".mjpeg", ".gif", ".apng", ".nut", ".dv", ".mxf", ".y4m", ".wtv", ".rm"}
-)
-"""What the neighbours of a missing source are known by; a source that is there may have any name."""
-SEQUENCE_FOLDERS = ("img", "img1")
-_SCHEME = re.compile(r"^([A-Za-z][A-Za-z0-9+.\-]+)(?::|,,)")
 
 
 def open_source(
@@ -110,38 +105,6 @@ def make_reader(text: str, allow_network: bool, isolate: bool = False, start: in
     raise SourceError(text, "no such file or folder", KINDS, _nearest(path))
 
 
-def is_file(text: str) -> bool:
-    """True for what names files: no camera and no URL."""
-    return not (text.isascii() and text.isdigit()) and _SCHEME.match(text) is None
-
-
-def files_of(text: str) -> list[Path]:
-    """The files that a path or a glob names, images in the order of the frames; raises SourceError."""
-    from bayesnet_track.sources.images import natural_key
-
-    path = Path(text)
-    if path.is_dir():
-        return sorted(_in_folder(text, path), key=natural_key)
-    if path.is_file():
-        return [path]
-    if glob.has_magic(text):
-        return sorted(_matching(text), key=natural_key)
-    raise SourceError(text, "no such file or folder", KINDS, _nearest(path))
-
-
-def _matching(text: str) -> list[Path]:
-    found = [Path(name) for name in glob.glob(text, recursive=True)]  # noqa: PTH207 (keeps absolute patterns)
-    images = [name for name in found if name.suffix.lower() in IMAGE_SUFFIXES and name.is_file()]
-    if images:
-        return images
-    raise SourceError(
-        text,
-        f"the pattern matches {len(found)} files, none of them an image",
-        f"images ({' '.join(sorted(IMAGE_SUFFIXES))})",
-        "quote the pattern so that the shell leaves it alone, and check it",
-    )
-
-
 def _check_scheme(text: str, scheme: str, allow_network: bool) -> None:
     if scheme not in NETWORK_SCHEMES:
         raise SourceError(
@@ -157,20 +120,6 @@ def _check_scheme(text: str, scheme: str, allow_network: bool) -> None:
             "network sources with --allow-network (allow_network=True)",
             "add that",
         )
-
-
-def _in_folder(text: str, folder: Path) -> list[Path]:
-    for place in (folder, *(folder / name for name in SEQUENCE_FOLDERS)):
-        if place.is_dir():
-            found = [p for p in place.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file()]
-            if found:
-                return found
-    raise SourceError(
-        text,
-        f"the folder holds no image ({sum(1 for _ in folder.iterdir())} entries)",
-        f"images ({' '.join(sorted(IMAGE_SUFFIXES))}) in it or in {' or '.join(SEQUENCE_FOLDERS)} below it",
-        "give the folder that holds the images",
-    )
 
 
 def _images(text: str, paths: list[Path], isolate: bool, start: int) -> Reader:
@@ -192,26 +141,3 @@ def _video(text: str, network: bool, isolate: bool, start: int) -> Reader:
     from bayesnet_track.sources.video import VideoReader
 
     return VideoReader(text, network)
-
-
-def _nearest(path: Path) -> str:
-    parent = path.parent
-    if not parent.is_dir():
-        return f"the folder {str(parent)!r} does not exist either"
-    try:
-        names = sorted(entry.name for entry in parent.iterdir())
-        near = difflib.get_close_matches(path.name, names, n=20, cutoff=0.5)
-        found = next((name for name in near if _could_be_read(parent / name)), None)
-    except OSError:
-        return "check the name"
-    return "check the name" if found is None else f"did you mean {str(parent / found)!r}?"
-
-
-def _could_be_read(path: Path) -> bool:
-    """True for videos, images and folders of images, by their names."""
-    if not path.is_dir():
-        return path.suffix.lower() in VIDEO_SUFFIXES | IMAGE_SUFFIXES
-    try:
-        return bool(_in_folder(str(path), path))
-    except SourceError:
-        return False

@@ -20,7 +20,7 @@ from bayesnet_track.journal.net.net import Quarantined
 from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.observation.depth import RightEye, StereoGeometry
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.sources.frames import SourceError
+from bayesnet_track.sources.paths import SourceError
 
 WIDTH, HEIGHT, FRAMES = 96, 72, 7
 GEOMETRY = StereoGeometry(300.0, 0.2, WIDTH / 2, HEIGHT / 2)

@@ -11,8 +11,8 @@ import pytest
 from bayesnet_track import Start, track
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError, make_recipe
-from bayesnet_track.sources.frames import SourceError
 from bayesnet_track.sources.origin import Origin, fingerprint
+from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.sources import open_source
 

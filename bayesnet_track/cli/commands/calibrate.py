@@ -61,7 +61,7 @@ def read_all(text: str) -> list[NDArray[np.uint8]]:
         SourceError: there is none, or one of them cannot be read.
     """
     from bayesnet_track.observation.planes import Frame
-    from bayesnet_track.sources.frames import SourceError
+    from bayesnet_track.sources.paths import SourceError
     from bayesnet_track.sources.sources import open_source
 
     with open_source(text) as source:

@@ -56,7 +56,7 @@ class Printed:
 def detect(options: argparse.Namespace) -> int:
     """Detect in every frame; write MOT or JSON Lines, and a video on request."""
     from bayesnet_track.observation.detector import DetectorError, LearningDetector
-    from bayesnet_track.sources.frames import SourceError
+    from bayesnet_track.sources.paths import SourceError
     from bayesnet_track.sources.stereo_source import WAYS
 
     if options.end is not None and options.end <= options.start:

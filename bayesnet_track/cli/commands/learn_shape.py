@@ -59,8 +59,8 @@ Examples = list[tuple[str, Floats, float]]
 
 
 def _from_masks(options: argparse.Namespace) -> tuple[int, Examples]:
-    from bayesnet_track.sources.images import natural_key, read_image
-    from bayesnet_track.sources.sources import IMAGE_SUFFIXES
+    from bayesnet_track.sources.images import read_image
+    from bayesnet_track.sources.paths import IMAGE_SUFFIXES, natural_key
     from bayesnet_track.vision.shape.shape_examples import mask_example
 
     folder, found = Path(options.masks), []

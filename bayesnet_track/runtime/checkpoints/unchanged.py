@@ -14,7 +14,7 @@ from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.versions import versions
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.run import FrameSource
-from bayesnet_track.sources.frames import SourceError
+from bayesnet_track.sources.paths import SourceError
 
 
 class ResumeError(ValueError):

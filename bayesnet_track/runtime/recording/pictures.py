@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bayesnet_track.journal.events.basic import RunStarted
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.recording.rundir import RunDirectory
-from bayesnet_track.sources.frames import SourceError
+from bayesnet_track.sources.paths import SourceError
 
 if TYPE_CHECKING:
     from bayesnet_track.runtime.run import FrameSource
