@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from bayesnet_track.adapt.conditions import Reading, read_level
+from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import Memory, Quiet
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Level
-from bayesnet_track.inference.measure import Measures
 from bayesnet_track.journal.net.net import TargetNet
 
 

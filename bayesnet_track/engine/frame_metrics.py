@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.belief.contract import Posterior, Step, Stream
 from bayesnet_track.engine.score import widened
 from bayesnet_track.graph.checked import CheckedTarget
-from bayesnet_track.inference.measure import Measures
 from bayesnet_track.journal.events.basic import FrameMetrics
 from bayesnet_track.journal.events.join_events import JoinMetrics
 from bayesnet_track.journal.events.part_metrics import PartMetrics

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.graph.settings.scores import Rivals
-from bayesnet_track.inference.measure import Measures
 from bayesnet_track.journal.events.rival_events import RivalSeen
 from bayesnet_track.journal.net.net import TargetNet
 

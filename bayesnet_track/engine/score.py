@@ -10,9 +10,9 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.graph.spec import Logistic, Slack
-from bayesnet_track.inference.measure import Measures
 from bayesnet_track.journal.events.rival_events import RivalSeen
 from bayesnet_track.numerics.mixtures import mixture_quantiles
 

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.conditions import Inside
+from bayesnet_track.adapt.measures import Measures, PartMeasure
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence, Posterior, Step
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.messages import without
-from bayesnet_track.inference.part_measures import PartMeasure, measure_parts
+from bayesnet_track.inference.part_measures import measure_parts
 from bayesnet_track.inference.parts import PartBelief, part_beliefs, part_of_agents
 from bayesnet_track.numerics.disc import weighted_mass_in_disc
 from bayesnet_track.numerics.divergence import selected, uncertainty_deviation
@@ -22,48 +22,6 @@ from bayesnet_track.numerics.tilts import divergences, tilted
 from bayesnet_track.observation.cue import Hypotheses
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Measures:
-    """What one step says of the net.
-
-    Attributes:
-        ud_px2: inference node -> UD of its belief; the root's about the MAP, another's about its most
-            probable hypothesis (thesis eqs. 2.11-2.13, corrected). A node that hears of no agent believes
-            what the node above it does. A part's is of its belief given everything, about its estimate.
-        agent_ud_px2: active agent -> UD of its normalised likelihood about its maximum-likelihood hypothesis.
-        kl: active agent -> KL(belief || agent) at its governor (or the root), nats (eq. 2.14). Zero by
-            construction when it is the only one.
-        contribution: active agent -> KL(belief || belief without it), nats.
-        strength: node -> KL(prior times its message || prior), nats.
-        fit: largest geometric mean of a hypothesis' likelihood over the agents that saw something; 1 is a
-            perfect match, 0 says that none saw anything. Agents of a hidden part count only where all parts
-            are hidden and no other agent sees anything.
-        area_px2: area of the estimate.
-        silent: active agents that measure and did not see the target.
-        inside: (node, radius in sqrt(w h) of its most probable state) -> what of its belief lies within, for
-            the windows that its rules ask about.
-        parts: part -> its measures, in nets with parts.
-        ud_without_px2: active agent -> UD of its governor's belief had it been switched off, about that
-            belief's most probable hypothesis; where a rule asks for it (`dearest_dispensable`).
-    """
-
-    ud_px2: Mapping[str, float]
-    agent_ud_px2: Mapping[str, float]
-    kl: Mapping[str, float]
-    contribution: Mapping[str, float]
-    strength: Mapping[str, float]
-    fit: float
-    area_px2: float
-    silent: tuple[str, ...] = ()
-    inside: Mapping[tuple[str, float], Inside] = field(default_factory=dict)
-    parts: Mapping[str, PartMeasure] = field(default_factory=dict)
-    ud_without_px2: Mapping[str, float] = field(default_factory=dict)
-
-    def area_of(self, node: str) -> float:
-        """Area of the estimate that a node is about: of the part, or of the whole target."""
-        return self.parts[node].area_px2 if node in self.parts else self.area_px2
 
 
 def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: float) -> Measures:

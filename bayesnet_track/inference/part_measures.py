@@ -3,42 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.adapt.measures import Floats, PartMeasure, PartStatus
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Learn, Lost
 from bayesnet_track.inference.learn import learning_rate
 from bayesnet_track.inference.parts import PartBelief, part_of_agents
-
-Floats = NDArray[np.float64]
-PartStatus = Literal["seen", "hidden", "unwatched"]
-
-
-@dataclass(frozen=True, eq=False)
-class PartMeasure:
-    """What one step says of a part.
-
-    Attributes:
-        box: (4,) its estimate, the mean of its belief, a centre box in px.
-        sd: (4,) sds of its belief, px.
-        ud_px2: its UD about the estimate.
-        status: seen, hidden (its agents look, and see nothing like it) or unwatched (none of them is active).
-    """
-
-    box: Floats
-    sd: Floats
-    ud_px2: float
-    status: PartStatus
-
-    @property
-    def area_px2(self) -> float:
-        """Area of the estimate."""
-        return float(self.box[2] * self.box[3])
 
 
 def measure_parts(

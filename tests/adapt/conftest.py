@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.rules import Situation, decide
 from bayesnet_track.belief.contract import BOX_FIELDS, Step
 from bayesnet_track.belief.particles.belief import ParticleSet
 from bayesnet_track.inference.compile import compile_plan
-from bayesnet_track.inference.measure import Measures, measure
+from bayesnet_track.inference.measure import measure
 from bayesnet_track.inference.messages import evaluate
 from bayesnet_track.journal.net.net import Net, TargetNet, apply
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights

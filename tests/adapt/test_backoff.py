@@ -3,9 +3,9 @@
 import pytest
 
 from bayesnet_track.adapt.backoff import MISSED_FRAMES, give_up_on_missing, next_try, quarantined, readmitted
+from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.situation import Situation
-from bayesnet_track.inference.measure import Measures
 from bayesnet_track.journal.net.net import Fault, Readmitted, TargetNet
 
 OUT = TargetNet(

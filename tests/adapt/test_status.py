@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.adapt.situation import Situation
-from bayesnet_track.inference.measure import Measures
 from bayesnet_track.journal.net.net import Net, ScoreCause, StatusChanged, TargetNet, apply
 from bayesnet_track.journal.text.explain import explain
 
