@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,11 @@ from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.net.net import Quarantined
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.sources.paths import SourceError
+from bayesnet_track.sources.stereo_source import WAYS
+
+if TYPE_CHECKING:
+    from bayesnet_track.engine.step import Engine
 
 Floats = NDArray[np.float64]
 
@@ -134,3 +140,26 @@ def check_started(graph: CheckedGraph, first: Outcome) -> None:
 def has_births(graph: CheckedGraph) -> bool:
     """True when detectors give the graph its targets, so that no start box is needed."""
     return any(plate.spec.birth is not None for plate in graph.targets.values())
+
+
+def check_depth(engine: Engine, source: object) -> None:
+    """Refuse a source without depth for a graph with an agent that needs it.
+
+    Raises:
+        SourceError: names the agents, and how to give a pair.
+    """
+    if getattr(source, "has_depth", False):
+        return
+    agents = [
+        agent
+        for machine in engine.machinery.values()
+        for agent, cue in machine.cues.items()
+        if any(getattr(plane, "needs_depth", False) for plane in cue.needs)
+    ]
+    if agents:
+        raise SourceError(
+            str(getattr(source, "description", "")),
+            f"one eye, and {', '.join(agents)} of the graph {'needs' if len(agents) == 1 else 'need'} depth",
+            f"a pair or another sensor's depth ({WAYS}, with --calibration FILE)",
+            "give one of them, or another graph",
+        )

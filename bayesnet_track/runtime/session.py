@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import cast
 
 from bayesnet_track.belief.contract import Motion
-from bayesnet_track.engine.starts import Start, StartError, check_starts
+from bayesnet_track.engine.starts import Start, StartError, check_depth, check_starts
 from bayesnet_track.engine.step import Engine, make_engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
@@ -32,7 +32,6 @@ from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
 from bayesnet_track.sources.detection_files import file_detector
 from bayesnet_track.sources.sources import open_source
-from bayesnet_track.sources.stereo_source import check_depth
 
 CornerBox = tuple[float, float, float, float]
 

@@ -27,7 +27,7 @@ from bayesnet_track.vision.image_size import PictureError
 from bayesnet_track.vision.stereo.stereo import RectifiedPair, Rectifier, read_calibration
 
 if TYPE_CHECKING:
-    from bayesnet_track.engine.step import Engine
+    pass
 
 Image = NDArray[np.uint8]
 Completed = tuple[Image, Depth]
@@ -114,29 +114,6 @@ def open_stereo_source(
         isolate_decoder=isolate_decoder,
     )
     return Source(description, reader, start, end, on_resize, origin)
-
-
-def check_depth(engine: Engine, source: object) -> None:
-    """Refuse a source without depth for a graph with an agent that needs it.
-
-    Raises:
-        SourceError: names the agents, and how to give a pair.
-    """
-    if getattr(source, "has_depth", False):
-        return
-    agents = [
-        agent
-        for machine in engine.machinery.values()
-        for agent, cue in machine.cues.items()
-        if any(getattr(plane, "needs_depth", False) for plane in cue.needs)
-    ]
-    if agents:
-        raise SourceError(
-            str(getattr(source, "description", "")),
-            f"one eye, and {', '.join(agents)} of the graph {'needs' if len(agents) == 1 else 'need'} depth",
-            f"a pair or another sensor's depth ({WAYS}, with --calibration FILE)",
-            "give one of them, or another graph",
-        )
 
 
 # ------------------------------------------------------------------------------------ pairing

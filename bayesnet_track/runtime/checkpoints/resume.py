@@ -9,6 +9,7 @@ from os import PathLike
 from pathlib import Path
 
 from bayesnet_track.belief.contract import Motion
+from bayesnet_track.engine.starts import check_depth
 from bayesnet_track.engine.step import Engine
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.atomic import PART
@@ -46,7 +47,6 @@ from bayesnet_track.runtime.recording.replace import settle, settle_broken
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.run import FrameSource, Result, Resumed, Sink, Summary, run
 from bayesnet_track.runtime.session import kept, opaque_agents, placed, prepared
-from bayesnet_track.sources.stereo_source import check_depth
 
 __all__ = ["ResumeError", "Standing", "resume", "standing"]
 
