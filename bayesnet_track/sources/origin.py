@@ -9,11 +9,9 @@ from dataclasses import dataclass, field, replace
 from errno import EINVAL
 from pathlib import Path
 from stat import S_ISREG
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-if TYPE_CHECKING:
-    from bayesnet_track.sources.frames import Source
-    from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.paths import depth_files, files_of, is_file
 
 Kind = Literal["plain", "right", "side_by_side", "depth", "scene", "own"]
 
@@ -81,7 +79,6 @@ class Origin:
     @property
     def only_once(self) -> str | None:
         """Why the same frames cannot be read again; None where they can."""
-        from bayesnet_track.sources.paths import is_file
 
         if self.kind == "own":
             return f"its frames came from an object ({self.description}) that cannot be made again"
@@ -99,9 +96,8 @@ class Origin:
             OSError: a file cannot be read.
             SourceError: there is no source any more.
         """
-        from bayesnet_track.sources.paths import is_file
 
-        given = [text for text in self._parts().values() if is_file(text)]
+        given = [text for text in self.parts().values() if is_file(text)]
         absolute = {text: str(Path(text).absolute()) for text in given}
         return replace(self, absolute=absolute, fingerprint=self._fingerprints(absolute))
 
@@ -112,73 +108,35 @@ class Origin:
             OSError: a file cannot be read.
             SourceError: there is no source any more.
         """
-        now = self._fingerprints(self._places())
+        now = self._fingerprints(self.places())
         return tuple(
             f"{part}: {self.fingerprint[part]}, now {found}"
             for part, found in now.items()
             if part in self.fingerprint and found != self.fingerprint[part]
         )
 
-    def open(self) -> Source | SceneSource:
-        """The source from its first frame on; its paths where they were, or else as given.
-
-        Raises:
-            SourceError: it can only be read once, or no longer.
-            CalibrationError: the calibration file cannot be used.
-        """
-        from bayesnet_track.sources.paths import SourceError
-
-        if self.only_once is not None:
-            raise SourceError(
-                self.description, self.only_once, "files and built-in scenes", "start a new run"
-            )
-        if self.kind == "scene":
-            from bayesnet_track.sources.scene_source import SceneSource
-
-            return SceneSource.named(self.text, self.seed, self.end)
-        from bayesnet_track.sources.sources import open_source
-        from bayesnet_track.sources.stereo_source import open_stereo_source
-
-        at = self._places()
-        # What is read again are files, however they are named: a run directory is data and allows nothing.
-        window = (self.start, self.end, False, self.on_resize)
-        if self.kind == "plain":
-            source = open_source(at[self.text], *window, self.isolate_decoder)
-        else:
-            source = open_stereo_source(
-                at[self.text],
-                *window,
-                right=None if self.right is None else at[self.right],
-                depth=None if self.depth is None else at[self.depth],
-                side_by_side=self.kind == "side_by_side",
-                calibration=None if self.calibration is None else at[self.calibration],
-                isolate_decoder=self.isolate_decoder,
-            )
-        source.description, source.origin = self.description, self
-        return source
-
-    def _parts(self) -> dict[str, str]:
+    def parts(self) -> dict[str, str]:
+        """Part (source, right, depth, calibration) -> its path as given; empty for scenes and own objects."""
         if self.kind in ("scene", "own"):
             return {}
         given = {"source": self.text, "right": self.right, "depth": self.depth}
         given["calibration"] = self.calibration
         return {part: text for part, text in given.items() if text is not None}
 
-    def _places(self) -> dict[str, str]:
+    def places(self) -> dict[str, str]:
         """Each path as given -> where it is now: as it was, or as given where that is gone."""
         from glob import has_magic
 
         found = {}
-        for text in self._parts().values():
+        for text in self.parts().values():
             then = self.absolute.get(text, text)
             found[text] = then if has_magic(text) or os.path.exists(then) else text  # noqa: PTH110
         return found
 
     def _fingerprints(self, at: Mapping[str, str]) -> dict[str, Fingerprint]:
-        from bayesnet_track.sources.paths import depth_files, files_of, is_file
 
         found = {}
-        for part, text in self._parts().items():
+        for part, text in self.parts().items():
             if is_file(text):
                 where = at[text]
                 several = depth_files(where) if part == "depth" else files_of(where)

@@ -81,8 +81,6 @@ def is_file(text: str) -> bool:
 
 def files_of(text: str) -> list[Path]:
     """The files that a path or a glob names, images in the order of the frames; raises SourceError."""
-    from bayesnet_track.sources.paths import natural_key
-
     path = Path(text)
     if path.is_dir():
         return sorted(_in_folder(text, path), key=natural_key)

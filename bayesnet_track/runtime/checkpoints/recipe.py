@@ -166,7 +166,9 @@ class Recipe:
             SourceError: it could be read only once, or it is gone.
             CalibrationError: the pair's calibration file cannot be used.
         """
-        return self.origin.open()
+        from bayesnet_track.sources.reopen import reopen
+
+        return reopen(self.origin)
 
     @contextmanager
     def opened(self) -> Iterator[FrameSource]:

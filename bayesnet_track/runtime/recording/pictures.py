@@ -78,6 +78,7 @@ def _between(
 def _source(directory: RunDirectory, started: RunStarted) -> FrameSource:
     """The run's source: as its recipe says, or, of a run without one, as its journal names it."""
     from bayesnet_track.runtime.checkpoints.recipe import Recipe
+    from bayesnet_track.sources.reopen import reopen
     from bayesnet_track.sources.scene_source import SceneSource
     from bayesnet_track.sources.scenes import make_scene
     from bayesnet_track.sources.sources import open_source
@@ -86,7 +87,7 @@ def _source(directory: RunDirectory, started: RunStarted) -> FrameSource:
         origin = Recipe.read(directory).origin
         if origin.only_once is not None:
             raise SourceError(started.source, origin.only_once, "a source of files", "keep the video")
-        return replace(origin, allow_network=False).open()
+        return reopen(replace(origin, allow_network=False))
     if started.source.startswith(SCENE):
         return SceneSource(make_scene(started.source[len(SCENE) :], seed=started.seed), started.source)
     if started.source.isascii() and started.source.isdigit():

@@ -1,0 +1,42 @@
+"""Open a source again from what is recorded of it."""
+
+from __future__ import annotations
+
+from bayesnet_track.sources.frames import Source
+from bayesnet_track.sources.origin import Origin
+from bayesnet_track.sources.paths import SourceError
+from bayesnet_track.sources.scene_source import SceneSource
+from bayesnet_track.sources.sources import open_source
+from bayesnet_track.sources.stereo_source import open_stereo_source
+
+
+def reopen(origin: Origin) -> Source | SceneSource:
+    """The source from its first frame on; its paths where they were, or else as given.
+
+    Raises:
+        SourceError: it can only be read once, or no longer.
+        CalibrationError: the calibration file cannot be used.
+    """
+    if origin.only_once is not None:
+        raise SourceError(
+            origin.description, origin.only_once, "files and built-in scenes", "start a new run"
+        )
+    if origin.kind == "scene":
+        return SceneSource.named(origin.text, origin.seed, origin.end)
+    at = origin.places()
+    # What is read again are files, however they are named: a run directory is data and allows nothing.
+    window = (origin.start, origin.end, False, origin.on_resize)
+    if origin.kind == "plain":
+        source = open_source(at[origin.text], *window, origin.isolate_decoder)
+    else:
+        source = open_stereo_source(
+            at[origin.text],
+            *window,
+            right=None if origin.right is None else at[origin.right],
+            depth=None if origin.depth is None else at[origin.depth],
+            side_by_side=origin.kind == "side_by_side",
+            calibration=None if origin.calibration is None else at[origin.calibration],
+            isolate_decoder=origin.isolate_decoder,
+        )
+    source.description, source.origin = origin.description, origin
+    return source
