@@ -15,9 +15,7 @@ FILE_OPTIONS = frozenset({"source", "truth", "graph", "left", "right"})
 
 def completion(options: argparse.Namespace) -> int:
     """Print the completion script of a shell."""
-    from bayesnet_track.cli.parser import make_parser
-
-    say(completion_script(make_parser(), options.shell))
+    say(completion_script(options.parser, options.shell))
     return OK
 
 
