@@ -12,7 +12,6 @@ from typing import Any
 from urllib.parse import urlparse
 from urllib.request import url2pathname
 
-import bayesnet_track
 from bayesnet_track.cli.doctor.finding import Finding
 
 OURS = "bayesnet-track"
@@ -55,7 +54,7 @@ def check_system() -> Iterator[Finding]:
 
 def check_this_package() -> Iterator[Finding]:
     """Whether the code that runs is the code that is installed."""
-    here = Path(bayesnet_track.__file__).resolve().parent
+    here = Path(__file__).resolve().parents[2]
     metadata = installed(OURS)
     again = f"python -m pip install -e {here.parent}"
     if metadata is None:
