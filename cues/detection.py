@@ -1,8 +1,9 @@
 """Cue: the detection that the target was given in this frame, as a measurement of its box.
 
 Detections are shared out before any target is weighed: all targets of a plate at once, each detection to one
-target at most, by where each target is expected and, if wanted, by looks (`bayesnet_track.engine.lifecycle.claiming`). A
-target that gets none hears nothing from this agent, so that its belief predicts.
+target at most, by where each target is expected and, if wanted, by looks
+(`bayesnet_track.engine.lifecycle.claiming`). A target that gets none hears nothing from this agent,
+so that its belief predicts.
 """
 
 from __future__ import annotations
