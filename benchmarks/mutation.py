@@ -30,13 +30,12 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 
 PACKAGE = "bayesnet_track"
-ROOMS = ("numerics", "belief", "inference", "adapt")
+ROOMS = ("numerics", "belief", "inference", "adapt", "vision/kernels")
 TESTS = (
-    *ROOMS,
-    *("nets", "vision", "detect/test_selection.py"),
+    *("numerics", "belief", "inference", "adapt", "engine", "vision"),
     *(f"cues/test_{cue}.py" for cue in ["color_blobs", "color_histogram", "intensity", "klt", "mean_shift"]),
     *(f"cues/test_{cue}.py" for cue in ["motion", "shading", "shape", "texture"]),
-    "test_planes.py",
+    "observation/test_planes.py",
 )
 NOT_WITHOUT_JIT = ("belief/test_conformance.py", "belief/test_kalman_experiments.py")
 DECORATOR = re.compile(r"^@(compiled|compiled_summing|cache|lru_cache\(.*\))\n", re.MULTILINE)
@@ -130,7 +129,7 @@ def _copy(root: Path, folder: Path) -> None:
 
 def _sources(folder: Path) -> list[Path]:
     """The files of the rooms, but for the one that calls the JIT."""
-    files = [path for room in ROOMS for path in sorted((folder / PACKAGE / room).glob("*.py"))]
+    files = [path for room in ROOMS for path in sorted((folder / PACKAGE / room).rglob("*.py"))]
     return [path for path in files if path.name != "compiled.py"]
 
 
@@ -191,7 +190,7 @@ def _results() -> dict[str, int | None]:
 
 def _show(names: Sequence[str], status: dict[str, str]) -> None:
     """The table by room, and every survivor."""
-    rooms = {room: Counter[str]() for room in (*ROOMS, "all")}
+    rooms = {room.split("/")[0]: Counter[str]() for room in (*ROOMS, "all")}
     for name in names:
         for room in (name.split(".")[1], "all"):
             rooms[room][status[name]] += 1

@@ -1,24 +1,30 @@
-"""Fake cues and small graphs, shared by the tests of inference, adaptation and the engine."""
+"""Fake cues, small graphs and tiny videos, shared by the tests of several rooms."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from fractions import Fraction
 from types import SimpleNamespace
 from typing import Any
 
+import av
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
+from bayesnet_track.belief.contract import BOX_FIELDS, Step
+from bayesnet_track.belief.particles.belief import ParticleSet
 from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, start_target, step
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.inference.compile import Plan, compile_plan
-from bayesnet_track.inference.messages import Observer
+from bayesnet_track.inference.measure import measure
+from bayesnet_track.inference.messages import Observer, evaluate
+from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.streams import Streams
-from bayesnet_track.observation.cue import CueDeclaration, CueParameters, Reference, blend_arrays
+from bayesnet_track.observation.cue import CueDeclaration, CueParameters, Hypotheses, Reference, blend_arrays
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 
 # No property depends on how fast the machine is. Those that say no number of examples take more of them with
@@ -50,10 +56,10 @@ CLOCK_BOUND = {
     "tests/runtime/test_deadline.py": {
         "test_a_frame_comes_in_time_though_an_agent_is_ten_times_slower": "frames within 55 ms",
     },
-    "tests/runtime/test_isolated.py": {
+    "tests/sources/test_isolated.py": {
         "test_a_decoder_that_hangs_is_left": "0.5 s for each picture before",
     },
-    "tests/runtime/test_live.py": {
+    "tests/sources/test_live.py": {
         "test_a_slow_tracker_gets_the_newest_picture_and_the_rest_is_counted": (
             "pictures at most two intervals old"
         ),
@@ -65,18 +71,18 @@ CLOCK_BOUND = {
         "test_the_pauses_between_attempts_double": "three attempts within 0.5 s",
         "test_two_eyes_are_paired_by_what_is_newest": "a connection within 0.2 s",
     },
-    "tests/runtime/test_stream.py": {
+    "tests/sources/test_stream.py": {
         "test_a_stream_that_stalls_and_breaks_is_taken_up_again": "times of arrival within 0.6 s",
         "test_what_decodes_a_stream_that_hangs_is_gone_with_the_source": "gone within 2 s",
     },
-    "tests/viewing/test_server.py": {
+    "tests/runtime/test_live_server.py": {
         "test_a_client_that_says_nothing_is_let_go_and_never_bars_the_others": "an answer within 0.3 s",
         "test_it_ends_quickly": "ends within 1 s",
     },
-    "tests/viewing/test_thumbnails.py": {
+    "tests/runtime/test_thumbnails.py": {
         "test_an_encoder_that_hangs_holds_up_nobody": "10,000 calls within 1 s",
     },
-    "tests/viewing/test_view.py": {
+    "tests/runtime/test_live_view.py": {
         "test_a_page_that_reads_nothing_does_not_slow_the_run": "1,000 lines within 1 s",
     },
 }
@@ -268,3 +274,99 @@ def fakes() -> SimpleNamespace:
         plate=plate_of,
         play=play,
     )
+
+
+FRAGMENTED = {"movflags": "frag_keyframe+empty_moov+default_base_moof"}
+
+
+def picture(number, size):
+    """A gray ramp with a bright square that moves: columns 2 n .. 2 n + 9."""
+    width, height = size
+    image = np.repeat(np.linspace(0, 120, width).astype(np.uint8)[None, :, None], height, axis=0)
+    image = np.repeat(image, 3, axis=2)
+    image[5:15, 2 * number % width : 2 * number % width + 10] = (40, 120, 250)
+    return image
+
+
+def write_video(path, codec="mpeg4", frames=40, size=(64, 48), rate=25, pix="yuv420p", **more):
+    """Write `frames` pictures; returns the path.
+
+    `stamps` are the pictures' times in intervals (default 0, 1, 2, ...), `options` those of the container,
+    `then` a second size that half of the pictures have, `gop` the distance of key frames.
+    """
+    stamps = more.get("stamps") or list(range(frames))
+    interval = 1 / Fraction(rate)
+    with av.open(str(path), "w", options=more.get("options", {})) as container:
+        stream = container.add_stream(codec, rate=rate)
+        stream.width, stream.height = size
+        stream.pix_fmt = pix
+        stream.codec_context.time_base = interval / more.get("fine", 1)
+        stream.codec_context.gop_size = more.get("gop", 10)
+        encoders = [(size, stream)]
+        if "then" in more:
+            second = av.CodecContext.create(codec, "w")
+            second.width, second.height = more["then"]
+            second.pix_fmt, second.framerate, second.time_base = pix, Fraction(rate), interval
+            encoders.append((more["then"], second))
+        done = 0
+        for part, (part_size, encoder) in zip(np.array_split(stamps, len(encoders)), encoders, strict=True):
+            for stamp in part:
+                frame = av.VideoFrame.from_ndarray(picture(done, part_size), format="bgr24")
+                frame.pts, frame.time_base = (
+                    round(stamp * more.get("fine", 1)),
+                    interval / more.get("fine", 1),
+                )
+                for packet in encoder.encode(frame):
+                    packet.stream = stream
+                    container.mux(packet)
+                done += 1
+            for packet in encoder.encode():
+                packet.stream = stream
+                container.mux(packet)
+    return path
+
+
+@pytest.fixture
+def make_video(tmp_path):
+    """Writes a video of this name into the test's folder; settings as in `write_video`."""
+
+    def make(name, **settings):
+        return write_video(tmp_path / name, **settings)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def whole_videos(tmp_path_factory):
+    """One whole video of 40 frames per container: name -> path."""
+    folder = tmp_path_factory.mktemp("videos")
+    start = {"movflags": "faststart"}
+    return {
+        "plain.mp4": write_video(folder / "plain.mp4", "libx264"),
+        "start.mp4": write_video(folder / "start.mp4", "libx264", options=start),
+        "xvid.avi": write_video(folder / "xvid.avi", "mpeg4"),
+        "h264.mkv": write_video(folder / "h264.mkv", "libx264"),
+    }
+
+
+@pytest.fixture(scope="session")
+def weigh(fakes):
+    """(nodes, sees, boxes, prior log-weights, active) -> the step and its measures."""
+
+    def run(nodes, sees, boxes, beta=None, active=None, area=400.0, best=None):
+        plate, _ = fakes.plate(nodes)
+        cues = {agent: fakes.Oracle(see) for agent, see in sees.items()}
+        plan = compile_plan(plate, cues if active is None else active, cues)
+        prior = LogWeights.uniform(len(boxes)) if beta is None else LogWeights.normalise(np.asarray(beta))[0]
+        evidence = evaluate(plan, fakes.observer(cues), Hypotheses(boxes), prior.log)
+        degenerate = None
+        try:
+            weights, log_evidence = prior.times(evidence.log_likelihood)
+        except DegenerateWeights as fault:
+            weights, log_evidence, degenerate = prior, -np.inf, str(fault)
+        posterior = ParticleSet(boxes, BOX_FIELDS, weights)
+        state = boxes[int(np.argmax(weights.log)) if best is None else best]
+        step = Step(posterior, log_evidence, posterior, prior, evidence, lambda: state, degenerate)
+        return step, measure(plate, plan, step, area)
+
+    return run

@@ -2,43 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.rules import Situation, decide
-from bayesnet_track.belief.contract import BOX_FIELDS, Step
-from bayesnet_track.belief.particles.belief import ParticleSet
-from bayesnet_track.inference.compile import compile_plan
-from bayesnet_track.inference.measure import measure
-from bayesnet_track.inference.messages import evaluate
 from bayesnet_track.journal.net.net import Net, TargetNet, apply
-from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
-from bayesnet_track.observation.cue import Hypotheses
-
-
-@pytest.fixture(scope="session")
-def weigh(fakes):
-    """(nodes, sees, boxes, prior log-weights, active) -> the step and its measures."""
-
-    def run(nodes, sees, boxes, beta=None, active=None, area=400.0, best=None):
-        plate, _ = fakes.plate(nodes)
-        cues = {agent: fakes.Oracle(see) for agent, see in sees.items()}
-        plan = compile_plan(plate, cues if active is None else active, cues)
-        prior = LogWeights.uniform(len(boxes)) if beta is None else LogWeights.normalise(np.asarray(beta))[0]
-        evidence = evaluate(plan, fakes.observer(cues), Hypotheses(boxes), prior.log)
-        degenerate = None
-        try:
-            weights, log_evidence = prior.times(evidence.log_likelihood)
-        except DegenerateWeights as fault:
-            weights, log_evidence, degenerate = prior, -np.inf, str(fault)
-        posterior = ParticleSet(boxes, BOX_FIELDS, weights)
-        state = boxes[int(np.argmax(weights.log)) if best is None else best]
-        step = Step(posterior, log_evidence, posterior, prior, evidence, lambda: state, degenerate)
-        return step, measure(plate, plan, step, area)
-
-    return run
 
 
 class Drive:

@@ -38,8 +38,8 @@ def run(tmp_path: Path) -> Path:
 def elsewhere(monkeypatch: pytest.MonkeyPatch, change: Mapping[str, str]) -> None:
     """From now on this is another machine."""
     other = {**describe_machine(), **change}
-    for room in ("checkpoint", "unchanged"):
-        monkeypatch.setattr(f"bayesnet_track.runtime.{room}.describe_machine", lambda: other)
+    for module in ("checkpoint", "unchanged"):
+        monkeypatch.setattr(f"bayesnet_track.runtime.checkpoints.{module}.describe_machine", lambda: other)
 
 
 def content(folder: Path) -> dict[str, str]:

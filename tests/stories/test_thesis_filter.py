@@ -12,7 +12,7 @@ RUNS = 8
 
 @pytest.fixture(scope="module")
 def figures():
-    folder = str(Path(__file__).parents[1] / "benchmarks")
+    folder = str(Path(__file__).parents[2] / "benchmarks")
     sys.path.insert(0, folder)
     try:
         return runpy.run_path(f"{folder}/thesis_filter.py")

@@ -22,7 +22,7 @@ from bayesnet_track.sources.scenes.occluder import occluder
 
 pytestmark = pytest.mark.slow
 
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 FRESH = 500
 """First seed, above all of these.

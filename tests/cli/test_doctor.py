@@ -16,7 +16,7 @@ import bayesnet_track
 from bayesnet_track.cli.doctor import examine, libraries, machine, own_paths, packages, selftest
 from bayesnet_track.cli.doctor.finding import Finding, try_code
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def distribution(folder, name, version, requires=(), **files):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-PLACE = Path(__file__).parents[1] / "benchmarks" / "grid_figures.py"
+PLACE = Path(__file__).parents[2] / "benchmarks" / "grid_figures.py"
 
 
 @pytest.fixture(scope="module")

@@ -33,7 +33,7 @@ from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.runtime.stop import Terminated
 from bayesnet_track.sources.scenes import make_scene, scene_names
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 RUN_FILES = {
     ".lock",
     "journal.jsonl",

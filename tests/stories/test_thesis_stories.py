@@ -21,7 +21,7 @@ from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes.occluder import occluder
 
-PLACE = Path(__file__).parents[1] / "benchmarks" / "stories.py"
+PLACE = Path(__file__).parents[2] / "benchmarks" / "stories.py"
 
 
 @pytest.fixture(scope="module")
