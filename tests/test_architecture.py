@@ -1,0 +1,150 @@
+"""The rooms of the package: which may import which, and that no two modules import each other in a circle."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterator
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = "bayesnet_track"
+MAPPED = ("cues", "graphs")  # top-level folders that are installed inside the package
+
+BASE = {"journal", "numerics"}
+MAY_IMPORT = {
+    "journal": set(),
+    "numerics": set(),
+    "graphs": set(),
+    "observation": {"numerics"},
+    "vision": {"numerics", "observation"},
+    "graph": {"graphs", "observation"},
+    "adapt": BASE | {"graph", "observation"},
+    "belief": BASE | {"graph", "observation"},
+    "cues": {"numerics", "observation", "vision"},
+    "sources": BASE | {"observation", "vision"},
+    "view": BASE | {"graph", "observation"},
+    "inference": BASE | {"adapt", "belief", "graph", "observation", "view"},
+    "engine": BASE | {"adapt", "belief", "graph", "inference", "observation", "sources", "vision"},
+    "evaluate": BASE | {"engine", "graph", "observation", "sources"},
+    "runtime": BASE | {"adapt", "belief", "engine", "graph", "inference", "observation", "sources", "view"},
+    "cli": BASE
+    | {"engine", "evaluate", "graph", "graphs", "inference", "observation", "runtime", "sources", "view"}
+    | {"vision"},
+    "__init__": {"graph", "runtime"},
+    "__main__": {"cli"},
+}
+FLOORS = 9
+
+
+def module_files() -> dict[str, Path]:
+    """Dotted name -> file, of every module that is installed."""
+    files = {}
+    for path in (
+        *(ROOT / PACKAGE).rglob("*.py"),
+        *(file for top in MAPPED for file in (ROOT / top).glob("*.py")),
+    ):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        parts = parts if parts[0] == PACKAGE else (PACKAGE, *parts)
+        files[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return files
+
+
+FILES = module_files()
+
+
+def imported(path: Path) -> Iterator[str]:
+    """The project's modules that a file imports, at its top or inside a function."""
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == PACKAGE:
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                yield inner if inner in FILES else str(node.module)
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name.split(".")[0] == PACKAGE)
+
+
+def room(module: str) -> str:
+    return module.split(".")[1] if "." in module else "__init__"
+
+
+GRAPH = {module: {one for one in imported(path) if one != module} for module, path in FILES.items()}
+
+
+def test_every_folder_is_a_room_that_is_listed():
+    assert {room(module) for module in FILES} == set(MAY_IMPORT)
+    assert len(MAY_IMPORT) <= 16 + 2
+
+
+def test_modules_import_only_what_their_room_may():
+    wrong = [
+        f"{FILES[module].relative_to(ROOT)} imports {other}"
+        for module, others in sorted(GRAPH.items())
+        for other in sorted(others)
+        if room(other) not in MAY_IMPORT[room(module)] | {room(module)}
+    ]
+    assert wrong == []
+
+
+def test_what_rooms_may_import_is_what_they_do_import():
+    used = {name: set() for name in MAY_IMPORT}
+    for module, others in GRAPH.items():
+        used[room(module)] |= {room(other) for other in others} - {room(module)}
+    assert used == MAY_IMPORT
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    order = list(TopologicalSorter(GRAPH).static_order())  # raises CycleError, which names the circle
+    assert len(order) == len(FILES)
+
+
+def test_rooms_stand_on_nine_floors():
+    floor: dict[str, int] = {}
+    for name in TopologicalSorter(MAY_IMPORT).static_order():
+        floor[name] = 1 + max((floor[below] for below in MAY_IMPORT[name]), default=0)
+    assert max(floor.values()) <= FLOORS
+
+
+def test_no_folder_holds_more_than_two_dozen_modules():
+    crowded = {
+        str(folder.relative_to(ROOT)): count
+        for folder in {path.parent for path in FILES.values()}
+        if (count := sum(path.parent == folder and path.name != "__init__.py" for path in FILES.values()))
+        > 23
+    }
+    assert crowded == {}
+
+
+def test_tests_stand_in_the_folder_of_a_room():
+    others = {"browser", "docs", "reliability", "stories"}
+    folders = {path.name for path in (ROOT / "tests").iterdir() if any(path.glob("**/test_*.py"))}
+    assert {name for name in folders if not name.startswith("test_")} - others <= set(MAY_IMPORT)
+
+
+def test_each_room_has_a_row_in_the_page_on_architecture():
+    page = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+    missing = [name for name in MAY_IMPORT if not name.startswith("__") and f"| `{name}` |" not in page]
+    assert missing == []
+
+
+@pytest.mark.slow
+def test_the_wheel_holds_every_module_graph_and_page(tmp_path):
+    command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(tmp_path), str(ROOT)]
+    subprocess.run(command, check=True, env=os.environ, cwd=tmp_path)
+    (wheel,) = tmp_path.glob("*.whl")
+    held = set(zipfile.ZipFile(wheel).namelist())
+    modules = {str(path.relative_to(ROOT)) for path in FILES.values()}
+    data = {
+        str(path.relative_to(ROOT))
+        for pattern in ("graphs/*.yaml", f"{PACKAGE}/**/*.js", f"{PACKAGE}/**/*.css", f"{PACKAGE}/py.typed")
+        for path in ROOT.glob(pattern)
+    }
+    wanted = {name if name.startswith(PACKAGE) else f"{PACKAGE}/{name}" for name in modules | data}
+    assert wanted - held == set()
+    assert {name for name in held if name.endswith((".py", ".yaml"))} - wanted == set()
