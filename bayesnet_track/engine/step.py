@@ -92,7 +92,7 @@ class Outcome:
 def start_target(
     engine: Engine, state: State, frame: Frame, target: str, template: str, box: Floats
 ) -> Outcome:
-    """Start a net for the target inside the centre box (4,) of `frame`; see `nets.target.start`."""
+    """Start a net for the target inside the centre box (4,) of `frame`; see `engine.starting.start`."""
     # Another target that started in this frame has made it the state's last one.
     previous = state.previous if state.previous is None or state.previous.index < frame.index else None
     born = start(engine, frame, previous, target, template, box)

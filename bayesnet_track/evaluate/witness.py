@@ -40,7 +40,7 @@ class Witness:
         iou: (n,) overlap of estimate and truth.
         features: name -> (n,) filtered features of the score.
         ud_box: (n,) UD at the root as a share of the estimate's area.
-        offsets: (n, 32, 2) true centre less quantiles of the belief's (`nets.score.marginal_points`), in
+        offsets: (n, 32, 2) true centre less quantiles of the belief's (`engine.score.marginal_points`), in
             sqrt(w h) of the estimate.
         scores: (n,) the graph's own scores.
         status: status of each frame.

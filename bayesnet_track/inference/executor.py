@@ -112,7 +112,7 @@ class Crew(Protocol):
         """Take the frame of these targets (id -> `TargetState`) in hand.
 
         Returns:
-            What waits for the outcome: target -> `nets.crew.Advanced`. Those that nobody advanced are
+            What waits for the outcome: target -> `engine.crew.Advanced`. Those that nobody advanced are
             missing, and are left to the engine.
         """
         ...

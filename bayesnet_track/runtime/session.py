@@ -83,7 +83,7 @@ def track(
         budget_ms: wall-clock milliseconds that a frame may take; where frames take longer, agents that say
             little and then hypotheses are done without. None for as long as it takes.
         checkpoint_every: seconds after which it is kept in `out` how far the run is, for
-            `runtime.resume.resume` to go on from there; 0 keeps nothing.
+            `runtime.checkpoints.resume.resume` to go on from there; 0 keeps nothing.
 
     Raises (when the first result is asked for; nothing is written then):
         GraphError: every error of the graph.

@@ -30,7 +30,7 @@ FILES = {
 LOCK = ".lock"
 """Beside them, and none of them: nothing replaces or removes it."""
 STAGED, REPLACING = ".staged", ".replacing"
-"""Folders of a run that is about to replace the one beside them; see `runtime.replace`."""
+"""Folders of a run that is about to replace the one beside them; see `runtime.recording.replace`."""
 MARKS = (FILES["recipe"], FILES["journal"], REPLACING)
 """A folder that holds one of them is a run."""
 
@@ -146,12 +146,12 @@ class RunDirectory:
 
     @property
     def lock(self) -> Path:
-        """The file that is locked while a process writes the run; see `runtime.lock`."""
+        """The file that is locked while a process writes the run; see `runtime.recording.lock`."""
         return self.path / LOCK
 
     @property
     def recipe(self) -> Path:
-        """What was asked for; see `runtime.recipe`."""
+        """What was asked for; see `runtime.checkpoints.recipe`."""
         return self.path / FILES["recipe"]
 
     @property
@@ -211,7 +211,7 @@ class RunDirectory:
 
     @property
     def is_replacing(self) -> bool:
-        """Whether a new run is taking the place of an earlier one here; see `runtime.replace`."""
+        """Whether a new run is taking the place of an earlier one here; see `runtime.recording.replace`."""
         return (self.path / REPLACING).is_dir()
 
     @property
@@ -221,7 +221,7 @@ class RunDirectory:
 
     @property
     def manifest(self) -> Path:
-        """What a finished run left; see `runtime.manifest`."""
+        """What a finished run left; see `runtime.recording.manifest`."""
         return self.path / FILES["manifest"]
 
     @property
@@ -231,5 +231,5 @@ class RunDirectory:
 
     @property
     def ahead(self) -> Path:
-        """What came from outside for frames that are to be tracked again; see `runtime.ahead`."""
+        """What came from outside for frames that are to be tracked again; see `runtime.checkpoints.ahead`."""
         return self.path / FILES["ahead"]
