@@ -42,7 +42,7 @@ def vouched_share(inside: float, trials: float, confidence: float) -> float:
     """
     inside = min(max(inside, 0.0), 1.0)
     successes = inside * trials
-    if trials >= _EXACT or inside == 0.0:
+    if trials >= _EXACT or successes < _TINY:
         return inside
     a, b, level = successes, trials - successes + 1.0, 1.0 - confidence
     log_beta = math.lgamma(a) + math.lgamma(b) - math.lgamma(a + b)

@@ -238,8 +238,10 @@ def test_folding_the_decisions_gives_the_net_of_every_frame(fakes, case):
         assert outcome.metrics[0].status == live.status
         assert outcome.state.net.targets["1"] == replay(decisions, frame + 1).targets["1"]
         assert outcome.state.targets["1"].plan.active == outcome.state.net.targets["1"].active
-    out = [d.node for d in decisions if isinstance(d, Quarantined)]
-    assert len(out) == len(set(out))
+    waits: dict[str, float] = {}
+    for out in (d for d in decisions if isinstance(d, Quarantined)):
+        assert out.frame >= waits.get(out.node, 0)  # not again while it is out
+        waits[out.node] = float("inf") if out.until is None else out.until
 
 
 # ------------------------------------------------------------------------------------ loss

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import special, stats
 
@@ -36,6 +36,7 @@ def test_the_vouched_share_turns_the_test(inside, trials, confidence):
         assert binomial_tail(k, trials, found + 1e-6) >= 1 - confidence
 
 
+@example(0.0, 5e-324, 1.0, 1.0)
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(1.0, 1e4), st.floats(1.0, 1e4))
 def test_more_inside_or_more_trials_vouch_for_no_less(inside, other, trials, more):
     low, high = sorted((inside, other))
