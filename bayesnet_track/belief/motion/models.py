@@ -2,7 +2,8 @@
 
 Each axis of the centre has a chain of derivatives s = (position, velocity, acceleration)[:n] that obeys
 ds = A s dt + white noise in the last one, discretised exactly: two steps of dt / 2 have the mean and the
-covariance of one step of dt. The box's own noise (`belief.motion.noise`) is added to it. Time is in frame intervals.
+covariance of one step of dt. The box's own noise (`belief.motion.noise`) is added to it. Time is in frame
+intervals.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Decisions about a target's life: it is recognised again, or its net ends. `journal.net.net` applies them."""
+"""Decisions about a target's life: it is recognised again, or its net ends (`journal.net.net` applies it)."""
 
 from __future__ import annotations
 
