@@ -16,17 +16,19 @@ THREAD_SETTINGS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS",
 _CACHE = """
 import pickle, sys
 from pathlib import Path
-from bayesnet_track.numerics.kernels import resampling_kernels as one
-kernel = next(v for v in vars(one).values() if hasattr(v, "_cache"))
-folder = getattr(kernel._cache, "cache_path", None)
-print(folder or "")
+from bayesnet_track.numerics.kernels import resampling_kernels
+from bayesnet_track.vision.kernels import histogram_kernels
+from bayesnet_track.vision.shape import shape_snake
+folders = []  # Numba keeps one for each folder of sources
+for module in (resampling_kernels, histogram_kernels, shape_snake):
+    kernel = next(v for v in vars(module).values() if hasattr(v, "_cache"))
+    folders.append(getattr(kernel._cache, "cache_path", None))
+print(folders[0] or "")
 import bayesnet_track
 import bayesnet_track.cues
 homes = [Path(bayesnet_track.__file__).parent, Path(bayesnet_track.cues.__file__).parent]
-base = Path(folder) if folder else None
+homes += [Path(folder) for folder in folders if folder]
 files = {f for home in homes for end in ("nbi", "nbc") for f in home.rglob(f"*.{end}")}
-if base is not None:
-    files |= {f for f in base.rglob("*.nb[ic]")}
 for file in sorted(files):
     try:
         with file.open("rb") as opened:
