@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
@@ -80,6 +81,13 @@ def test_a_child_that_is_tied_ends_though_it_is_stopped(is_stopped):
         assert child.wait(10.0) == -signal.SIGKILL
 
 
+def is_tied(pid):
+    """Whether one of its descriptors sends a signal when the other end closes."""
+    infos = [path.read_text() for path in Path(f"/proc/{pid}/fdinfo").iterdir()]
+    flags = [int(info.split("flags:")[1].split()[0], 8) for info in infos]
+    return any(one & os.O_ASYNC for one in flags)
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere one that is stopped stays")
 def test_a_nursery_that_is_stopped_is_given_up_within_its_patience():
@@ -100,6 +108,8 @@ def test_a_nursery_that_is_stopped_is_given_up_within_its_patience():
         assert time.monotonic() - began < 40.0
         poll = select.poll()
         poll.register(channel, select.POLLIN)
+        while not is_tied(pid):  # a worker that is only just forked has not asked for the signal yet
+            assert time.monotonic() - began < 60.0
         os.kill(pid, signal.SIGSTOP)
         cut(lifeline)
         assert poll.poll(10e3) and channel.recv(1) == b""
