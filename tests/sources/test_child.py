@@ -81,11 +81,17 @@ def test_a_child_that_is_tied_ends_though_it_is_stopped(is_stopped):
         assert child.wait(10.0) == -signal.SIGKILL
 
 
-def is_tied(pid):
-    """Whether one of its descriptors sends a signal when the other end closes."""
-    infos = [path.read_text() for path in Path(f"/proc/{pid}/fdinfo").iterdir()]
-    flags = [int(info.split("flags:")[1].split()[0], 8) for info in infos]
-    return any(one & os.O_ASYNC for one in flags)
+def is_tied(pid, lifeline):
+    """Whether the process has asked for a signal when this end of its `tie` closes."""
+    pipe = Path(f"/proc/self/fd/{lifeline}").readlink()
+    for held in Path(f"/proc/{pid}/fd").iterdir():
+        with suppress(FileNotFoundError):  # closed meanwhile
+            flags = (
+                held.readlink() == pipe and (held.parents[1] / "fdinfo" / held.name).read_text().split()[3]
+            )
+            if flags and int(flags, 8) & os.O_ASYNC:
+                return True
+    return False
 
 
 @pytest.mark.slow
@@ -108,7 +114,9 @@ def test_a_nursery_that_is_stopped_is_given_up_within_its_patience():
         assert time.monotonic() - began < 40.0
         poll = select.poll()
         poll.register(channel, select.POLLIN)
-        while not is_tied(pid):  # a worker that is only just forked has not asked for the signal yet
+        while not is_tied(
+            pid, lifeline
+        ):  # a worker that is only just forked has not asked for the signal yet
             assert time.monotonic() - began < 60.0
         os.kill(pid, signal.SIGSTOP)
         cut(lifeline)
