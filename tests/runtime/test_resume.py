@@ -131,6 +131,27 @@ def test_switches_still_to_come_outlast_that_it_is_broken_off_again(tmp_path: Pa
     assert files(run) == expected
 
 
+def test_of_two_switches_of_a_frame_none_is_lost_when_only_one_was_written_again(tmp_path: Path) -> None:
+    switches = (Toggled(7, "1", "blobs", False), Toggled(7, "1", "color", False))
+
+    def at_frame_7(frame: int) -> tuple[Toggled, ...]:
+        return switches if frame == 7 else ()
+
+    expected = files(begun(tmp_path / "whole", inputs=at_frame_7))
+    run = begun(tmp_path / "run", 5, inputs=at_frame_7)
+    held = (run / "checkpoint").read_bytes()
+    for inputs in (at_frame_7, None):
+        results = resume(run, inputs=inputs)
+        list(itertools.islice(results, 4))
+        results.close()
+        (run / "checkpoint").write_bytes(held)
+    # As a power cut in the middle of that write leaves it.
+    first = (run / "inputs.jsonl").read_bytes().index(b"\n") + 1
+    (run / "inputs.jsonl").write_bytes((run / "inputs.jsonl").read_bytes()[: first + 5])
+    list(resume(run))
+    assert files(run) == expected
+
+
 def test_a_finished_run_has_no_checkpoint_though_it_went_on_without_any(
     tmp_path: Path, whole: dict[str, str]
 ) -> None:

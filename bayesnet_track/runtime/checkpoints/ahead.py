@@ -7,6 +7,7 @@ in a file of their own: else they would be gone when it is broken off a second t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.codec import to_json
@@ -22,12 +23,19 @@ def told_before(directory: RunDirectory) -> Mapping[int, Sequence[Input]]:
         OSError: a file cannot be read.
         JournalError: it is damaged; says file and line.
     """
+    found = _by_frame(directory.ahead)
+    for frame, given in _by_frame(directory.inputs).items():
+        # A frame that was tracked again has what it was given then, unless that is only the first part of
+        # what it had before: then the run was broken off while it was written again.
+        if found.get(frame, [])[: len(given)] != given:
+            found[frame] = given
+    return found
+
+
+def _by_frame(path: Path) -> dict[int, list[Input]]:
     found: dict[int, list[Input]] = {}
-    for path in (directory.ahead, directory.inputs):
-        by_frame: dict[int, list[Input]] = {}
-        for one in read_inputs(path) if path.exists() else ():
-            by_frame.setdefault(one.frame, []).append(one)
-        found |= by_frame  # of a frame that was tracked again, what it was given then
+    for one in read_inputs(path) if path.exists() else ():
+        found.setdefault(one.frame, []).append(one)
     return found
 
 
