@@ -76,13 +76,23 @@ def at_once():
     return AtOnce
 
 
-@pytest.fixture(scope="session")
-def nursery():
-    """The module of the small runs that are killed."""
-    spec = importlib.util.spec_from_file_location("nursery", Path(__file__).with_name("nursery.py"))
+def load(name):
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="session")
+def nursery():
+    """The module of the small runs that are killed."""
+    return load("nursery")
+
+
+@pytest.fixture(scope="session")
+def steps():
+    """The module that counts what a run does to its disk."""
+    return load("steps")
 
 
 @pytest.fixture(scope="session")

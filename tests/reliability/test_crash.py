@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import io
 import os
 import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import cv2
 import pytest
 
 from bayesnet_track import Start, track
-from bayesnet_track.journal import disk
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.runtime.checkpoints.recipe import RecipeError
@@ -28,9 +25,8 @@ from bayesnet_track.runtime.recording.videowriter import VideoWriter
 from bayesnet_track.sources.scene_source import SceneSource
 
 FRAMES, EVERY_S = 4, 1e-6
-CHANGES = ("sync", "sync_folder", "replace", "unlink", "make_folder", "remove_folder")
-"""Of `disk`, beside what its open files do."""
 Work = Callable[[Path], None]
+Forked = Callable[[Work, Path, int], int]
 
 pytestmark = [
     pytest.mark.reliability,
@@ -72,64 +68,31 @@ def files(folder: Path) -> dict[str, str]:
     }
 
 
-class Counted:
-    """Calls of the system by which files change, counted; at call `at`, `act` is called instead."""
-
-    def __init__(self, at: int, act: Callable[[], None]) -> None:
-        self.calls, self._at, self._act = 0, at, act
-
-    def one(self, half: Callable[[], Any] | None = None) -> None:
-        self.calls += 1
-        if self.calls == self._at:
-            if half is not None:
-                half()
-            self._act()
-
-    def install(self) -> None:
-        counted = self
-
-        class File(io.FileIO):
-            def write(self, data: Any) -> int:
-                whole = bytes(data)
-                counted.one(lambda: io.FileIO.write(self, whole[: len(whole) // 2]))
-                return io.FileIO.write(self, whole) or 0
-
-            def truncate(self, size: int | None = None) -> int:
-                counted.one()
-                return io.FileIO.truncate(self, size)
-
-        def before(call: Callable[..., Any]) -> Callable[..., Any]:
-            def wrapped(*arguments: Any) -> Any:
-                counted.one()
-                return call(*arguments)
-
-            return wrapped
-
-        for name in CHANGES:
-            setattr(disk, name, before(getattr(disk, name)))
-        disk.open_raw = lambda path, mode: File(str(path), mode.replace("b", ""))
-
-
 def dies() -> None:
     os._exit(137)
 
 
-def forked(work: Work, folder: Path, at: int) -> int:
-    """The exit code of `work` in a process that dies at its call number `at`; 137 when it did."""
-    child = os.fork()
-    if child == 0:
-        code = 1
-        try:
-            Counted(at, dies).install()
-            work(folder)
-            code = 0
-        finally:
-            os._exit(code)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+@pytest.fixture(scope="module")
+def forked(steps: ModuleType) -> Forked:
+    """The exit code of work in a process that dies at its call number `at`; 137 when it did."""
+
+    def call(work: Work, folder: Path, at: int) -> int:
+        child = os.fork()
+        if child == 0:
+            code = 1
+            try:
+                steps.Counted(at, dies).install()
+                work(folder)
+                code = 0
+            finally:
+                os._exit(code)
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+    return call
 
 
 def test_a_crash_at_every_step_of_a_run(
-    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str]
+    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str], forked: Forked
 ) -> None:
     refused, at = 0, 0
     while True:
@@ -153,7 +116,12 @@ def test_a_crash_at_every_step_of_a_run(
 
 
 def test_a_kill_before_the_video_is_closed(
-    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    begin: Work,
+    go_on: Work,
+    whole: dict[str, str],
+    forked: Forked,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The journal has its last line then, and the video lacks its own last part."""
     folder = tmp_path / "run"
@@ -167,7 +135,7 @@ def test_a_kill_before_the_video_is_closed(
 
 
 def test_a_crash_at_every_step_of_going_on(
-    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str]
+    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str], forked: Forked
 ) -> None:
     assert forked(begin, tmp_path / "broken", 30) == 137
     at = 0
@@ -185,7 +153,7 @@ def test_a_crash_at_every_step_of_going_on(
 
 
 def test_a_crash_at_every_step_of_an_overwrite(
-    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str]
+    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str], forked: Forked
 ) -> None:
     """Until a step it is the earlier run, untouched; from there on the new one, which goes on."""
     source = SceneSource.named("two_squares", 0, 2)
@@ -219,7 +187,12 @@ def full() -> None:
 
 
 def test_a_full_disk_at_every_step(
-    tmp_path: Path, begin: Work, go_on: Work, whole: dict[str, str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    begin: Work,
+    go_on: Work,
+    whole: dict[str, str],
+    steps: ModuleType,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """It is told, whole lines are left, and with room again the run goes on."""
     at, told = 0, 0
@@ -227,9 +200,8 @@ def test_a_full_disk_at_every_step(
         at += 1
         folder = tmp_path / str(at)
         with monkeypatch.context() as patch:
-            for name in (*CHANGES, "open_raw"):
-                patch.setattr(disk, name, getattr(disk, name))
-            counted = Counted(at, full)
+            steps.restored(patch)
+            counted = steps.Counted(at, full)
             counted.install()
             try:
                 begin(folder)
