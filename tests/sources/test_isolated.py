@@ -79,9 +79,15 @@ def test_the_same_frames_as_without(whole_videos, tmp_path, name):
     data = bytearray(whole_videos[name].read_bytes())
     data[3000:3400] = bytes(400)
     cut.write_bytes(data)
-    for path in (whole_videos[name], cut):
-        alone = items(lambda path=path: open_source(str(path), 2, 31))
-        assert items(lambda path=path: open_source(str(path), 2, 31, isolate_decoder=True)) == alone
+    whole = str(whole_videos[name])
+    assert items(lambda: open_source(whole, 2, 31, isolate_decoder=True)) == items(
+        lambda: open_source(whole, 2, 31)
+    )
+    # What older decoders put where blocks are lost is not the same each time: all but the pixels is compared.
+    frames, reason = items(lambda: open_source(str(cut), 2, 31))
+    alone = [one[:-1] if isinstance(one, tuple) else one for one in frames]
+    frames, again = items(lambda: open_source(str(cut), 2, 31, isolate_decoder=True))
+    assert [one[:-1] if isinstance(one, tuple) else one for one in frames] == alone and again == reason
 
 
 def test_the_same_images_as_without(tmp_path):
