@@ -110,7 +110,8 @@ def declared_by(container: Any, stream: Any, timing: Timing) -> Declared:
         duration = tagged
     elif container.duration is not None and container.duration > 0:
         duration = container.duration / 1e6
-        slack += 1.0 if len(container.streams) > 1 else 0.0
+        # Sound may last longer. A second stream of pictures is often one made up by damage.
+        slack += 1.0 if any(other.type != "video" for other in container.streams) else 0.0
     else:
         duration = None
     if stream.frames > 0:

@@ -32,6 +32,8 @@ NETWORK_PROTOCOLS = "http,https,httpproxy,tcp,tls,udp,rtp,rtsp"
 NETWORK_TIMEOUT_S = 10.0
 PROBE_PACKETS = 300
 MAX_FAILURES = 50
+MOST_UNREAD = 0.1
+"""Share of a Matroska file that may follow the last picture: its index, its tags, the end of the sound."""
 ATTACHED_PICTURE = 0x0400
 # Titles need not be UTF-8, and are not needed. From PyAV 19 they are always read so, without an option.
 TOLERANT_METADATA: dict[str, Any] = (
@@ -63,6 +65,8 @@ class VideoReader:
         self._stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
         self._timing: Timing = timing_of(self._stream, stamps)
         self._declared: Declared = declared_by(self._container, self._stream, self._timing)
+        self._bytes = 0 if network else Path(text).stat().st_size
+        self._read_to = 0
         self.declared_frames = self._declared.frames
         self.frame_interval_s = self._timing.interval_s
         self.gap_from = self._timing.gap_from
@@ -108,6 +112,7 @@ class VideoReader:
         if packet is not None:
             self._packets += 1
             self._lost = 0
+            self._read_to = max(self._read_to, (packet.pos or 0) + packet.size)
             self._silent += bool(getattr(packet, "is_discard", False))
             if packet.is_corrupt:
                 yield Damage(self._index, "a packet is cut off or damaged")
@@ -167,6 +172,12 @@ class VideoReader:
             read_of = f"{self._index} of {self.declared_frames} frames, " if self.declared_frames else ""
             reason = f"the file is truncated: read {read_of}{end:.3f} of {duration:.3f} s"
             yield Damage(self._index, reason, True)
+        elif duration is None and "matroska" in self._container.format.name:
+            # Written live, it declares no length, but ends with a picture.
+            unread = self._bytes - self._read_to
+            if unread > MOST_UNREAD * self._bytes:
+                reason = f"the file declares no length, and {unread} of its {self._bytes} bytes were not read"
+                yield Damage(self._index, reason, True)
 
 
 def pixels_of(frame: Any, reformatter: Any) -> tuple[NDArray[np.uint8], bool]:
