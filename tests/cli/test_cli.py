@@ -585,6 +585,8 @@ def test_a_mistake_has_its_exit_code_and_one_clear_message(cli, places, tmp_path
     ("line", "message"),
     [
         ("frobnicate", "argument COMMAND: invalid choice: 'frobnicate'"),
+        ("run g --source x --out y --executor ray --ray-address auto", "use --executor processes"),
+        ("run g --source x --out y --executor ray", "`bayesnet-track batch --on ray` for whole videos"),
         ("run general --init 1,2,3,4 --out y", "the following arguments are required: --source"),
         (
             "run general --init 1,2,3,4 --init-from z --source x --out y",

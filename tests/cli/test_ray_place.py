@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import csv
+import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from bayesnet_track.cli.batch.ray_place import RayTasks
 from bayesnet_track.cli.main import main
+from bayesnet_track.runtime.executors import PlacingError
 from bayesnet_track.sources.scenes import make_scene
 
 MEASURED = ("frames", "agents_per_frame", "score_mean", "auc", "status")
@@ -46,3 +49,9 @@ def test_the_same_table_as_in_processes(tmp_path: Path) -> None:
         tables.append([[row[name] for name in MEASURED] for row in rows])
     assert tables[0] == tables[1]
     assert [row[-1] for row in tables[0]] == ["failed", "finished"]
+
+
+def test_that_ray_is_missing_is_said_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(PlacingError, match=r"pip install 'bayesnet-track\[ray\]'"):
+        next(RayTasks().run([]))

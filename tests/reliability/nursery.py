@@ -2,8 +2,7 @@
 
 Its arguments are the folder of `prepare` and an executor; every run draws its video. It reads lines
 ``begin FOLDER DELAY`` and ``resume FOLDER DELAY``. After DELAY seconds the fork is killed (kill -9); 0 lets
-it end. It writes a line for each: how it ended, and for how many seconds it ran. With Ray the seconds count
-from the first frame: each fork starts a cluster of its own, which takes longer than all of its frames.
+it end. It writes a line for each: how it ended, and for how many seconds it ran.
 """
 
 from __future__ import annotations
@@ -13,8 +12,6 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import cv2
@@ -67,14 +64,8 @@ def prepare(folder: Path, frames: int = FRAMES) -> None:
 
 
 def begin(
-    given: Path,
-    folder: Path,
-    every_s: float = EVERY_S,
-    video: bool = False,
-    executor: str = "serial",
-    tell: Callable[[], object] = lambda: None,
+    given: Path, folder: Path, every_s: float = EVERY_S, video: bool = False, executor: str = "serial"
 ) -> None:
-    """Begin a run; `tell` is called after every frame."""
     graph = given / "graph.yaml"
     with open_source(str(given / "pictures")) as source:
         starts = [Start((*map(float, place(0)), float(SIDE), float(SIDE)))]
@@ -89,40 +80,28 @@ def begin(
             executor=executor,
             workers=None if executor == "serial" else 2,
         ):
-            tell()
+            pass
 
 
-def go_on(
-    folder: Path,
-    every_s: float = EVERY_S,
-    executor: str = "serial",
-    tell: Callable[[], object] = lambda: None,
-) -> None:
-    """Resume a run; `tell` is called after every frame."""
+def go_on(folder: Path, every_s: float = EVERY_S, executor: str = "serial") -> None:
     workers = None if executor == "serial" else 2
     for _ in resume(folder, checkpoint_every=every_s, executor=executor, workers=workers):
-        tell()
+        pass
 
 
 def forked(work: str, given: Path, folder: Path, delay: float, executor: str) -> str:
-    ready, told = os.pipe()
     child = os.fork()
     if child == 0:
-        code, tell = 1, partial(os.write, told, b".")
+        code = 1
         try:
-            if executor != "ray":
-                tell()
             if work == "begin":
-                begin(given, folder, video=True, executor=executor, tell=tell)
+                begin(given, folder, video=True, executor=executor)
             else:
-                go_on(folder, executor=executor, tell=tell)
+                go_on(folder, executor=executor)
             code = 0
         except Exception as error:
             (folder.parent / f"{folder.name}.error").write_text(f"{type(error).__name__}: {error}")
         os._exit(code)
-    os.close(told)
-    os.read(ready, 1)  # nothing, where it has ended without a frame
-    os.close(ready)
     began = time.perf_counter()
     if delay:
         time.sleep(delay)

@@ -18,12 +18,6 @@ from bayesnet_track.runtime.checkpoints.recipe import RecipeError
 from bayesnet_track.runtime.checkpoints.resume import standing
 
 SIDE_BY_SIDE = 2
-LOCAL = ("serial", "threads", "processes")
-KILLS = [
-    *(pytest.param(executor, 12, marks=pytest.mark.reliability) for executor in LOCAL),
-    *(pytest.param(executor, 200, marks=pytest.mark.endurance) for executor in LOCAL),
-    pytest.param("ray", 20, marks=pytest.mark.endurance),
-]
 SCRIPT = Path(__file__).with_name("nursery.py")
 
 
@@ -107,14 +101,16 @@ def killed(number: int, nursery: Nursery, folder: Path, took: float, whole: dict
     return f"{number}: {', '.join(others)}" if others else ""
 
 
-@pytest.mark.parametrize(("executor", "kills"), KILLS)
+@pytest.mark.parametrize(
+    "kills",
+    [pytest.param(12, marks=pytest.mark.reliability), pytest.param(200, marks=pytest.mark.endurance)],
+)
+@pytest.mark.parametrize("executor", ["serial", "threads", "processes"])
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no fork and no kill -9")
 def test_kills_leave_the_bytes_of_unbroken_runs(
     tmp_path: Path, given: Path, executor: str, kills: int
 ) -> None:
     """Half of the runs are killed again while they are resumed; the video is one of the files."""
-    if executor == "ray":
-        pytest.importorskip("ray")
     nurseries = [Nursery(given, executor) for _ in range(SIDE_BY_SIDE)]
     try:
         nurseries[0].ask("begin", tmp_path / "whole")

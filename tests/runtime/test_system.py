@@ -98,7 +98,7 @@ for where, name in ((select, "poll"), (socket, "AF_UNIX"), (socket, "send_fds"),
 import bayesnet_track, bayesnet_track.cues
 for package in (bayesnet_track, bayesnet_track.cues):
     for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-        if not module.name.endswith("__main__") and "ray" not in module.name:
+        if not module.name.endswith("__main__"):
             importlib.import_module(module.name)
 from bayesnet_track.cli.main import main
 sys.exit(main(["demo", "--end", "3", "--quiet", "--out", sys.argv[1]]))

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from bayesnet_track.cli.batch.jobs import Job
 from bayesnet_track.cli.batch.places import WAIT_S, Told
 from bayesnet_track.cli.batch.work import Row, failed_row
-from bayesnet_track.runtime.executors.ray.ray_cluster import connect
+from bayesnet_track.runtime.executors.processes import PlacingError
 
+MISSING = "Ray is not installed: pip install 'bayesnet-track[ray]'"
 RETRIES = 2
 """How often a job whose process or node died is started again."""
 
@@ -58,6 +59,28 @@ class RayTasks:
                     ray.cancel(promised, force=True)
             if owns_ray:
                 ray.shutdown()
+
+
+def connect(address: str | None) -> bool:
+    """Connect to the cluster at `address`, or start one here; whether it has to be shut down again.
+
+    Raises:
+        PlacingError: Ray is not installed, or there is no cluster.
+    """
+    try:
+        import ray
+    except ImportError:
+        raise PlacingError(MISSING) from None
+    if ray.is_initialized():
+        return False
+    try:
+        if address is None:
+            ray.init(log_to_driver=False, logging_level="error", include_dashboard=False)
+        else:
+            ray.init(address=address, log_to_driver=False, logging_level="error")
+    except (ConnectionError, ValueError) as error:
+        raise PlacingError(f"no Ray cluster at {address}: {error}") from error
+    return True
 
 
 def _done(line: str) -> Row:

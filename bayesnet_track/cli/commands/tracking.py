@@ -299,7 +299,6 @@ def executor_of(options: argparse.Namespace) -> Executing:
         workers=options.workers,
         places=places,
         limits=limits,
-        ray_address=options.ray_address,
     )
 
 

@@ -20,7 +20,7 @@ OPENCV_WHEELS = (WHEEL, "opencv-python", "opencv-contrib-python-headless", "open
 EXTRAS = {
     "matplotlib": ("figures and plots", "figures"),
     "rerun-sdk": ("the viewer Rerun", "rerun"),
-    "ray": ("agents on several machines", "ray"),
+    "ray": ("batches on a cluster", "ray"),
 }
 
 

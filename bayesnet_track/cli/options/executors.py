@@ -8,20 +8,15 @@ from bayesnet_track.cli.options.arguments import whole_number
 
 
 def add_executor_options(parser: argparse.ArgumentParser) -> None:
-    """`--executor`, `--ray-address`, `--workers`, `--place`, `--agent-timeout`, `--agent-memory`."""
+    """`--executor`, `--workers`, `--place`, `--agent-timeout`, `--agent-memory`."""
     group = parser.add_argument_group("how agents are asked (changes no result)")
     group.add_argument(
         "--executor",
-        choices=["serial", "threads", "processes", "ray"],
+        type=_executor,
+        choices=["serial", "threads", "processes"],
         default="serial",
-        help="one after the other, side by side in threads, in supervised worker processes, or on a Ray "
-        "cluster (default serial)",
-    )
-    group.add_argument(
-        "--ray-address",
-        metavar="ADDRESS",
-        help="of a Ray cluster for --executor ray: auto, HOST:PORT or ray://HOST:PORT "
-        "(default: start one here)",
+        help="one after the other, side by side in threads, or in supervised worker processes "
+        "(default serial)",
     )
     group.add_argument(
         "--workers",
@@ -50,6 +45,15 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
         metavar="MB",
         help="memory that a worker process may take, above what it starts with (default: no limit)",
     )
+
+
+def _executor(text: str) -> str:
+    if text == "ray":
+        raise argparse.ArgumentTypeError(
+            "ray is no longer an executor; use --executor processes on one machine, and "
+            "`bayesnet-track batch --on ray` for whole videos on a cluster"
+        )
+    return text
 
 
 def _seconds(text: str) -> float:

@@ -1,7 +1,7 @@
 """Executors: how and where the agents of a frame are asked. None changes a result.
 
 `serial` asks one after the other, `threads` side by side in the engine's process, `processes` in supervised
-worker processes, `ray` in actors of a Ray cluster.
+worker processes.
 """
 
 from __future__ import annotations

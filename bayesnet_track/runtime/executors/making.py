@@ -22,8 +22,7 @@ from bayesnet_track.runtime.executors.placing import (
     plates_elsewhere,
     with_proxies,
 )
-from bayesnet_track.runtime.executors.processes import Employed, PlacingError, Processes
-from bayesnet_track.runtime.executors.ray.ray_actors import RayActors
+from bayesnet_track.runtime.executors.processes import PlacingError, Processes
 from bayesnet_track.runtime.executors.single import one_thread_inside
 from bayesnet_track.runtime.executors.threads import Threads
 from bayesnet_track.runtime.executors.workers import Limits
@@ -32,8 +31,10 @@ from bayesnet_track.runtime.system import NO_WORKERS, has_workers
 NO_PLACES: Mapping[str, Place] = MappingProxyType({})
 RETRIES = 2
 """How often an agent whose worker was lost is asked again, where frames wait for it."""
-MOST_WAITING = 32
-"""Threads that wait for workers, at most."""
+GONE = (
+    "ray is no longer an executor: agents on a cluster were slower than processes on one machine; "
+    "use processes, and `bayesnet-track batch --on ray` for whole videos on a cluster"
+)
 
 
 class Executing:
@@ -42,7 +43,7 @@ class Executing:
     Attributes:
         kind: its name.
         workers: threads or processes at work at a time.
-        processes: the worker processes, or Ray's actors, when the engine has agents in some.
+        processes: the worker processes, when the engine has agents in some.
     """
 
     def __init__(
@@ -54,12 +55,11 @@ class Executing:
         limits: Limits,
         retries: int | None,
         cues: Mapping[str, CueDeclaration] | None,
-        ray_address: str | None,
     ) -> None:
         self.kind, self.workers = kind, workers
-        self.processes: Processes | RayActors | None = None
+        self.processes: Processes | None = None
         self._default, self._places, self._limits = default, places, limits
-        self._retries, self._cues, self._ray_address = retries, cues, ray_address
+        self._retries, self._cues = retries, cues
         self._open = ExitStack()
 
     def __enter__(self) -> Self:
@@ -89,35 +89,27 @@ class Executing:
         employed = employed_of(engine, places, self._cues)
         hosts = dict(hosts_of(graph, engine.streams.seed, self.workers)) if nets and graph is not None else {}
         if employed or hosts:
+            if not has_workers():
+                raise PlacingError(NO_WORKERS)
             again = retries if self._retries is None else self._retries
-            desk = self.processes = self._staff({**employed, **hosts}, again)
+            desk = self.processes = Processes({**employed, **hosts}, self.workers, self._limits, again)
             self._open.callback(desk.close)
             engine = with_proxies(engine, places, desk)
             if hosts:
-                crew = NetCrew(desk, tuple(hosts), nets)
-                self._open.callback(crew.close)
-                engine = replace(engine, crew=crew)
-        return replace(engine, executor=self._pool(len(employed)))
+                engine = replace(engine, crew=NetCrew(desk, tuple(hosts), nets))
+        return replace(engine, executor=self._pool())
 
-    def _staff(self, employed: Mapping[str, Employed], retries: int) -> Processes | RayActors:
-        if self.kind == "ray":
-            return RayActors(employed, self._limits, retries, self._ray_address)
-        if not has_workers():
-            raise PlacingError(NO_WORKERS)
-        return Processes(employed, self.workers, self._limits, retries)
-
-    def _pool(self, waiting: int) -> Executor:
-        """For the agents in the engine's process; where others are actors, a thread waits for each."""
+    def _pool(self) -> Executor:
+        """For the agents in the engine's process."""
         if self._is_serial:
             return Serial()
-        threads = min(1 + waiting, MOST_WAITING) if self.kind == "ray" else self.workers
-        pool = Threads(threads)
+        pool = Threads(self.workers)
         self._open.callback(pool.close)
         return pool
 
 
 EXECUTORS: Mapping[str, Place] = MappingProxyType(
-    {"serial": "engine", "threads": "engine", "processes": "process", "ray": "process"}
+    {"serial": "engine", "threads": "engine", "processes": "process"}
 )
 """Name of an executor -> where agents work that are put nowhere."""
 
@@ -130,7 +122,6 @@ def make_executor(
     limits: Limits = Limits(),  # noqa: B008  (immutable)
     retries: int | None = None,
     cues: Mapping[str, CueDeclaration] | None = None,
-    ray_address: str | None = None,
 ) -> Executing:
     """An executor by name, a context manager::
 
@@ -138,7 +129,7 @@ def make_executor(
             engine = executor.engine(make_engine(graph))
 
     Args:
-        kind: serial, threads, processes or ray.
+        kind: serial, threads or processes.
         workers: threads or processes at work at a time; as many as the machine has processors when None.
         places: AGENT or PLATE.AGENT -> "engine" or "process", before what the graph says with `on`; PLATE ->
             "process" for the whole nets of its targets.
@@ -146,14 +137,15 @@ def make_executor(
         retries: how often an agent whose worker was lost is asked again. None for 2, or 0 where frames do
             not wait for it: those of a camera, or with a budget.
         cues: declarations by name, where not the installed ones.
-        ray_address: of the Ray cluster, such as "auto" or "ray://host:10001"; None starts one here.
 
     Raises:
         ValueError: there is no such executor, or `workers` is less than 1.
     """
+    if kind == "ray":
+        raise ValueError(GONE)
     if kind not in EXECUTORS:
         raise ValueError(f"executor {kind!r}; there are {', '.join(EXECUTORS)}")
     number = os.cpu_count() or 1 if workers is None else workers
     if number < 1:
         raise ValueError(f"{number} workers: at least 1 is needed")
-    return Executing(kind, number, EXECUTORS[kind], places, limits, retries, cues, ray_address)
+    return Executing(kind, number, EXECUTORS[kind], places, limits, retries, cues)

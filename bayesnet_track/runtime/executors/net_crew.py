@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -43,7 +42,6 @@ class NetCrew:
     def __init__(self, desk: Desk, hosts: Sequence[str], plates: frozenset[str]) -> None:
         self.plates = plates
         self._desk, self._hosts = desk, tuple(hosts)
-        self._threads = ThreadPoolExecutor(len(hosts), thread_name_prefix="nets")
         self._host_of: dict[str, str] = {}
         self._returned: dict[str, TargetState] = {}
 
@@ -61,10 +59,6 @@ class NetCrew:
             if own:
                 shifts.append(_Shift(own, self._begun(host, net, own, both, whole)))
         return lambda: self._awaited(shifts)
-
-    def close(self) -> None:
-        """End the threads that wait."""
-        self._threads.shutdown(wait=False, cancel_futures=True)
 
     def _share_out(self, targets: Mapping[str, TargetState]) -> None:
         """New targets to the workers with the fewest; when shares have grown apart, all anew."""
@@ -90,10 +84,7 @@ class NetCrew:
         """What waits for the answer of a worker, which is asked now."""
         known = {target: self._is_held(target, state) for target, state in own.items()}
         question = host, ADVANCE, both, whole, (_question(net, own, known),)
-        if hasattr(self._desk, "begin"):
-            answered = self._desk.begin(*question)
-        else:
-            answered = self._threads.submit(self._desk.ask, *question).result
+        answered = self._desk.begin(*question)
         # A fresh worker holds no state: it says nothing, and is told all of them.
         return lambda: answered() or self._desk.ask(host, ADVANCE, both, whole, (_question(net, own, {}),))
 

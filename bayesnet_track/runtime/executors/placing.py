@@ -11,8 +11,9 @@ from bayesnet_track.engine.step import Engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.observation.cue import CueDeclaration, installed_cues
 from bayesnet_track.runtime.executors.net_host import make_net_host
-from bayesnet_track.runtime.executors.processes import Employed, PlacingError
+from bayesnet_track.runtime.executors.processes import PlacingError
 from bayesnet_track.runtime.executors.proxy import Desk, SentFrames, placed
+from bayesnet_track.runtime.executors.staff import Employed
 
 Place = Literal["engine", "process"]
 PLACES: tuple[Place, ...] = ("engine", "process")

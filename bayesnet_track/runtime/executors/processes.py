@@ -16,10 +16,8 @@ from bayesnet_track.observation.planes import Frame, Region
 from bayesnet_track.runtime.deadline import Patience
 from bayesnet_track.runtime.executors.frames import FrameStore, SharedFrame
 from bayesnet_track.runtime.executors.questions import ADVANCE, Answer, Foreign
-from bayesnet_track.runtime.executors.staff import IDLE_FRAMES, Employed, Slot, Staff
+from bayesnet_track.runtime.executors.staff import Employed, Slot, Staff
 from bayesnet_track.runtime.executors.workers import Late, Limits, Worker, WorkerGone, WorkerLost
-
-__all__ = ["IDLE_FRAMES", "Employed", "PlacingError", "Processes", "again", "check_sendable"]
 
 COMING_S = 0.002
 """Seconds after which it is looked whether a worker that is being started is there."""
@@ -72,7 +70,7 @@ class Processes:
         self, agents: Mapping[str, Employed], workers: int, limits: Limits, retries: int = 2
     ) -> None:
         for agent, employed in agents.items():
-            check_sendable(agent, employed)
+            _check_sendable(agent, employed)
         self.retries, self.patience = retries, None
         self._store = FrameStore()
         self._staff = Staff(agents, workers, limits, self._store.descriptor)
@@ -150,7 +148,7 @@ class Processes:
                         pending.patience.waited(agent, time.monotonic() - began)
                 self._staff.spent(agent, answer.seconds)
                 if answer.raised is not None:
-                    raise again(*answer.raised)
+                    raise _again(*answer.raised)
                 if isinstance(answer.value, Foreign):
                     return type(answer.value.type_name, (), {})()
                 return answer.value
@@ -286,13 +284,13 @@ def _readable(slots: list[Slot], seconds: float) -> list[Slot]:
     return [by_number[number] for number, _ in poll.poll(1e3 * seconds)]
 
 
-def again(name: str, text: str) -> Exception:
+def _again(name: str, text: str) -> Exception:
     """An exception with the type's name and the text of one that a worker told of."""
     kind: type[Exception] = type(name, (Exception,), {})
     return kind(text)
 
 
-def check_sendable(agent: str, employed: Employed) -> None:
+def _check_sendable(agent: str, employed: Employed) -> None:
     """Refuse an agent whose cue cannot be made elsewhere; raises PlacingError."""
     try:
         pickle.dumps((employed.make, employed.parameters), protocol=5)

@@ -37,10 +37,6 @@ class Desk(Protocol):
         """
         ...
 
-
-class Forwarding(Desk, Protocol):
-    """A desk that can be asked several questions before the first answer is waited for."""
-
     def begin(
         self,
         agent: str,
@@ -93,6 +89,11 @@ class Placed:
         """A question, about a frame unless `planes` is None."""
         return self.desk.ask(*self._question(method, planes, arguments))
 
+    def ask_ahead(self, method: str, *arguments: Any) -> Callable[[], Any]:
+        """Ask what the method of that name returns, which what is returned waits for."""
+        asked = self._blending(*arguments) if method == "blend" else (method, *arguments)
+        return self.desk.begin(*self._question(asked[0], asked[1], asked[2:]))
+
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """As of a `Cue`."""
         return Learnt(self, "learn", planes, (box,))
@@ -114,18 +115,6 @@ class Placed:
         if isinstance(new, Learnt) and new.of is self and new.planes is not None:
             return LEARN_AND_BLEND, new.planes, new.method, old, rate, *new.arguments
         return "blend", None, old, new, rate
-
-
-@dataclass(frozen=True, eq=False)
-class PlacedAhead(Placed):
-    """A proxy that can be asked now and heard later."""
-
-    desk: Forwarding
-
-    def ask_ahead(self, method: str, *arguments: Any) -> Callable[[], Any]:
-        """Ask what the method of that name returns, which what is returned waits for."""
-        asked = self._blending(*arguments) if method == "blend" else (method, *arguments)
-        return self.desk.begin(*self._question(asked[0], asked[1], asked[2:]))
 
 
 class Learnt(Mapping[str, NDArray[Any]]):
@@ -188,7 +177,6 @@ def placed(agent: str, cue: AnyCue, desk: Desk, sent: SentFrames) -> AnyCue:
         own["rule"] = cue.rule
     from bayesnet_track.observation.cue import context_of
 
-    base = PlacedAhead if hasattr(desk, "begin") else Placed
-    kind = type("Placed" + type(cue).__name__, (base,), own)
+    kind = type("Placed" + type(cue).__name__, (Placed,), own)
     proxy: AnyCue = kind(agent, desk, sent, context_of(cue))
     return proxy

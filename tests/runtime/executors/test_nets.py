@@ -96,5 +96,4 @@ def test_nothing_is_kept_of_targets_that_are_gone():
     crew = NetCrew(None, ("nets 1",), frozenset({"disc"}))
     crew._returned = {"1": object(), "2": object()}
     crew._share_out({"2": object()})
-    crew.close()
     assert set(crew._returned) == {"2"}

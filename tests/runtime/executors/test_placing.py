@@ -77,3 +77,8 @@ targets:
         "it.color",
         "it.flow",
     ]
+
+
+def test_ray_is_refused_with_what_replaces_it():
+    with pytest.raises(ValueError, match=r"use processes, and `bayesnet-track batch --on ray`"):
+        make_executor("ray")

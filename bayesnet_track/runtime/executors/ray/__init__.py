@@ -1,1 +1,0 @@
-"""Agents as Ray actors on a cluster."""
