@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.session import track as track
     from bayesnet_track.runtime.tracker import Tracker as Tracker
 
+    __version__: str
+
 _HOMES = {
     "Detections": "bayesnet_track.runtime.recording.interchange",
     "GraphSpec": "bayesnet_track.graph.spec",
@@ -55,8 +57,10 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
+    if name == "__version__":
+        return import_module("importlib.metadata").version("bayesnet-track")
     raise AttributeError(f"module 'bayesnet_track' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return [*__all__, "__version__"]
