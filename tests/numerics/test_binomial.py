@@ -1,24 +1,13 @@
-"""The binomial test against scipy's, and its inverse."""
+"""What a sample vouches for, against the binomial test that it inverts."""
 
 import math
 
 import numpy as np
-import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from scipy import special, stats
+from scipy import special
 
-from bayesnet_track.numerics.binomial import binomial_tail, vouched_share
-
-
-def test_the_tail_is_scipys():
-    rng = np.random.default_rng(1)
-    for trials in (1, 2, 7, 30, 213, 5000):
-        for share in (0.05, 0.5, 0.9, 0.99):
-            for successes in np.unique(rng.integers(0, trials + 1, 6)):
-                expected = stats.binom.sf(successes - 1, trials, share)
-                # lgamma of n has a relative error of 1e-16, n ln n of it an absolute one of 1e-11 for 5000
-                assert binomial_tail(float(successes), trials, share) == pytest.approx(expected, abs=2e-11)
+from bayesnet_track.numerics.binomial import vouched_share
 
 
 @given(
@@ -30,10 +19,9 @@ def test_the_vouched_share_turns_the_test(inside, trials, confidence):
     """The lower Clopper-Pearson bound, also between whole numbers: the test grants it and nothing above."""
     found = vouched_share(inside, trials, confidence)
     k = inside * trials
-    assert found == pytest.approx(special.betaincinv(k, trials - k + 1, 1 - confidence), abs=1e-9)
-    assert binomial_tail(k, trials, found - 1e-6) <= 1 - confidence
+    assert special.betainc(k, trials - k + 1, max(found - 1e-6, 0.0)) <= 1 - confidence
     if found < 1 - 1e-6:
-        assert binomial_tail(k, trials, found + 1e-6) >= 1 - confidence
+        assert special.betainc(k, trials - k + 1, found + 1e-6) >= 1 - confidence
 
 
 @example(0.0, 5e-324, 1.0, 1.0)
