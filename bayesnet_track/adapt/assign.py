@@ -39,8 +39,7 @@ def gains(
 def assign(gain: Floats) -> Owners:
     """(N,) column of each row of gains (N, K), one to one, or `NOBODY`.
 
-    As many pairs as can be, and of those the largest sum of gains; -inf forbids a pair. By shortest
-    augmenting paths (Jonker and Volgenant 1987), O(N^2 K).
+    As many pairs as can be, and of those the largest sum of gains; -inf forbids a pair. O(N^2 K).
 
     >>> assign(np.array([[0.0, -1.0], [-0.5, -9.0]])).tolist()
     [1, 0]
@@ -50,52 +49,14 @@ def assign(gain: Floats) -> Owners:
     rows, columns = np.flatnonzero(allowed.any(axis=1)), np.flatnonzero(allowed.any(axis=0))
     if not len(rows):
         return owner
+    from scipy.optimize import linear_sum_assignment  # here, because it takes long to import
+
     costs, possible = -gain[np.ix_(rows, columns)], allowed[np.ix_(rows, columns)]
     low, high = float(costs[possible].min()), float(costs[possible].max())
     # Dearer than any pairs that could be had instead.
     dear = (high - low + 1.0) * (min(costs.shape) + 1)
     costs = np.where(possible, costs - low, dear)
-    if costs.shape[0] > costs.shape[1]:
-        of_columns = _cheapest(costs.T)
-        pairs = zip(of_columns, range(len(of_columns)), strict=True)
-    else:
-        of_rows = _cheapest(costs)
-        pairs = zip(range(len(of_rows)), of_rows, strict=True)
-    for row, column in pairs:
+    for row, column in zip(*linear_sum_assignment(costs), strict=True):
         if possible[row, column]:
             owner[rows[row]] = columns[column]
     return owner
-
-
-def _cheapest(costs: Floats) -> Owners:
-    """(N,) column of each row of finite costs (N, K), N <= K: the smallest sum."""
-    count, width = costs.shape
-    above, beside = np.zeros(count), np.zeros(width)  # dual prices of rows and columns
-    row_of = np.full(width, NOBODY, dtype=np.intp)
-    for first in range(count):
-        # Dijkstra over columns, from a row without one to the nearest column without a row.
-        distance, came_from = np.full(width, np.inf), np.full(width, NOBODY, dtype=np.intp)
-        done = np.zeros(width, dtype=bool)
-        row, column, reached = first, NOBODY, 0.0
-        while True:
-            through = reached + costs[row] - above[row] - beside
-            nearer = ~done & (through < distance)
-            distance[nearer], came_from[nearer] = through[nearer], column
-            column = int(np.argmin(np.where(done, np.inf, distance)))
-            reached = float(distance[column])
-            done[column] = True
-            if row_of[column] == NOBODY:
-                break
-            row = int(row_of[column])
-        passed = np.flatnonzero(done & (row_of != NOBODY))
-        above[row_of[passed]] += reached - distance[passed]
-        above[first] += reached
-        beside[done] -= reached - distance[done]
-        while column != NOBODY:
-            before = int(came_from[column])
-            row_of[column] = first if before == NOBODY else row_of[before]
-            column = before
-    found = np.full(count, NOBODY, dtype=np.intp)
-    taken = np.flatnonzero(row_of != NOBODY)
-    found[row_of[taken]] = taken
-    return found
