@@ -34,6 +34,8 @@ def gaussian_mass_in_disc(offset: Floats, covariance: Floats, radius: float) -> 
     >>> round(gaussian_mass_in_disc(np.zeros(2), np.eye(2), 1.0), 9), round(1 - math.exp(-0.5), 9)
     (0.39346934, 0.39346934)
     """
+    from scipy.special import ndtr  # here, because it takes long to import
+
     variances, axes = np.linalg.eigh(covariance)
     (a, b), (s1, s2) = axes.T @ offset, np.sqrt(np.maximum(variances, (1e-9 * radius) ** 2))
     low, high = max(-radius, a - _REACH * s1), min(radius, a + _REACH * s1)
@@ -44,12 +46,8 @@ def gaussian_mass_in_disc(offset: Floats, covariance: Floats, radius: float) -> 
     theta = 0.5 * (end - start) * nodes + 0.5 * (end + start)
     u, chord = radius * np.sin(theta), radius * np.cos(theta)
     density = np.exp(-0.5 * ((u - a) / s1) ** 2) / (s1 * math.sqrt(2.0 * math.pi))
-    ends = np.array([[_normal((c - b) / s2) - _normal((-c - b) / s2)] for c in chord.tolist()])[:, 0]
+    ends = ndtr((chord - b) / s2) - ndtr((-chord - b) / s2)
     return min(max(float(0.5 * (end - start) * np.sum(weights * density * ends * chord)), 0.0), 1.0)
-
-
-def _normal(z: float) -> float:
-    return 0.5 * math.erfc(-z / math.sqrt(2.0))
 
 
 @lru_cache(maxsize=1)
