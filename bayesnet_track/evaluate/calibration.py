@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayesnet_track.numerics.mixtures import normal_cdf
-
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
@@ -177,7 +175,9 @@ def fit_slack(
 
 def _below(offsets: Floats, sds: Floats) -> Floats:
     """(S, n, 2) mass below the true centre, of the (n, M, 2) points blurred by each sd."""
-    return np.array([normal_cdf(offsets / sd).mean(axis=1) for sd in sds])
+    from scipy.special import ndtr  # here, because it takes long to import
+
+    return np.array([ndtr(offsets / sd).mean(axis=1) for sd in sds])
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ from bayesnet_track.evaluate.calibration import (
     reliability,
 )
 from bayesnet_track.evaluate.witness import TEMPERATURES, Witness
-from bayesnet_track.numerics.mixtures import normal_cdf
 
 Floats = NDArray[np.float64]
 
@@ -151,8 +150,10 @@ def leave_one_out(
 
 def mass_below(fitted: Fitted, one: Witness) -> Floats:
     """(n, 2) mass of the widened belief below the true centre, in x and y."""
+    from scipy.special import ndtr  # here, because it takes long to import
+
     p = score_of(fitted.logistic, one)[:, None]
-    near, far = (normal_cdf(one.offsets / sd).mean(axis=1) for sd in fitted.slack)
+    near, far = (ndtr(one.offsets / sd).mean(axis=1) for sd in fitted.slack)
     return np.asarray(p * near + (1.0 - p) * far)
 
 

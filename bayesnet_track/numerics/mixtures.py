@@ -1,4 +1,4 @@
-"""Mixtures of Gaussians of one dimension: distribution and quantiles."""
+"""Mixtures of Gaussians of one dimension: their quantiles."""
 
 from __future__ import annotations
 
@@ -6,21 +6,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
-
-_ERF = (0.254829592, -0.284496736, 1.421413741, -1.453152027, 1.061405429)
-
-
-def normal_cdf(z: ArrayLike) -> Floats:
-    """P(Z <= z) of a standard Gaussian, within 7.5e-8 (Abramowitz and Stegun 7.1.26).
-
-    >>> normal_cdf([0.0, 1.959964, -1.281552]).round(6).tolist()
-    [0.5, 0.975, 0.1]
-    """
-    x = np.asarray(z, dtype=np.float64) / np.sqrt(2.0)
-    size = np.abs(x)
-    t = 1.0 / (1.0 + 0.3275911 * size)
-    tail = 0.5 * np.polyval((*_ERF[::-1], 0.0), t) * np.exp(-(size**2))
-    return np.asarray(np.where(x < 0, tail, 1.0 - tail))
 
 
 def mixture_quantiles(

@@ -7,14 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from bayesnet_track.numerics.mixtures import mixture_quantiles, normal_cdf
+from bayesnet_track.numerics.mixtures import mixture_quantiles
 
 LEVELS = np.array([0.05, 0.25, 0.75, 0.95])
-
-
-def test_the_normal_distribution_function():
-    z = np.linspace(-9, 9, 20_001)
-    assert np.abs(normal_cdf(z) - norm.cdf(z)).max() < 7.6e-8
 
 
 @settings(max_examples=40, deadline=None)
