@@ -23,6 +23,7 @@ from bayesnet_track.observation.cue import (
     Hypotheses,
     Reference,
     SizedCueParameters,
+    blend_sizes,
     floored,
     log_size_penalty,
 )
@@ -120,7 +121,7 @@ class ColorBlobs:
         blobs = blobs[largest]
         return {
             "blobs": blobs[blobs[:, SHARE] > 0],
-            "size": old["size"] * (new["size"] / old["size"]) ** rate,
+            "size": blend_sizes(old, new, rate),
             **relax(old, new, rate),
         }
 

@@ -24,17 +24,18 @@ from bayesnet_track.observation.cue import (
     Reference,
     SizedCueParameters,
     blend_arrays,
+    blend_sizes,
     floored,
+    log_logistic,
     log_size_penalty,
 )
+from bayesnet_track.observation.geometry import box_pixels
 from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.planes.color_planes import HueBins
 
 HALF_OVERLAP = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
 STEP = 0.7
 """Factor of a local action on alpha."""
-
-LOG_AT_ZERO = np.logaddexp(0.0, -4.0)
 
 
 class ColorHistogramParameters(SizedCueParameters):
@@ -114,8 +115,7 @@ class ColorHistogram:
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """Shares and alpha linearly (eq. 2.15), the size in its logarithm."""
-        size = old["size"] * (new["size"] / old["size"]) ** rate
-        return {**blend_arrays(old, new, rate), **relax(old, new, rate), "size": size}
+        return {**blend_arrays(old, new, rate), **relax(old, new, rate), "size": blend_sizes(old, new, rate)}
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """-log(1 + exp(4 (d - alpha) / alpha)), 0 at d = 0, times the size penalty, over the floor.
@@ -124,7 +124,7 @@ class ColorHistogram:
         """
         p, alpha = self.parameters, float(reference["alpha"]) * factor_of(reference)
         distances, _ = self._distances(planes, hypotheses.boxes, reference["shares"])
-        similarity = LOG_AT_ZERO - np.logaddexp(0.0, 4.0 * (distances - alpha) / alpha)
+        similarity = log_logistic(distances, alpha)
         size = log_size_penalty(hypotheses.boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
         return floored(similarity + size, p.floor)
 
@@ -141,16 +141,16 @@ class ColorHistogram:
 
     def _count(self, planes: Planes, boxes: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
         """(N, bins) coloured pixels, (N,) pixels inside the frame, (N,) pixels of the whole box."""
-        from bayesnet_track.vision.kernels.histogram_kernels import count_in_boxes, pixels_of_boxes
+        from bayesnet_track.vision.kernels.histogram_kernels import count_in_boxes
 
-        r = planes.region
-        boxes = np.ascontiguousarray(boxes)  # one compiled version only
-        corners, visible, nominal = pixels_of_boxes(boxes, r.x0, r.y0, r.x1 - r.x0, r.y1 - r.y0)
-        return count_in_boxes(planes[self._plane], corners, self.parameters.bins), visible, nominal
+        pixels = box_pixels(planes, boxes)
+        counts = count_in_boxes(planes[self._plane], pixels.corners, self.parameters.bins)
+        return counts, pixels.visible, pixels.nominal
 
 
 def _make(parameters: ColorHistogramParameters) -> Cue:
-    from bayesnet_track.vision.kernels import histogram_kernels  # noqa: F401  load before the first frame
+    from bayesnet_track.numerics.kernels import box_kernels  # noqa: F401  load before the first frame
+    from bayesnet_track.vision.kernels import histogram_kernels  # noqa: F401
 
     return ColorHistogram(parameters)
 

@@ -23,6 +23,7 @@ from bayesnet_track.observation.cue import (
     Reference,
     SizedCueParameters,
     blend_arrays,
+    blend_sizes,
     floored,
     log_size_penalty,
 )
@@ -96,8 +97,7 @@ class ColorKernelHistogram:
             return new
         if rate < 1.0 and not new["shares"].any():
             return old
-        size = old["size"] * (new["size"] / old["size"]) ** rate
-        return {**blend_arrays(old, new, rate), **relax(old, new, rate), "size": size}
+        return {**blend_arrays(old, new, rate), **relax(old, new, rate), "size": blend_sizes(old, new, rate)}
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """-(1 - rho) / (2 variance), chapter 3.92, corrected, with the size penalty, over the floor.

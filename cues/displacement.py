@@ -22,6 +22,7 @@ from bayesnet_track.observation.cue import (
     Measurement,
     Reference,
 )
+from bayesnet_track.observation.geometry import crop_of
 from bayesnet_track.observation.planes import Region, region_of_boxes
 from bayesnet_track.vision.displacement import (
     Displaced,
@@ -34,7 +35,8 @@ from bayesnet_track.vision.displacement import (
 from bayesnet_track.vision.planes.gray_plane import GrayPlane
 
 if TYPE_CHECKING:
-    from bayesnet_track.observation.planes import Plane, Planes
+    from bayesnet_track.observation.geometry import crop_of
+from bayesnet_track.observation.planes import Plane, Planes
 
 
 class DisplacementParameters(CueParameters):
@@ -216,17 +218,8 @@ class DisplacementCue:
 
 def _crop(planes: Planes, gray: GrayPlane, region: Region) -> tuple[NDArray[np.uint8], tuple[int, int]]:
     """A copy of the gray values on the part of `region` that the planes cover, and its first pixel."""
-    covered = planes.region
-    inner = Region(
-        max(region.x0, covered.x0),
-        max(region.y0, covered.y0),
-        min(region.x1, covered.x1),
-        min(region.y1, covered.y1),
-    )
-    if inner.is_empty:
-        return np.zeros((0, 0), dtype=np.uint8), (region.x0, region.y0)
-    moved = Region(inner.x0 - covered.x0, inner.y0 - covered.y0, inner.x1 - covered.x0, inner.y1 - covered.y0)
-    return np.array(moved.of(planes[gray]), dtype=np.uint8), (inner.x0, inner.y0)
+    values, first = crop_of(planes, gray, region)
+    return np.array(values, dtype=np.uint8), first
 
 
 def _origin(reference: Reference) -> tuple[int, int]:

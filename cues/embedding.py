@@ -21,9 +21,12 @@ from bayesnet_track.observation.cue import (
     Reference,
     SizedCueParameters,
     blend_arrays,
+    blend_sizes,
     floored,
+    log_logistic,
     log_size_penalty,
 )
+from bayesnet_track.observation.geometry import share_inside
 from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.planes.whole_frame import WholeFrame
 
@@ -97,8 +100,7 @@ class Embedding:
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """Linear (eq. 2.15), the size in its logarithm."""
-        size = old["size"] * (new["size"] / old["size"]) ** rate
-        return {**blend_arrays(old, new, rate), **relax(old, new, rate), "size": size}
+        return {**blend_arrays(old, new, rate), **relax(old, new, rate), "size": blend_sizes(old, new, rate)}
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """-log(1 + exp(4 (d - alpha) / alpha)), 0 at d = 0, plus the size penalty, over the floor.
@@ -114,7 +116,7 @@ class Embedding:
         alpha = float(reference["alpha"]) * factor_of(reference)
         asked, which = representatives(boxes, size, p.step, p.max_crops)
         distances = self._distances(planes, asked, reference["vector"])[which]
-        similarity = np.logaddexp(0.0, -4.0) - np.logaddexp(0.0, 4.0 * (distances - alpha) / alpha)
+        similarity = log_logistic(distances, alpha)
         penalty = log_size_penalty(boxes, size, p.sd_log_area, p.sd_log_aspect)
         return floored(similarity + penalty, p.floor)
 
@@ -130,9 +132,7 @@ class Embedding:
 
     def _distances(self, planes: Planes, boxes: Floats, vector: Floats) -> Floats:
         """(N,) 1 - s cos, 0..1, s the share of the box inside the frame; 1 outside it."""
-        from bayesnet_track.vision.embedding import share_inside
-
-        share = share_inside(boxes, planes.frame.width, planes.frame.height)
+        share = share_inside(boxes, planes.frame)
         seen = share > 0.0
         distances = np.ones(len(boxes))
         if seen.any():

@@ -22,6 +22,7 @@ from bayesnet_track.observation.cue import (
     Hypotheses,
     Reference,
     SizedCueParameters,
+    blend_sizes,
     floored,
     log_size_penalty,
 )
@@ -131,7 +132,7 @@ class ForegroundColor:
             name: np.asarray((1.0 - slow.get(name, rate)) * old[name] + slow.get(name, rate) * new[name])
             for name in ("foreground", "background", "memory", "contrast")
         }
-        size = old["size"] * (new["size"] / old["size"]) ** rate
+        size = blend_sizes(old, new, rate)
         return {**blended, **relax(old, new, rate), "size": size, "posterior": self._posterior(blended)}
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:

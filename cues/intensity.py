@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
@@ -22,12 +21,11 @@ from bayesnet_track.observation.cue import (
     floored,
     log_size_penalty,
 )
+from bayesnet_track.observation.geometry import box_integral
 from bayesnet_track.vision.planes.gray_plane import GrayPlane
 
 if TYPE_CHECKING:
     from bayesnet_track.observation.planes import Plane, Planes
-
-Ints = NDArray[np.int64]
 
 LOOKS = (("grid", "known"), ("coarse", "coarse_known"))
 """The arrays of a reference: mean gray of cells, and how much of them was seen; the first look's last."""
@@ -127,7 +125,7 @@ class IntensityCue:
         for cells, (grid, known) in zip(self._cells, LOOKS, strict=False):
             means, shares = np.zeros((cells, cells)), np.zeros((cells, cells))
             if not planes.region.is_empty:
-                sampling = _sampling(planes, self.gray, np.asarray(box, dtype=np.float64))
+                sampling = box_integral(planes, self.gray, np.asarray(box, dtype=np.float64))
                 patch_means(*sampling, means, shares)
             learnt |= {grid: means, known: shares}
         return {**learnt, "size": np.array(box[2:], dtype=np.float64), SHARPER: np.array(1.0)}
@@ -174,7 +172,7 @@ class IntensityCue:
         weights = self._weights(known)
         moments = np.zeros((len(boxes), MOMENTS))
         if len(boxes) and not planes.region.is_empty:
-            patch_moments(*_sampling(planes, self.gray, boxes), grid, weights / weights.sum(), moments)
+            patch_moments(*box_integral(planes, self.gray, boxes), grid, weights / weights.sum(), moments)
         log = (
             self._correlation(moments) if self.parameters.form == "correlation" else self._difference(moments)
         )
@@ -219,17 +217,6 @@ def _central(moments: Floats) -> tuple[Floats, ...]:
         rv / inside - mean_r * mean_v,
         np.maximum(vv / inside - mean_v**2, 0.0),
     )
-
-
-def _sampling(planes: Planes, gray: GrayPlane, boxes: Floats) -> tuple[Floats, Floats, Ints, Ints]:
-    """The first four arguments of the kernels."""
-    import cv2
-
-    # sums of uint8 are exact in float64, so it does not matter where the crop starts
-    integral: Floats = cv2.integral(np.ascontiguousarray(planes[gray]), sdepth=cv2.CV_64F)
-    origin = np.array([planes.region.x0, planes.region.y0], dtype=np.int64)
-    frame = np.array([planes.frame.width, planes.frame.height], dtype=np.int64)
-    return integral, boxes, origin, frame
 
 
 def _mask(cells: int, sd: float) -> Floats:

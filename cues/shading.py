@@ -23,6 +23,7 @@ from bayesnet_track.observation.cue import (
     floored,
     log_size_penalty,
 )
+from bayesnet_track.observation.geometry import box_integral
 from bayesnet_track.vision.planes.gray_plane import GrayPlane
 
 if TYPE_CHECKING:
@@ -120,20 +121,13 @@ class ShadingCue:
 
     def shading(self, planes: Planes, boxes: Floats) -> tuple[Floats, Floats]:
         """Of centre boxes (N, 4): (N,) weight inside the frame, (N, K) coefficients in gray levels."""
-        import cv2
-
         from bayesnet_track.vision.kernels.shading_kernels import patch_projections
 
         p = self.parameters
         weights, lines = polynomials(p.grid, p.degree, p.sd_mask)
         found = np.zeros((len(boxes), (p.degree + 1) * (p.degree + 2) // 2))
         if len(boxes) and not planes.region.is_empty:
-            # sums of uint8 are exact in float64, so it does not matter where the crop starts
-            integral = cv2.integral(np.ascontiguousarray(planes[self.gray]), sdepth=cv2.CV_64F)
-            origin = np.array([planes.region.x0, planes.region.y0], dtype=np.int64)
-            frame = np.array([planes.frame.width, planes.frame.height], dtype=np.int64)
-            array = np.ascontiguousarray(boxes, dtype=np.float64)
-            patch_projections(integral, array, origin, frame, weights, lines, found)
+            patch_projections(*box_integral(planes, self.gray, boxes), weights, lines, found)
         return found[:, 0], found[:, 1:]
 
 

@@ -20,6 +20,7 @@ from bayesnet_track.observation.cue import (
     Hypotheses,
     Reference,
     SizedCueParameters,
+    blend_sizes,
     floored,
     log_size_penalty,
 )
@@ -154,7 +155,7 @@ class StereoCue:
             return {**new, **relax(old, new, rate)}
         return {
             "features": (1.0 - rate) * old["features"] + rate * new["features"],
-            "size": old["size"] * (new["size"] / old["size"]) ** rate,
+            "size": blend_sizes(old, new, rate),
             "known": old["known"],
             **relax(old, new, rate),
         }

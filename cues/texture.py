@@ -21,7 +21,9 @@ from bayesnet_track.observation.cue import (
     Reference,
     SizedCueParameters,
     blend_arrays,
+    blend_sizes,
     floored,
+    log_logistic,
     log_size_penalty,
 )
 from bayesnet_track.observation.planes import Plane, Planes
@@ -103,8 +105,7 @@ class Texture:
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """Linear (eq. 2.15), the size in its logarithm."""
-        size = old["size"] * (new["size"] / old["size"]) ** rate
-        return {**blend_arrays(old, new, rate), **relax(old, new, rate), "size": size}
+        return {**blend_arrays(old, new, rate), **relax(old, new, rate), "size": blend_sizes(old, new, rate)}
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """-log(1 + exp(4 (d - alpha) / alpha)), 0 at d = 0, plus the size penalty, over the floor.
@@ -116,7 +117,7 @@ class Texture:
         if not reference["shares"].any():
             return np.zeros(len(hypotheses))
         distances = self._distances(planes, hypotheses.boxes, reference["shares"])
-        similarity = np.logaddexp(0.0, -4.0) - np.logaddexp(0.0, 4.0 * (distances - alpha) / alpha)
+        similarity = log_logistic(distances, alpha)
         size = log_size_penalty(hypotheses.boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
         return floored(similarity + size, p.floor)
 

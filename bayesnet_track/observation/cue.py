@@ -17,14 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from bayesnet_track.observation.likelihoods import FLOOR, SD_LOG_AREA, SD_LOG_ASPECT
+from bayesnet_track.observation.likelihoods import Reference as Reference
+from bayesnet_track.observation.likelihoods import blend_arrays as blend_arrays
+from bayesnet_track.observation.likelihoods import blend_sizes as blend_sizes
+from bayesnet_track.observation.likelihoods import floored as floored
+from bayesnet_track.observation.likelihoods import log_logistic as log_logistic
+from bayesnet_track.observation.likelihoods import log_size_penalty as log_size_penalty
 from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.observation.plugins import installed
 
 ENTRY_POINT_GROUP = "bayesnet_track.cues"
 
 Floats = NDArray[np.float64]
-Reference = Mapping[str, NDArray[Any]]
-"""What a cue remembers of its target, as arrays by name, so that it can be stored and compared."""
 
 
 class CueParameters(BaseModel):
@@ -33,7 +38,7 @@ class CueParameters(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False, allow_inf_nan=False)
 
     floor: float = Field(
-        default=0.02,
+        default=FLOOR,
         gt=0,
         lt=1,
         description="Likelihood of an outlier as a share of the best possible likelihood.",
@@ -44,10 +49,14 @@ class SizedCueParameters(CueParameters):
     """Parameters of a cue with a size penalty (`log_size_penalty`)."""
 
     sd_log_area: float = Field(
-        default=0.5, gt=0, description="Standard deviation of the log of the area ratio to the reference."
+        default=SD_LOG_AREA,
+        gt=0,
+        description="Standard deviation of the log of the area ratio to the reference.",
     )
     sd_log_aspect: float = Field(
-        default=0.4, gt=0, description="Standard deviation of the log of the aspect ratio to the reference."
+        default=SD_LOG_ASPECT,
+        gt=0,
+        description="Standard deviation of the log of the aspect ratio to the reference.",
     )
 
 
@@ -287,33 +296,6 @@ class CueDeclaration:
     def __post_init__(self) -> None:
         if not 0.0 < self.cost_ms < float("inf"):
             raise ValueError(f"cue {self.name!r}: cost_ms {self.cost_ms}; a finite price above 0 is needed")
-
-
-def floored(log_likelihood: Floats, floor: float) -> Floats:
-    """log(floor + (1 - floor) L), at most 0: a mixture with an outlier of likelihood `floor`."""
-    # Nothing overflows, so that np.logaddexp is not needed, which takes three times as long.
-    mixed = np.log(floor + (1.0 - floor) * np.exp(log_likelihood))
-    return np.asarray(np.minimum(mixed, 0.0))  # rounding may exceed a perfect 0
-
-
-def log_size_penalty(
-    boxes: Floats, reference_size: Floats, sd_log_area: float, sd_log_aspect: float
-) -> Floats:
-    """(N,) Gaussian penalty in the logs of the area ratio and of the aspect ratio (0 when they agree).
-
-    Thesis 3.1.1 names a Gaussian in area and aspect ratio; here in their logarithms, so that half and twice
-    the size cost the same.
-    """
-    width = np.log(boxes[:, 2] / reference_size[0])
-    height = np.log(boxes[:, 3] / reference_size[1])
-    return np.asarray(
-        -0.5 * (((width + height) / sd_log_area) ** 2 + ((width - height) / sd_log_aspect) ** 2)
-    )
-
-
-def blend_arrays(old: Reference, new: Reference, rate: float) -> dict[str, NDArray[Any]]:
-    """Name by name ``rate * new + (1 - rate) * old`` (eq. 2.15): the usual `blend` of a cue."""
-    return {name: np.asarray(rate * new[name] + (1.0 - rate) * old[name]) for name in old}
 
 
 def installed_cues(named: Iterable[str] = ()) -> Mapping[str, CueDeclaration]:

@@ -122,14 +122,6 @@ def crops_at(image: Bytes, boxes: Floats, width: int, height: int) -> Bytes:
     return crops
 
 
-def share_inside(boxes: Floats, width: int, height: int) -> Floats:
-    """(n,) share of each centre box (n, 4) that lies inside a frame of `width` x `height` px."""
-    x, y, w, h = boxes.T
-    across = np.minimum(x + w / 2, width - 0.5) - np.maximum(x - w / 2, -0.5)
-    down = np.minimum(y + h / 2, height - 0.5) - np.maximum(y - h / 2, -0.5)
-    return np.asarray(np.clip(across, 0.0, w) / w * (np.clip(down, 0.0, h) / h))
-
-
 def representatives(boxes: Floats, size: Floats, step: float, most: int) -> tuple[Floats, NDArray[np.intp]]:
     """Boxes that stand for others: (R, 4), R <= `most`, and (N,) which of them stands for each of `boxes`.
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from bayesnet_track.numerics.kernels.box_kernels import pixels_of_boxes
 from bayesnet_track.vision.kernels.histogram_kernels import (
     circular_distances,
     color_distances,
     count_by_integral,
     count_directly,
     count_in_boxes,
-    pixels_of_boxes,
 )
 
 

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.observation.geometry import crop_of
 from bayesnet_track.observation.planes import Array, FramePair, Plane, Planes, Region, region_of_boxes
 
 Floats = NDArray[np.float64]
@@ -65,7 +66,5 @@ class ColorCells:
 
 def seen_cells(planes: Planes, plane: Plane, boxes: Floats) -> tuple[Array, Floats]:
     """The cells inside `boxes` (N, 4), whatever else was computed, and the x, y of their first pixel."""
-    own, has = region_of_boxes(boxes).within(planes.frame), planes.region
-    inner = Region(own.x0 - has.x0, own.y0 - has.y0, own.x1 - has.x0, own.y1 - has.y0)
-    cells = inner.of(planes[plane]) if not own.is_empty else np.zeros((0, 0), np.uint16)
-    return np.ascontiguousarray(cells), np.array([own.x0, own.y0], dtype=np.float64)
+    cells, first = crop_of(planes, plane, region_of_boxes(boxes).within(planes.frame))
+    return np.ascontiguousarray(cells), np.array(first, dtype=np.float64)

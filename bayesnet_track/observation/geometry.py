@@ -1,0 +1,120 @@
+"""From centre boxes to rows and columns of a plane, which covers only a part of the frame.
+
+A box is ``x, y, w, h`` with its centre at ``x, y``, in pixels of the frame; pixels have their centres at
+whole numbers. Row 0, column 0 of an image-like plane is the pixel ``(region.x0, region.y0)`` of the frame. A
+cue that mixes up the two, or truncates instead of rounding, is wrong by a pixel, or only near the border.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.observation.planes import Array, Frame, Plane, Planes, Region
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class BoxPixels:
+    """Which pixels of a plane lie in each of N boxes.
+
+    A pixel is in a box when low edge <= its centre < high edge; every box has at least the nearest one.
+
+    Attributes:
+        corners: (N, 4) left, top, right, bottom: columns left .. right - 1 and rows top .. bottom - 1 of the
+            plane. A box that lies beyond the plane has none.
+        visible: (N,) pixels of the box that the plane covers.
+        nominal: (N,) pixels of the whole box, those beyond the plane included.
+    """
+
+    corners: Ints
+    visible: Floats
+    nominal: Floats
+
+
+def box_pixels(planes: Planes, boxes: Floats) -> BoxPixels:
+    """The pixels of the planes' region that lie in the centre boxes (N, 4)."""
+    # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.kernels.box_kernels import pixels_of_boxes
+
+    r = planes.region
+    boxes = np.ascontiguousarray(boxes)  # one compiled version only
+    return BoxPixels(*pixels_of_boxes(boxes, r.x0, r.y0, r.x1 - r.x0, r.y1 - r.y0))
+
+
+def box_means(planes: Planes, plane: Plane, boxes: Floats, outside: float = 0.0) -> Floats:
+    """(N,) mean of an image-like plane (rows, columns) over each centre box (N, 4).
+
+    Pixels of a box that lie outside the frame count with the value `outside`: one that matches nothing makes
+    the part of a box beyond the border count as unmatched. No bit depends on which region the planes cover.
+    """
+    values, pixels = planes[plane], box_pixels(planes, boxes)
+    left, top, right, bottom = pixels.corners.T
+    if values.dtype.kind in "bui":  # exact, so that it does not matter where the crop starts
+        total = np.zeros((values.shape[0] + 1, values.shape[1] + 1), np.int64)
+        total[1:, 1:] = values.cumsum(axis=0, dtype=np.int64).cumsum(axis=1)
+        sums = total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
+    else:
+        corners = pixels.corners.tolist()
+        sums = np.array([np.ascontiguousarray(values[t:b, l:r]).sum() for l, t, r, b in corners])  # noqa: E741
+    return np.asarray((sums + outside * (pixels.nominal - pixels.visible)) / pixels.nominal)
+
+
+def box_points(planes: Planes, boxes: Floats, across: int, down: int) -> tuple[Ints, Ints, NDArray[np.bool_]]:
+    """Rows and columns of a lattice of points in each centre box (N, 4), and which lie inside the frame.
+
+    Each is (N, down * across), row by row: the centres of `down` x `across` equal cells of the box, rounded
+    to the nearest pixel. Where a point lies outside, its row and column are those of the nearest pixel that
+    the planes cover, so that ``plane[rows, columns]`` is always valid for planes that cover a pixel.
+    """
+    x = (np.arange(across) + 0.5) / across - 0.5
+    y = (np.arange(down) + 0.5) / down - 0.5
+    region = planes.region
+    column = np.floor(boxes[:, :1] + np.tile(x, down) * boxes[:, 2:3] + 0.5) - region.x0
+    row = np.floor(boxes[:, 1:2] + np.repeat(y, across) * boxes[:, 3:4] + 0.5) - region.y0
+    columns, rows = region.x1 - region.x0, region.y1 - region.y0
+    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    at_row = np.clip(row, 0, max(rows - 1, 0)).astype(np.int64)
+    return at_row, np.clip(column, 0, max(columns - 1, 0)).astype(np.int64), inside
+
+
+def crop_of(planes: Planes, plane: Plane, region: Region) -> tuple[Array, tuple[int, int]]:
+    """The values of an image-like plane on `region`, as far as it is covered; column and row of the first.
+
+    Column and row are the frame's. Values may be a read-only view; empty where nothing is covered.
+    """
+    has = planes.region
+    inner = Region(
+        max(region.x0, has.x0), max(region.y0, has.y0), min(region.x1, has.x1), min(region.y1, has.y1)
+    )
+    if inner.is_empty:
+        return planes[plane][:0, :0], (region.x0, region.y0)
+    moved = Region(inner.x0 - has.x0, inner.y0 - has.y0, inner.x1 - has.x0, inner.y1 - has.y0)
+    return moved.of(planes[plane]), (inner.x0, inner.y0)
+
+
+def share_inside(boxes: Floats, frame: Frame) -> Floats:
+    """(N,) share of the area of each centre box (N, 4) that lies inside the frame, 0..1."""
+    x, y, w, h = boxes.T
+    across = np.minimum(x + w / 2, frame.width - 0.5) - np.maximum(x - w / 2, -0.5)
+    down = np.minimum(y + h / 2, frame.height - 0.5) - np.maximum(y - h / 2, -0.5)
+    return np.asarray(np.clip(across, 0.0, w) / w * (np.clip(down, 0.0, h) / h))
+
+
+def box_integral(planes: Planes, plane: Plane, boxes: Floats) -> tuple[Floats, Floats, Ints, Ints]:
+    """What kernels take that resample a plane (rows, columns) of uint8 in centre boxes (N, 4).
+
+    Its integral (rows + 1, columns + 1), the boxes as contiguous float64, column and row of the frame at the
+    plane's first pixel, and the frame's width and height.
+    """
+    import cv2
+
+    # sums of uint8 are exact in float64, so it does not matter where the crop starts
+    integral: Floats = cv2.integral(np.ascontiguousarray(planes[plane]), sdepth=cv2.CV_64F)
+    origin = np.array([planes.region.x0, planes.region.y0], dtype=np.int64)
+    frame = np.array([planes.frame.width, planes.frame.height], dtype=np.int64)
+    return integral, np.ascontiguousarray(boxes, dtype=np.float64), origin, frame
