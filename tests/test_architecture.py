@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -125,6 +126,42 @@ def test_tests_stand_in_the_folder_of_a_room():
     others = {"browser", "docs", "reliability", "stories", "typing"}
     folders = {path.name for path in (ROOT / "tests").iterdir() if any(path.glob("**/test_*.py"))}
     assert {name for name in folders if not name.startswith("test_")} - others <= set(MAY_IMPORT)
+
+
+def names_in(path: Path) -> set[str]:
+    """What a test file names: modules that it imports, and texts, as commands, cues and scenes have names."""
+    text = path.read_text("utf-8")
+    found = {path.stem.removeprefix("test_")}
+    for module, names in re.findall(rf"^ *from ({PACKAGE}[\w.]*) import (\([^)]*\)|.*)", text, re.MULTILINE):
+        found |= {module, *(f"{module}.{name}" for name in re.findall(r"\w+", names))}
+    found |= set(re.findall(rf"^ *import ({PACKAGE}[\w.]*)", text, re.MULTILINE))
+    return found | {word.replace("-", "_") for word in re.findall(r"[\"']([a-z][a-z_-]+)[\"']", text)}
+
+
+UNNAMED = {"__main__": 1, "adapt": 2, "belief": 1, "cli": 27, "cues": 1, "engine": 12, "evaluate": 3}
+UNNAMED |= {
+    "inference": 1,
+    "journal": 16,
+    "numerics": 3,
+    "observation": 2,
+    "runtime": 10,
+    "sources": 19,
+    "view": 2,
+}
+UNNAMED |= {"graph": 11, "vision": 17}
+"""Room -> how many of its modules no test of the room names: tested only through others. May only fall."""
+
+
+def test_each_module_is_named_by_a_test_of_its_room():
+    named: dict[str, set[str]] = {}
+    for path in (*(ROOT / "tests").rglob("test_*.py"), *(ROOT / "tests").rglob("conftest.py")):
+        named.setdefault(path.relative_to(ROOT / "tests").parts[0], set()).update(names_in(path))
+    unnamed: dict[str, list[str]] = {}
+    for module, path in sorted(FILES.items()):
+        if path.name != "__init__.py" and not {module, path.stem} & named.get(room(module), set()):
+            unnamed.setdefault(room(module), []).append(module)
+    more = {name: found for name, found in unnamed.items() if len(found) > UNNAMED.get(name, 0)}
+    assert more == {}, "a test in the folder of the room must import the new one, or have its name"
 
 
 def test_each_room_has_a_row_in_the_page_on_architecture():
