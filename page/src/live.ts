@@ -1,40 +1,11 @@
 /** A run in progress: what its server tells, line by line, and what a person asks of it. */
 
 import { batch, computed, signal } from "@preact/signals";
+import type { Control, Phase, Status } from "./control";
 import { RunData } from "./data/run";
 import type { EventRow, FrameLine, Header, TimingLine } from "./data/types";
 import { fromServer } from "./pictures";
 import { State } from "./state";
-
-export type Phase = "opening" | "choosing" | "starting" | "running" | "paused" | "ended";
-
-/** How things stand, as every answer says. */
-export interface Status {
-  next: number;
-  version: number;
-  phase: Phase;
-  stopping: boolean;
-  canSwitch: boolean;
-  /** Frames a second. */
-  rate: number;
-  frames: number;
-  /** The last frame that has a picture. */
-  pictured: number;
-  trouble: string;
-  about: Asked;
-}
-
-/** What is known before the run begins. */
-export interface Asked {
-  graph?: string;
-  source?: string;
-  width?: number;
-  height?: number;
-  expected?: number | null;
-  plates?: string[];
-  out?: string;
-  first?: number;
-}
 
 export interface Start {
   box: [number, number, number, number];
@@ -49,7 +20,7 @@ type Line =
 
 const AGAIN_MS = 1000;
 
-export class Live {
+export class Live implements Control {
   readonly status = signal<Status | null>(null);
   readonly phase = computed<Phase>(() => this.status.value?.phase ?? "opening");
   /** Whether the run goes on: it can be paused, and its agents switched. */

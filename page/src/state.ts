@@ -1,9 +1,9 @@
 /** What the person looks at: the frame, the target, the stretch of time; and what moves it. */
 
 import { batch, computed, signal } from "@preact/signals";
+import type { Control } from "./control";
 import type { RunData, Track } from "./data/run";
 import type { EventRow } from "./data/types";
-import type { Live } from "./live";
 import type { Pictures } from "./pictures";
 
 export type Layer = "cloud" | "regions" | "map" | "parts" | "truth" | "others";
@@ -28,7 +28,7 @@ export class State {
   /** Whether the newest frame is looked at, and the next newest will be. */
   readonly following = signal(true);
   /** The run in progress; null where it is over. */
-  live: Live | null = null;
+  live: Control | null = null;
   readonly pictures = signal<Pictures | null>(null);
   /** Counts what else calls for drawing again: another colour scheme, another size. */
   readonly look = signal(0);

@@ -1,6 +1,7 @@
 /** The page of a run in progress: first the boxes to start with, then the run. */
 
-import type { Asked, Live, Phase } from "../live";
+import type { Asked, Phase } from "../control";
+import type { Live } from "../live";
 import { App } from "./app";
 import { StartBoxes } from "./start_boxes";
 

@@ -2,14 +2,14 @@
 
 import { useSignal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
-import type { Live } from "../live";
+import type { Control } from "../control";
 import type { State } from "../state";
 import { Icon } from "./transport";
 import { plural, short } from "./words";
 
 const SURE_MS = 3000;
 
-export function LiveBar({ state, live }: { state: State; live: Live }) {
+export function LiveBar({ state, live }: { state: State; live: Control }) {
   const phase = live.phase.value;
   const isOn = live.isOn.value;
   const isPaused = phase === "paused";
@@ -60,7 +60,7 @@ export function LiveBar({ state, live }: { state: State; live: Live }) {
   );
 }
 
-function Standing({ state, live }: { state: State; live: Live }) {
+function Standing({ state, live }: { state: State; live: Control }) {
   const status = live.status.value;
   const { run } = state;
   const expected = status?.about.expected;
@@ -91,7 +91,7 @@ function Standing({ state, live }: { state: State; live: Live }) {
 }
 
 /** Stopping is for good: it has to be pressed twice. */
-function Stop({ live, stopping }: { live: Live; stopping: boolean }) {
+function Stop({ live, stopping }: { live: Control; stopping: boolean }) {
   const isSure = useSignal(false);
   useEffect(() => {
     if (!isSure.value) return;

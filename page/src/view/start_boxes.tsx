@@ -2,7 +2,7 @@
 
 import { useSignal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
-import type { Asked, Live } from "../live";
+import type { Asked, Control } from "../control";
 import { Icon } from "./transport";
 
 /** Top-left corner and size. */
@@ -26,7 +26,7 @@ const LEAST = 3;
 const HANDLES: [number, number][] = [[-1, -1], [0, -1], [1, -1], [-1, 0], [1, 0], [-1, 1], [0, 1], [1, 1]];
 const CURSORS: Record<string, string> = { "-1,-1": "nwse", "1,1": "nwse", "1,-1": "nesw", "-1,1": "nesw", "0,-1": "ns", "0,1": "ns", "-1,0": "ew", "1,0": "ew" };
 
-export function StartBoxes({ live, about }: { live: Live; about: Asked }) {
+export function StartBoxes({ live, about }: { live: Control; about: Asked }) {
   const [width, height] = [about.width!, about.height!];
   const plates = about.plates ?? [];
   const picture = useSignal("");
