@@ -173,7 +173,7 @@ def test_the_journal_begins_and_ends_as_documented(recorded):
     assert isinstance(started, RunStarted) and isinstance(target, TargetStarted)
     assert (started.width, started.height, started.has_color, started.declared_frames) == (320, 240, True, 45)
     assert set(started.costs_ms) == {"color_histogram", "motion"}  # prices are the cues'
-    assert set(started.versions) == {"python", "bayesnet-track", "numpy", "numba", "av", "opencv"}
+    assert set(started.versions) == {"python", "bayesnet-track", "numpy", "numba", "scipy", "av", "opencv"}
     assert ended == RunEnded(45, 45, True, "end_of_source")
 
 

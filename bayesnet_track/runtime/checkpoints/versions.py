@@ -10,5 +10,5 @@ def versions() -> dict[str, str]:
     """Library -> its version here."""
     import cv2
 
-    names = ("bayesnet-track", "numpy", "numba", "av")
+    names = ("bayesnet-track", "numpy", "numba", "scipy", "av")
     return {"python": python_version(), **{name: version(name) for name in names}, "opencv": cv2.__version__}
