@@ -20,13 +20,13 @@ def resample(scheme: str, weights: Floats, count: int, rng: np.random.Generator)
     """Ancestors of `count` new hypotheses: ``E[times i is drawn] = count * weights[i]``.
 
     Args:
-        scheme: systematic, stratified, residual or multinomial.
+        scheme: systematic or multinomial.
         weights: (N,) not negative, summing to 1 up to rounding.
         count: how many to draw; need not be N.
         rng: source of randomness.
 
     Returns:
-        (count,) int64 indices into `weights`, in ascending order except for `residual`.
+        (count,) int64 indices into `weights`, in ascending order.
 
     Raises:
         ValueError: unknown scheme.
@@ -41,22 +41,7 @@ def resample(scheme: str, weights: Floats, count: int, rng: np.random.Generator)
 
 def systematic(weights: Floats, count: int, rng: np.random.Generator) -> Ancestors:
     """One uniform draw shifts a comb: each hypothesis is drawn ``count * w`` times, rounded up or down."""
-    return _look_up_even(weights, np.array([rng.random()]), count)
-
-
-def stratified(weights: Floats, count: int, rng: np.random.Generator) -> Ancestors:
-    """One uniform draw in each of `count` equal intervals."""
-    return _look_up_even(weights, rng.random(count), count)
-
-
-def residual(weights: Floats, count: int, rng: np.random.Generator) -> Ancestors:
-    """``floor(count * w)`` copies for certain, the rest multinomial in the fractional parts."""
-    expected = count * (weights / weights.sum())
-    copies = np.floor(expected).astype(np.int64)
-    certain = np.repeat(np.arange(weights.size, dtype=np.int64), copies)[:count]
-    if certain.size == count:
-        return certain
-    return np.concatenate([certain, multinomial(expected - copies, count - certain.size, rng)])
+    return _look_up_even(weights, rng.random(), count)
 
 
 def multinomial(weights: Floats, count: int, rng: np.random.Generator) -> Ancestors:
@@ -67,7 +52,7 @@ def multinomial(weights: Floats, count: int, rng: np.random.Generator) -> Ancest
 
 
 SCHEMES: Mapping[str, Callable[[Floats, int, np.random.Generator], Ancestors]] = MappingProxyType(
-    {"systematic": systematic, "stratified": stratified, "residual": residual, "multinomial": multinomial}
+    {"systematic": systematic, "multinomial": multinomial}
 )
 
 
@@ -80,7 +65,7 @@ def _look_up(weights: Floats, positions: Floats) -> Ancestors:
     return look_up(weights, positions)
 
 
-def _look_up_even(weights: Floats, shifts: Floats, count: int) -> Ancestors:
+def _look_up_even(weights: Floats, shift: float, count: int) -> Ancestors:
     from bayesnet_track.numerics.kernels.resampling_kernels import look_up_even
 
-    return look_up_even(weights, shifts, count)
+    return look_up_even(weights, shift, count)

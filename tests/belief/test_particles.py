@@ -109,7 +109,7 @@ def test_every_scheme_agrees_with_kalman_when_triggered_by_ess(scheme, motion_of
     [
         spec.Particles(size=60),
         spec.Particles(size=60, resample="multinomial", when=spec.EssBelow(ess_below=0.5)),
-        spec.Particles(size=60, resample="residual"),
+        spec.Particles(size=60, resample="multinomial"),
     ],
 )
 def test_evidence_is_unbiased_in_the_natural_scale(settings, motion_of, stream_of):

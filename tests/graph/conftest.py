@@ -138,7 +138,7 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
         damped_velocity=_mapping({}, {**velocity, "damping": positive}),
         constant_acceleration=_mapping({}, acceleration),
     )
-    schemes = st.sampled_from(["systematic", "stratified", "residual", "multinomial"])
+    schemes = st.sampled_from(["systematic", "multinomial"])
     when = st.just("every_frame") | _mapping({"ess_below": share | st.just(1)}, {})
     counts = st.integers(100, 1_000_000)
     sizes = st.integers(2, 1_000_000) | _adaptive_sizes(positive)
@@ -355,7 +355,7 @@ def everything() -> dict[str, Any]:
             "belief": {
                 "particles": {
                     "size": {"kld": {"bin_px": 5}},
-                    "resample": "residual",
+                    "resample": "multinomial",
                     "when": {"ess_below": 0.5},
                 }
             },

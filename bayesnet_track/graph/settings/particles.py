@@ -112,7 +112,7 @@ class Particles(Model):
         default=None, description="least number of an adaptive size, which starts with it; default 500"
     )
     max: Count | None = Field(default=None, description="largest number of an adaptive size; default 5000")
-    resample: Literal["systematic", "stratified", "residual", "multinomial"] = Field(
+    resample: Literal["systematic", "multinomial"] = Field(
         default="systematic", description="how parents are drawn"
     )
     when: Annotated[

@@ -42,26 +42,21 @@ def look_up(weights: Floats, positions: Floats) -> Ancestors:
 
 
 @compiled
-def look_up_even(weights: Floats, shifts: Floats, count: int) -> Ancestors:
-    """The same for the positions (m + shifts_m) / count, m = 0 to count - 1, shifts from 0 to 1.
+def look_up_even(weights: Floats, shift: float, count: int) -> Ancestors:
+    """The same for the positions (m + shift) / count, m = 0 to count - 1.
 
     How many of them lie below a share is known but for three, so that no branch depends on the weights: a
     walk waits for most of its branches, which cannot be foreseen.
 
     Args:
         weights: (N,) not negative.
-        shifts: (count,), or (1,) for all.
+        shift: from 0 to 1.
         count: number of positions.
     """
     total, last = _total_and_last(weights)
     positions, first_of = np.empty(count), np.empty(count + 1, np.int64)
-    if shifts.shape[0] == 1:
-        shift = shifts[0]
-        for m in range(count):
-            positions[m] = (m + shift) / count
-    else:
-        for m in range(count):
-            positions[m] = (m + shifts[m]) / count
+    for m in range(count):
+        positions[m] = (m + shift) / count
     first_of[:] = 0
     cumulative = 0.0
     for n in range(last):
