@@ -68,7 +68,7 @@ def graph_with(importance: str | None) -> GraphSpec:
 
 def traced(graph: GraphSpec, scene: Scene, seed: int) -> Traced:
     """Run a graph on the scene."""
-    starts = [Start(box, plate) for plate, box in scene.start_boxes.items()]
+    starts = [Start(box, plate) for plate, box in scene.starts]
     truth = [centre_from_corner(path) for path in (scene.truth, scene.others[0])]
     frames = []
     for result in track(graph, SceneSource(scene, NAME), starts, seed=seed):

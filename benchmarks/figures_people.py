@@ -88,7 +88,7 @@ PEOPLE = Story(
 def played(story: Story) -> tuple[Scene, Trace]:
     """The scene and its run."""
     scene = make_scene(story.name, 0)
-    starts = [Start(box, plate) for plate, box in scene.start_boxes.items()]
+    starts = [Start(box, plate) for plate, box in scene.starts]
     return scene, trace(story.name, scene, 0, starts)
 
 

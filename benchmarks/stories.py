@@ -91,8 +91,7 @@ class Story:
     def played(self, seed: int) -> Run:
         """The run of one seed."""
         scene = make_scene(self.scene, seed)
-        boxes = scene.start_boxes or {None: scene.start_box}
-        starts = [Start(box, plate) for plate, box in boxes.items()]
+        starts = [Start(box, plate) for plate, box in scene.starts] or [Start(scene.start_box)]
         if self.with_others:
             first = [tuple(float(value) for value in boxes[0]) for boxes in scene.others]
             starts = [Start(scene.start_box), *(Start((x, y, w, h)) for x, y, w, h in first)]

@@ -165,26 +165,6 @@ def decide_joins(
     return tuple(decisions), _kept(replace(memory, pairs=pairs), frozenset(names))
 
 
-def uncounted(
-    rules: tuple[Join, ...], net: Net, reaches: Mapping[str, Reach], left_out: Iterable[Pair] = ()
-) -> tuple[Pair, ...]:
-    """Pairs of live targets whose beliefs overlap although no join accounts for the pixels of both.
-
-    The law of two-level evidence: after every change there is none, but for those `left_out` of a ring.
-    """
-    names = [name for name in reaches if name in net.targets]
-    overlaps = reach_overlaps([reaches[name] for name in names])
-    known = {frozenset(pair) for pair in (*net.joins, *left_out)}
-    found = []
-    for i, k in zip(*np.nonzero(np.triu(overlaps, 1)), strict=True):
-        pair = (names[i], names[k])
-        rule = join_of(rules, *(net.targets[name].template for name in pair))
-        needs = rule is not None and overlaps[i, k] >= rules[rule].when.overlap
-        if needs and frozenset(pair) not in known:
-            found.append(pair)
-    return tuple(found)
-
-
 def spanning_tree(overlaps: Mapping[Pair, float]) -> tuple[tuple[Pair, ...], dict[Pair, tuple[str, ...]]]:
     """The pairs of largest overlap that close no ring, and each pair left out with the group it is in.
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.vision.kernels.color_kernels import hue_of_bgr
 from bayesnet_track.vision.kernels.histogram_kernels import (
-    circular_distances,
+    color_distances,
     count_by_integral,
     count_directly,
     count_in_boxes,
@@ -74,14 +74,20 @@ def test_sums_modulo_two_to_the_sixteen_are_exact():
     assert count_by_integral(binned, large, 4)[:, 0].tolist() == [490_000, 65_536]
 
 
+def circular_distance(counts, shares):
+    """Between two histograms of hues alone, with every pixel inside."""
+    pixels = np.array([float(counts.sum())])
+    reference = np.append(shares / shares.sum(), 0.0)
+    return color_distances(counts[None].astype(np.int32), pixels, pixels, reference, 1.0)[0][0]
+
+
 def test_circular_distance_is_the_least_cost_of_moving_mass():
     bins = 16
     rng = np.random.default_rng(2)
     f, g = rng.integers(0, 20, (2, bins))
     difference = np.cumsum(f / f.sum() - g / g.sum())
     brute = min(np.abs(difference - cut).sum() for cut in difference)  # least over where the circle is cut
-    found = circular_distances(f[None].astype(np.int32), np.cumsum(g / g.sum()))
-    assert found[0] == pytest.approx(2 / bins * brute, abs=1e-12)
+    assert circular_distance(f, g) == pytest.approx(2 / bins * brute, abs=1e-12)
 
 
 @pytest.mark.parametrize("start", range(8))
@@ -90,8 +96,9 @@ def test_circular_distance_of_two_hues_does_not_depend_on_where_hue_starts(start
     one, other = np.zeros((2, 8))
     one[start] = 5
     other[(start + apart) % 8] = 1
-    found = circular_distances(one[None].astype(np.int32), np.cumsum(other))
-    assert found[0] == pytest.approx(apart / 4)  # opposite hues, 4 bins of 8 apart, are at distance 1
+    assert circular_distance(one, other) == pytest.approx(
+        apart / 4
+    )  # opposite hues, 4 bins of 8 apart, are at distance 1
 
 
 def test_alpha_is_half_the_mean_distance_of_the_half_overlapping_boxes(ask):

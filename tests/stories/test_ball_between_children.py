@@ -39,7 +39,7 @@ def run(seed, importance=None):
         if importance is not None:
             data["targets"][plate]["nodes"][root]["belief"]["particles"]["importance"] = importance
     scene, kept = make_scene(NAME, seed), Kept()
-    starts = [Start(box, plate) for plate, box in scene.start_boxes.items()]
+    starts = [Start(box, plate) for plate, box in scene.starts]
     truth = [centre_from_corner(path)[:, :2] for path in (scene.truth, scene.others[0])]
     rows = []
     for result in track(

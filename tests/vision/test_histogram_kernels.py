@@ -5,7 +5,6 @@ import pytest
 
 from bayesnet_track.numerics.kernels.box_kernels import pixels_of_boxes
 from bayesnet_track.vision.kernels.histogram_kernels import (
-    circular_distances,
     color_distances,
     count_by_integral,
     count_directly,
@@ -48,9 +47,11 @@ def test_three_ways_of_counting_are_one():
 
 
 def test_circular_distances_of_four_bins():
-    cumulative = np.array([1.0, 1.0, 1.0, 1.0])  # all in the first bin
+    shares = np.array([1.0, 0.0, 0.0, 0.0, 0.0])  # all in the first bin
     counts = np.array([[8, 0, 0, 0], [0, 8, 0, 0], [0, 0, 8, 0], [0, 0, 0, 8], [4, 0, 4, 0]], np.int32)
-    np.testing.assert_allclose(circular_distances(counts, cumulative), [0.0, 0.5, 1.0, 0.5, 0.5])
+    pixels = np.full(5, 8.0)
+    found, _ = color_distances(counts, pixels, pixels, shares, 1.0)
+    np.testing.assert_allclose(found, [0.0, 0.5, 1.0, 0.5, 0.5])
 
 
 def test_prices_of_what_is_moved_changed_and_outside():

@@ -169,14 +169,3 @@ class Run:
         """The boxes of a frame, or of all, in the shape of supervision's; `lost` for lost targets, too."""
         chosen = (line for line in self.metrics if frame is None or line.frame == frame)
         return Detections.of(chosen, self.kinds, tuple(self.spec.targets), lost)
-
-    def of_target(self, target: str | None = None) -> tuple[FrameMetrics, ...]:
-        """The measurements of one target; of the first when None.
-
-        Raises:
-            KeyError: there is no such target.
-        """
-        wanted = target if target is not None else next(iter(self.targets), None)
-        if wanted not in self.targets:
-            raise KeyError(f"no target {target!r}; there are {', '.join(self.targets) or 'none'}")
-        return tuple(line for line in self.metrics if line.target == wanted)

@@ -65,11 +65,6 @@ class Scene:
         return _corner_box(self.truth)
 
     @property
-    def start_boxes(self) -> Mapping[str, CornerBox]:
-        """Plate -> the corner box in frame 0 of what is called so, the target's first."""
-        return dict(self.starts)
-
-    @property
     def starts(self) -> tuple[tuple[str, CornerBox], ...]:
         """Plate and corner box in frame 0 of each that is called something, the target first."""
         paths = (self.truth, *self.others)[: len(self.plates)]

@@ -103,29 +103,15 @@ def _gather(integral: NDArray[np.unsignedinteger], corners: Corners, counts: Cou
             counts[n, k] = (np.int64(a[k]) + np.int64(d[k]) - np.int64(b[k]) - np.int64(c[k])) & (modulus - 1)
 
 
-def circular_distances(counts: Counts, cumulative: Floats) -> Floats:
-    """Circular earth mover's distance of each histogram to a reference, 0..1 (1: opposite hues).
-
-    ``2/B sum |D - median D|`` with D the difference of the cumulative shares: thesis eq. 3.2 in its circular
-    form, so that it does not matter where hue starts.
-
-    Args:
-        counts: (N, B) pixels in each bin; B even. An empty histogram is at the distance of its cumulative
-            zeros, which means nothing.
-        cumulative: (B,) cumulative shares of the reference.
-    """
-    difference, _ = _cumulative_differences(counts, cumulative)
-    difference.sort(axis=1)
-    return _spread(difference)
-
-
 def color_distances(
     counts: Counts, visible: Floats, nominal: Floats, shares: Floats, achromatic: float
 ) -> tuple[Floats, Floats]:
     """(N,) cost of moving each histogram into a reference, 0..1, and (N,) the share of each box outside.
 
     Coloured pixels go to coloured ones, colourless to colourless, as far as both have them; what is left over
-    has changed between colour and no colour. Pixels outside cost 1 each.
+    has changed between colour and no colour. Pixels outside cost 1 each. The cost of moving hues is the
+    circular earth mover's distance, 1 between opposite hues: ``2/B sum |D - median D|`` with D the difference
+    of the cumulative shares. It is thesis eq. 3.2 in a form in which it does not matter where hue starts.
 
     Args:
         counts: (N, B) coloured pixels in each bin.
