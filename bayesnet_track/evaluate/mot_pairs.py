@@ -1,4 +1,4 @@
-"""True and tracked boxes of several targets, frame by frame, with their overlaps."""
+"""True and tracked boxes of several targets, frame by frame, with their overlaps and distances."""
 
 from __future__ import annotations
 
@@ -39,14 +39,18 @@ class FramePairs:
     """All pairs of a true and a tracked box in one frame.
 
     Attributes:
+        index: number of the frame, from 0.
         true: (G,) numbers of the true targets, from 0 without gaps over the sequence.
         tracked: (K,) the same of the tracks.
         iou: (G, K) intersection over union.
+        distance: (G, K) Euclidean distance of the box centres in px.
     """
 
+    index: int
     true: Integers
     tracked: Integers
     iou: Floats
+    distance: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +67,11 @@ class Pairs:
     true_boxes: Integers
     tracked_boxes: Integers
 
+    @property
+    def length(self) -> int:
+        """Number of frames up to the last that has a box, those without boxes included."""
+        return 1 + self.frames[-1].index if self.frames else 0
+
 
 def pair(truth: Tracks, tracks: Tracks) -> Pairs:
     """Every true box beside every tracked box of its frame; of identities only equality matters."""
@@ -73,9 +82,9 @@ def pair(truth: Tracks, tracks: Tracks) -> Pairs:
     frames = []
     for frame in sorted(rows.keys() | tracked_rows.keys()):
         i, j = rows.get(frame, nothing), tracked_rows.get(frame, nothing)
-        frames.append(
-            FramePairs(true[i], tracked[j], overlap(centres[i][:, None], tracked_centres[j][None, :]))
-        )
+        a, b = centres[i][:, None], tracked_centres[j][None, :]
+        distance = np.hypot(a[..., 0] - b[..., 0], a[..., 1] - b[..., 1])
+        frames.append(FramePairs(frame, true[i], tracked[j], overlap(a, b), distance))
     return Pairs(tuple(frames), true_boxes, tracked_boxes)
 
 

@@ -1,0 +1,153 @@
+"""Trajectory GOSPA (García-Fernández, Rahmathullah & Svensson 2020): GOSPA with a cost for track switches.
+
+Its multi-dimensional assignment is relaxed to a linear program, which is a metric, too, and never larger.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesnet_track.evaluate.gospa import CUTOFF_PX, ORDER, check_metric, unmatched_cost
+from bayesnet_track.evaluate.mot_pairs import Floats, Integers, Pairs
+
+
+@dataclass(frozen=True)
+class TrajectoryGospa:
+    """Trajectory GOSPA of a sequence, in parts that add up in its power p.
+
+    Attributes:
+        frames: number of frames K, those without boxes included.
+        localisation: sum of d^p over the matched pairs of all frames.
+        missed: true boxes without a match.
+        false: tracked boxes without a match.
+        switches: changes of the track; from or to none, a half. Like the two above it can be a fraction, as
+            relaxed assignments can.
+        cutoff_px: c.
+        order: p.
+        switch_px: gamma.
+    """
+
+    frames: int
+    localisation: float
+    missed: float
+    false: float
+    switches: float
+    cutoff_px: float
+    order: float
+    switch_px: float
+
+    @property
+    def total_px(self) -> float:
+        """The metric, divided by K^(1/p): without switches, GOSPA of the sequence."""
+        unmatched = unmatched_cost(self.cutoff_px, self.order) * (self.missed + self.false)
+        return self._mean_px(self.localisation + unmatched + self.switch_px**self.order * self.switches)
+
+    @property
+    def switches_px(self) -> float:
+        """Its part from changes of the track."""
+        return self._mean_px(self.switch_px**self.order * self.switches)
+
+    def _mean_px(self, total: float) -> float:
+        return float((max(total, 0.0) / self.frames) ** (1 / self.order)) if self.frames else 0.0
+
+
+def trajectory_gospa(
+    pairs: Pairs,
+    cutoff_px: float = CUTOFF_PX,
+    order: float = ORDER,
+    switch_px: float | None = None,
+) -> TrajectoryGospa:
+    """Trajectory GOSPA of a sequence.
+
+    `switch_px` (gamma) is c / 2^(1/p) unless given: a switch then costs as much as a missed box.
+
+    Raises:
+        ValueError: a cut-off of 0 or less, an order below 1, or a switch cost below 0.
+        RuntimeError: the linear program could not be solved.
+    """
+    check_metric(cutoff_px, order)
+    gamma = unmatched_cost(cutoff_px, order) ** (1 / order) if switch_px is None else switch_px
+    if not 0 <= gamma < np.inf:
+        raise ValueError(f"switch cost {gamma:g}; expected a distance from 0 px on")
+    gain = matched = switches = 0.0
+    for part in _parts(pairs, cutoff_px, order):
+        weights = _solve(part, gamma**order / 2)
+        gain += float((part.gains * weights).sum())
+        matched += float(weights[part.gains > 0].sum())
+        switches += float(np.abs(np.diff(weights, axis=0)).sum()) / 2
+    missed, false = float(pairs.true_boxes.sum()) - matched, float(pairs.tracked_boxes.sum()) - matched
+    localisation = cutoff_px**order * matched - gain
+    return TrajectoryGospa(pairs.length, localisation, missed, false, switches, cutoff_px, order, gamma)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Targets and tracks that have to do with each other, directly or through others, and nobody else.
+
+    Attributes:
+        gains: (F, P) c^p - d^p of each pair in each frame in which one of them is nearer than c; else 0.
+        true: (P,) the target of each pair that is ever nearer than c.
+        tracked: (P,) its track.
+    """
+
+    gains: Floats
+    true: Integers
+    tracked: Integers
+
+
+def _parts(pairs: Pairs, cutoff_px: float, order: float) -> Iterator[_Part]:
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    frames, true, tracked, gains = [], [], [], []
+    for number, frame in enumerate(pairs.frames):
+        i, j = np.nonzero(frame.distance < cutoff_px)
+        frames.append(np.full(len(i), number))
+        true.append(frame.true[i])
+        tracked.append(frame.tracked[j])
+        gains.append(cutoff_px**order - frame.distance[i, j] ** order)
+    if not frames:
+        return
+    row, i, j, gain = (np.concatenate(one) for one in (frames, true, tracked, gains))
+    targets = len(pairs.true_boxes)
+    size = targets + len(pairs.tracked_boxes)
+    _, labels = connected_components(coo_array((np.ones(len(i)), (i, targets + j)), (size, size)), False)
+    for label in np.unique(labels[i]):
+        own = labels[i] == label
+        _, at = np.unique(row[own], return_inverse=True)  # frames without gain change nothing
+        both, pair = np.unique(np.stack([i[own], j[own]]), axis=1, return_inverse=True)
+        table = np.zeros((at.max() + 1, both.shape[1]))
+        table[at, pair.ravel()] = gain[own]
+        yield _Part(table, both[0], both[1])
+
+
+def _solve(part: _Part, half_switch: float) -> Floats:
+    """(F, P) weights 0..1 that gain most, at most 1 in all for a target or a track in a frame."""
+    from scipy.optimize import linprog
+    from scipy.sparse import block_array, diags_array, eye_array, kron
+
+    frames, count = part.gains.shape
+    if count == 1:
+        return np.ones((frames, 1))  # alone, a pair has nothing to gain from parting
+    members = np.vstack([side == one for side in (part.true, part.tracked) for one in np.unique(side)])
+    shared = members[members.sum(axis=1) > 1].astype(np.float64)
+    capacity = kron(eye_array(frames), shared)
+    step = diags_array(
+        [-np.ones(frames - 1), np.ones(frames - 1)], offsets=[0, 1], shape=(frames - 1, frames)
+    )
+    change = kron(step, eye_array(count))
+    slack = -eye_array((frames - 1) * count)
+    limits = np.concatenate([np.ones(capacity.shape[0]), np.zeros(2 * slack.shape[0])])
+    answer = linprog(
+        np.concatenate([-part.gains.ravel(), np.full(slack.shape[0], half_switch)]),
+        A_ub=block_array([[capacity, None], [change, slack], [-change, slack]], format="csr"),
+        b_ub=limits,
+        bounds=(0, 1),
+        method="highs",
+    )
+    if answer.x is None:
+        raise RuntimeError(f"trajectory GOSPA: {answer.message}")
+    return np.asarray(answer.x[: part.gains.size].reshape(part.gains.shape), dtype=np.float64)
