@@ -16,7 +16,7 @@ from bayesnet_track.cli.commands.resume import add_resume
 from bayesnet_track.cli.commands.tracking import add_demo, add_run
 from bayesnet_track.cli.commands.verify import add_verify
 from bayesnet_track.cli.commands.what_if import add_what_if
-from bayesnet_track.cli.options.arguments import whole_number
+from bayesnet_track.cli.options.arguments import pixels, whole_number
 from bayesnet_track.cli.options.doctor import add_doctor
 from bayesnet_track.cli.options.learn import add_calibrate, add_learn_shape, add_learn_stereo
 from bayesnet_track.cli.options.plugins import add_plugins
@@ -85,6 +85,17 @@ def make_parser() -> argparse.ArgumentParser:
     )
     score.add_argument(
         "--target", metavar="ID", help="which target, where the run has several and the truth one"
+    )
+    score.add_argument(
+        "--cutoff",
+        type=pixels,
+        metavar="PX",
+        help="several targets: the cut-off c of GOSPA, OSPA(2) and SIAP (default: 50)",
+    )
+    score.add_argument(
+        "--trajectories",
+        action="store_true",
+        help="several targets: trajectory GOSPA, too; minutes where many cross",
     )
     score.add_argument("--json", action="store_true", help="print the scores as JSON")
 

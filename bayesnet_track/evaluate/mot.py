@@ -1,4 +1,4 @@
-"""Scores of several targets at once: MOTA, IDF1 and HOTA, with what they are made of."""
+"""Scores of several targets at once: MOTA, IDF1, HOTA, GOSPA, OSPA(2) and SIAP, with their parts."""
 
 from __future__ import annotations
 
@@ -10,10 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from bayesnet_track.evaluate.clear_mot import clear_mot
+from bayesnet_track.evaluate.gospa import CUTOFF_PX, ORDER, gospa
 from bayesnet_track.evaluate.hota import ALPHAS, hota
 from bayesnet_track.evaluate.identity import identity
 from bayesnet_track.evaluate.mot_files import read_mot_tracks, read_mot_truth
 from bayesnet_track.evaluate.mot_pairs import Tracks, pair
+from bayesnet_track.evaluate.ospa2 import ospa2
+from bayesnet_track.evaluate.siap import siap
+from bayesnet_track.evaluate.trajectory_gospa import trajectory_gospa
 
 MEANINGS: Mapping[str, str] = {
     "frames": "up to the last that has a box",
@@ -33,6 +37,20 @@ MEANINGS: Mapping[str, str] = {
     "deta": "detection: matched / (matched + missed + false)",
     "assa": "association: how much of its target and its track a matched pair has in common",
     "loca": "mean IoU of the matched boxes",
+    "cutoff_px": "px: c of the figures below, the distance of box centres from which on none match",
+    "gospa": "px: root mean square GOSPA of the frames, p = 2, alpha = 2; squares of its parts add up",
+    "gospa_loc": "px: its part from distances of matched boxes",
+    "gospa_missed": "px: its part from missed targets",
+    "gospa_false": "px: its part from false tracks",
+    "ospa2": "px, 0 to c: OSPA(2) of whole trajectories (p = 2)",
+    "siap_complete": "SIAP completeness: share of the true boxes on which a track is",
+    "siap_ambiguity": "SIAP ambiguity: tracks on each of these",
+    "siap_spurious": "SIAP spuriousness: share of the tracked boxes on no target",
+    "siap_px": "SIAP positional accuracy: mean distance of track and target, px",
+    "siap_breaks": "SIAP rate of track number changes, per frame tracked",
+    "siap_longest": "SIAP longest track segment: share of the targets' lifetimes",
+    "tgospa": "px: GOSPA of whole trajectories; like gospa, and a switch costs as much as a missed box",
+    "tgospa_switch": "px: its part from switches",
 }
 
 
@@ -58,6 +76,20 @@ class MotScore:
         deta: detection accuracy,
         assa: association accuracy,
         loca: localisation accuracy.
+        cutoff_px: cut-off c of all figures from here to `tgospa_switch`, in px of box centres.
+        gospa: root mean square of the frames' GOSPA, p = 2, alpha = 2, px.
+        gospa_loc: its part from the distances of matched boxes; the squares of the three parts add up.
+        gospa_missed: its part from missed targets.
+        gospa_false: its part from false tracks.
+        ospa2: OSPA(2) over the whole sequence, p = 2, px.
+        siap_complete: SIAP completeness.
+        siap_ambiguity: SIAP ambiguity, from 1.
+        siap_spurious: SIAP spuriousness.
+        siap_px: SIAP positional accuracy, px.
+        siap_breaks: SIAP rate of track number changes, per frame tracked.
+        siap_longest: SIAP longest track segment.
+        tgospa: trajectory GOSPA in the units of `gospa`; None unless it is asked for.
+        tgospa_switch: its part from switches.
         alphas: thresholds of IoU of the curves.
         hota_at: HOTA at each.
         deta_at: DetA at each.
@@ -82,6 +114,20 @@ class MotScore:
     deta: float
     assa: float
     loca: float
+    cutoff_px: float
+    gospa: float
+    gospa_loc: float
+    gospa_missed: float
+    gospa_false: float
+    ospa2: float
+    siap_complete: float
+    siap_ambiguity: float
+    siap_spurious: float
+    siap_px: float
+    siap_breaks: float
+    siap_longest: float
+    tgospa: float | None
+    tgospa_switch: float | None
     alphas: tuple[float, ...]
     hota_at: tuple[float, ...]
     deta_at: tuple[float, ...]
@@ -93,6 +139,8 @@ class MotScore:
         lines = []
         for name, meaning in MEANINGS.items():
             value = getattr(self, name)
+            if value is None:
+                continue
             line = f"{name:<14} {value if isinstance(value, int) else format(value, '.4f')}"
             lines.append(f"{line:<26} {meaning}" if explained else line)
         return "\n".join(lines)
@@ -102,18 +150,28 @@ class MotScore:
         return json.dumps(asdict(self))
 
 
-def score_mot(truth: Tracks, tracks: Tracks) -> MotScore:
+def score_mot(
+    truth: Tracks, tracks: Tracks, cutoff_px: float = CUTOFF_PX, trajectories: bool = False
+) -> MotScore:
     """Scores of tracks against the truth; every frame counts, also those that only one of the two has.
 
+    Args:
+        truth: the true boxes.
+        tracks: the tracked ones.
+        cutoff_px: cut-off c of GOSPA, OSPA(2) and SIAP.
+        trajectories: also solve for trajectory GOSPA, which takes long where many cross.
+
     Raises:
-        ValueError: the truth has no box.
+        ValueError: the truth has no box, or a cut-off of 0 or less.
     """
     if not len(truth):
         raise ValueError("the truth has no box")
     pairs = pair(truth, tracks)
     clear, own, higher = clear_mot(pairs), identity(pairs), hota(pairs)
+    sets, picture = gospa(pairs, cutoff_px, ORDER), siap(pairs, cutoff_px)
+    whole = trajectory_gospa(pairs, cutoff_px, ORDER) if trajectories else None
     return MotScore(
-        frames=1 + int(max(truth.frames.max(), tracks.frames.max(initial=0))),
+        frames=pairs.length,
         true_ids=len(pairs.true_boxes),
         true_boxes=len(truth),
         track_ids=len(pairs.tracked_boxes),
@@ -130,6 +188,20 @@ def score_mot(truth: Tracks, tracks: Tracks) -> MotScore:
         deta=float(higher.deta.mean()),
         assa=float(higher.assa.mean()),
         loca=float(higher.loca.mean()),
+        cutoff_px=cutoff_px,
+        gospa=sets.total_px,
+        gospa_loc=sets.localisation_px,
+        gospa_missed=sets.missed_px,
+        gospa_false=sets.false_px,
+        ospa2=ospa2(pairs, cutoff_px, ORDER),
+        siap_complete=picture.completeness,
+        siap_ambiguity=picture.ambiguity,
+        siap_spurious=picture.spuriousness,
+        siap_px=picture.position_px,
+        siap_breaks=picture.breaks,
+        siap_longest=picture.longest,
+        tgospa=None if whole is None else whole.total_px,
+        tgospa_switch=None if whole is None else whole.switches_px,
         alphas=tuple(np.round(ALPHAS, 2).tolist()),
         hota_at=tuple(higher.hota.tolist()),
         deta_at=tuple(higher.deta.tolist()),
@@ -138,11 +210,16 @@ def score_mot(truth: Tracks, tracks: Tracks) -> MotScore:
     )
 
 
-def score_mot_files(tracks_path: str | Path, truth_path: str | Path) -> MotScore:
-    """Scores of a tracks file against a ground-truth file, both MOT.
+def score_mot_files(
+    tracks_path: str | Path,
+    truth_path: str | Path,
+    cutoff_px: float = CUTOFF_PX,
+    trajectories: bool = False,
+) -> MotScore:
+    """Scores of a tracks file against a ground-truth file, both MOT; see `score_mot`.
 
     Raises:
         OSError: a file cannot be read.
         ValueError: a malformed file; says file and line.
     """
-    return score_mot(read_mot_truth(truth_path), read_mot_tracks(tracks_path))
+    return score_mot(read_mot_truth(truth_path), read_mot_tracks(tracks_path), cutoff_px, trajectories)

@@ -252,12 +252,24 @@ def test_truth_and_tracks_exchanged(scene):
 
 
 def test_text_and_json_say_the_same():
-    score = score_mot(*generated(1, 20, 4000, 20))
+    score = score_mot(*generated(1, 20, 4000, 20), trajectories=True)
     told, lines = json.loads(score.json()), score.text(explained=True).splitlines()
     assert told == json.loads(json.dumps(asdict(score)))
     assert [line.split()[0] for line in lines] == list(MEANINGS)
     assert all(float(line.split()[1]) == round(told[line.split()[0]], 4) for line in lines)
     assert len(told["alphas"]) == len(told["hota_at"]) == 19
+
+
+def test_figures_of_distances():
+    """10 frames of two targets, found 3 px off but for one box: squares of 3 px, and of c / sqrt(2) once."""
+    found = tracks(
+        *[(f, one, x + 3, 5, 10, 20) for f in range(10) for one, x in APART.items() if (f, one) != (4, 2)]
+    )
+    score = score_mot(TWO, found, cutoff_px=20.0, trajectories=True)
+    check(score, cutoff_px=20, gospa_loc=np.sqrt(19 * 9 / 10), gospa_missed=np.sqrt(200 / 10), gospa_false=0)
+    check(score, gospa=np.sqrt(371 / 10), ospa2=np.sqrt((3**2 + 4.7**2) / 2), siap_px=3, siap_complete=0.95)
+    check(score, tgospa=score.gospa, tgospa_switch=0)
+    assert score_mot(TWO, found).tgospa is None and "tgospa" not in score_mot(TWO, found).text()
 
 
 def test_a_truth_without_boxes_is_refused():

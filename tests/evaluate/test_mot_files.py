@@ -91,6 +91,19 @@ def test_score_of_several_targets(cli, write, of_a_run):
     assert code == 0 and "\nidsw           1           identity switches\n" in out
 
 
+def test_the_cut_off_and_trajectories_are_set_by_options(cli, write):
+    """The two tracks are exact, and the third box is nowhere: 1 missed, 1 false, 1 switch in 2 frames."""
+    tracks, truth, single = write("tracks.txt", TRACKS), write("gt.txt", TRUTH), write("one.txt", "1,2,3,4\n")
+    code, out, _ = cli("score", tracks, "--truth", truth, "--cutoff", 10, "--trajectories", "--json")
+    told = json.loads(out)
+    assert code == 0 and told["cutoff_px"] == 10 and told["gospa"] == pytest.approx(50**0.5)
+    assert told["tgospa"] == pytest.approx(75**0.5) and told["tgospa_switch"] == pytest.approx(25**0.5)
+    write("run/journal.jsonl", "")
+    for option in (["--cutoff", 10], ["--trajectories"]):
+        code, _, err = cli("score", single.parent / "run", "--truth", single, *option)
+        assert code == 2 and f"{option[0]}: {single} is the ground truth of one target" in err
+
+
 def test_a_run_brings_its_own_truth_of_several_targets(cli, write):
     for name, text in (("tracks.txt", TRACKS), ("journal.jsonl", ""), ("truth.txt", TRUTH)):
         path = write(f"run/{name}", text)

@@ -99,17 +99,22 @@ def score(options: argparse.Namespace) -> int:
     with users_mistake():
         if is_mot(truth):
             return _score_several(directory.mot, truth, options)
+        if options.cutoff is not None or options.trajectories:
+            option = "--trajectories" if options.cutoff is None else "--cutoff"
+            raise UsageError(f"{option}: {truth} is the ground truth of one target, not MOT; leave it out")
         result = score_run(directory.path, truth, options.target)
     say(result.json() if options.json else result.text(explained=True))
     return OK
 
 
 def _score_several(tracks: Path, truth: Path, options: argparse.Namespace) -> int:
+    from bayesnet_track.evaluate.gospa import CUTOFF_PX
     from bayesnet_track.evaluate.mot import score_mot_files
 
     if options.target is not None:
         raise UsageError(f"--target: all targets in {truth} are scored at once; leave it out")
+    cutoff = CUTOFF_PX if options.cutoff is None else options.cutoff
     with users_mistake():
-        result = score_mot_files(tracks, truth)
+        result = score_mot_files(tracks, truth, cutoff, options.trajectories)
     say(result.json() if options.json else result.text(explained=True))
     return OK

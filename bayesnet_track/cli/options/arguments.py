@@ -28,6 +28,17 @@ def metres(text: str) -> float:
     return value
 
 
+def pixels(text: str) -> float:
+    """Parser of a distance in px."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text!r}: a distance above 0 in px is needed")
+    return value
+
+
 def milliseconds(text: str) -> float:
     """Parser of a time."""
     try:
