@@ -17,7 +17,8 @@ import numpy as np
 
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.events.basic import Event, SecondPass
+from bayesnet_track.journal.events.basic import Event
+from bayesnet_track.journal.events.belief_events import SecondPass
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.run import Result, Start, run
 from bayesnet_track.sources.scene_source import SceneSource

@@ -36,7 +36,8 @@ from bayesnet_track.inference.learn import learning_rate, over_frames
 from bayesnet_track.inference.measure import measure
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.inference.part_measures import part_rates
-from bayesnet_track.journal.events.basic import DegenerateBelief, Event, FrameMetrics
+from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.events.belief_events import DegenerateBelief
 from bayesnet_track.journal.events.join_events import JoinMetrics
 from bayesnet_track.journal.net.net import Decision, Net, Quarantined
 from bayesnet_track.observation.planes import Frame, PlaneCache

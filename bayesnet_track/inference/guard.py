@@ -15,7 +15,8 @@ from bayesnet_track.graph.spec import Guard
 from bayesnet_track.inference.absent import Missing, Roll
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.inference.learn import NO_PARTS, blended
-from bayesnet_track.journal.events.basic import Event, ReferenceGuarded
+from bayesnet_track.journal.events.basic import Event
+from bayesnet_track.journal.events.belief_events import ReferenceGuarded
 from bayesnet_track.observation.cue import AnyCue, Cue, Floats, Hypotheses, Reference, context_of
 from bayesnet_track.observation.guests import FAULTS, text_of
 from bayesnet_track.observation.planes import PlaneCache, region_of_boxes

@@ -21,7 +21,7 @@ from typing import Any, Literal, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.journal.events.basic import (
+from bayesnet_track.journal.events.source_events import (
     FramesDropped,
     FrameSizeChanged,
     FramesMissing,

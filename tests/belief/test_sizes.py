@@ -12,7 +12,7 @@ from bayesnet_track.belief.particles.belief import ParticleFilter, ParticleSet
 from bayesnet_track.belief.particles.resized import NOTABLE, Sizing, begin_with, limit_of, turning_of
 from bayesnet_track.belief.particles.sample_size import Need, Sized, need_of
 from bayesnet_track.graph import spec
-from bayesnet_track.journal.events.basic import ParticlesResized
+from bayesnet_track.journal.events.belief_events import ParticlesResized
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.numerics import sample_size
 from bayesnet_track.numerics.log_weights import LogWeights

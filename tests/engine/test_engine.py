@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayesnet_track.engine.step import State, start_target, step
-from bayesnet_track.journal.events.basic import DegenerateBelief
+from bayesnet_track.journal.events.belief_events import DegenerateBelief
 from bayesnet_track.journal.net.net import (
     Activated,
     Deactivated,

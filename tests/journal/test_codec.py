@@ -21,13 +21,8 @@ from bayesnet_track.journal.codec import (
     type_hints,
 )
 from bayesnet_track.journal.encoder import FLOAT_DIGITS
-from bayesnet_track.journal.events.basic import (
-    JOURNAL_VERSION,
-    FrameMetrics,
-    RunEnded,
-    RunStarted,
-    SourceDamaged,
-)
+from bayesnet_track.journal.events.basic import JOURNAL_VERSION, FrameMetrics, RunEnded, RunStarted
+from bayesnet_track.journal.events.source_events import SourceDamaged
 from bayesnet_track.journal.net.net import Activated, Cause, Deactivated, StatusChanged
 
 SIMPLE = {

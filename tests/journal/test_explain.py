@@ -8,22 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.journal.events.basic import (
+from bayesnet_track.journal.events.basic import Event, FrameMetrics, RunEnded, RunStarted
+from bayesnet_track.journal.events.belief_events import (
     BeliefReset,
     DegenerateBelief,
-    Event,
-    FrameMetrics,
-    FramesDropped,
-    FrameSizeChanged,
-    FramesMissing,
     MeasurementGated,
     ParticlesResized,
     ReferenceGuarded,
-    RunEnded,
-    RunStarted,
     SecondPass,
-    SourceDamaged,
-    SourceStalled,
 )
 from bayesnet_track.journal.events.inputs import AgentMissed, InputRefused
 from bayesnet_track.journal.events.join_events import AttachmentChanged, OcclusionChanged, RingChanged
@@ -31,6 +23,13 @@ from bayesnet_track.journal.events.jump_events import Reappeared
 from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
 from bayesnet_track.journal.events.machine_events import MachineChanged
 from bayesnet_track.journal.events.rival_events import RivalSeen
+from bayesnet_track.journal.events.source_events import (
+    FramesDropped,
+    FrameSizeChanged,
+    FramesMissing,
+    SourceDamaged,
+    SourceStalled,
+)
 from bayesnet_track.journal.net.join_decisions import Joined, Parted
 from bayesnet_track.journal.net.life_decisions import (
     DuplicateEnded,

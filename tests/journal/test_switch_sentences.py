@@ -7,7 +7,7 @@ import math
 import pytest
 
 from bayesnet_track.journal.codec import from_json, to_json
-from bayesnet_track.journal.events.basic import ReferenceGuarded
+from bayesnet_track.journal.events.belief_events import ReferenceGuarded
 from bayesnet_track.journal.net.net import Activated, Concentration, Deactivated
 from bayesnet_track.journal.text.explain import explain
 

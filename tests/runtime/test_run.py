@@ -12,13 +12,8 @@ import pytest
 
 from bayesnet_track import Tracker
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.events.basic import (
-    FrameSizeChanged,
-    FramesMissing,
-    RunEnded,
-    RunStarted,
-    SourceDamaged,
-)
+from bayesnet_track.journal.events.basic import RunEnded, RunStarted
+from bayesnet_track.journal.events.source_events import FrameSizeChanged, FramesMissing, SourceDamaged
 from bayesnet_track.journal.net.net import Activated, Deactivated, Decision, TargetStarted, replay
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.numerics.boxes import corner_from_centre

@@ -9,7 +9,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from bayesnet_track.journal.events.basic import FramesDropped, FramesMissing, SourceDamaged, SourceStalled
+from bayesnet_track.journal.events.source_events import (
+    FramesDropped,
+    FramesMissing,
+    SourceDamaged,
+    SourceStalled,
+)
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.frames import Dropped, Picture, Source
 from bayesnet_track.sources.live import LiveReader, _Drops

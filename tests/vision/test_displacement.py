@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Tracker
-from bayesnet_track.journal.events.basic import BeliefReset
+from bayesnet_track.journal.events.belief_events import BeliefReset
 from bayesnet_track.journal.net.net import Quarantined
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.sources.scenes import make_scene

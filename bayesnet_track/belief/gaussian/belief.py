@@ -16,7 +16,8 @@ from bayesnet_track.belief.gaussian.predict import predict, require_linear
 from bayesnet_track.belief.gaussian.update import Asked, Gated, Taken, ask, fitted, log_message, matched, take
 from bayesnet_track.belief.states import WeightedStates, hypotheses_of
 from bayesnet_track.graph import spec
-from bayesnet_track.journal.events.basic import Event, MeasurementGated
+from bayesnet_track.journal.events.basic import Event
+from bayesnet_track.journal.events.belief_events import MeasurementGated
 from bayesnet_track.numerics.disc import gaussian_mass_in_disc
 from bayesnet_track.numerics.gaussian import root
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights

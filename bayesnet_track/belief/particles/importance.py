@@ -17,7 +17,7 @@ from bayesnet_track.belief.particles.proposals import Both, fitted_draws, log_su
 from bayesnet_track.belief.particles.sample_size import Sized
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.settings.proposals import Adaptive, Auxiliary, LikelihoodMixture, Rejection, West
-from bayesnet_track.journal.events.basic import SecondPass
+from bayesnet_track.journal.events.belief_events import SecondPass
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 

@@ -5,21 +5,14 @@ from __future__ import annotations
 import math
 from typing import assert_never
 
-from bayesnet_track.journal.events.basic import (
+from bayesnet_track.journal.events.basic import Event, RunEnded, RunStarted
+from bayesnet_track.journal.events.belief_events import (
     BeliefReset,
     DegenerateBelief,
-    Event,
-    FramesDropped,
-    FrameSizeChanged,
-    FramesMissing,
     MeasurementGated,
     ParticlesResized,
     ReferenceGuarded,
-    RunEnded,
-    RunStarted,
     SecondPass,
-    SourceDamaged,
-    SourceStalled,
 )
 from bayesnet_track.journal.events.inputs import AgentMissed, InputRefused
 from bayesnet_track.journal.events.join_events import AttachmentChanged, OcclusionChanged, RingChanged
@@ -27,6 +20,13 @@ from bayesnet_track.journal.events.jump_events import Reappeared, reappeared
 from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
 from bayesnet_track.journal.events.machine_events import MachineChanged
 from bayesnet_track.journal.events.rival_events import RivalSeen, rival_seen
+from bayesnet_track.journal.events.source_events import (
+    FramesDropped,
+    FrameSizeChanged,
+    FramesMissing,
+    SourceDamaged,
+    SourceStalled,
+)
 from bayesnet_track.journal.net.hand_decisions import Released, Toggled
 from bayesnet_track.journal.net.join_decisions import Joined, Parted
 from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied

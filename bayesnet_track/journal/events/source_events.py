@@ -1,0 +1,78 @@
+"""What happens to the frames of a source: missing, dropped, late, of another size, damaged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class FramesMissing:
+    """The source jumps in time: frames are missing before `frame`; the belief is predicted over the gap.
+
+    Attributes:
+        frame: first frame after the gap.
+        missing: how many nominal frame intervals are missing.
+    """
+
+    frame: int
+    missing: float
+
+
+@dataclass(frozen=True)
+class FrameSizeChanged:
+    """The pictures change size or channels at this frame.
+
+    Attributes:
+        frame: the frame.
+        width: new columns.
+        height: new rows.
+        action: stop, or rescale to the first frame's size.
+    """
+
+    frame: int
+    width: int
+    height: int
+    action: str
+
+
+@dataclass(frozen=True)
+class SourceDamaged:
+    """The source is damaged at or before this frame.
+
+    Attributes:
+        frame: next frame to be read.
+        reason: what the decoder said.
+    """
+
+    frame: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class FramesDropped:
+    """Pictures of a live source were dropped, since something newer was there when the tracker was ready.
+
+    Attributes:
+        frame: next frame to be read.
+        dropped: how many since the last line like this.
+    """
+
+    frame: int
+    dropped: int
+
+
+@dataclass(frozen=True)
+class SourceStalled:
+    """A live source gave no picture for a while; it is connected to anew.
+
+    Attributes:
+        frame: next frame to be read.
+        seconds: wall-clock seconds since the last picture.
+        reason: what was wrong.
+        attempt: how often that was tried since the last picture, this time included.
+    """
+
+    frame: int
+    seconds: float
+    reason: str
+    attempt: int
