@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from bayesnet_track.journal.compare import Comparison, Distance, Moment, RunRecord
+from bayesnet_track.journal.compare import Comparison, Distance, RunRecord
+from bayesnet_track.journal.compare_moments import Moment
 from bayesnet_track.journal.events.basic import FrameMetrics
 from bayesnet_track.journal.net.net import Switch, TargetStarted
 from bayesnet_track.journal.text.explain import explain

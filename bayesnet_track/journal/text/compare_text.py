@@ -7,7 +7,8 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from itertools import islice, takewhile
 
-from bayesnet_track.journal.compare import Comparison, Moment, RunRecord, Total
+from bayesnet_track.journal.compare import Comparison, RunRecord, Total
+from bayesnet_track.journal.compare_moments import Moment
 from bayesnet_track.journal.events.basic import RunStarted
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.journal.text.explain import explain

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import assert_never
 
 from bayesnet_track.journal.events.basic import Event, RunEnded, RunStarted
@@ -45,6 +44,12 @@ from bayesnet_track.journal.net.net import (
     StatusChanged,
     TakenBack,
     TargetStarted,
+)
+from bayesnet_track.journal.text.belief_sentences import (
+    belief_reset,
+    measurement_gated,
+    particles_resized,
+    second_pass,
 )
 from bayesnet_track.journal.text.fault_sentences import (
     by_hand,
@@ -194,11 +199,11 @@ def happened(
         case StatusChanged():
             return _status(event)
         case MeasurementGated():
-            return _gated(event)
+            return measurement_gated(event)
         case ParticlesResized():
-            return _resized(event)
+            return particles_resized(event)
         case SecondPass():
-            return _second_pass(event)
+            return second_pass(event)
         case Reappeared():
             return reappeared(event)
         case CandidateConfirmed():
@@ -226,7 +231,7 @@ def happened(
         case RingChanged():
             return ring_changed(event)
         case BeliefReset():
-            return _reset(event)
+            return belief_reset(event)
         case DegenerateBelief():
             return f"no hypothesis of target {event.target} can be used: {event.reason}; the prediction stays"
         case _:
@@ -270,70 +275,3 @@ def _by_score(event: StatusChanged, cause: ScoreCause) -> str:
         return f"{found} → target {event.target} {event.status}; would have stayed at {key} ≤ {turning}"
     status = "found again" if event.status == "tracking" else event.status
     return f"{found} → target {event.target} {status}; would have stayed at a level > {turning}"
-
-
-def _reset(event: BeliefReset) -> str:
-    gamma, below = told_apart(event.gamma, event.below)
-    over = "the belief's bounding box" if event.region == "belief" else "the image"
-    then = (
-        f"the belief of target {event.target} starts again from the frame's likelihood"
-        if event.action == "reset"
-        else "the frame's evidence is ignored"
-    )
-    turning = rounded(event.gamma, decimals(event.gamma, event.below), up=False)
-    return f"γ {gamma} < {below} over {over} ({event.region_px2:.0f} px²) → {then}; not at below ≤ {turning}"
-
-
-def _resized(event: ParticlesResized) -> str:
-    settings = f"{event.method}, {event.setting} {event.level:g}"
-    by = "this frame's evidence" if event.early else "the last frame's evidence"
-    asked = f"{_why_so_many(event)}: {by} asks for {event.need:.0f} hypotheses ({settings})"
-    held = {"max": ", held by max", "min": ", held by min", "ess": ", too few effective to save any"}
-    number = f"{event.particles}{held.get(event.limit, '')}, {event.before} before"
-    return f"{asked} → {number}{_not_resized(event)}"
-
-
-def _why_so_many(event: ParticlesResized) -> str:
-    """The numbers that the need was computed from."""
-    parts = []
-    if event.bins is not None and event.bin_px is not None:
-        parts.append(f"{event.field} spans {plural(event.bins, 'bin')} of {event.bin_px:g} px")
-    if event.sd_px is not None:
-        parts.append(f"{event.field} has an sd of {event.sd_px:.3g} px")
-    if event.worth is not None and event.method != "kld":
-        parts.append(f"{event.worth:.3g} hypotheses are worth one of the posterior's")
-    return ", ".join([*parts, f"{event.ess:.0f} effective"])
-
-
-def _not_resized(event: ParticlesResized) -> str:
-    """What would have prevented it: a larger error asks for fewer, a larger threshold for more."""
-    if event.turning is None:
-        return ""
-    up = (event.particles > event.before) == (event.setting != "threshold")
-    turning = rounded(event.turning, decimals(event.turning, event.level), up)
-    return f"; would have stayed near {event.before} at {event.setting} {'≥' if up else '≤'} {turning}"
-
-
-def _gated(event: MeasurementGated) -> str:
-    d2, limit = told_apart(event.d2, event.limit)
-    of = plural(event.degrees, "degree")
-    then = "" if event.used else "; nothing else was measured near the prediction"
-    # Rounded up, so that the gate named does let it pass.
-    digits = min(max(2, math.ceil(-math.log10(max(1.0 - event.turning, 1e-300)))), 12)
-    turning = math.ceil(event.turning * 10.0**digits) / 10.0**digits
-    gate = f"gate ≥ {turning:.12g}" if turning < 1 else "gate: 1"
-    return (
-        f"{event.node} measured d² {d2} > {limit} from the prediction (gate {event.gate:g}, {of} of freedom) "
-        f"→ not used{then}; would have been used at {gate}"
-    )
-
-
-def _second_pass(event: SecondPass) -> str:
-    found, level = told_apart(event.kl, event.above_kl)
-    how = "" if event.method == "adaptive" else f", by {event.method}"
-    turning = rounded(event.kl, decimals(event.kl, event.above_kl), up=True)
-    return (
-        f"KL(posterior, prior) {found} nats > {level} → second pass of {event.particles} hypotheses{how}, "
-        f"{event.ess_first:.0f} effective before, {event.ess:.0f} after; "
-        f"would have been spared at above_kl ≥ {turning}"
-    )
