@@ -10,15 +10,12 @@ from pathlib import Path
 import pytest
 import yaml
 
-from bayesnet_track.cli.main import main
 from bayesnet_track.cli.parser import make_parser
 from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.graphs import graph_names
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs").glob("*/*.md"))]
-TO_RUN = ("ten_minutes", "thresholds", "reading_the_log")
-"""Pages of which every command of this program is run, one after the other, in one folder."""
 
 
 def blocks(page, language):
@@ -70,23 +67,6 @@ def test_every_link_between_pages_leads_somewhere(page):
     for target in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", text):
         if not target.startswith("gallery/"):  # made when the pages are built
             assert (page.parent / target).exists(), f"{name_of(page)}: {target}"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", TO_RUN)
-def test_the_commands_of_the_first_pages_run(name, tmp_path, monkeypatch):
-    """Those that ask for a video of one's own are left out."""
-    monkeypatch.chdir(tmp_path)
-    ran = 0
-    for words in commands(ROOT / "docs" / f"{name}.md"):
-        if "--source" not in words:
-            assert (
-                main([*words, *(["--quiet"] if words[0] == "demo" and "--quiet" not in words else [])]) == 0
-            )
-            ran += 1
-    assert ran >= 4
-    for block in blocks(ROOT / "docs" / f"{name}.md", "python"):
-        exec(compile(block, name, "exec"), {})
 
 
 def package_of_the_page(folder):
