@@ -19,6 +19,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from bayesnet_track.graph.spec import GraphSpec as GraphSpec
     from bayesnet_track.graph.text.load import load_graph as load_graph
+    from bayesnet_track.observation.cue import CueDeclaration as CueDeclaration
+    from bayesnet_track.observation.cue import CueParameters as CueParameters
+    from bayesnet_track.observation.geometry import box_means as box_means
+    from bayesnet_track.observation.likelihoods import floored as floored
     from bayesnet_track.runtime.recording.interchange import Detections as Detections
     from bayesnet_track.runtime.recording.opened import Run as Run
     from bayesnet_track.runtime.recording.opened import open_run as open_run
@@ -26,28 +30,39 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.run import Start as Start
     from bayesnet_track.runtime.session import track as track
     from bayesnet_track.runtime.tracker import Tracker as Tracker
+    from bayesnet_track.vision.planes.gray_plane import GrayPlane as GrayPlane
 
     __version__: str
 
 _HOMES = {
+    "CueDeclaration": "bayesnet_track.observation.cue",
+    "CueParameters": "bayesnet_track.observation.cue",
     "Detections": "bayesnet_track.runtime.recording.interchange",
     "GraphSpec": "bayesnet_track.graph.spec",
+    "GrayPlane": "bayesnet_track.vision.planes.gray_plane",
     "Result": "bayesnet_track.runtime.run",
     "Run": "bayesnet_track.runtime.recording.opened",
     "Start": "bayesnet_track.runtime.run",
     "Tracker": "bayesnet_track.runtime.tracker",
+    "box_means": "bayesnet_track.observation.geometry",
+    "floored": "bayesnet_track.observation.likelihoods",
     "load_graph": "bayesnet_track.graph.text.load",
     "open_run": "bayesnet_track.runtime.recording.opened",
     "track": "bayesnet_track.runtime.session",
 }
 
 __all__ = [
+    "CueDeclaration",
+    "CueParameters",
     "Detections",
     "GraphSpec",
+    "GrayPlane",
     "Result",
     "Run",
     "Start",
     "Tracker",
+    "box_means",
+    "floored",
     "load_graph",
     "open_run",
     "track",

@@ -247,4 +247,5 @@ CUE = CueDeclaration(
     make=_make,
     needs_color=True,
     cost_ms=2.0,
+    measures=True,
 )

@@ -210,4 +210,6 @@ CUE = CueDeclaration(
     make=_make,
     needs_color=True,
     cost_ms=1.4,
+    adapts=True,
+    has_residuals=True,
 )

@@ -162,4 +162,5 @@ CUE = CueDeclaration(
     make=_make,
     needs_color=True,
     cost_ms=0.7,
+    adapts=True,
 )

@@ -139,4 +139,5 @@ CUE = CueDeclaration(
     parameters=ColorKernelHistogramParameters,
     make=_make,
     cost_ms=7.7,
+    adapts=True,
 )

@@ -98,4 +98,5 @@ CUE = CueDeclaration(
     cost_ms=0.05,
     is_appearance=False,
     reads_claim=True,
+    measures=True,
 )

@@ -259,4 +259,5 @@ CUE = CueDeclaration(
     cost_ms=1.5,
     is_appearance=False,
     rate_max=0.3,
+    measures=True,
 )

@@ -177,4 +177,5 @@ CUE = CueDeclaration(
     make=_make,
     cost_ms=8.0,
     missing=_missing,
+    adapts=True,
 )

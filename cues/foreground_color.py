@@ -189,4 +189,5 @@ CUE = CueDeclaration(
     make=_make,
     cost_ms=0.4,
     rate_max=0.04,
+    adapts=True,
 )

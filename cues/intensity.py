@@ -240,4 +240,5 @@ CUE = CueDeclaration(
     parameters=IntensityParameters,
     make=_make,
     cost_ms=0.7,
+    adapts=True,
 )

@@ -264,4 +264,5 @@ CUE = CueDeclaration(
     make=_make,
     cost_ms=0.9,
     rate_max=0.2,
+    measures=True,
 )

@@ -179,4 +179,5 @@ CUE = CueDeclaration(
     parameters=MeanShiftParameters,
     make=_make,
     cost_ms=1.5,
+    measures=True,
 )

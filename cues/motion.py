@@ -256,4 +256,6 @@ CUE = CueDeclaration(
     cost_ms=1.0,
     is_appearance=False,
     rate_max=1.0,
+    adapts=True,
+    has_residuals=True,
 )

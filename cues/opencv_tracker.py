@@ -179,4 +179,5 @@ CUE = CueDeclaration(
     rate_max=0.2,
     opaque=True,
     missing=_missing,
+    measures=True,
 )

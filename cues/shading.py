@@ -159,4 +159,5 @@ CUE = CueDeclaration(
     parameters=ShadingParameters,
     make=_make,
     cost_ms=1.0,
+    adapts=True,
 )

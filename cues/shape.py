@@ -261,4 +261,5 @@ CUE = CueDeclaration(
     parameters=ShapeParameters,
     make=_make,
     cost_ms=16.0,
+    adapts=True,
 )

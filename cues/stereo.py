@@ -249,4 +249,5 @@ CUE = CueDeclaration(
     cost_ms=25.0,
     is_appearance=False,
     rate_max=0.3,
+    adapts=True,
 )

@@ -161,4 +161,5 @@ CUE = CueDeclaration(
     parameters=TextureParameters,
     make=_make,
     cost_ms=1.1,
+    adapts=True,
 )

@@ -24,6 +24,7 @@ from bayesnet_track.inference.measure import measure
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.streams import Streams
+from bayesnet_track.observation.capabilities import METHODS
 from bayesnet_track.observation.cue import CueDeclaration, CueParameters, Hypotheses, Reference, blend_arrays
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 
@@ -189,8 +190,10 @@ def flat(value: float = 0.0) -> Callable[..., Any]:
 
 
 def declare(cue: Any, **settings: Any) -> CueDeclaration:
+    flags = {flag: hasattr(cue, method) for flag, method in METHODS.items()}
     return CueDeclaration(
-        **{"name": "oracle", "summary": "", "parameters": CueParameters, "make": lambda p: cue, **settings}
+        **flags,
+        **{"name": "oracle", "summary": "", "parameters": CueParameters, "make": lambda p: cue, **settings},
     )
 
 

@@ -38,7 +38,7 @@ MAY_IMPORT = {
     "cli": BASE
     | {"engine", "evaluate", "graph", "graphs", "inference", "observation", "runtime", "sources", "view"}
     | {"vision"},
-    "__init__": {"graph", "runtime"},
+    "__init__": {"graph", "observation", "runtime", "vision"},
     "__main__": {"cli"},
 }
 FLOORS = 9

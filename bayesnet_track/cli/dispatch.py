@@ -108,7 +108,13 @@ def _say_what_is_missing(options: argparse.Namespace) -> None:
 
 
 def _allow(options: argparse.Namespace) -> None:
-    """Let the plug-ins of other packages that the user names be loaded."""
+    """Let the plug-ins of other packages that the user names be loaded, and load cue files."""
+    files = getattr(options, "cue_file", ())
+    if files:
+        from bayesnet_track.observation.cue_files import use_cue_file
+
+        for file in files:
+            use_cue_file(file)
     names = [name for given in getattr(options, "allow_plugins", ()) for name in given]
     if not names:
         return
@@ -125,6 +131,7 @@ def _allow(options: argparse.Namespace) -> None:
 def _code_of(error: Exception, command: str) -> int | None:
     from bayesnet_track.journal.codec import JournalError
     from bayesnet_track.journal.writer import OutputError
+    from bayesnet_track.observation.capabilities import CueError
     from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
     from bayesnet_track.runtime.checkpoints.recipe import RecipeError
     from bayesnet_track.runtime.checkpoints.resume import ResumeError
@@ -133,7 +140,7 @@ def _code_of(error: Exception, command: str) -> int | None:
     from bayesnet_track.sources.paths import SourceError
     from bayesnet_track.vision.stereo.stereo import CalibrationError
 
-    if isinstance(error, UsageError):
+    if isinstance(error, UsageError | CueError):
         return USAGE
     if isinstance(error, SourceError | JournalError | CalibrationError):
         return BAD_SOURCE

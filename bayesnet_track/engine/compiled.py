@@ -15,7 +15,6 @@ from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.checks.cues import plugin_parameters
-from bayesnet_track.graph.checks.run import cues_named
 from bayesnet_track.graph.settings.lifecycle import LifeRules, life_rules
 from bayesnet_track.graph.settings.motion import Moving
 from bayesnet_track.graph.spec import Guard, Join, Learn
@@ -25,14 +24,12 @@ from bayesnet_track.inference.executor import Crew, Executor, Serial
 from bayesnet_track.inference.parts import part_of_agents
 from bayesnet_track.numerics.compile_watch import working_clock
 from bayesnet_track.numerics.streams import Streams
+from bayesnet_track.observation.capabilities import make_cue
 from bayesnet_track.observation.cue import (
     AnyCue,
-    ClaimingCue,
     ClaimRule,
-    Cue,
     CueDeclaration,
-    LocallyAdaptable,
-    installed_cues,
+    rule_of,
 )
 from bayesnet_track.observation.detector import (
     Detector,
@@ -65,6 +62,7 @@ class Machinery:
         finder: the detector that looks for a target which may reappear.
         claimers: agent that measures by the detection that the target is given -> which one that is.
         opaque: agents that keep something which cannot be stored.
+        declared: agent -> the declaration of its cue.
     """
 
     plate: CheckedTarget
@@ -84,6 +82,7 @@ class Machinery:
     finder: Detector | None = None
     claimers: Mapping[str, ClaimRule] = field(default_factory=dict)
     opaque: frozenset[str] = frozenset()
+    declared: Mapping[str, CueDeclaration] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,10 +125,11 @@ def make_engine(
 
     Raises:
         ValueError: `motion` names a plate that the graph does not have.
+        CueError: a cue cannot be made, or is not what its declaration says.
         DetectorError: a detector cannot be made, the graph asks for `detections` and none are given, or no
             plate asks for one that is given.
     """
-    declarations = installed_cues(cues_named(graph.spec)) if cues is None else cues
+    declarations = graph.declarations if cues is None else cues
     own = {} if motion is None else motion
     unknown = [name for name in own if name not in graph.targets]
     if unknown:
@@ -167,7 +167,7 @@ def _make_machinery(
 ) -> Machinery:
     root = plate.inference(plate.root)
     of = {agent: declarations[plate.agent(agent).agent.cue] for agent in plate.agents}
-    made = {agent: of[agent].make(plate.parameters[agent]) for agent in plate.agents}
+    made = {agent: make_cue(of[agent], plate.parameters[agent]) for agent in plate.agents}
     assert root.motion is not None
     settings = root.motion.settings
     moving = None if own is not None or settings.is_plain else settings
@@ -180,19 +180,20 @@ def _make_machinery(
         motion=_make_motion(root.motion) if own is None else own,
         costs_ms={agent: of[agent].cost_ms for agent in plate.agents},
         rate_max={agent: _rate_max(plate, agent, of[agent], root.learn) for agent in plate.agents},
-        adaptable=frozenset(agent for agent, cue in made.items() if isinstance(cue, LocallyAdaptable)),
+        adaptable=frozenset(agent for agent in plate.agents if of[agent].adapts),
         color_agents=frozenset(agent for agent in plate.agents if of[agent].needs_color),
         guard=None if root.learn is None else root.learn.guard,
         life=life,
         detector="" if life is None or life.birth is None else flow_text(as_plain(life.birth.detector)),
         looks=frozenset(
-            agent for agent in plate.agents if of[agent].is_appearance and isinstance(made[agent], Cue)
+            agent for agent in plate.agents if of[agent].is_appearance and not of[agent].measures
         ),
         part_of=part_of_agents(plate),
         moving=moving,
         finder=None if moving is None else _finder(moving),
-        claimers={agent: cue.rule for agent, cue in made.items() if isinstance(cue, ClaimingCue)},
+        claimers={agent: rule_of(cue) for agent, cue in made.items() if of[agent].reads_claim},
         opaque=frozenset(agent for agent in plate.agents if of[agent].opaque),
+        declared=of,
     )
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from bayesnet_track.graph.display import html_of
 from bayesnet_track.graph.spec import AgentNode, GraphSpec, InferenceNode, Target
-from bayesnet_track.observation.cue import CueParameters
+from bayesnet_track.observation.cue import CueDeclaration, NoParameters, installed_cues
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class CheckedTarget:
     order: tuple[str, ...]
     parent: Mapping[str, str | None]
     children: Mapping[str, tuple[str, ...]]
-    parameters: Mapping[str, CueParameters]
+    parameters: Mapping[str, NoParameters]
     governor: Mapping[str, str | None]
 
     def __repr__(self) -> str:
@@ -65,11 +65,20 @@ class CheckedGraph:
         spec: the specification as written.
         targets: plate name -> checked plate.
         text: the canonical YAML of `spec` (what a run directory stores).
+        cues: name -> declaration of those of its cues that are not installed, but were given.
     """
 
     spec: GraphSpec
     targets: Mapping[str, CheckedTarget]
     text: str
+    cues: Mapping[str, CueDeclaration] = field(default_factory=dict)
+
+    @property
+    def declarations(self) -> Mapping[str, CueDeclaration]:
+        """Name -> declaration of every cue that can be used with it: its own, and the installed ones."""
+        plates = self.targets.values()
+        named = {plate.agent(agent).agent.cue for plate in plates for agent in plate.agents}
+        return {**installed_cues(named), **self.cues}
 
     def __repr__(self) -> str:
         """Name and size: the whole specification would fill pages."""

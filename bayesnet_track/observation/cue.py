@@ -9,7 +9,9 @@ Cues are found through the entry-point group ``bayesnet_track.cues``; the built-
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
@@ -32,10 +34,14 @@ ENTRY_POINT_GROUP = "bayesnet_track.cues"
 Floats = NDArray[np.float64]
 
 
-class CueParameters(BaseModel):
-    """Base of a cue's parameters: unknown keys refused, values immutable."""
+class NoParameters(BaseModel):
+    """What a cue without parameters takes: unknown keys refused, values immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False, allow_inf_nan=False)
+
+
+class CueParameters(NoParameters):
+    """Base of a cue's parameters: a floor, and what the cue adds."""
 
     floor: float = Field(
         default=FLOOR,
@@ -106,7 +112,10 @@ class Cue(Protocol):
         ...
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
-        """A reference between `old` (rate 0) and `new` (rate 1): eq. 2.15 of the thesis."""
+        """A reference between `old` (rate 0) and `new` (rate 1): eq. 2.15 of the thesis.
+
+        A cue without this method blends its arrays linearly (`blend_arrays`).
+        """
         ...
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
@@ -218,6 +227,12 @@ class ClaimingCue(MeasuringCue, Protocol):
 AnyCue = Cue | MeasuringCue
 
 
+def rule_of(cue: AnyCue) -> ClaimRule:
+    """The rule of a cue that is declared to read claims."""
+    assert isinstance(cue, ClaimingCue)
+    return cue.rule
+
+
 @runtime_checkable
 class LocallyAdaptable(Protocol):
     """A cue that can act on its own uncertainty before it stops itself."""
@@ -253,6 +268,35 @@ class Residual(Protocol):
         ...
 
 
+NAME = re.compile(r"[^\W\d][\w.-]*")
+"""What the name of a cue looks like: a key of YAML that needs no quotes."""
+
+
+def _not_given(parameters: Any) -> AnyCue:
+    raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Making:
+    """How a declared cue is made: what its author wrote, and what it may leave out filled in.
+
+    Attributes:
+        make: what the author wrote.
+        takes_parameters: False where the cue has none.
+    """
+
+    make: Callable[..., AnyCue]
+    takes_parameters: bool
+
+    def __call__(self, parameters: Any = None) -> AnyCue:
+        """The cue; one without `blend` blends its arrays linearly."""
+        cue = self.make(parameters) if self.takes_parameters else self.make()
+        if not hasattr(cue, "blend"):
+            with suppress(AttributeError, TypeError):  # with `__slots__`: it is told that `blend` is missing
+                object.__setattr__(cue, "blend", blend_arrays)
+        return cue
+
+
 def context_of(cue: AnyCue) -> float:
     """How many box sizes beyond each side of the box the cue looks when it learns."""
     return float(getattr(cue, "context", CONTEXT))
@@ -265,7 +309,8 @@ class CueDeclaration:
     Attributes:
         name: the word used in graph files.
         summary: one line of what it sees.
-        parameters: model of its parameters (a subclass of `CueParameters`), each with a description and unit.
+        parameters: model of its parameters (a subclass of `CueParameters`), each with a description and unit;
+            left out, it has none, and `make` is called without any.
         make: parameters -> implementation; imports what is heavy.
         needs_color: True when it is blind on a gray source.
         cost_ms: declared price of 1000 hypotheses of 60x60 px, planes included, above 0 (rules weigh with it,
@@ -276,24 +321,42 @@ class CueDeclaration:
         is_appearance: False when it does not tell one target from another by its looks: motion, place.
         missing: parameters -> what they need and this computer has not (a library's part, a file), in words,
             or None; `validate` asks it. Without it nothing is needed.
-        reads_claim: True for a `ClaimingCue`.
-        reads_angle: True for a `Turnable` one.
+        measures: True for a `MeasuringCue`: it has `measure`, and no `log_likelihood`.
+        adapts: True for a `LocallyAdaptable` one: it has `adapt`.
+        reads_claim: True for a `ClaimingCue`: it has `rule`.
+        reads_angle: True for a `Turnable` one: it has `learn_turned`.
+        has_residuals: True for one whose standard deviations can be fitted (`Residual`): it has `residuals`.
+
+    That the methods are there is checked when tracking starts; see `capabilities`.
+
+    Raises:
+        ValueError: the name is no word, there is no `make`, or the price is not above 0.
     """
 
     name: str
-    summary: str
-    parameters: type[CueParameters]
-    make: Callable[[Any], AnyCue]
+    summary: str = ""
+    parameters: type[NoParameters] = NoParameters
+    make: Callable[..., AnyCue] = _not_given
     needs_color: bool = False
     cost_ms: float = 1.0
     rate_max: float | None = None
     opaque: bool = False
     is_appearance: bool = True
     missing: Callable[[Any], str | None] | None = None
+    measures: bool = False
+    adapts: bool = False
     reads_claim: bool = False
     reads_angle: bool = False
+    has_residuals: bool = False
 
     def __post_init__(self) -> None:
+        if not (isinstance(self.name, str) and NAME.fullmatch(self.name)):
+            raise ValueError(f"cue {self.name!r}: a name of letters, digits and _ is needed, such as my_cue")
+        if self.make is _not_given or not callable(self.make):
+            raise ValueError(f"cue {self.name!r}: no `make`: a class, or a function that makes the cue")
+        if not isinstance(self.make, Making):
+            making = Making(self.make, self.parameters is not NoParameters)
+            object.__setattr__(self, "make", making)
         if not 0.0 < self.cost_ms < float("inf"):
             raise ValueError(f"cue {self.name!r}: cost_ms {self.cost_ms}; a finite price above 0 is needed")
 

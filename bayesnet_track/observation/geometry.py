@@ -46,13 +46,17 @@ def box_pixels(planes: Planes, boxes: Floats) -> BoxPixels:
     return BoxPixels(*pixels_of_boxes(boxes, r.x0, r.y0, r.x1 - r.x0, r.y1 - r.y0))
 
 
-def box_means(planes: Planes, plane: Plane, boxes: Floats, outside: float = 0.0) -> Floats:
-    """(N,) mean of an image-like plane (rows, columns) over each centre box (N, 4).
+def box_means(
+    planes: Planes, plane: Plane, boxes: Floats, across: int = 1, down: int = 1, outside: float = 0.0
+) -> Floats:
+    """(N, down * across) means of an image-like plane (rows, columns) over the cells of centre boxes (N, 4).
 
-    Pixels of a box that lie outside the frame count with the value `outside`: one that matches nothing makes
-    the part of a box beyond the border count as unmatched. No bit depends on which region the planes cover.
+    The cells divide a box into `down` rows and `across` columns, and come row by row. Pixels outside the
+    frame count with the value `outside`: with one that matches nothing, the part of a box beyond the border
+    counts as unmatched. No bit depends on which region the planes cover.
     """
-    values, pixels = planes[plane], box_pixels(planes, boxes)
+    values = planes[plane]
+    pixels = box_pixels(planes, _cells(boxes, across, down))
     left, top, right, bottom = pixels.corners.T
     if values.dtype.kind in "bui":  # exact, so that it does not matter where the crop starts
         total = np.zeros((values.shape[0] + 1, values.shape[1] + 1), np.int64)
@@ -61,25 +65,18 @@ def box_means(planes: Planes, plane: Plane, boxes: Floats, outside: float = 0.0)
     else:
         corners = pixels.corners.tolist()
         sums = np.array([np.ascontiguousarray(values[t:b, l:r]).sum() for l, t, r, b in corners])  # noqa: E741
-    return np.asarray((sums + outside * (pixels.nominal - pixels.visible)) / pixels.nominal)
+    means = (sums + outside * (pixels.nominal - pixels.visible)) / pixels.nominal
+    return np.asarray(means.reshape(len(boxes), down * across))
 
 
-def box_points(planes: Planes, boxes: Floats, across: int, down: int) -> tuple[Ints, Ints, NDArray[np.bool_]]:
-    """Rows and columns of a lattice of points in each centre box (N, 4), and which lie inside the frame.
-
-    Each is (N, down * across), row by row: the centres of `down` x `across` equal cells of the box, rounded
-    to the nearest pixel. Where a point lies outside, its row and column are those of the nearest pixel that
-    the planes cover, so that ``plane[rows, columns]`` is always valid for planes that cover a pixel.
-    """
-    x = (np.arange(across) + 0.5) / across - 0.5
-    y = (np.arange(down) + 0.5) / down - 0.5
-    region = planes.region
-    column = np.floor(boxes[:, :1] + np.tile(x, down) * boxes[:, 2:3] + 0.5) - region.x0
-    row = np.floor(boxes[:, 1:2] + np.repeat(y, across) * boxes[:, 3:4] + 0.5) - region.y0
-    columns, rows = region.x1 - region.x0, region.y1 - region.y0
-    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-    at_row = np.clip(row, 0, max(rows - 1, 0)).astype(np.int64)
-    return at_row, np.clip(column, 0, max(columns - 1, 0)).astype(np.int64), inside
+def _cells(boxes: Floats, across: int, down: int) -> Floats:
+    """(N * down * across, 4) centre boxes of the cells, row by row of each box."""
+    x, y, w, h = (boxes[:, n, None, None] for n in range(4))
+    cells = np.empty((len(boxes), down, across, 4))
+    cells[..., 0] = x + ((np.arange(across) + 0.5) / across - 0.5) * w
+    cells[..., 1] = y + ((np.arange(down)[:, None] + 0.5) / down - 0.5) * h
+    cells[..., 2], cells[..., 3] = w / across, h / down
+    return cells.reshape(-1, 4)
 
 
 def crop_of(planes: Planes, plane: Plane, region: Region) -> tuple[Array, tuple[int, int]]:

@@ -17,6 +17,7 @@ OWN_PACKAGE = "bayesnet-track"
 
 _allowed: set[str] = set()
 _taken: dict[str, dict[str, Any]] = {}
+_given: dict[str, dict[str, Any]] = {}
 
 
 class Named(Protocol):
@@ -44,10 +45,21 @@ def allowed() -> frozenset[str]:
     return frozenset(_allowed)
 
 
+def give(group: str, declaration: Named) -> None:
+    """Have the declaration among the installed ones of the group, in this process from now on."""
+    _given.setdefault(group, {})[declaration.name] = declaration
+
+
+def given(group: str) -> Mapping[str, Any]:
+    """Name -> declaration of what was given to the group."""
+    return dict(_given.get(group, {}))
+
+
 def forget() -> None:
-    """Allow nothing, and look again at what is installed."""
+    """Allow nothing, drop what was given, and look again at what is installed."""
     _allowed.clear()
     _taken.clear()
+    _given.clear()
     for cached in (_points, _built_in, _load):
         cached.cache_clear()
 
@@ -57,15 +69,15 @@ def installed(
 ) -> Mapping[str, Declaration]:
     """The declarations of `kind` in the group that come with this package, and the allowed ones of `named`.
 
-    By name, sorted; those of other packages that were loaded before are among them. A package whose
-    declaration cannot be loaded is left out with a warning that calls it a `word`: it must not keep the
-    others from working.
+    By name, sorted; those of other packages that were loaded before, and those of `give`, are among them. A
+    package whose declaration cannot be loaded is left out with a warning that calls it a `word`: it must not
+    keep the others from working.
     """
     found: dict[str, Declaration] = dict(_built_in(group, kind, word))
     for name in sorted({*named} & _allowed - {*found}):
         if len(_others(group).get(name, ())) == 1:
             _load(group, kind, word, name)
-    found |= _taken.get(group, {})
+    found |= _taken.get(group, {}) | _given.get(group, {})
     return dict(sorted(found.items()))
 
 

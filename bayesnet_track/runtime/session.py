@@ -18,6 +18,7 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.observation import plugins
+from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.detector import GIVEN
 from bayesnet_track.runtime.checkpoints.checkpoint import EVERY_S, Checkpoints
 from bayesnet_track.runtime.checkpoints.recipe import Recipe, file_sha256, make_recipe
@@ -50,6 +51,7 @@ def track(
     executor: str | Executing = "serial",
     workers: int | None = None,
     allow_plugins: Iterable[str] = (),
+    cues: Iterable[GivenCue] = (),
     isolate_decoder: bool = False,
     sinks: Sequence[Sink] = (),
     summary: Summary | None = None,
@@ -75,6 +77,8 @@ def track(
         workers: threads or processes at work at a time; as many as there are processors when None.
         allow_plugins: cues and detectors of other packages that may be loaded, in this process from now on,
             where graphs name them.
+        cues: cues of one's own that the graph may name: declarations, or paths of Python files with a
+            ``CUE``, which are run; path and SHA-256 of files are recorded in `out`.
         isolate_decoder: decode in a process of its own, held down by limits; `source` is a text then.
         sinks: further observers.
         summary: filled in as the run goes on.
@@ -87,6 +91,7 @@ def track(
 
     Raises (when the first result is asked for; nothing is written then):
         GraphError: every error of the graph.
+        CueError: a cue cannot be loaded, or is not what its declaration says.
         SourceError: nothing can be read from the source, or it has no depth where the graph needs it.
         StartError: no target can start from the box, or no agent of any target in the first frame.
         DetectorError: a detector cannot be made, or the graph and the file of detections do not go together.
@@ -103,7 +108,7 @@ def track(
     """
     plugins.allow(allow_plugins)
     told_of = summary if summary is not None else Summary()
-    checked = load_graph(graph)
+    checked = load_graph(graph, tuple(cues))
     starts = _starts(box)
     read = {} if detections is None else {str(detections): file_sha256(detections)}
     outside = as_asked(inputs)
@@ -243,7 +248,9 @@ def _options(engine: Engine, budget_ms: float | None) -> dict[str, bool | int | 
         if machine.life is not None and machine.life.birth is not None:
             named.add(machine.life.birth.detector.detector)
     theirs = sorted(named & plugins.allowed())
-    return {**options, "allow_plugins": ",".join(theirs)} if theirs else options
+    if theirs:
+        options["allow_plugins"] = ",".join(theirs)
+    return options
 
 
 def _starts(box: CornerBox | Sequence[Start] | None) -> list[Start]:

@@ -18,6 +18,7 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.basic import Event, FrameMetrics
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation import plugins
+from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.depth import Depth, RightEye
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.recording.interchange import Detections
@@ -36,6 +37,12 @@ class Tracker:
         whole_px: `update` gives whole pixels, as OpenCV's trackers do; `cv2.rectangle` takes nothing else.
         allow_plugins: cues and detectors of other packages that may be loaded, in this process from now on,
             where graphs name them.
+        cues: cues of one's own that the graph may name: declarations, or paths of Python files with a
+            ``CUE``, which are run.
+
+    Raises:
+        GraphError: every error of the graph.
+        CueError: a cue cannot be loaded, or is not what its declaration says.
 
     Example::
 
@@ -52,10 +59,11 @@ class Tracker:
         motion: Motion | None = None,
         whole_px: bool = False,
         allow_plugins: Iterable[str] = (),
+        cues: Iterable[GivenCue] = (),
     ) -> None:
         plugins.allow(allow_plugins)
         self._whole_px = whole_px
-        self._graph = load_graph(graph)
+        self._graph = load_graph(graph, tuple(cues))
         plate = next(iter(self._graph.targets))
         own = None if motion is None else {plate: motion}
         self._engine: Engine = make_engine(self._graph, seed, motion=own)

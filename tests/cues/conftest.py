@@ -19,6 +19,7 @@ from bayesnet_track.observation.cue import (
     Reference,
     installed_cues,
 )
+from bayesnet_track.observation.cue_files import use_cue_file
 from bayesnet_track.observation.depth import RightEye, StereoGeometry
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region, region_of_boxes
 from bayesnet_track.observation.plugins import allow
@@ -122,11 +123,14 @@ def scene():
     return Scene()
 
 
-# Cues of other packages, which are tried as the built-in ones are.
+# Cues of other packages, and of files, which are tried as the built-in ones are.
 OTHERS = [name for name in os.environ.get("BAYESNET_TRACK_TRY_CUES", "").split(",") if name]
 if OTHERS:
     allow(OTHERS)
     installed_cues(OTHERS)
+    for one in OTHERS:
+        if one.endswith(".py"):
+            use_cue_file(one)
 
 
 def _names(kind):

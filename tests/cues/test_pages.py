@@ -11,7 +11,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 INDEX = DOCS / "cues" / "index.md"
 ROW = re.compile(r"^\| \[`(\w+)`\]\(([^)#]+)[^)]*\) \|", re.MULTILINE)
 BUILT_IN = sorted(
-    name for name, one in installed_cues().items() if one.make.__module__.startswith("bayesnet_track.")
+    name for name, one in installed_cues().items() if one.make.make.__module__.startswith("bayesnet_track.")
 )
 
 

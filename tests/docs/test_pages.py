@@ -10,9 +10,11 @@ from pathlib import Path
 import pytest
 import yaml
 
+from bayesnet_track.cli.main import main
 from bayesnet_track.cli.parser import make_parser
 from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.graphs import graph_names
+from bayesnet_track.observation import plugins
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs").glob("*/*.md"))]
@@ -69,42 +71,84 @@ def test_every_link_between_pages_leads_somewhere(page):
             assert (page.parent / target).exists(), f"{name_of(page)}: {target}"
 
 
-def package_of_the_page(folder):
-    """The package of "Write a cue", installed in `folder`, and its graph."""
-    page = ROOT / "docs" / "write_a_cue.md"
-    (project,), (code,), (graph,) = (blocks(page, language) for language in ("toml", "python", "yaml"))
-    about = folder / "glance_cue-1.0.dist-info"
-    about.mkdir(parents=True)
-    (folder / "glance.py").write_text(code)
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: glance-cue\nVersion: 1.0\n")
-    points = re.search(r'entry-points."(.*)"\]\n(.*)\n', project)
-    (about / "entry_points.txt").write_text(f"[{points[1]}]\n{points[2].replace(chr(34), '')}\n")
-    (folder / "glanced.yaml").write_text(graph)
-    return folder
+WRITE_A_CUE = ROOT / "docs" / "write_a_cue.md"
+
+
+@pytest.fixture
+def two_cues(tmp_path, monkeypatch):
+    """A folder with the files of "Write a cue", in which its commands are given."""
+    codes, graphs = blocks(WRITE_A_CUE, "python"), blocks(WRITE_A_CUE, "yaml")
+    for name, code in (("glance.py", codes[0]), ("blur.py", codes[2])):
+        (tmp_path / name).write_text(code + "\n")
+    for name, graph in zip(("glanced.yaml", "blurred.yaml"), graphs, strict=True):
+        (tmp_path / name).write_text(graph)
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+    plugins.forget()
+
+
+def mean_iou(capsys, run):
+    capsys.readouterr()
+    assert main(["score", run, "--json"]) == 0
+    return float(re.search(r'"mean_iou": ([0-9.]+)', capsys.readouterr().out)[1])
+
+
+def test_the_first_cue_of_the_page_has_at_most_14_lines_and_loads(two_cues):
+    lines = [line for line in (two_cues / "glance.py").read_text().splitlines() if line]
+    assert len(lines) == 9 and "a cue of nine lines" in WRITE_A_CUE.read_text("utf-8")
+    assert main(["validate", "glanced.yaml", "--cue-file", "glance.py"]) == 0
+    exec(compile(blocks(WRITE_A_CUE, "python")[1], "write_a_cue", "exec"), {})
 
 
 @pytest.mark.slow
-def test_the_cue_of_the_page_works_and_keeps_to_the_contract(tmp_path):
-    site = package_of_the_page(tmp_path / "site")
-    environment = {**os.environ, "PYTHONPATH": str(site), "BAYESNET_TRACK_TRY_CUES": "glance"}
+def test_the_first_cue_of_the_page_tracks_by_its_one_command(two_cues, capsys):
+    command = next(commands(WRITE_A_CUE))
+    assert "--cue-file" in command and main([*command, "--quiet"]) == 0
+    assert mean_iou(capsys, "runs/gray_square") > 0.5
 
-    def python(*words, cwd=tmp_path):
-        return subprocess.run(
-            [sys.executable, *map(str, words)], env=environment, cwd=cwd, capture_output=True, text=True
-        )
 
-    graph, allow = site / "glanced.yaml", ("--allow-plugins", "glance")
-    checked = python("-m", "bayesnet_track", "validate", graph, *allow)
-    assert checked.returncode == 0, checked.stderr
-    line = ("demo", "gray_square", "--graph", graph, "--out", tmp_path / "run", "--quiet", *allow)
-    assert python("-m", "bayesnet_track", *line).returncode == 0
-    score = python("-m", "bayesnet_track", "score", tmp_path / "run", "--json")
-    assert float(re.search(r'"mean_iou": ([0-9.]+)', score.stdout)[1]) > 0.5
+@pytest.mark.slow
+def test_the_package_of_the_page_is_found_and_tracks(two_cues, capsys, monkeypatch):
+    (project,) = blocks(WRITE_A_CUE, "toml")
+    about = two_cues / "blur_cue-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: blur-cue\nVersion: 1.0\n")
+    points = re.search(r'entry-points."(.*)"\]\n(.*)\n', project)
+    (about / "entry_points.txt").write_text(f"[{points[1]}]\n{points[2].replace(chr(34), '')}\n")
+    monkeypatch.syspath_prepend(str(two_cues))
+    plugins.forget()
+    used = [words for words in commands(WRITE_A_CUE) if "--allow-plugins" in words]
+    assert [words[0] for words in used] == ["list", "validate", "demo"]
+    for words in used:
+        assert main(words) == 0
+    assert mean_iou(capsys, "runs/gray_square") > 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["glance", "blur"])
+def test_the_cues_of_the_page_keep_to_the_contract(two_cues, name):
     suite = ROOT / "tests" / "cues" / "test_conformance.py"
-    tried = python(
-        "-m", "pytest", suite, "-k", "glance", "-m", "slow or not slow", "-p", "no:cacheprovider", cwd=ROOT
+    tried = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "pytest",
+            suite,
+            "-k",
+            name,
+            "-m",
+            "slow or not slow",
+            "-p",
+            "no:cacheprovider",
+        ],
+        env={**os.environ, "BAYESNET_TRACK_TRY_CUES": str(two_cues / f"{name}.py")},
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
     )
-    assert tried.returncode == 0 and " passed" in tried.stdout, tried.stdout[-3000:]
+    assert tried.returncode == 0 and f"[{name}]" not in tried.stdout and "[100%]" in tried.stdout, (
+        tried.stdout
+    )
 
 
 def test_the_pages_name_every_graph_of_the_library():

@@ -53,6 +53,7 @@ class Job:
         end: frame to stop before, or None.
         on_resize: what a change of size does.
         plugins: cues and detectors of other packages that may be loaded.
+        cue_files: files with cues of one's own, from the root.
     """
 
     graph: str
@@ -62,6 +63,7 @@ class Job:
     end: int | None = None
     on_resize: str = "stop"
     plugins: tuple[str, ...] = ()
+    cue_files: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
@@ -76,7 +78,22 @@ class Job:
     def from_json(cls, line: str) -> Job:
         """The inverse of `to_json`."""
         values: dict[str, Any] = json.loads(line)
-        return cls(**{**values, "video": Video(**values["video"]), "plugins": tuple(values["plugins"])})
+        lists = {name: tuple(values[name]) for name in ("plugins", "cue_files")}
+        return cls(**{**values, "video": Video(**values["video"]), **lists})
+
+
+def allow(job: Job) -> None:
+    """Let the code from elsewhere that the job names be loaded in this process.
+
+    Raises:
+        CueError: a cue file cannot be loaded.
+    """
+    from bayesnet_track.observation import plugins
+    from bayesnet_track.observation.cue_files import use_cue_file
+
+    plugins.allow(job.plugins)
+    for file in job.cue_files:
+        use_cue_file(file)
 
 
 def videos_of(sources: Sequence[str], init_from: str | None = None, truth: str | None = None) -> list[Video]:

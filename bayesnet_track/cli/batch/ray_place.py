@@ -10,7 +10,7 @@ from collections.abc import Generator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
-from bayesnet_track.cli.batch.jobs import Job
+from bayesnet_track.cli.batch.jobs import Job, allow
 from bayesnet_track.cli.batch.places import WAIT_S, Told
 from bayesnet_track.cli.batch.work import Row, failed_row
 from bayesnet_track.runtime.executors.processes import PlacingError
@@ -86,11 +86,10 @@ def connect(address: str | None) -> bool:
 def _done(line: str) -> Row:
     from bayesnet_track.cli.batch.work import do
     from bayesnet_track.cli.commands.answer import words
-    from bayesnet_track.observation import plugins
 
     job = Job.from_json(line)
-    plugins.allow(job.plugins)
     try:
+        allow(job)
         return do(job, lambda done, expected: None)
     except (OSError, ValueError) as error:
         return failed_row(job, " ".join(words(error).split()))

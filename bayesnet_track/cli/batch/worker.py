@@ -8,7 +8,7 @@ import signal
 import sys
 import time
 
-from bayesnet_track.cli.batch.jobs import Job
+from bayesnet_track.cli.batch.jobs import Job, allow
 
 EVERY_S = 0.5
 
@@ -26,10 +26,6 @@ def main() -> int:
         os.write(answers, json.dumps(what).encode() + b"\n")
 
     job = Job.from_json(sys.stdin.readline())
-    if job.plugins:
-        from bayesnet_track.observation import plugins
-
-        plugins.allow(list(job.plugins))
     shown = 0.0
 
     def progress(done: int, expected: int | None) -> None:
@@ -39,6 +35,7 @@ def main() -> int:
             tell({"done": done, "expected": expected})
 
     try:
+        allow(job)
         tell({"row": do(job, progress)})
     except (OSError, ValueError) as error:
         tell({"row": failed_row(job, " ".join(words(error).split()))})

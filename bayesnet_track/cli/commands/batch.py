@@ -102,6 +102,7 @@ def _jobs(options: argparse.Namespace, videos: list[Video], out: Path) -> list[J
     from bayesnet_track.cli.batch.jobs import Job
 
     plugins = tuple(name for given in options.allow_plugins for name in given)
+    files = tuple(str(Path(file).absolute()) for file in options.cue_file)
     return [
         Job(
             options.graph,
@@ -111,6 +112,7 @@ def _jobs(options: argparse.Namespace, videos: list[Video], out: Path) -> list[J
             options.end,
             options.on_resize,
             plugins,
+            files,
         )
         for video in videos
         for seed in range(options.seeds)

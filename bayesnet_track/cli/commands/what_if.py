@@ -24,6 +24,7 @@ def what_if(options: argparse.Namespace) -> int:
     from bayesnet_track.cli.commands.compare import check_page, tell_comparison
     from bayesnet_track.graph.text.change import ChangeError, change_graph
     from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
+    from bayesnet_track.runtime.checkpoints.unchanged import check_cues
     from bayesnet_track.runtime.recording.manifest import add_output
     from bayesnet_track.runtime.recording.opened import open_run
     from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
@@ -45,6 +46,8 @@ def what_if(options: argparse.Namespace) -> int:
         raise UsageError(
             f"{options.run}: the source has changed: {'; '.join(changes)} (--force goes on all the same)"
         )
+    if not options.force:
+        check_cues(recipe, ())
     try:
         graph = change_graph(first.graph_text, options.set, not options.no_adaptation)
     except ChangeError as error:
@@ -133,7 +136,9 @@ def add_what_if(commands: argparse._SubParsersAction[Any]) -> None:
     what_if.add_argument(
         "--overwrite", action="store_true", help="replace an earlier run in --out, and the file of --html"
     )
-    what_if.add_argument("--force", action="store_true", help="go on although the source has changed since")
+    what_if.add_argument(
+        "--force", action="store_true", help="go on although the source, or a cue file, has changed since"
+    )
     what_if.add_argument("--quiet", action="store_true", help="no progress line")
     what_if.add_argument("--log-json", action="store_true", help="progress as JSON lines")
     add_plugins(what_if)

@@ -1,4 +1,4 @@
-"""The option by which plug-ins of other packages are allowed to run."""
+"""The options by which code from elsewhere is allowed to run: plug-ins of other packages, cue files."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 
 
 def add_plugins(parser: argparse.ArgumentParser) -> None:
-    """Add ``--allow-plugins`` to a command that reads graphs or loads detectors."""
+    """Add ``--allow-plugins`` and ``--cue-file`` to a command that reads graphs or loads detectors."""
     parser.add_argument(
         "--allow-plugins",
         action="append",
@@ -14,6 +14,14 @@ def add_plugins(parser: argparse.ArgumentParser) -> None:
         type=_names,
         metavar="NAME,...",
         help="cues and detectors of other packages that may be loaded where they are named; see `list`",
+    )
+    parser.add_argument(
+        "--cue-file",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="Python file with a cue of your own, as CUE = CueDeclaration(...), which graphs may name; its "
+        "code is run; may be repeated",
     )
 
 

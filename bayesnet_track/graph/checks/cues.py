@@ -14,7 +14,7 @@ from bayesnet_track.graph.settings.base import PluginChoice
 from bayesnet_track.graph.spec import AgentChoice
 from bayesnet_track.graph.text.explain import explain
 from bayesnet_track.graph.text.messages import GraphMessage
-from bayesnet_track.observation.cue import ENTRY_POINT_GROUP, CueDeclaration, CueParameters
+from bayesnet_track.observation.cue import ENTRY_POINT_GROUP, CueDeclaration, NoParameters
 from bayesnet_track.observation.plugins import why_absent
 
 Parameters = TypeVar("Parameters", bound=BaseModel)
@@ -70,7 +70,7 @@ def cues_have_what_they_need(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, absent, key=("agent", node.agent.cue))
 
 
-def cue_parameters(agent: AgentChoice, declaration: CueDeclaration) -> CueParameters:
+def cue_parameters(agent: AgentChoice, declaration: CueDeclaration) -> NoParameters:
     """The agent's parameters as the cue's own type; raises as `plugin_parameters`."""
     return plugin_parameters(agent, declaration.parameters)
 

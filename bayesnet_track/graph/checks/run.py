@@ -21,9 +21,12 @@ from bayesnet_track.graph.text.document import MAX_BYTES
 from bayesnet_track.graph.text.explain import explain
 from bayesnet_track.graph.text.messages import MAX_MESSAGES, GraphError, GraphMessage, Positions
 from bayesnet_track.graph.text.write import write_graph
-from bayesnet_track.observation.cue import CueDeclaration, installed_cues
+from bayesnet_track.observation.cue import ENTRY_POINT_GROUP, CueDeclaration, installed_cues
+from bayesnet_track.observation.cue_files import GivenCue, own_cues
+from bayesnet_track.observation.plugins import given
 
-Cues = Mapping[str, CueDeclaration]
+Cues = Mapping[str, CueDeclaration] | Iterable[GivenCue]
+"""All cues that there are, by name; or, beside the installed ones, declarations or files of one's own."""
 
 LAWS_OF_A_SOUND_TREE = (*RULE_LAWS, evidence_counts_once)
 
@@ -35,10 +38,13 @@ def check(spec: GraphSpec, at: Positions | None = None, cues: Cues | None = None
 
     Raises:
         GraphError: every violation of every law in every target.
+        CueError: one of `cues` cannot be used.
     """
     at = Positions() if at is None else at
-    cues = installed_cues(cues_named(spec)) if cues is None else cues
-    plates = [Plate(name, target, at, cues) for name, target in spec.targets.items()]
+    named = cues_named(spec)
+    own = {**given(ENTRY_POINT_GROUP), **mapped_cues(cues)}
+    known = own if isinstance(cues, Mapping) else {**installed_cues(named), **own}
+    plates = [Plate(name, target, at, known) for name, target in spec.targets.items()]
     errors = [message for plate in plates for message in _violations(plate)]
     errors += [message for law in JOIN_LAWS for message in islice(law(spec, at), MAX_MESSAGES + 1)]
     text = write_graph(spec)
@@ -46,7 +52,8 @@ def check(spec: GraphSpec, at: Positions | None = None, cues: Cues | None = None
         errors.append(at.message((), f"more than {MAX_BYTES} bytes when written as YAML", "smaller graphs"))
     if errors:
         raise GraphError(errors)
-    return CheckedGraph(spec, {plate.name: _resolved(plate) for plate in plates}, text)
+    kept = {name: own[name] for name in sorted(named) if name in own}
+    return CheckedGraph(spec, {plate.name: _resolved(plate) for plate in plates}, text, kept)
 
 
 def check_graph(graph: GraphSpec | Mapping[str, Any], cues: Cues | None = None) -> CheckedGraph:
@@ -64,6 +71,11 @@ def check_graph(graph: GraphSpec | Mapping[str, Any], cues: Cues | None = None) 
         except ValidationError as error:
             raise GraphError(explain(error, GraphSpec, graph, at)) from None
     return check(graph, at, cues)
+
+
+def mapped_cues(cues: Cues | None) -> Mapping[str, CueDeclaration]:
+    """Cues of one's own by name; raises CueError."""
+    return cues if isinstance(cues, Mapping) else own_cues(cues or ())
 
 
 def cues_named(spec: GraphSpec) -> frozenset[str]:

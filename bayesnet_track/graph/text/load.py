@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.checks.run import Cues, check, check_graph
+from bayesnet_track.graph.checks.run import Cues, check, check_graph, mapped_cues
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.messages import GraphError, GraphMessage, nearest
 from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.graphs import find_graph, graph_names
+from bayesnet_track.observation.cue import CueDeclaration
 
 
 def load_graph(
@@ -20,13 +21,18 @@ def load_graph(
 ) -> CheckedGraph:
     """The checked graph of an installed name (``"general"``), a file's path, a specification, or plain data.
 
-    A word without a dot or slash is an installed graph's name; anything else is a path.
+    A word without a dot or slash is an installed graph's name; anything else is a path. `cues` are some of
+    one's own beside the installed ones: declarations, or paths of Python files with a ``CUE``, which are run.
+    A mapping stands for all cues that there are.
 
     Raises:
         GraphError: no such graph, or all of its errors.
+        CueError: one of `cues` cannot be used.
     """
     if isinstance(graph, CheckedGraph):
-        return graph
+        own = mapped_cues(cues)
+        known: dict[str, CueDeclaration] = {**graph.declarations, **own}
+        return check(graph.spec, cues=known) if own else graph
     if isinstance(graph, GraphSpec | Mapping):
         return check_graph(graph, cues)
     if isinstance(graph, str) and not any(mark in graph for mark in "./\\"):

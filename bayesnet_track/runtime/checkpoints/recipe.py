@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from errno import EINVAL
@@ -24,6 +24,7 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.write import graph_sha256
 from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.writer import read_position
+from bayesnet_track.observation.cue_files import CueFile, GivenCue, file_of
 from bayesnet_track.runtime.checkpoints.versions import versions
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.sources.origin import Origin
@@ -77,6 +78,8 @@ class Recipe:
         inputs: the file of what came from outside in a run that was repeated, or None.
         has_video: whether the annotated video was asked for.
         own_motion: whether a motion model of one's own stood in for the graph's.
+        cue_files: cue name -> the file that declares it, of the cues that come from files.
+        own_cues: names of the cues that were given as objects of a program.
         options: what else was asked for, by name: `budget_ms`; `allow_plugins`, what of other packages was at
             work (to be named here allows nothing); `manifest`, that the run is finished by one.
         versions: library -> version.
@@ -92,6 +95,8 @@ class Recipe:
     inputs: GivenFile | None = None
     has_video: bool = False
     own_motion: bool = False
+    cue_files: Mapping[str, GivenFile] = field(default_factory=dict)
+    own_cues: tuple[str, ...] = ()
     options: Mapping[str, bool | int | float | str] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=versions)
     recipe: int = RECIPE_VERSION
@@ -106,6 +111,8 @@ class Recipe:
         """Why the same cannot be done again from the run directory alone; None where it can."""
         if self.own_motion:
             return "it was tracked with a motion model of one's own"
+        if self.own_cues:
+            return f"it was tracked with cues of a program of one's own: {', '.join(self.own_cues)}"
         return self.origin.only_once
 
     @property
@@ -121,7 +128,11 @@ class Recipe:
 
     def text(self) -> str:
         """It as JSON."""
-        return json.dumps(_codec().dump_python(self), indent=1) + "\n"
+        plain = _codec().dump_python(self)
+        for name in ("cue_files", "own_cues"):  # a recipe without them is what it was before there were any
+            if not plain[name]:
+                del plain[name]
+        return json.dumps(plain, indent=1) + "\n"
 
     def write(self, directory: RunDirectory | str | PathLike[str]) -> None:
         """Write it into a run directory, whole or not at all.
@@ -181,8 +192,10 @@ class Recipe:
             if close is not None:
                 close()
 
-    def load_graph(self, directory: RunDirectory | str | PathLike[str]) -> CheckedGraph:
-        """The graph of the run in a directory.
+    def load_graph(
+        self, directory: RunDirectory | str | PathLike[str], cues: Iterable[GivenCue] = ()
+    ) -> CheckedGraph:
+        """The graph of the run in a directory; `cues` as of `load_graph`.
 
         Raises:
             GraphError: every error of it.
@@ -196,7 +209,7 @@ class Recipe:
             raise RunDirectoryError(f"{path}: cannot be read: {error}") from error
         if graph_sha256(text) != self.graph_sha256:
             raise RecipeError(f"{path}: another graph than the one that the run began with")
-        return load_graph(path)
+        return load_graph(path, tuple(cues))
 
 
 def _check_format(path: Path, plain: object) -> None:
@@ -230,6 +243,7 @@ def make_recipe(
         OSError: a file cannot be read.
     """
     origin: Origin | None = getattr(source, "origin", None)
+    files = {name: file_of(declaration) for name, declaration in graph.cues.items()}
     return Recipe(
         graph=graph.spec.name,
         graph_sha256=graph_sha256(graph.text),
@@ -240,12 +254,18 @@ def make_recipe(
         inputs=None if inputs is None else _given(inputs),
         has_video=has_video,
         own_motion=own_motion,
+        cue_files={name: _given_cue(file) for name, file in files.items() if file is not None},
+        own_cues=tuple(name for name, file in files.items() if file is None),
         options=dict(sorted({**options, HAS_MANIFEST: True}.items())),
     )
 
 
 def _given(path: str | PathLike[str]) -> GivenFile:
     return GivenFile(str(path), str(Path(path).absolute()), file_sha256(path))
+
+
+def _given_cue(file: CueFile) -> GivenFile:
+    return GivenFile(file.path, str(Path(file.path).absolute()), file.sha256)
 
 
 def file_sha256(path: str | PathLike[str]) -> str:

@@ -19,6 +19,7 @@ from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.reader import Notice
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.observation import plugins
+from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.checkpoints.ahead import keep_ahead, told_before
 from bayesnet_track.runtime.checkpoints.checkpoint import (
@@ -32,6 +33,7 @@ from bayesnet_track.runtime.checkpoints.checkpoint import (
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.unchanged import (
     ResumeError,
+    check_cues,
     check_outputs,
     check_plain,
     check_same,
@@ -105,6 +107,7 @@ def resume(
     executor: str | Executing = "serial",
     workers: int | None = None,
     allow_plugins: Iterable[str] = (),
+    cues: Iterable[GivenCue] = (),
     allow_other_machine: bool = False,
     notice: Notice | None = None,
 ) -> Generator[Result, None, None]:
@@ -125,6 +128,8 @@ def resume(
         workers: as for `track`.
         allow_plugins: as for `track`. What the run had is not allowed by that alone: its directory is data,
             and may come from elsewhere.
+        cues: the cues of one's own that the run had, as for `track`: the same files, or objects of the same
+            code.
         allow_other_machine: go on although the machine, its instruction sets or a library is another, which
             gives other last digits than an unbroken run has; the journal says so (`machine_changed`).
         notice: told of what is worth knowing: a torn line, a run that begins anew and why.
@@ -150,7 +155,9 @@ def resume(
             tidy(directory)
             return
         check_plain(directory)
-        graph = recipe.load_graph(directory)
+        cues = tuple(cues)
+        check_cues(recipe, cues)
+        graph = recipe.load_graph(directory, cues)
         check_same(recipe, source, motion)
         checkpoint = _checkpoint(directory, recipe, say)
         moves = permit_move(recipe, checkpoint, allow_other_machine, say)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from bayesnet_track.belief.contract import Motion
 from bayesnet_track.journal.events.machine_events import MachineChanged
 from bayesnet_track.journal.reader import Notice
 from bayesnet_track.journal.writer import read_position
+from bayesnet_track.observation.cue import ENTRY_POINT_GROUP
+from bayesnet_track.observation.cue_files import GivenCue, file_of, own_cues
+from bayesnet_track.observation.plugins import given
 from bayesnet_track.runtime.checkpoints.checkpoint import Checkpoint
 from bayesnet_track.runtime.checkpoints.machine import describe_machine, name_differences
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
@@ -54,6 +58,36 @@ def check_same(recipe: Recipe, source: FrameSource | None, motion: Motion | None
         ) from error
     if changes:
         raise ResumeError(f"what it reads is not what it was: {'; '.join(changes)}")
+
+
+def check_cues(recipe: Recipe, cues: Iterable[GivenCue]) -> None:
+    """Refuse cues of one's own that are not those of the run, or that are not given again.
+
+    What the run directory names is data, and may come from elsewhere: no code is run for that alone.
+
+    Raises:
+        ResumeError: names the cue and the file.
+        CueError: a file of `cues` cannot be loaded.
+    """
+    own = {**given(ENTRY_POINT_GROUP), **own_cues(cues)}
+    for name, was in recipe.cue_files.items():
+        file = None if name not in own else file_of(own[name])
+        if file is None:
+            raise ResumeError(
+                f"its cue {name!r} is the code in {was.path} (SHA-256 {was.sha256[:12]}), which is run only "
+                f"when it is named: --cue-file {was.path} (cues=)"
+            )
+        if file.sha256 != was.sha256:
+            raise ResumeError(
+                f"{file.path}: SHA-256 {file.sha256[:12]}; its cue {name!r} was {was.path} with "
+                f"{was.sha256[:12]}: give that file as it was"
+            )
+    missing = [name for name in recipe.own_cues if name not in own]
+    if missing:
+        raise ResumeError(
+            f"it was tracked with the cue {missing[0]!r} of a program of one's own: give it again, in Python "
+            "(cues=)"
+        )
 
 
 def permit_move(

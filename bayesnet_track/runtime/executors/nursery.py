@@ -7,13 +7,16 @@ import select
 import socket
 import struct
 import subprocess
+import tempfile
 import time
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from threading import Lock
 from types import MappingProxyType
+from typing import IO
 
 from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.observation.cue_files import packed
 from bayesnet_track.sources.child import cut, python, tie
 
 MODULE = "bayesnet_track.runtime.executors.worker"
@@ -102,14 +105,15 @@ class Nursery:
         held, self._lifeline = tie()
         numbers = (theirs.fileno(), self._frames, self._memory_mb)
         try:
-            self._process = subprocess.Popen(
-                python(f"from {MODULE} import main; main{numbers}", held=held),
-                stdin=subprocess.DEVNULL,
-                pass_fds=(*numbers[:2], held),
-                env={**os.environ, **ONE_THREAD},
-                # Ctrl-C in a terminal reaches the engine only, which then ends its workers.
-                start_new_session=True,
-            )
+            with _cue_files() as files:
+                self._process = subprocess.Popen(
+                    python(f"from {MODULE} import main; main{numbers}", held=held),
+                    stdin=files,
+                    pass_fds=(*numbers[:2], held),
+                    env={**os.environ, **ONE_THREAD},
+                    # Ctrl-C in a terminal reaches the engine only, which then ends its workers.
+                    start_new_session=True,
+                )
         finally:
             theirs.close()
             cut(held)
@@ -161,3 +165,16 @@ class Nursery:
             self._process.wait()
         lifeline, self._lifeline = self._lifeline, -1
         cut(lifeline)
+
+
+@contextmanager
+def _cue_files() -> Iterator[int | IO[bytes]]:
+    """What the nursery reads the engine's cue files from."""
+    content = packed()
+    if not content:
+        yield subprocess.DEVNULL
+        return
+    with tempfile.TemporaryFile() as file:
+        file.write(content)
+        file.seek(0)
+        yield file

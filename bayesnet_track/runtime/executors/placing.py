@@ -9,7 +9,7 @@ from typing import Literal
 from bayesnet_track.belief.motion.functions import FunctionMotion
 from bayesnet_track.engine.step import Engine
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.observation.cue import CueDeclaration, installed_cues
+from bayesnet_track.observation.cue import CueDeclaration
 from bayesnet_track.runtime.executors.net_host import make_net_host
 from bayesnet_track.runtime.executors.processes import PlacingError
 from bayesnet_track.runtime.executors.proxy import Desk, SentFrames, placed
@@ -152,5 +152,4 @@ def _name(plate: str, agent: str) -> str:
 def _declarations(engine: Engine, cues: Mapping[str, CueDeclaration] | None) -> Mapping[str, CueDeclaration]:
     if cues is not None:
         return cues
-    plates = [machine.plate for machine in engine.machinery.values()]
-    return installed_cues(plate.agent(agent).agent.cue for plate in plates for agent in plate.agents)
+    return {one.name: one for machine in engine.machinery.values() for one in machine.declared.values()}

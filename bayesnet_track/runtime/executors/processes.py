@@ -12,6 +12,7 @@ from threading import RLock
 from typing import Any
 
 from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.observation.cue import Making
 from bayesnet_track.observation.planes import Frame, Region
 from bayesnet_track.runtime.deadline import Patience
 from bayesnet_track.runtime.executors.frames import FrameStore, SharedFrame
@@ -299,3 +300,9 @@ def _check_sendable(agent: str, employed: Employed) -> None:
             f"agent {agent} cannot be in a process: how its cue is made cannot be sent there ({error}); "
             "its declaration's `make` must be a function of a module"
         ) from None
+    make = employed.make.make if isinstance(employed.make, Making) else employed.make
+    if "__main__" in (getattr(make, "__module__", ""), type(employed.parameters).__module__):
+        raise PlacingError(
+            f"agent {agent} cannot be in a process: its cue is defined in the program that runs, which "
+            "workers do not import; put it into a file of its own, and give its path: cues=['my_cue.py']"
+        )

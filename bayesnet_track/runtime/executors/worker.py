@@ -1,5 +1,7 @@
 """The program of the nursery and of the worker processes that it forks, which answer questions about agents.
 
+What it reads from its input are the engine's cue files.
+
 `nursery.Nursery` starts it.
 
 The nursery imports once what cues need. A worker forked from it is ready within milliseconds, and shares that
@@ -36,7 +38,7 @@ def main(control_number: int, frames: int, memory_mb: int) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_DFL)
     control = socket.socket(fileno=control_number)
-    _load()
+    _load(sys.stdin.buffer.read())
     children: set[int] = set()
     with suppress(ConnectionError):  # the engine has gone, perhaps while it waited for an answer
         control.sendall(NUMBER.pack(READY))
@@ -67,8 +69,8 @@ def _fork_and_reap(control: socket.socket, children: set[int], frames: int, memo
             control.sendall(NUMBER.pack(_ended(child, time.monotonic() + END_S)))
 
 
-def _load() -> None:
-    """Import what cues need, so that a worker answers at once."""
+def _load(cue_files: bytes) -> None:
+    """Import what cues need, and run the engine's cue files, so that a worker answers at once."""
     import cv2
     import numba  # noqa: F401
 
@@ -77,8 +79,10 @@ def _load() -> None:
     import bayesnet_track.runtime.executors.frames
     import bayesnet_track.runtime.executors.host
     import bayesnet_track.runtime.executors.wire  # noqa: F401
+    from bayesnet_track.observation.cue_files import unpack
 
     cv2.setNumThreads(1)
+    unpack(cue_files)
     gc.collect()
     gc.freeze()  # workers share that memory, and none looks through it again
 

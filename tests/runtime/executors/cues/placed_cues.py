@@ -189,7 +189,9 @@ def make_measurer(parameters):
 
 CUES = {
     "placed": CueDeclaration("placed", "", Parameters, make),
-    "placed_measurer": CueDeclaration("placed_measurer", "", Parameters, make_measurer),
+    "placed_measurer": CueDeclaration(
+        "placed_measurer", "", Parameters, make_measurer, measures=True, adapts=True
+    ),
     "kept": CueDeclaration("kept", "", Parameters, make, opaque=True),
     "unnamed": CueDeclaration("unnamed", "", Parameters, lambda parameters: Placed(parameters)),
 }

@@ -1,0 +1,173 @@
+"""Cues of one's own without a package: a Python file that declares ``CUE``, or a declaration in a program.
+
+To load a file is to run its code, so that it is done only where a user names it. The module that it becomes
+has a name made of its SHA-256: what worker processes are sent refers to it by that name, and they load the
+same bytes (`packed`, `unpack`), whatever stands in the file by then.
+"""
+
+from __future__ import annotations
+
+import pickle
+import sys
+import traceback
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from os import PathLike, fspath
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from bayesnet_track.observation import plugins
+from bayesnet_track.observation.capabilities import CueError
+from bayesnet_track.observation.cue import ENTRY_POINT_GROUP, CueDeclaration, installed_cues
+from bayesnet_track.observation.guests import FAULTS, said, text_of
+
+VARIABLE = "CUE"
+"""What a cue file calls its declaration."""
+
+GivenCue = CueDeclaration | str | PathLike[str]
+"""A cue of one's own: its declaration, or the path of a file that declares it."""
+
+MODULE = "bayesnet_track_cue_file_"
+
+_loaded: dict[str, CueFile] = {}
+
+
+@dataclass(frozen=True, eq=False)
+class CueFile:
+    """A cue file that was run.
+
+    Attributes:
+        path: as given.
+        content: its bytes.
+        declaration: its ``CUE``.
+    """
+
+    path: str
+    content: bytes
+    declaration: CueDeclaration
+
+    @property
+    def sha256(self) -> str:
+        """Of its bytes, in hexadecimal."""
+        return sha256(self.content).hexdigest()
+
+
+def load_cue_file(path: str | PathLike[str]) -> CueFile:
+    """Run a cue file, once for the same bytes.
+
+    Raises:
+        CueError: it cannot be read or run, or declares no cue; says where and what.
+    """
+    name = fspath(path)
+    try:
+        content = Path(name).read_bytes()
+    except FileNotFoundError:
+        raise CueError(f"{name}: no such cue file") from None
+    except OSError as error:
+        raise CueError(f"{name}: the cue file cannot be read: {error.strerror}") from error
+    return _loaded_from(name, content)
+
+
+def use_cue_file(path: str | PathLike[str]) -> CueFile:
+    """Load a cue file and have its cue among the installed ones, in this process from now on.
+
+    Raises:
+        CueError: as `load_cue_file`; or another cue has its name.
+    """
+    file = load_cue_file(path)
+    _check_name(file.declaration, file.path)
+    plugins.give(ENTRY_POINT_GROUP, file.declaration)
+    return file
+
+
+def own_cues(cues: Iterable[GivenCue]) -> dict[str, CueDeclaration]:
+    """Cues of one's own by name; files are run.
+
+    Raises:
+        CueError: a file cannot be loaded, two cues have one name, or one has the name of an installed cue.
+    """
+    found: dict[str, CueDeclaration] = {}
+    for one in [cues] if isinstance(cues, str | PathLike | CueDeclaration) else cues:
+        if isinstance(one, CueDeclaration):
+            declaration, where = one, "cues"
+        elif isinstance(one, str | PathLike):
+            declaration, where = load_cue_file(one).declaration, fspath(one)
+        else:
+            raise CueError(
+                f"cues: {type(one).__name__}; allowed: a CueDeclaration, or the path of a cue file"
+            )
+        if found.get(declaration.name, declaration) is not declaration:
+            raise CueError(f"{where}: two cues are called {declaration.name!r}; give one another name")
+        _check_name(declaration, where)
+        found[declaration.name] = declaration
+    return found
+
+
+def file_of(declaration: CueDeclaration) -> CueFile | None:
+    """The cue file that a declaration comes from; None for any other."""
+    return next((file for file in _loaded.values() if file.declaration is declaration), None)
+
+
+def packed() -> bytes:
+    """All cue files of this process, for one that works for it; no bytes where there are none."""
+    files = [(file.path, file.content) for file in _loaded.values()]
+    return pickle.dumps(files) if files else b""
+
+
+def unpack(files: bytes) -> None:
+    """Load the cue files that were packed."""
+    for path, content in pickle.loads(files) if files else ():
+        _loaded_from(path, content)
+
+
+def _check_name(declaration: CueDeclaration, where: str) -> None:
+    other = installed_cues().get(declaration.name)
+    if other is None or other is declaration:
+        return
+    file = file_of(other)
+    whose = "a built-in cue" if file is None else f"the cue of {file.path}"
+    raise CueError(f"{where}: the cue {declaration.name!r} has the name of {whose}; give it another name")
+
+
+def _loaded_from(path: str, content: bytes) -> CueFile:
+    digest = sha256(content).hexdigest()
+    known = _loaded.get(digest)
+    if known is not None:
+        return known if known.path == path else replace(known, path=path)
+    module = ModuleType(MODULE + digest[:16])
+    module.__file__ = path
+    sys.modules[module.__name__] = module
+    try:
+        exec(_compiled(path, content), module.__dict__)
+    except FAULTS as error:
+        del sys.modules[module.__name__]
+        if isinstance(error, CueError):
+            raise
+        lines = [at.lineno for at in traceback.extract_tb(error.__traceback__) if at.filename == path]
+        where = f"{path}:{lines[-1]}" if lines else path
+        raise CueError(f"{where}: the cue file cannot be loaded: it raised {said(error)}") from error
+    declaration = getattr(module, VARIABLE, None)
+    if not isinstance(declaration, CueDeclaration):
+        del sys.modules[module.__name__]
+        raise CueError(f"{path}: {_found(declaration)}; needed: {VARIABLE} = CueDeclaration(name, make=...)")
+    file = CueFile(path, content, declaration)
+    _loaded[digest] = file
+    return file
+
+
+def _compiled(path: str, content: bytes) -> Any:
+    try:
+        return compile(content, path, "exec", dont_inherit=True)
+    except SyntaxError as error:
+        where = path if error.lineno is None else f"{path}:{error.lineno}:{error.offset or 1}"
+        raise CueError(f"{where}: the cue file is not Python: {error.msg}") from error
+    except ValueError as error:  # a zero byte
+        raise CueError(f"{path}: the cue file is not Python: {text_of(error)}") from error
+
+
+def _found(declaration: Any) -> str:
+    if declaration is None:
+        return f"no {VARIABLE} in the cue file"
+    return f"{VARIABLE} in the cue file is a {type(declaration).__name__}"
