@@ -164,3 +164,25 @@ def test_the_reference_tells_of_everything_that_the_package_offers():
         name for name in bayesnet_track.__all__ if not re.search(rf"bayesnet_track\.{name}$", text, re.M)
     ]
     assert missing == []
+
+
+GENERATED = {"language.md", "journal.md", "api.md"}
+"""Made from docstrings, which name sections of the thesis and have no links."""
+
+
+def test_pages_that_rely_on_a_source_cite_it():
+    for page in PAGES:
+        text = page.read_text("utf-8")
+        relies = re.search(
+            r"\bthesis (?!of)|[Tt]racking chapter|General Distribution Filter", text, re.IGNORECASE
+        )
+        if relies and page.parent != ROOT and page.name not in {*GENERATED, "bibliography.md", "index.md"}:
+            assert "bibliography.md#" in text, f"{name_of(page)}: {relies[0]}"
+
+
+def test_the_citation_agrees_with_the_bibliography():
+    text = " ".join((ROOT / "docs" / "bibliography.md").read_text("utf-8").split())
+    for reference in yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))["references"]:
+        assert f"*{reference['title']}*" in text
+        names = [f"{author['given-names']} {author['family-names']}" for author in reference["authors"]]
+        assert " and ".join(names) in text
