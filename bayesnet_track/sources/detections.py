@@ -17,13 +17,9 @@ def format_frame(frame: Frame, detections: Detections, as_json: bool) -> list[st
     MOT: ``frame, -1, left, top, width, height, score, -1, -1, -1``, frames from 1, pixels from 0. JSON: one
     object with frame (from 0), time_s, and detections, each with box (the same four numbers), score, label.
     """
-    corners = corner_from_centre(detections.boxes)
     if not as_json:
-        return [
-            f"{frame.index + 1},-1,{','.join(f'{value + 0.0:.{DIGITS}f}' for value in box)},"
-            f"{score:.{SCORE_DIGITS}f},-1,-1,-1"
-            for box, score in zip(corners, detections.scores, strict=True)
-        ]
+        return format_mot(frame.index, detections)
+    corners = corner_from_centre(detections.boxes)
     found = [
         {
             "box": [round(float(value), DIGITS) for value in box],
@@ -33,3 +29,12 @@ def format_frame(frame: Frame, detections: Detections, as_json: bool) -> list[st
         for box, score, label in zip(corners, detections.scores, detections.labels, strict=True)
     ]
     return [json.dumps({"frame": frame.index, "time_s": round(frame.time_s, 6), "detections": found})]
+
+
+def format_mot(index: int, detections: Detections) -> list[str]:
+    """The MOT lines of the frame with this index, from 0; see `format_frame`."""
+    return [
+        f"{index + 1},-1,{','.join(f'{value + 0.0:.{DIGITS}f}' for value in box)},"
+        f"{score:.{SCORE_DIGITS}f},-1,-1,-1"
+        for box, score in zip(corner_from_centre(detections.boxes), detections.scores, strict=True)
+    ]

@@ -12,6 +12,7 @@ from bayesnet_track.sources.scenes.texture import ORANGE, flat, smooth_backgroun
 Floats = NDArray[np.float64]
 
 WIDTH, HEIGHT, SIDE, NOISE_SD = 640, 480, 28.0, 4.0
+SPEEDS = (1.5, 4.0)
 TURN_SD = 0.06
 """Change of heading per frame, radians."""
 BORDER, TURN_BACK = 60.0, 0.25
@@ -30,7 +31,9 @@ def crowd(seed: int = 0, count: int = 10, frames: int = 200) -> Scene:
     rng = np.random.Generator(np.random.Philox(seed))
     paths: list[Floats] = []
     for _ in range(400 * count):
-        path = _winding(rng, frames)
+        inset = np.full(2, (SIDE - 1) / 2)
+        places = winding(rng, frames, inset, np.array([WIDTH, HEIGHT]) - 1 - inset, SPEEDS)
+        path = np.column_stack([places, np.full((frames, 2), SIDE)])
         if all(np.abs(path - other)[:5, :2].max(axis=1).min() > SIDE + 2 for other in paths):
             paths.append(path)
         if len(paths) == count:
@@ -42,11 +45,14 @@ def crowd(seed: int = 0, count: int = 10, frames: int = 200) -> Scene:
     return assemble("crowd", background, sprites, 0, NOISE_SD, seed, plates=("disc",) * count)
 
 
-def _winding(rng: np.random.Generator, frames: int) -> Floats:
-    """(frames, 4) centre boxes of a disc that turns a little in each frame, and away from borders."""
-    low = np.full(2, (SIDE - 1) / 2)
-    high = np.array([WIDTH, HEIGHT]) - 1 - low
-    place, speed, heading = rng.uniform(low, high), rng.uniform(1.5, 4.0), rng.uniform(0.0, 2 * np.pi)
+def winding(
+    rng: np.random.Generator, frames: int, low: Floats, high: Floats, speeds: tuple[float, float]
+) -> Floats:
+    """(frames, 2) places that turn a little in each frame, and away from the borders `low` and `high` (2,).
+
+    Place, heading and speed, in px per frame, are drawn once; they never leave the borders.
+    """
+    place, speed, heading = rng.uniform(low, high), rng.uniform(*speeds), rng.uniform(0.0, 2 * np.pi)
     turns = rng.normal(0.0, TURN_SD, frames)
     path = np.empty((frames, 2))
     for frame in range(frames):
@@ -56,4 +62,4 @@ def _winding(rng: np.random.Generator, frames: int) -> Floats:
         ahead += inward * (speed / BORDER) * TURN_BACK
         heading = float(np.arctan2(ahead[1], ahead[0]))
         place = np.clip(place + speed * ahead / np.linalg.norm(ahead), low, high)
-    return np.column_stack([path, np.full((frames, 2), SIDE)])
+    return path

@@ -20,7 +20,7 @@ class Sprite:
 
     Attributes:
         cells: (rows, columns, 3) BGR values of its cells, which share its area evenly.
-        path: (n, 4) centre box x, y, w, h in px for every frame.
+        path: (n, 4) centre box x, y, w, h in px for every frame; NaN where it is not there.
         is_round: only the ellipse inside the box is there.
     """
 
@@ -66,6 +66,8 @@ def coverage(centre: float, size: float, cells: int, pixels: int) -> tuple[int, 
 def paint(canvas: Floats, sprite: Sprite, index: int) -> None:
     """Paint the sprite's box of frame `index` over `canvas` (H, W, 3), in place, exact to the sub-pixel."""
     x, y, w, h = sprite.path[index]
+    if np.isnan(x):
+        return
     rows, columns = sprite.cells.shape[:2]
     top, down = coverage(y, h, rows, canvas.shape[0])
     left, across = coverage(x, w, columns, canvas.shape[1])
