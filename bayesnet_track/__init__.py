@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.recording.interchange import Detections as Detections
     from bayesnet_track.runtime.recording.opened import Run as Run
     from bayesnet_track.runtime.recording.opened import open_run as open_run
-    from bayesnet_track.runtime.run import Result as Result
+    from bayesnet_track.runtime.results import Result as Result
     from bayesnet_track.runtime.run import Start as Start
     from bayesnet_track.runtime.session import track as track
     from bayesnet_track.runtime.tracker import Tracker as Tracker

@@ -20,7 +20,8 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.basic import Event
 from bayesnet_track.journal.events.belief_events import SecondPass
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.runtime.run import Result, Start, run
+from bayesnet_track.runtime.results import Result
+from bayesnet_track.runtime.run import Start, run
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes.render import Sprite
 from bayesnet_track.sources.scenes.scene import Scene, assemble

@@ -27,7 +27,7 @@ from bayesnet_track import Start, track
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.runtime.run import Result
+from bayesnet_track.runtime.results import Result
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import Scene, make_scene
 from bayesnet_track.view.overlay import draw_overlay

@@ -17,16 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track import Start, track
-from bayesnet_track.journal.net.net import (
-    Activated,
-    Deactivated,
-    Decision,
-    LocallyAdapted,
-    SelfStopped,
-    StatusChanged,
-)
+from bayesnet_track.journal.net.net import Decision, LocallyAdapted, SelfStopped
+from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.runtime.run import Result
+from bayesnet_track.runtime.results import Result
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import Scene, make_scene
 

@@ -28,7 +28,8 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.numerics.boxes import centre_from_corner, corner_from_centre
 from bayesnet_track.observation.detector import Detections, Detector
-from bayesnet_track.runtime.run import FrameSource, run
+from bayesnet_track.runtime.results import FrameSource
+from bayesnet_track.runtime.run import run
 from bayesnet_track.sources.detection_files import FileDetector
 from bayesnet_track.sources.frames import SourceItem
 from bayesnet_track.sources.sources import open_source

@@ -17,14 +17,8 @@ from bayesnet_track.adapt.memory import Memory, Quiet, Streak
 from bayesnet_track.adapt.situation import Situation, active_below, quiet_level, read_ud, read_ud_beside_more
 from bayesnet_track.adapt.status import judge_status
 from bayesnet_track.graph.spec import Adapt, Condition, Level
-from bayesnet_track.journal.net.net import (
-    Activated,
-    Deactivated,
-    Decision,
-    LocallyAdapted,
-    Readmitted,
-    SelfStopped,
-)
+from bayesnet_track.journal.net.net import Decision, LocallyAdapted, Readmitted, SelfStopped
+from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
 
 
 def decide(now: Situation, memory: Memory) -> tuple[tuple[Decision, ...], Memory]:

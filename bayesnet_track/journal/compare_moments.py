@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from bayesnet_track.journal.net.join_decisions import Joined, Parted
 from bayesnet_track.journal.net.life_decisions import Returned
-from bayesnet_track.journal.net.net import Decision, StatusChanged, TargetStarted
+from bayesnet_track.journal.net.net import Decision, TargetStarted
+from bayesnet_track.journal.net.rule_decisions import StatusChanged
 
 SHIFT = 10
 """Frames by which the same decision may come earlier or later and still count as the same moment."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from bayesnet_track.journal.net.net import Activated, Readmitted, Switch, TakenBack, Toggled
+from bayesnet_track.journal.net.net import Readmitted, Switch, TakenBack, Toggled
+from bayesnet_track.journal.net.rule_decisions import Activated
 
 
 def turns_on(event: Switch) -> bool:

@@ -4,107 +4,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Protocol
-
-import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.engine.starts import Start, StartError, check_started, check_starts, start_targets
 from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.journal.events.basic import JOURNAL_VERSION, Event, FrameMetrics, RunEnded, RunStarted
-from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.events.basic import JOURNAL_VERSION, Event, RunEnded, RunStarted
 from bayesnet_track.journal.net.net import Decision, Switch
 from bayesnet_track.numerics.compile_watch import WATCH
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.checkpoints.versions import versions
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.inputs import Asked, nothing
-from bayesnet_track.runtime.recording.interchange import Detections
-from bayesnet_track.sources.frames import EndReason, SourceItem
+from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary
+from bayesnet_track.sources.frames import SourceItem
 
 __all__ = ["FrameSource", "Result", "Sink", "Start", "StartError", "Summary", "run"]
-
-Floats = NDArray[np.float64]
-
-
-class FrameSource(Protocol):
-    """Where frames come from: an iterable of frames and notices, with what is known of it."""
-
-    @property
-    def description(self) -> str:
-        """The source as given."""
-        ...
-
-    @property
-    def expected_frames(self) -> int | None:
-        """Number of frames to come, where the source declares it."""
-        ...
-
-    @property
-    def frame_interval_s(self) -> float:
-        """Nominal seconds between frames."""
-        ...
-
-    @property
-    def width(self) -> int:
-        """Columns of the first frame."""
-        ...
-
-    @property
-    def height(self) -> int:
-        """Rows of the first frame."""
-        ...
-
-    @property
-    def end_reason(self) -> EndReason:
-        """Why it ended; end_of_source while nothing is wrong."""
-        ...
-
-    def __iter__(self) -> Iterator[SourceItem]: ...
-
-
-@dataclass(frozen=True, eq=False)
-class Result:
-    """What one frame gave.
-
-    Attributes:
-        frame: the frame.
-        targets: measurements, one per live target (estimate, UD, active agents, ...).
-        covariances: target id -> covariance (D, D) of its belief.
-        decisions: what was decided in this frame, working from the next on.
-        seconds: seconds per agent and stage.
-        total_seconds: seconds of the whole step, without decoding, writing and compiling.
-        outside: what came from outside, such as a person's switches.
-        kinds: target id -> name of its plate, for all in `targets`.
-    """
-
-    frame: Frame
-    targets: tuple[FrameMetrics, ...]
-    covariances: dict[str, Floats]
-    decisions: tuple[Decision, ...]
-    seconds: dict[str, float]
-    total_seconds: float = 0.0
-    outside: tuple[Input, ...] = ()
-    kinds: dict[str, str] = field(default_factory=dict)
-
-    def detections(self, lost: bool = False) -> Detections:
-        """The targets' boxes in the shape of supervision's; `lost` for those of lost targets, too."""
-        return Detections.of(self.targets, self.kinds, lost=lost)
-
-
-class Sink(Protocol):
-    """Who is told what happens, as it happens. An observer cannot change a result."""
-
-    def event(self, event: Event) -> None:
-        """A decision, a fault or a notice."""
-        ...
-
-    def frame(self, result: Result) -> None:
-        """What one frame gave, after its events."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,31 +72,6 @@ class Keeper(Protocol):
     def ended(self) -> None:
         """The source was read to its end, and the journal has its last line."""
         ...
-
-
-@dataclass
-class Summary:
-    """How a run went, filled in while it goes on.
-
-    Attributes:
-        frames: frames that were tracked.
-        reconfigurations: how many times an agent was switched on or off.
-        lost_frames: frames in which a target was lost.
-        complete: whether the source was read to its end.
-        reason: why it ended, in the words of `RunEnded.reason`.
-        seconds: wall-clock seconds, decoding and writing included.
-        compiling_s: seconds of them in which kernels were compiled here, as at the first run on a machine.
-        notices: what was wrong with the source.
-    """
-
-    frames: int = 0
-    reconfigurations: int = 0
-    lost_frames: int = 0
-    complete: bool = False
-    reason: str = "error"
-    seconds: float = 0.0
-    compiling_s: float = 0.0
-    notices: list[Event] = field(default_factory=list)
 
 
 def run(

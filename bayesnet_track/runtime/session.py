@@ -30,7 +30,8 @@ from bayesnet_track.runtime.recording.manifest import finish
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.replace import replace_run, settle
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
-from bayesnet_track.runtime.run import FrameSource, Result, Sink, Summary, run
+from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary
+from bayesnet_track.runtime.run import run
 from bayesnet_track.sources.detection_files import file_detector
 from bayesnet_track.sources.sources import open_source
 

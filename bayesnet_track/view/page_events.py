@@ -11,7 +11,8 @@ from bayesnet_track.journal.events.basic import Event, RunEnded, RunStarted
 from bayesnet_track.journal.net.hand_decisions import Released, Toggled
 from bayesnet_track.journal.net.join_decisions import Joined, Parted
 from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
-from bayesnet_track.journal.net.net import StatusChanged, Switch, TargetStarted
+from bayesnet_track.journal.net.net import Switch, TargetStarted
+from bayesnet_track.journal.net.rule_decisions import StatusChanged
 from bayesnet_track.journal.switches import turns_on
 from bayesnet_track.journal.text.sentences import explain
 

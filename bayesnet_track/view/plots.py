@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 
 from bayesnet_track.journal.compare import RunRecord
 from bayesnet_track.journal.events.basic import FrameMetrics
-from bayesnet_track.journal.net.net import Activated, Cause, Deactivated, Switch
+from bayesnet_track.journal.net.net import Cause, Switch
+from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
 from bayesnet_track.journal.switches import turns_on
 from bayesnet_track.numerics.boxes import corner_from_centre
 

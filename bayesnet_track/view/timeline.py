@@ -7,15 +7,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from bayesnet_track.journal.events.basic import Event, FrameMetrics
-from bayesnet_track.journal.net.net import (
-    Activated,
-    Cause,
-    Deactivated,
-    Shed,
-    StatusChanged,
-    Switch,
-    TargetStarted,
-)
+from bayesnet_track.journal.net.net import Cause, Shed, Switch, TargetStarted
+from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
 from bayesnet_track.journal.switches import turns_on
 from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.view.scales import decades, stretches, ticks

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from bayesnet_track.inference.learn import over_frames
-from bayesnet_track.journal.net.net import Activated, Deactivated, Quarantined, TargetNet, Toggled, apply
 from bayesnet_track.journal.net.net import Net as LiveNets
+from bayesnet_track.journal.net.net import Quarantined, TargetNet, Toggled, apply
+from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
 from bayesnet_track.journal.text.sentences import explain
 
 ADAPT = {

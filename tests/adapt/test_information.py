@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from bayesnet_track.adapt.information import Worth, expected_per_ms, remembered_per_ms
 from bayesnet_track.graph.spec import Information
-from bayesnet_track.journal.net.net import Activated, Deactivated, TargetNet
+from bayesnet_track.journal.net.net import TargetNet
+from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
 
 AGENTS = ("a", "b", "c")
 COSTS = {"a": 1.0, "b": 0.5, "c": 4.0}

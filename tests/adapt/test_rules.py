@@ -13,16 +13,8 @@ from hypothesis import strategies as st
 from bayesnet_track.adapt.conditions import read_level
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.graph.spec import Level
-from bayesnet_track.journal.net.net import (
-    Activated,
-    Cause,
-    Deactivated,
-    FitCause,
-    LocallyAdapted,
-    SelfStopped,
-    StatusChanged,
-    TargetNet,
-)
+from bayesnet_track.journal.net.net import Cause, FitCause, LocallyAdapted, SelfStopped, TargetNet
+from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
 from bayesnet_track.journal.text.explain import explain
 
 NEVER_LOST = {"above": {"ud_px2": 1e9}}

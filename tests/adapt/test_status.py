@@ -11,7 +11,8 @@ from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.adapt.situation import Situation
-from bayesnet_track.journal.net.net import Net, ScoreCause, StatusChanged, TargetNet, apply
+from bayesnet_track.journal.net.net import Net, ScoreCause, TargetNet, apply
+from bayesnet_track.journal.net.rule_decisions import StatusChanged
 from bayesnet_track.journal.text.explain import explain
 
 LEVELS = {"score_below": 0.25, "uncertain_below": 0.6, "frames": 2}

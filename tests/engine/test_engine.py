@@ -12,16 +12,14 @@ from hypothesis import strategies as st
 from bayesnet_track.engine.step import State, start_target, step
 from bayesnet_track.journal.events.belief_events import DegenerateBelief
 from bayesnet_track.journal.net.net import (
-    Activated,
-    Deactivated,
     FitCause,
     LocallyAdapted,
     Quarantined,
     SelfStopped,
-    StatusChanged,
     TargetStarted,
     replay,
 )
+from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
 from bayesnet_track.observation.planes import region_of_boxes
 
 TWO = {"root": {"fuse": "product", "ud_fields": ["x", "y"]}, "a": "root", "b": "root"}

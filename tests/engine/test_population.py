@@ -12,7 +12,8 @@ from bayesnet_track.engine.step import Outcome, State, first_look, make_engine, 
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
 from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
-from bayesnet_track.journal.net.net import Decision, StatusChanged, TargetStarted, replay
+from bayesnet_track.journal.net.net import Decision, TargetStarted, replay
+from bayesnet_track.journal.net.rule_decisions import StatusChanged
 from bayesnet_track.observation.cue import CueDeclaration, CueParameters
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame

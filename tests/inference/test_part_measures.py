@@ -10,7 +10,7 @@ import pytest
 from bayesnet_track.graph.spec import Guard
 from bayesnet_track.inference.guard import Watched, judge
 from bayesnet_track.journal.codec import from_json, to_json
-from bayesnet_track.journal.net.net import Activated, StatusChanged
+from bayesnet_track.journal.net.rule_decisions import Activated, StatusChanged
 from bayesnet_track.observation.cue import Hypotheses
 
 WHOLE = (60.0, 50.0, 20.0, 40.0)

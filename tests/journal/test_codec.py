@@ -23,7 +23,8 @@ from bayesnet_track.journal.codec import (
 from bayesnet_track.journal.encoder import FLOAT_DIGITS
 from bayesnet_track.journal.events.basic import JOURNAL_VERSION, FrameMetrics, RunEnded, RunStarted
 from bayesnet_track.journal.events.source_events import SourceDamaged
-from bayesnet_track.journal.net.net import Activated, Cause, Deactivated, StatusChanged
+from bayesnet_track.journal.net.net import Cause
+from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
 
 SIMPLE = {
     float: st.floats(),

@@ -7,7 +7,8 @@ import pytest
 from bayesnet_track.journal.compare import compare
 from bayesnet_track.journal.events.basic import FrameMetrics
 from bayesnet_track.journal.events.life_events import CandidateConfirmed
-from bayesnet_track.journal.net.net import Activated, Cause, Deactivated, StatusChanged, TargetStarted
+from bayesnet_track.journal.net.net import Cause, TargetStarted
+from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
 from bayesnet_track.journal.text.compare_text import compare_text
 
 BOX = (50.0, 40.0, 20.0, 10.0)

@@ -39,9 +39,7 @@ from bayesnet_track.journal.net.life_decisions import (
     TargetDied,
 )
 from bayesnet_track.journal.net.net import (
-    Activated,
     Cause,
-    Deactivated,
     LocallyAdapted,
     ParticlesLimited,
     Quarantined,
@@ -49,11 +47,11 @@ from bayesnet_track.journal.net.net import (
     Released,
     SelfStopped,
     Shed,
-    StatusChanged,
     TakenBack,
     TargetStarted,
     Toggled,
 )
+from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
 from bayesnet_track.journal.text.explain import Filter, explain, has_several_targets, why
 
 STARTED = RunStarted(1, "two_squares", "ab" * 32, 0, "scene:two_squares", 320, 240, True, 200, 0.04)

@@ -9,9 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.journal.net.net import (
-    Activated,
     Cause,
-    Deactivated,
     Fault,
     LocallyAdapted,
     Net,
@@ -19,13 +17,13 @@ from bayesnet_track.journal.net.net import (
     Readmitted,
     Released,
     SelfStopped,
-    StatusChanged,
     TargetNet,
     TargetStarted,
     Toggled,
     apply,
     replay,
 )
+from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
 
 CAUSE = Cause("ud_px2", 200.0, 212.0, 3, 210.0, 212.0, 1.0)
 BOX = (10.0, 20.0, 5.0, 6.0)

@@ -33,7 +33,7 @@ from bayesnet_track.runtime.checkpoints.resume import resume
 from bayesnet_track.runtime.recording.manifest import ManifestError, passing
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.recording.verify import verify
-from bayesnet_track.runtime.run import Result
+from bayesnet_track.runtime.results import Result
 from bayesnet_track.sources.sources import open_source
 
 FRAMES = 8

@@ -14,7 +14,8 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.writer import LineFile, OutputError
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.rundir import RunDirectory
-from bayesnet_track.runtime.run import Result, Start, run
+from bayesnet_track.runtime.results import Result
+from bayesnet_track.runtime.run import Start, run
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
 

@@ -22,7 +22,7 @@ from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume, stand
 from bayesnet_track.runtime.inputs import Switchboard
 from bayesnet_track.runtime.recording.lock import locked
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
-from bayesnet_track.runtime.run import Result, Summary
+from bayesnet_track.runtime.results import Result, Summary
 from bayesnet_track.sources.scene_source import SceneSource
 
 FRAMES = 10

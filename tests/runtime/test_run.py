@@ -14,11 +14,13 @@ from bayesnet_track import Tracker
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.basic import RunEnded, RunStarted
 from bayesnet_track.journal.events.source_events import FrameSizeChanged, FramesMissing, SourceDamaged
-from bayesnet_track.journal.net.net import Activated, Deactivated, Decision, TargetStarted, replay
+from bayesnet_track.journal.net.net import Decision, TargetStarted, replay
+from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.run import Start, StartError, Summary, run
+from bayesnet_track.runtime.results import Summary
+from bayesnet_track.runtime.run import Start, StartError, run
 from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene

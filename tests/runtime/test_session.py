@@ -10,7 +10,8 @@ from bayesnet_track import Result, Start, load_graph, track
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectoryError
-from bayesnet_track.runtime.run import StartError, Summary
+from bayesnet_track.runtime.results import Summary
+from bayesnet_track.runtime.run import StartError
 from bayesnet_track.sources.sources import SourceError, open_source
 
 SQUARE = (0, 5, 10, 10)

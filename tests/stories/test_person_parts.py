@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Start, track
-from bayesnet_track.journal.net.net import Activated, StatusChanged
+from bayesnet_track.journal.net.rule_decisions import Activated, StatusChanged
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.runtime.run import Result
+from bayesnet_track.runtime.results import Result
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import Scene, make_scene
 

@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import pytest
 
 from bayesnet_track.journal.compare import compare
-from bayesnet_track.journal.net.net import Activated, Cause, TargetStarted
+from bayesnet_track.journal.net.net import Cause, TargetStarted
+from bayesnet_track.journal.net.rule_decisions import Activated
 from bayesnet_track.view.compare_page import compare_page
 
 HOSTILE = '"><script>alert(1)</script><img src=x onerror=alert(2)>'

@@ -16,17 +16,15 @@ from hypothesis import strategies as st
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.events.basic import RunStarted
 from bayesnet_track.journal.net.net import (
-    Activated,
     Cause,
-    Deactivated,
     Quarantined,
     Readmitted,
     Shed,
-    StatusChanged,
     TakenBack,
     TargetStarted,
     Toggled,
 )
+from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
 from bayesnet_track.view.page_columns import pack, short_floats, unpack
 from bayesnet_track.view.page_data import CLOUD_POINTS, read_timings, run_data
 from bayesnet_track.view.page_events import event_row, event_rows

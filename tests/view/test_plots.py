@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesnet_track.journal.net.net import Activated, Cause, Shed, TakenBack, TargetStarted
+from bayesnet_track.journal.net.net import Cause, Shed, TakenBack, TargetStarted
+from bayesnet_track.journal.net.rule_decisions import Activated
 from bayesnet_track.view import plots
 
 

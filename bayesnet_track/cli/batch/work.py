@@ -48,7 +48,7 @@ def do(job: Job, progress: Callable[[int, int | None], None]) -> Row:
     from bayesnet_track.runtime.checkpoints.resume import resume, standing
     from bayesnet_track.runtime.recording.replace import settle_broken
     from bayesnet_track.runtime.recording.rundir import RunDirectory
-    from bayesnet_track.runtime.run import Summary
+    from bayesnet_track.runtime.results import Summary
     from bayesnet_track.runtime.session import track
     from bayesnet_track.sources.frames import OnResize
     from bayesnet_track.sources.sources import open_source

@@ -23,7 +23,7 @@ def resume(options: argparse.Namespace) -> int:
     from bayesnet_track.runtime.checkpoints.resume import resume, standing
     from bayesnet_track.runtime.recording.replace import settle_broken
     from bayesnet_track.runtime.recording.rundir import RunDirectory
-    from bayesnet_track.runtime.run import Summary
+    from bayesnet_track.runtime.results import Summary
 
     directory = RunDirectory(Path(options.run))
     settle_broken(directory)

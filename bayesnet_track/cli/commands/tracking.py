@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.executors import Executing
     from bayesnet_track.runtime.live_view.view import LiveView
     from bayesnet_track.runtime.progress import Progress
-    from bayesnet_track.runtime.run import FrameSource, Result, Start, Summary
+    from bayesnet_track.runtime.results import FrameSource, Result, Summary
+    from bayesnet_track.runtime.run import Start
     from bayesnet_track.runtime.stop import StopRequest
     from bayesnet_track.sources.frames import Source
 
@@ -174,7 +175,7 @@ def _track(
 ) -> int:
     from bayesnet_track.runtime.inputs import replayed
     from bayesnet_track.runtime.recording.rerun_sink import rerun_sinks
-    from bayesnet_track.runtime.run import Summary
+    from bayesnet_track.runtime.results import Summary
     from bayesnet_track.runtime.session import track
     from bayesnet_track.sources.detection_files import file_detector
 

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
     from bayesnet_track.runtime.live_view.view import LiveView
     from bayesnet_track.runtime.recording.rundir import RunDirectory
-    from bayesnet_track.runtime.run import FrameSource, Start
+    from bayesnet_track.runtime.results import FrameSource
+    from bayesnet_track.runtime.run import Start
     from bayesnet_track.runtime.stop import StopRequest
 
 

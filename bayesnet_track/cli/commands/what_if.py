@@ -74,7 +74,7 @@ def _track_again(
 ) -> int:
     """The run of a recipe with another graph or seed; what came from outside then comes again."""
     from bayesnet_track.cli.commands.tracking import follow
-    from bayesnet_track.runtime.run import Summary
+    from bayesnet_track.runtime.results import Summary
     from bayesnet_track.runtime.session import track
 
     summary = Summary()

@@ -9,17 +9,15 @@ from typing import get_args
 from bayesnet_track.journal.codec import event_name
 from bayesnet_track.journal.events.basic import Event, FrameMetrics
 from bayesnet_track.journal.net.net import (
-    Activated,
     Cause,
     Concentration,
-    Deactivated,
     FitCause,
     ScoreCause,
     SelfStopped,
-    StatusChanged,
     Switch,
     TargetStarted,
 )
+from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.journal.text.wording import UNIT
 

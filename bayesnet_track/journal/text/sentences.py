@@ -30,8 +30,6 @@ from bayesnet_track.journal.net.hand_decisions import Released, Toggled
 from bayesnet_track.journal.net.join_decisions import Joined, Parted
 from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
 from bayesnet_track.journal.net.net import (
-    Activated,
-    Deactivated,
     Decision,
     FitCause,
     LocallyAdapted,
@@ -41,10 +39,10 @@ from bayesnet_track.journal.net.net import (
     ScoreCause,
     SelfStopped,
     Shed,
-    StatusChanged,
     TakenBack,
     TargetStarted,
 )
+from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
 from bayesnet_track.journal.text.belief_sentences import (
     belief_reset,
     measurement_gated,

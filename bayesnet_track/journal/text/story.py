@@ -10,19 +10,17 @@ from bayesnet_track.journal.events.basic import Event, FrameMetrics
 from bayesnet_track.journal.events.life_events import CandidateConfirmed
 from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
 from bayesnet_track.journal.net.net import (
-    Activated,
-    Deactivated,
     LocallyAdapted,
     Quarantined,
     Readmitted,
     SelfStopped,
     Shed,
-    StatusChanged,
     Switch,
     TakenBack,
     TargetStarted,
     Toggled,
 )
+from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.journal.text.wording import plural
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 from bayesnet_track.journal.events.belief_events import ReferenceGuarded
-from bayesnet_track.journal.net.net import Activated, Cause, Concentration, Deactivated
+from bayesnet_track.journal.net.net import Cause, Concentration
+from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
 from bayesnet_track.journal.text.wording import decimals, held, plural, rounded, told_apart, turned_at
 
 

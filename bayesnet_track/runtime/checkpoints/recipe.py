@@ -30,7 +30,7 @@ from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryEr
 from bayesnet_track.sources.origin import Origin
 
 if TYPE_CHECKING:
-    from bayesnet_track.runtime.run import FrameSource
+    from bayesnet_track.runtime.results import FrameSource
     from bayesnet_track.sources.frames import Source
     from bayesnet_track.sources.scene_source import SceneSource
 

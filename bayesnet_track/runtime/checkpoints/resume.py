@@ -47,7 +47,8 @@ from bayesnet_track.runtime.recording.manifest import finish, read_manifest, tid
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.replace import settle, settle_broken
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
-from bayesnet_track.runtime.run import FrameSource, Result, Resumed, Sink, Summary, run
+from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary
+from bayesnet_track.runtime.run import Resumed, run
 from bayesnet_track.runtime.session import kept, opaque_agents, placed, prepared
 
 __all__ = ["ResumeError", "Standing", "resume", "standing"]

@@ -17,7 +17,7 @@ from bayesnet_track.runtime.checkpoints.machine import describe_machine, name_di
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.versions import versions
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
-from bayesnet_track.runtime.run import FrameSource
+from bayesnet_track.runtime.results import FrameSource
 from bayesnet_track.sources.paths import SourceError
 
 

@@ -15,7 +15,7 @@ from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.basic import Event, FrameMetrics, RunEnded, RunStarted
 from bayesnet_track.runtime.live_view.spool import Spool
 from bayesnet_track.runtime.live_view.thumbnails import Thumbnails
-from bayesnet_track.runtime.run import Result
+from bayesnet_track.runtime.results import Result
 from bayesnet_track.view.page_data import run_data
 from bayesnet_track.view.page_events import event_row
 

@@ -18,7 +18,7 @@ from bayesnet_track.runtime.live_view.controls import POLL_S, Controls, GiveUp, 
 from bayesnet_track.runtime.live_view.feed import Feed
 from bayesnet_track.runtime.live_view.server import Server
 from bayesnet_track.runtime.live_view.thumbnails import Thumbnails
-from bayesnet_track.runtime.run import FrameSource, Result
+from bayesnet_track.runtime.results import FrameSource, Result
 from bayesnet_track.view.run_page import live_page
 
 AT_A_TIME = 400_000

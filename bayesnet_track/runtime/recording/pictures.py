@@ -16,7 +16,7 @@ from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.sources.paths import SourceError
 
 if TYPE_CHECKING:
-    from bayesnet_track.runtime.run import FrameSource
+    from bayesnet_track.runtime.results import FrameSource
 
 SCENE = "scene:"
 

@@ -29,7 +29,7 @@ from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.recording.tracks import NO_IDS, CsvWriter, MotWriter
 from bayesnet_track.runtime.recording.videowriter import VideoWriter
-from bayesnet_track.runtime.run import Result
+from bayesnet_track.runtime.results import Result
 
 
 @dataclass(frozen=True)

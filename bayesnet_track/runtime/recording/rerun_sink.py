@@ -15,7 +15,7 @@ from bayesnet_track.journal.events.basic import Event, FrameMetrics, RunEnded
 from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.numerics.boxes import corner_from_centre
-from bayesnet_track.runtime.run import Result
+from bayesnet_track.runtime.results import Result
 
 JPEG_QUALITY = 85
 COLOURS = {"tracking": (60, 200, 90), "uncertain": (240, 180, 40), "lost": (230, 70, 60)}
