@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from bayesnet_track.sources.frames import Damage, Picture, Reader
 from bayesnet_track.sources.paths import SourceError
+from bayesnet_track.sources.readers import Damage, Picture, Reader
 from bayesnet_track.sources.sandbox import Limits, begin_picture, give_up_rights
 from bayesnet_track.vision.image_size import PictureError
 

@@ -6,7 +6,7 @@ import glob
 import os
 from pathlib import Path
 
-from bayesnet_track.sources.frames import OnResize, Reader, Source, SourceItem
+from bayesnet_track.sources.frames import OnResize, Source, SourceItem
 from bayesnet_track.sources.origin import Origin
 from bayesnet_track.sources.paths import (
     _SCHEME,
@@ -17,6 +17,7 @@ from bayesnet_track.sources.paths import (
     _matching,
     _nearest,
 )
+from bayesnet_track.sources.readers import Reader
 
 __all__ = ["Source", "SourceError", "SourceItem", "open_source"]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Protocol
 
-from bayesnet_track.sources.frames import Damage, Picture, Reader
 from bayesnet_track.sources.live import Image, LiveReader
+from bayesnet_track.sources.readers import Damage, Picture, Reader
 from bayesnet_track.vision.image_size import PictureError
 
 

@@ -17,8 +17,8 @@ import numpy as np
 from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
-from bayesnet_track.sources.frames import Damage, Picture
 from bayesnet_track.sources.paths import SourceError
+from bayesnet_track.sources.readers import Damage, Picture
 from bayesnet_track.sources.timing import Declared, Timing, declared_by, timing_of
 from bayesnet_track.vision.image_size import MAX_PIXELS, PictureError
 

@@ -18,7 +18,7 @@ from bayesnet_track import Start, track
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.runtime.checkpoints.recipe import RecipeError
-from bayesnet_track.runtime.checkpoints.resume import standing
+from bayesnet_track.runtime.checkpoints.standing import standing
 from bayesnet_track.runtime.recording.rundir import RunDirectoryError
 from bayesnet_track.runtime.recording.verify import verify
 from bayesnet_track.runtime.recording.videowriter import VideoWriter

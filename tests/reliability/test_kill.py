@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.runtime.checkpoints.recipe import RecipeError
-from bayesnet_track.runtime.checkpoints.resume import standing
+from bayesnet_track.runtime.checkpoints.standing import standing
 
 SIDE_BY_SIDE = 2
 SCRIPT = Path(__file__).with_name("nursery.py")

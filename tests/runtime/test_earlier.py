@@ -12,7 +12,7 @@ import pytest
 from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
 from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
-from bayesnet_track.runtime.checkpoints.resume import standing
+from bayesnet_track.runtime.checkpoints.standing import standing
 
 EARLIER = Path(__file__).with_name("earlier")
 VERSIONS = sorted(path.name for path in EARLIER.iterdir() if path.is_dir())

@@ -15,10 +15,10 @@ import pytest
 
 from bayesnet_track import Start, track
 from bayesnet_track.journal.events.inputs import Toggled
-from bayesnet_track.runtime.checkpoints import resume as resuming
 from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
 from bayesnet_track.runtime.checkpoints.recipe import RecipeError
-from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume, standing
+from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
+from bayesnet_track.runtime.checkpoints.standing import Standing, standing
 from bayesnet_track.runtime.inputs import Switchboard
 from bayesnet_track.runtime.recording.lock import locked
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
@@ -55,7 +55,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 def test_it_goes_on_after_the_last_frame(tmp_path: Path, whole: dict[str, str]) -> None:
     run = begun(tmp_path / "run", 5)
-    assert standing(run) == resuming.Standing(False, 4, "interrupted")
+    assert standing(run) == Standing(False, 4, "interrupted")
     summary = Summary()
     assert [result.frame.index for result in resume(run, summary=summary)] == list(range(5, FRAMES))
     assert (summary.frames, summary.complete, summary.reason) == (FRAMES, True, "end_of_source")

@@ -13,7 +13,8 @@ import pytest
 
 from bayesnet_track import Start, track
 from bayesnet_track.cli.main import main
-from bayesnet_track.runtime.checkpoints.resume import resume, standing
+from bayesnet_track.runtime.checkpoints.resume import resume
+from bayesnet_track.runtime.checkpoints.standing import standing
 from bayesnet_track.runtime.recording.lock import locked
 from bayesnet_track.runtime.recording.manifest import ManifestError, read_manifest
 from bayesnet_track.runtime.recording.rundir import RunDirectory

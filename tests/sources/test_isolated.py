@@ -29,7 +29,7 @@ import sys
 sys.path[:] = {path!r}
 import numpy as np
 from bayesnet_track.sources import decoding
-from bayesnet_track.sources.frames import Picture
+from bayesnet_track.sources.readers import Picture
 
 class Hostile:
     declared_frames, frame_interval_s, gap_from = 5, 0.04, 1.5

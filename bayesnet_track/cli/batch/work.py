@@ -45,7 +45,8 @@ def do(job: Job, progress: Callable[[int, int | None], None]) -> Row:
         BatchError: the run that is there already was asked for otherwise.
     """
     from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
-    from bayesnet_track.runtime.checkpoints.resume import resume, standing
+    from bayesnet_track.runtime.checkpoints.resume import resume
+    from bayesnet_track.runtime.checkpoints.standing import standing
     from bayesnet_track.runtime.recording.replace import settle_broken
     from bayesnet_track.runtime.recording.rundir import RunDirectory
     from bayesnet_track.runtime.results import Summary

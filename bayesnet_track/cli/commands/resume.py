@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 def resume(options: argparse.Namespace) -> int:
     """Go on with a run."""
-    from bayesnet_track.runtime.checkpoints.resume import resume, standing
+    from bayesnet_track.runtime.checkpoints.resume import resume
+    from bayesnet_track.runtime.checkpoints.standing import standing
     from bayesnet_track.runtime.recording.replace import settle_broken
     from bayesnet_track.runtime.recording.rundir import RunDirectory
     from bayesnet_track.runtime.results import Summary

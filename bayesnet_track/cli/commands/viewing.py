@@ -89,7 +89,7 @@ def begin_again(
     from bayesnet_track.journal.events.basic import RunEnded, RunStarted
     from bayesnet_track.journal.reader import read_events, read_metrics
     from bayesnet_track.runtime.checkpoints.recipe import Recipe
-    from bayesnet_track.runtime.checkpoints.resume import standing
+    from bayesnet_track.runtime.checkpoints.standing import standing
     from bayesnet_track.view.page_data import read_timings
 
     stop: StopRequest = options.stop

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
@@ -13,8 +13,6 @@ from bayesnet_track.engine.starts import check_depth
 from bayesnet_track.engine.step import Engine
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.atomic import PART
-from bayesnet_track.journal.codec import JournalError, from_json
-from bayesnet_track.journal.events.basic import Event, RunEnded
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.reader import Notice
 from bayesnet_track.journal.writer import OutputError
@@ -31,6 +29,7 @@ from bayesnet_track.runtime.checkpoints.checkpoint import (
     remove,
 )
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
+from bayesnet_track.runtime.checkpoints.standing import standing
 from bayesnet_track.runtime.checkpoints.unchanged import (
     ResumeError,
     check_cues,
@@ -43,7 +42,7 @@ from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.inputs import Asked, as_asked
 from bayesnet_track.runtime.recording.lock import locked
-from bayesnet_track.runtime.recording.manifest import finish, read_manifest, tidy
+from bayesnet_track.runtime.recording.manifest import finish, tidy
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.replace import settle, settle_broken
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
@@ -51,49 +50,7 @@ from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary
 from bayesnet_track.runtime.run import Resumed, run
 from bayesnet_track.runtime.session import kept, opaque_agents, placed, prepared
 
-__all__ = ["ResumeError", "Standing", "resume", "standing"]
-
-BROKEN_OFF = ("interrupted", "error")
-"""Reasons in the journal's last line after which there is something left to do."""
-
-TAIL_BYTES = 1 << 16
-
-
-@dataclass(frozen=True)
-class Standing:
-    """How a run stands.
-
-    Attributes:
-        is_finished: whether its source was read to its end, and every output is whole on the disk.
-        frame: last frame of the checkpoint, from which it can go on; None where it begins anew.
-        reason: why it ended, in the words of `RunEnded.reason`; None when nothing in the journal says so.
-    """
-
-    is_finished: bool
-    frame: int | None = None
-    reason: str | None = None
-
-
-def standing(path: str | PathLike[str]) -> Standing:
-    """How the run in a directory stands, by its files alone.
-
-    Raises:
-        RecipeError: it is no run that can be done again.
-        CheckpointError: the checkpoint is damaged or of another version.
-        ManifestError: the manifest was changed or is of another version.
-    """
-    directory = RunDirectory(Path(path))
-    if directory.is_replacing:  # nothing of it was tracked yet
-        return Standing(False)
-    recipe = Recipe.read(directory)
-    reason = _ending(directory.journal)
-    if read_manifest(directory.manifest) is not None:
-        return Standing(True, None, reason)
-    checkpoint = newest_checkpoint(directory)
-    if checkpoint is not None:
-        return Standing(False, checkpoint.frame, reason)
-    is_ended = reason is not None and reason not in BROKEN_OFF
-    return Standing(is_ended and not recipe.has_manifest, None, reason)
+__all__ = ["ResumeError", "resume"]
 
 
 def resume(
@@ -310,16 +267,3 @@ def _clear(directory: RunDirectory, checkpoint: Checkpoint | None) -> None:
                 disk.unlink(directory.path / name)
     except OSError as error:
         raise OutputError(error.errno, f"cannot remove: {error.strerror}", str(error.filename)) from error
-
-
-def _ending(journal: Path) -> str | None:
-    """The reason in the journal's last whole line, where that is its end."""
-    try:
-        with journal.open("rb") as file:
-            file.seek(0, 2)
-            file.seek(max(0, file.tell() - TAIL_BYTES))
-            lines = file.read().split(b"\n")
-        last: Event | object = from_json(lines[-2].decode("utf-8")) if len(lines) > 1 else None
-    except (OSError, JournalError, UnicodeDecodeError):
-        return None
-    return last.reason if isinstance(last, RunEnded) else None

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from bayesnet_track.journal.writer import Position, read_position
-from bayesnet_track.runtime.checkpoints.resume import standing
+from bayesnet_track.runtime.checkpoints.standing import standing
 from bayesnet_track.runtime.recording.lock import is_locked
 from bayesnet_track.runtime.recording.manifest import Manifest, passing, read_manifest
 from bayesnet_track.runtime.recording.rundir import FILES, LOCK, STAGED, RunDirectory
