@@ -22,7 +22,7 @@ import numpy as np
 from measuring import environment, on_one_thread, table
 from numpy.typing import NDArray
 
-from bayesnet_track.cli.commands.tracking import SCENE_GRAPHS
+from bayesnet_track.cli.commands.demo import SCENE_GRAPHS
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph

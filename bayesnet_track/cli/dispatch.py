@@ -18,6 +18,7 @@ from bayesnet_track.cli.commands.batch import batch
 from bayesnet_track.cli.commands.calibrate import calibrate
 from bayesnet_track.cli.commands.compare import compare
 from bayesnet_track.cli.commands.completion import completion
+from bayesnet_track.cli.commands.demo import demo
 from bayesnet_track.cli.commands.detect import detect
 from bayesnet_track.cli.commands.export import export
 from bayesnet_track.cli.commands.fit import fit
@@ -28,7 +29,7 @@ from bayesnet_track.cli.commands.learn_stereo import learn_stereo
 from bayesnet_track.cli.commands.report import report
 from bayesnet_track.cli.commands.resume import resume
 from bayesnet_track.cli.commands.review import log, score
-from bayesnet_track.cli.commands.tracking import demo, run
+from bayesnet_track.cli.commands.tracking import run
 from bayesnet_track.cli.commands.verify import verify
 from bayesnet_track.cli.commands.what_if import what_if
 from bayesnet_track.graph.text.messages import GraphError

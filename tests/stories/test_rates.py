@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from bayesnet_track.cli.commands.tracking import SCENE_GRAPHS
+from bayesnet_track.cli.commands.demo import SCENE_GRAPHS
 from bayesnet_track.sources.scenes import make_scene, random_geometry, two_squares
 from bayesnet_track.sources.scenes.occluder import occluder
 

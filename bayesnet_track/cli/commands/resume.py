@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import OK, complain, say
-from bayesnet_track.cli.commands.tracking import executor_of, follow
+from bayesnet_track.cli.commands.tracking import executor_of
 from bayesnet_track.cli.commands.viewing import begin_again, viewed
+from bayesnet_track.cli.following import follow
 from bayesnet_track.cli.options.checkpoints import add_checkpoints
 from bayesnet_track.cli.options.executors import add_executor_options
 from bayesnet_track.cli.options.plugins import add_plugins

@@ -1,13 +1,10 @@
-"""The commands that track: `demo` and `run`."""
+"""The command that tracks in a video: `run`."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-import time
-from collections.abc import Generator, Sequence
-from contextlib import ExitStack
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,105 +14,25 @@ from bayesnet_track.cli.commands.answer import (
     UsageError,
     complain,
     say,
-    unheard,
     users_mistake,
 )
 from bayesnet_track.cli.commands.start_boxes import parse_start, read_start
 from bayesnet_track.cli.commands.viewing import begin, viewed
-from bayesnet_track.cli.options.arguments import whole_number
+from bayesnet_track.cli.following import STOPPED, follow
 from bayesnet_track.cli.options.outside import add_outside_options
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.rerun import add_rerun_option
 from bayesnet_track.cli.options.runs import add_run_options
 from bayesnet_track.cli.options.sources import add_depth_options, add_window_options
 from bayesnet_track.cli.options.view import add_view_options
-from bayesnet_track.numerics.compile_watch import WATCH
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
     from bayesnet_track.runtime.executors import Executing
     from bayesnet_track.runtime.live_view.view import LiveView
-    from bayesnet_track.runtime.progress import Progress
-    from bayesnet_track.runtime.results import FrameSource, Result, Summary
+    from bayesnet_track.runtime.results import FrameSource
     from bayesnet_track.runtime.run import Start
-    from bayesnet_track.runtime.stop import StopRequest
     from bayesnet_track.sources.frames import Source
-
-SCENE_GRAPHS = {
-    "ball_between_children": "ball_between_children",
-    "carried_box": "carried_box",
-    "crowd": "crowd",
-    "crowd_of_fifty": "crowd",
-    "orange_and_gray": "orange_and_gray",
-    "gray_square": "gray_square",
-    "flying_ball": "kalman_ball",
-    "person_and_board": "person_shape",
-    "person_parts": "person_parts",
-    "person_stereo": "person_stereo",
-    "glass_wall": "person_stereo",
-    "person_color_stereo": "person_color_stereo",
-    "person_same_clothes": "person_same_clothes",
-    "person_same_clothes_nearer": "person_same_clothes",
-    "two_people_color_stereo_shape": "two_people_color_stereo_shape",
-}
-"""Scenes that do not run with the graph `two_squares`."""
-
-SHOWN_NOTICES = 5
-
-STOPPED = 130
-"""Exit code of a run that a person stopped."""
-
-ENDINGS = {
-    "source_truncated": "the source is truncated",
-    "source_damaged": "the source is damaged",
-    "frame_size_changed": "stopped where the pictures change size",
-    "interrupted": "interrupted",
-}
-
-
-def demo(options: argparse.Namespace) -> int:
-    """Track in a built-in scene, then tell what happened and how well it went."""
-    with viewed(options) as view:
-        return _demo(options, view)
-
-
-def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
-    from bayesnet_track.engine.starts import has_births
-    from bayesnet_track.evaluate.runs import score_run
-    from bayesnet_track.graph.text.load import load_graph
-    from bayesnet_track.journal.reader import read_events
-    from bayesnet_track.journal.text.explain import explain, has_several_targets
-    from bayesnet_track.runtime.recording.rundir import RunDirectory
-    from bayesnet_track.runtime.run import Start
-    from bayesnet_track.sources.scene_source import SceneSource
-
-    with users_mistake():
-        source = SceneSource.named(options.scene, options.seed, options.end)
-    scene = source.scene
-    graph = load_graph(options.graph or SCENE_GRAPHS.get(options.scene, "two_squares"))
-    # Only what an earlier demo wrote there is replaced without being asked to.
-    out = Path(options.out or f"runs/{options.scene}")
-    options.overwrite = options.overwrite or options.out is None
-    starts = [Start(box, plate) for plate, box in scene.starts if plate in graph.targets]
-    starts = [] if has_births(graph) else starts or [Start(scene.start_box)]
-    code = _track(options, graph, source, starts, out, video=True, view=view)
-    if code != OK:
-        return code
-    directory = RunDirectory.open(out)
-    say("\nwhat was decided, and why:")
-    events = list(read_events(directory.journal))
-    name_target = has_several_targets(events)
-    for event in events:
-        say(explain(event, name_target))
-    if starts:
-        say(f"\nagainst the true boxes{' of target 1' if name_target else ''}:")
-        say(score_run(out, directory.truth, target="1").text(explained=True))
-    told = min(29, source.expected_frames - 1)
-    say(
-        f"\nopen {directory.video} to watch it; `bayesnet-track report {out}` makes a page of it; "
-        f"`bayesnet-track log {out} --why {told}` explains a frame"
-    )
-    return code
 
 
 def run(options: argparse.Namespace) -> int:
@@ -137,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
         )
     out = Path(options.out)
     with viewed(options) as view, _opened(options) as source:
-        code = _track(options, graph, source, starts, out, video=options.video, view=view)
+        code = track_source(options, graph, source, starts, out, video=options.video, view=view)
     if code in (OK, INCOMPLETE) and sys.stdout.isatty() and not options.quiet:
         say(f"`bayesnet-track report {out}` makes a page, `bayesnet-track log {out}` tells its decisions")
     return code
@@ -164,7 +81,7 @@ def _opened(options: argparse.Namespace) -> Source:
     )
 
 
-def _track(
+def track_source(
     options: argparse.Namespace,
     graph: CheckedGraph,
     source: FrameSource,
@@ -173,6 +90,7 @@ def _track(
     video: bool,
     view: LiveView | None = None,
 ) -> int:
+    """Track from the start boxes and write the run to `out`; the exit code."""
     from bayesnet_track.runtime.inputs import replayed
     from bayesnet_track.runtime.recording.rerun_sink import rerun_sinks
     from bayesnet_track.runtime.results import Summary
@@ -235,49 +153,6 @@ def _budget_ms(options: argparse.Namespace, source: FrameSource) -> float | None
     return budget
 
 
-def follow(
-    options: argparse.Namespace,
-    results: Generator[Result, None, None],
-    summary: Summary,
-    expected: int | None,
-    out: Path,
-    view: LiveView | None = None,
-) -> int:
-    """Track to the end or until a signal, showing how far it is of the frames `expected`; the exit code.
-
-    A `view` may hold it between two frames, and stop it.
-    """
-    from bayesnet_track.engine.starts import StartError
-    from bayesnet_track.observation.detector import DetectorError
-    from bayesnet_track.runtime.executors import PlacingError
-    from bayesnet_track.runtime.progress import Progress
-
-    progress = Progress(sys.stderr, expected, sys.stderr.isatty(), options.log_json)
-    stop: StopRequest = options.stop
-    with ExitStack() as stack:
-        if not options.quiet:
-            stack.callback(unheard, progress.finish)
-        stack.callback(results.close)
-        try:
-            for result in results:
-                if not options.quiet:
-                    _show(progress, summary, result)
-                # Before the first frame is done there is nothing to finish: until then, signals act at once.
-                if stop.between_frames():
-                    break
-                if view is not None and (view.hold(lambda: stop.signal is not None) or stop.between_frames()):
-                    break
-        except (StartError, DetectorError, PlacingError) as error:
-            raise UsageError(str(error)) from error
-    _say_end(out, summary)
-    if stop.signal is not None:
-        return stop.exit_code
-    stop.is_patient = False
-    if view is not None and view.controls.has_stopped:
-        return STOPPED
-    return OK if summary.complete else INCOMPLETE
-
-
 def executor_of(options: argparse.Namespace) -> Executing:
     """How agents are asked, by the options of `add_executor_options`; raises UsageError."""
     from bayesnet_track.runtime.executors import Limits, PlacingError, make_executor, parse_places
@@ -301,62 +176,6 @@ def executor_of(options: argparse.Namespace) -> Executing:
         places=places,
         limits=limits,
     )
-
-
-def _show(progress: Progress, summary: Summary, result: Result) -> None:
-    active = dict.fromkeys(agent for metrics in result.targets for agent in metrics.active)
-    lost = [metrics.target for metrics in result.targets if metrics.status == "lost"]
-    status = ("tracking" if result.targets else "no target") if not lost else "lost"
-    if not lost and any(metrics.status == "uncertain" for metrics in result.targets):
-        status = "uncertain"
-    if lost and len(result.targets) > 1:
-        status = f"lost: {', '.join(lost)} of {len(result.targets)}"
-    ud_px2 = max((metrics.ud_px2 for metrics in result.targets), default=0.0)
-    # As if no time passed while kernels are compiled: the rate is that of frames.
-    now = time.monotonic() - WATCH.seconds
-    unheard(partial(progress.update, now, summary.frames, tuple(active), ud_px2, status))
-
-
-def _say_end(out: Path, summary: Summary) -> None:
-    from bayesnet_track.journal.text.explain import explain
-
-    for notice in summary.notices[:SHOWN_NOTICES]:
-        complain(explain(notice))
-    if len(summary.notices) > SHOWN_NOTICES:
-        complain(
-            f"... and {len(summary.notices) - SHOWN_NOTICES} more; `bayesnet-track log {out}` tells them all"
-        )
-    at_work = summary.seconds - summary.compiling_s
-    rate = f"{summary.frames / at_work if at_work > 0 else 0.0:.0f} per second"
-    if summary.compiling_s >= 0.05:
-        rate += f" without {summary.compiling_s:.1f} s of compiling"
-    parts = [f"{_count(summary.frames, 'frame')} in {summary.seconds:.1f} s ({rate})"]
-    parts.append(_count(summary.reconfigurations, "reconfiguration"))
-    if summary.lost_frames:
-        parts.append(f"lost in {_count(summary.lost_frames, 'frame')}")
-    if not summary.complete:
-        parts.append(ENDINGS[summary.reason])
-    say(f"{out}: {', '.join(parts)}")
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
-def add_demo(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
-    demo = commands.add_parser("demo", help="track in a built-in synthetic scene; nothing to download")
-    demo.add_argument(
-        "scene", nargs="?", default="two_squares", metavar="SCENE", help="default two_squares; see `list`"
-    )
-    demo.add_argument("--graph", help="graph to use instead of the scene's own")
-    demo.add_argument(
-        "--out", metavar="RUN", help="run directory (default runs/SCENE, replaced if it exists)"
-    )
-    demo.add_argument("--end", type=whole_number(1), metavar="N", help="frame to stop before")
-    add_run_options(demo)
-    add_view_options(demo)
-    add_plugins(demo)
 
 
 def add_run(commands: argparse._SubParsersAction[Any]) -> None:

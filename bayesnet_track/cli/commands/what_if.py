@@ -73,7 +73,7 @@ def _track_again(
     options: argparse.Namespace, first: Run, recipe: Recipe, graph: CheckedGraph, out: Path
 ) -> int:
     """The run of a recipe with another graph or seed; what came from outside then comes again."""
-    from bayesnet_track.cli.commands.tracking import follow
+    from bayesnet_track.cli.following import follow
     from bayesnet_track.runtime.results import Summary
     from bayesnet_track.runtime.session import track
 

@@ -1,0 +1,126 @@
+"""Follow a run to its end: show how far it is, say how it ended, with which exit code."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Generator
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bayesnet_track.cli.commands.answer import (
+    INCOMPLETE,
+    OK,
+    UsageError,
+    complain,
+    say,
+    unheard,
+)
+from bayesnet_track.numerics.compile_watch import WATCH
+
+if TYPE_CHECKING:
+    from bayesnet_track.runtime.live_view.view import LiveView
+    from bayesnet_track.runtime.progress import Progress
+    from bayesnet_track.runtime.results import Result, Summary
+    from bayesnet_track.runtime.stop import StopRequest
+
+
+SHOWN_NOTICES = 5
+
+
+STOPPED = 130
+"""Exit code of a run that a person stopped."""
+
+
+ENDINGS = {
+    "source_truncated": "the source is truncated",
+    "source_damaged": "the source is damaged",
+    "frame_size_changed": "stopped where the pictures change size",
+    "interrupted": "interrupted",
+}
+
+
+def follow(
+    options: argparse.Namespace,
+    results: Generator[Result, None, None],
+    summary: Summary,
+    expected: int | None,
+    out: Path,
+    view: LiveView | None = None,
+) -> int:
+    """Track to the end or until a signal, showing how far it is of the frames `expected`; the exit code.
+
+    A `view` may hold it between two frames, and stop it.
+    """
+    from bayesnet_track.engine.starts import StartError
+    from bayesnet_track.observation.detector import DetectorError
+    from bayesnet_track.runtime.executors import PlacingError
+    from bayesnet_track.runtime.progress import Progress
+
+    progress = Progress(sys.stderr, expected, sys.stderr.isatty(), options.log_json)
+    stop: StopRequest = options.stop
+    with ExitStack() as stack:
+        if not options.quiet:
+            stack.callback(unheard, progress.finish)
+        stack.callback(results.close)
+        try:
+            for result in results:
+                if not options.quiet:
+                    _show(progress, summary, result)
+                # Before the first frame is done there is nothing to finish: until then, signals act at once.
+                if stop.between_frames():
+                    break
+                if view is not None and (view.hold(lambda: stop.signal is not None) or stop.between_frames()):
+                    break
+        except (StartError, DetectorError, PlacingError) as error:
+            raise UsageError(str(error)) from error
+    _say_end(out, summary)
+    if stop.signal is not None:
+        return stop.exit_code
+    stop.is_patient = False
+    if view is not None and view.controls.has_stopped:
+        return STOPPED
+    return OK if summary.complete else INCOMPLETE
+
+
+def _show(progress: Progress, summary: Summary, result: Result) -> None:
+    active = dict.fromkeys(agent for metrics in result.targets for agent in metrics.active)
+    lost = [metrics.target for metrics in result.targets if metrics.status == "lost"]
+    status = ("tracking" if result.targets else "no target") if not lost else "lost"
+    if not lost and any(metrics.status == "uncertain" for metrics in result.targets):
+        status = "uncertain"
+    if lost and len(result.targets) > 1:
+        status = f"lost: {', '.join(lost)} of {len(result.targets)}"
+    ud_px2 = max((metrics.ud_px2 for metrics in result.targets), default=0.0)
+    # As if no time passed while kernels are compiled: the rate is that of frames.
+    now = time.monotonic() - WATCH.seconds
+    unheard(partial(progress.update, now, summary.frames, tuple(active), ud_px2, status))
+
+
+def _say_end(out: Path, summary: Summary) -> None:
+    from bayesnet_track.journal.text.explain import explain
+
+    for notice in summary.notices[:SHOWN_NOTICES]:
+        complain(explain(notice))
+    if len(summary.notices) > SHOWN_NOTICES:
+        complain(
+            f"... and {len(summary.notices) - SHOWN_NOTICES} more; `bayesnet-track log {out}` tells them all"
+        )
+    at_work = summary.seconds - summary.compiling_s
+    rate = f"{summary.frames / at_work if at_work > 0 else 0.0:.0f} per second"
+    if summary.compiling_s >= 0.05:
+        rate += f" without {summary.compiling_s:.1f} s of compiling"
+    parts = [f"{_count(summary.frames, 'frame')} in {summary.seconds:.1f} s ({rate})"]
+    parts.append(_count(summary.reconfigurations, "reconfiguration"))
+    if summary.lost_frames:
+        parts.append(f"lost in {_count(summary.lost_frames, 'frame')}")
+    if not summary.complete:
+        parts.append(ENDINGS[summary.reason])
+    say(f"{out}: {', '.join(parts)}")
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
