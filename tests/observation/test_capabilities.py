@@ -17,6 +17,7 @@ from bayesnet_track.observation.cue import (
     blend_arrays,
     installed_cues,
 )
+from bayesnet_track.observation.protocols import Cue
 
 
 class Plain:
@@ -57,7 +58,7 @@ class Parametrised(Plain):
 def test_the_least_declaration_is_a_name_and_a_class():
     declaration = CueDeclaration("plain", make=Plain)
     cue = make_cue(declaration, declaration.parameters())
-    assert cue.blend is blend_arrays and cue.learn(None, 3) == {"box": 3}
+    assert isinstance(cue, Cue) and cue.blend is blend_arrays and cue.learn(None, 3) == {"box": 3}
     assert declaration.parameters.model_fields == {}
     assert pickle.loads(pickle.dumps(declaration)) == declaration
 

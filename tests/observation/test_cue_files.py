@@ -188,7 +188,7 @@ def test_a_wrong_answer_stops_that_agent_and_the_run_goes_on(folder, case):
     assert faults and told in faults[0], journal(folder)
 
 
-def test_a_cue_file_is_recorded_and_needed_to_resume(folder):
+def test_a_cue_file_is_recorded_and_needed_to_resume(folder, capsys):
     write(folder, GLANCE)
     results = track("glanced.yaml", "img", BOX, out="run", cues=["glance.py"], checkpoint_every=1e-9)
     for _ in range(4):
@@ -213,6 +213,9 @@ def test_a_cue_file_is_recorded_and_needed_to_resume(folder):
         "give that file as it was",
         refused("glance.py"),
     )
+    assert main(["resume", "run", "--quiet", "--cue-file", "glance.py"]) == 4
+    assert capsys.readouterr().err.startswith("bayesnet-track resume: glance.py: SHA-256 ")
+    plugins.forget()
     (folder / "moved.py").write_text(GLANCE)
     assert len(list(resume("run", cues=["moved.py"]))) == 2
     whole = list(track("glanced.yaml", "img", BOX, out="whole", cues=["moved.py"]))
@@ -223,6 +226,8 @@ def test_what_if_asks_for_the_file_too(folder, capsys):
     write(folder, GLANCE)
     assert run("--cue-file", "glance.py") == 0
     plugins.forget()
+    assert main(["report", "run"]) == 0  # shows the net, and runs no code
+    assert "shows no net" not in capsys.readouterr().err
     again = ["what-if", "run", "--seed", "1", "--quiet"]
     assert main(again) == 4
     assert "bayesnet-track what-if: its cue 'glance' is the code in glance.py" in capsys.readouterr().err

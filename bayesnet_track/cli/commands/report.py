@@ -97,12 +97,15 @@ def _allowed(options: argparse.Namespace, directory: RunDirectory) -> Path:
 
 
 def _graph(directory: RunDirectory) -> CheckedGraph | None:
-    """The run's graph; None, with a notice, where it cannot be read here (a cue is not installed, ...)."""
-    from bayesnet_track.graph.text.load import load_graph
+    """The run's graph, whose cues are not run; None, with a notice, where it cannot be read."""
+    from bayesnet_track.graph.checks.run import check, cues_named
     from bayesnet_track.graph.text.messages import GraphError
+    from bayesnet_track.graph.text.read import read_graph
+    from bayesnet_track.observation.cue import stand_ins
 
     try:
-        return load_graph(directory.graph)
+        spec, at = read_graph(directory.graph)
+        return check(spec, at, stand_ins(cues_named(spec)))
     except (GraphError, OSError) as error:
         complain(f"{directory.graph}: the page shows no net: {error}")
         return None

@@ -1,0 +1,225 @@
+"""What a cue does while it works: the methods that the engine calls, and what goes in and out of them.
+
+How a cue is declared and found is in `cue`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.observation.likelihoods import Reference
+from bayesnet_track.observation.planes import Plane, Planes
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Hypotheses:
+    """Where the target might be.
+
+    Attributes:
+        boxes: (N, 4) float64 centre boxes x, y, w, h in pixels.
+        fields: further fields by name, (N,) each (rotation, depth, ...).
+    """
+
+    boxes: Floats
+    fields: Mapping[str, Floats] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return int(self.boxes.shape[0])
+
+
+ANGLE = "angle"
+"""Name of the field that says how far the target is turned since its first frame, in degrees, clockwise."""
+
+CONTEXT = 1.0
+"""How many box sizes beyond each side of the box a cue may look when it learns, unless it says otherwise."""
+
+
+@runtime_checkable
+class Cue(Protocol):
+    """A cue at work: pure functions of planes, hypotheses and reference. Holds no state of its own.
+
+    A cue may have a further attribute ``context: float``: how many box sizes beyond each side of the box
+    `learn` looks, `CONTEXT` when it has none. The less, the likelier the planes are there already.
+    """
+
+    @property
+    def needs(self) -> tuple[Plane, ...]:
+        """The planes that `learn` and `log_likelihood` read."""
+        ...
+
+    def learn(self, planes: Planes, box: Floats) -> Reference:
+        """The reference for the target inside the centre box (4,).
+
+        `planes` covers the box grown by its own size on every side, cut to the frame. All numbers in it are
+        finite; an agent whose cue breaks this, as one that raises, is out: for the rest of the run when this
+        is its first reference, else for a while.
+        """
+        ...
+
+    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+        """A reference between `old` (rate 0) and `new` (rate 1): eq. 2.15 of the thesis.
+
+        A cue without this method blends its arrays linearly (`blend_arrays`).
+        """
+        ...
+
+    def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
+        """(N,) log-likelihood of every hypothesis.
+
+        At most 0, the value of a perfect match, and at least ``log(floor)``. `planes` covers every
+        hypothesis' box as far as it lies inside the frame. The part of a box outside the frame counts
+        as not matching. A cue that raises, or returns anything but real numbers, NaN, anything above 0 or no
+        value above -inf, is left out of the frame, and its agent is out for a while: it is tried again after
+        10 frames, and after twice as many with each failure in a row.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """A Gaussian message: where an agent found the target, instead of a score for every hypothesis.
+
+    Its likelihood of a hypothesis h is exp(-d^2 / 2), d^2 = (mean - h)' covariance^-1 (mean - h): 1 at the
+    place itself, as for every cue.
+
+    Attributes:
+        fields: the K fields of a hypothesis that were measured, such as ("x", "y").
+        mean: (K,) their values, px (and px per frame for velocities).
+        covariance: (K, K) of the error, symmetric and positive definite.
+        floor: likelihood of an outlier as a share of the best; a belief that takes Gaussian messages as they
+            are gates instead.
+    """
+
+    fields: tuple[str, ...]
+    mean: Floats
+    covariance: Floats
+    floor: float = 0.0
+
+
+@runtime_checkable
+class MeasuringCue(Protocol):
+    """A cue that finds the target itself and says where: a classical tracker, a detector.
+
+    It is otherwise as a `Cue`, with the same planes and references.
+    """
+
+    @property
+    def needs(self) -> tuple[Plane, ...]:
+        """The planes that `learn` and `measure` read."""
+        ...
+
+    def learn(self, planes: Planes, box: Floats) -> Reference:
+        """As of a `Cue`."""
+        ...
+
+    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+        """As of a `Cue`."""
+        ...
+
+    def measure(
+        self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
+    ) -> Measurement | None:
+        """Where the target is; None when it is not seen, which says nothing about any hypothesis.
+
+        `hypotheses` and their (N,) `weights`, which sum to 1, say where to look: `planes` covers their boxes
+        as far as these lie inside the frame.
+        """
+        ...
+
+
+CLAIM = "claim"
+"""Name, in a reference, of the detection that the target was given for this frame; see `ClaimingCue`."""
+
+
+@dataclass(frozen=True)
+class ClaimRule:
+    """Which detection a target is given as its own, and how far off detections are.
+
+    Attributes:
+        sd_place: sd of a detection's centre, as a share of its sides.
+        sd_size: sd of its sides, as a share of them.
+        gate: a detection farther from the prediction than this share of right ones is not the target's.
+        least_overlap: nor is one whose intersection over union with the predicted box is smaller.
+        looks: exponent of the likelihood that agents which know looks give the detection's box.
+    """
+
+    sd_place: float
+    sd_size: float
+    gate: float
+    least_overlap: float
+    looks: float
+
+    def variances(self, boxes: Floats) -> Floats:
+        """(..., 4) variances in px^2 of x, y, w, h of detections (..., 4)."""
+        shares = np.array([self.sd_place, self.sd_place, self.sd_size, self.sd_size])
+        return np.asarray((shares * boxes[..., [2, 3, 2, 3]]) ** 2)
+
+
+@runtime_checkable
+class ClaimingCue(MeasuringCue, Protocol):
+    """A cue that measures by a detection: one that no other target of its plate is given in this frame.
+
+    When it is asked its reference holds a further array, `CLAIM`: (1, 5) the detection's centre box and
+    score, or (0, 5) when the target is given none. What it learns holds no such array.
+    """
+
+    @property
+    def rule(self) -> ClaimRule:
+        """Which detection is the target's."""
+        ...
+
+
+AnyCue = Cue | MeasuringCue
+
+
+def rule_of(cue: AnyCue) -> ClaimRule:
+    """The rule of a cue that is declared to read claims."""
+    assert isinstance(cue, ClaimingCue)
+    return cue.rule
+
+
+@runtime_checkable
+class LocallyAdaptable(Protocol):
+    """A cue that can act on its own uncertainty before it stops itself."""
+
+    def adapt(self, reference: Reference, attempt: int) -> Reference | None:
+        """A reference (or parameters stored in it) tuned to be sharper; None when nothing is left to try.
+
+        `attempt` counts from 1 within one episode of high uncertainty. There may be many of them: together
+        they must go no further than the first, and learning takes the tuning back
+        (`bayesnet_track.numerics.sharpening` does both).
+        """
+        ...
+
+
+@runtime_checkable
+class Turnable(Protocol):
+    """A cue that follows the target's rotation: it reads the hypotheses' field `ANGLE` where they have it."""
+
+    def learn_turned(self, planes: Planes, box: Floats, angle: float) -> Reference:
+        """As `learn`, for a target turned by `angle` degrees: the reference is of the upright target."""
+        ...
+
+
+@runtime_checkable
+class Residual(Protocol):
+    """A cue whose standard deviations can be estimated from ground truth (`fit --what sds`)."""
+
+    def residuals(self, planes: Planes, box: Floats, reference: Reference) -> Mapping[str, Floats]:
+        """Parameter -> (n,) differences of the centre box (4,) from the reference, in the parameter's unit.
+
+        Each is an error whose standard deviation the parameter is; empty when the box shows nothing of it.
+        """
+        ...
+
+
+def context_of(cue: AnyCue) -> float:
+    """How many box sizes beyond each side of the box the cue looks when it learns."""
+    return float(getattr(cue, "context", CONTEXT))
