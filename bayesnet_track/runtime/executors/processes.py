@@ -16,6 +16,7 @@ from bayesnet_track.observation.cue import Making
 from bayesnet_track.observation.planes import Frame, Region
 from bayesnet_track.runtime.deadline import Patience
 from bayesnet_track.runtime.executors.frames import FrameStore, SharedFrame
+from bayesnet_track.runtime.executors.pending import Pending
 from bayesnet_track.runtime.executors.questions import ADVANCE, Answer, Foreign
 from bayesnet_track.runtime.executors.staff import Employed, Slot, Staff
 from bayesnet_track.runtime.executors.workers import Late, Limits, Worker, WorkerGone, WorkerLost
@@ -26,32 +27,6 @@ COMING_S = 0.002
 
 class PlacingError(ValueError):
     """An agent cannot be where it was put; says why."""
-
-
-class _Pending:
-    """A question on its way.
-
-    Attributes:
-        asked: agent, method, frames, region and arguments.
-        patience: for how long its answer is waited for; None for as long as it takes.
-        is_sent: whether a worker has it.
-        until: the moment by which the answer is needed, since it was sent.
-        outcome: the answer, or why there is none.
-        lost: why workers that had it gave none.
-    """
-
-    __slots__ = ("agent", "asked", "is_sent", "lost", "outcome", "patience", "sent_at", "until")
-
-    def __init__(self, asked: tuple[Any, ...], patience: Patience | None) -> None:
-        self.agent: str = asked[0]
-        self.asked, self.patience = asked, patience
-        self.is_sent, self.sent_at = False, 0.0
-        self.until: float | None = None
-        self.outcome: Answer | Exception | None = None
-        self.lost: list[str] = []
-
-    def until_from(self, now: float) -> float | None:
-        return None if self.patience is None else self.patience.until(self.agent, now)
 
 
 class Processes:
@@ -75,7 +50,7 @@ class Processes:
         self.retries, self.patience = retries, None
         self._store = FrameStore()
         self._staff = Staff(agents, workers, limits, self._store.descriptor)
-        self._unsent: list[_Pending] = []
+        self._unsent: list[Pending] = []
         self._frames = 0
         self._asking = RLock()
 
@@ -113,7 +88,7 @@ class Processes:
         """`ask`, in two halves: what waits for the answer is returned, while the agent is at work."""
         # Whole nets that nobody waited for would have to be advanced here.
         patience = None if method == ADVANCE else self.patience
-        pending = _Pending((agent, method, frames, region, arguments), patience)
+        pending = Pending((agent, method, frames, region, arguments), patience)
         with self._asking:
             if not self._forwarded(pending):
                 self._unsent.append(pending)
@@ -129,7 +104,7 @@ class Processes:
         self._staff.close()
         self._store.close()
 
-    def _heard(self, pending: _Pending) -> Any:
+    def _heard(self, pending: Pending) -> Any:
         """The answer's value, waited for; the question is asked again of a fresh worker if need be."""
         agent = pending.agent
         with self._asking:
@@ -157,7 +132,7 @@ class Processes:
         tries = f", {len(pending.lost)} times" if len(pending.lost) > 1 else ""
         raise AgentUnavailable(f"{pending.lost[-1]}{tries}")
 
-    def _answered(self, pending: _Pending) -> Answer:
+    def _answered(self, pending: Pending) -> Answer:
         """The answer to one attempt; raises WorkerLost, Late or AgentUnavailable."""
         if not pending.is_sent and pending.outcome is None:
             if pending in self._unsent:
@@ -169,7 +144,7 @@ class Processes:
         assert pending.outcome is not None
         return pending.outcome
 
-    def _send(self, pending: _Pending) -> None:
+    def _send(self, pending: Pending) -> None:
         """Send a question, when its worker is there and free for it."""
         while (slot := self._staff.slot(pending.agent)).asked is not None:
             self._drive(slot.asked)
@@ -186,7 +161,7 @@ class Processes:
             with suppress(WorkerGone):  # a fresh one is never that
                 self._hand_over(pending, slot, worker, until)
 
-    def _forwarded(self, pending: _Pending) -> bool:
+    def _forwarded(self, pending: Pending) -> bool:
         """Whether the question could be sent without waiting for anything."""
         slot = self._staff.slot(pending.agent)
         if slot.asked is not None or (slot.worker is not None and slot.worker.busy_with is not None):
@@ -210,7 +185,7 @@ class Processes:
             pending.outcome = lost
         return True
 
-    def _hand_over(self, pending: _Pending, slot: Slot, worker: Worker, until: float | None) -> None:
+    def _hand_over(self, pending: Pending, slot: Slot, worker: Worker, until: float | None) -> None:
         try:
             self._staff.employ(worker, pending.agent)
             worker.ask(*pending.asked)
@@ -220,7 +195,7 @@ class Processes:
         slot.asked, pending.is_sent = pending, True
         pending.until, pending.sent_at = until, time.monotonic()
 
-    def _drive(self, pending: _Pending) -> None:
+    def _drive(self, pending: Pending) -> None:
         """Receive answers, and send what waits for their workers, until the outcome of `pending` is known."""
         while pending.outcome is None:
             working = [slot for slot in self._staff.slots if slot.asked is not None]
@@ -259,7 +234,7 @@ class Processes:
 
     def _drop_answer(self, slot: Slot, worker: Worker, until: float | None) -> None:
         """Wait for an answer that is too late for its question, but due before the next."""
-        slot.asked = late = _Pending((worker.busy_with,), None)
+        slot.asked = late = Pending((worker.busy_with,), None)
         late.until = until
         self._drive(late)
         if isinstance(late.outcome, Exception):

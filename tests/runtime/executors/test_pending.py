@@ -1,0 +1,12 @@
+"""A question that time does not wait for has a moment by which its answer is needed."""
+
+from __future__ import annotations
+
+from bayesnet_track.runtime.deadline import Patience
+from bayesnet_track.runtime.executors.pending import Pending
+
+
+def test_an_answer_is_needed_in_time_only_where_there_is_a_budget():
+    asked = ("hue", "log_likelihood", None, None, ())
+    assert Pending(asked, None).until_from(5.0) is None
+    assert Pending(asked, Patience(10.8, 0.5)).until_from(10.0) == 10.5
