@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field
 from errno import EINVAL
 from functools import cache
 from os import PathLike
@@ -25,6 +25,7 @@ from bayesnet_track.graph.text.write import graph_sha256
 from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.writer import read_position
 from bayesnet_track.observation.cue_files import CueFile, GivenCue, file_of
+from bayesnet_track.runtime.checkpoints.file_names import change_texts, hide_bytes, restore_bytes
 from bayesnet_track.runtime.checkpoints.versions import versions
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.sources.origin import Origin
@@ -160,8 +161,8 @@ class Recipe:
         try:
             plain = json.loads(text)
             _check_format(path, plain)
-            plain = _changed(plain, _without_bytes)
-            recipe: Recipe = _changed(_codec().validate_python(plain), _with_bytes)
+            plain = change_texts(plain, hide_bytes)
+            recipe: Recipe = change_texts(_codec().validate_python(plain), restore_bytes)
         except RecipeError:
             raise
         except (ValueError, RecursionError) as error:
@@ -286,30 +287,3 @@ def _codec() -> Any:
     from pydantic import TypeAdapter
 
     return TypeAdapter(Recipe)
-
-
-BYTES_AT = 0x10FF00
-"""Private characters for bytes in names of files (PEP 383), which pydantic takes for no text."""
-
-
-def _without_bytes(text: str) -> str:
-    return "".join(chr(BYTES_AT + ord(c) - 0xDC00) if "\udc80" <= c <= "\udcff" else c for c in text)
-
-
-def _with_bytes(text: str) -> str:
-    first, last = chr(BYTES_AT + 0x80), chr(BYTES_AT + 0xFF)
-    return "".join(chr(ord(c) - BYTES_AT + 0xDC00) if first <= c <= last else c for c in text)
-
-
-def _changed(value: Any, change: Callable[[str], str]) -> Any:
-    """The value with every text in it changed."""
-    if isinstance(value, str):
-        return change(value)
-    if isinstance(value, Mapping):
-        return {key: _changed(item, change) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return type(value)(_changed(item, change) for item in value)
-    if is_dataclass(value) and not isinstance(value, type):
-        own = {item.name: _changed(getattr(value, item.name), change) for item in fields(value)}
-        return replace(value, **own)
-    return value
