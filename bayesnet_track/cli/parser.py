@@ -96,7 +96,7 @@ def make_parser() -> argparse.ArgumentParser:
     score.add_argument(
         "--trajectories",
         action="store_true",
-        help="several targets: trajectory GOSPA, too; minutes where many cross",
+        help="several targets: trajectory GOSPA, too; slow where many cross",
     )
     score.add_argument("--json", action="store_true", help="print the scores as JSON")
 

@@ -125,29 +125,41 @@ def _parts(pairs: Pairs, cutoff_px: float, order: float) -> Iterator[_Part]:
 
 
 def _solve(part: _Part, half_switch: float) -> Floats:
-    """(F, P) weights 0..1 that gain most, at most 1 in all for a target or a track in a frame."""
+    """(F, P) weights 0..1 that gain most, at most 1 in all for a target or a track in a frame.
+
+    Where a pair gains nothing, its weight is constant until it gains again: the least weight of such a
+    stretch changes no gain, leaves more room for others, and costs no more in changes.
+    """
     from scipy.optimize import linprog
-    from scipy.sparse import block_array, diags_array, eye_array, kron
+    from scipy.sparse import block_array, coo_array, eye_array
 
     frames, count = part.gains.shape
     if count == 1:
         return np.ones((frames, 1))  # alone, a pair has nothing to gain from parting
-    members = np.vstack([side == one for side in (part.true, part.tracked) for one in np.unique(side)])
-    shared = members[members.sum(axis=1) > 1].astype(np.float64)
-    capacity = kron(eye_array(frames), shared)
-    step = diags_array(
-        [-np.ones(frames - 1), np.ones(frames - 1)], offsets=[0, 1], shape=(frames - 1, frames)
+    gains = part.gains > 0
+    starts = np.vstack([np.ones((1, count), dtype=bool), gains[1:] | gains[:-1]])
+    weight = np.cumsum(starts.T).reshape(count, frames).T - 1  # number of each one that is free
+    size = int(weight.max()) + 1
+    groups = [side == one for side in (part.true, part.tracked) for one in np.unique(side)]
+    shared = [np.unique(weight[:, own], axis=0) for own in groups if own.sum() > 1]
+    limited = sum(len(sums) for sums in shared)
+    rows = np.repeat(np.arange(limited), np.concatenate([[sums.shape[1]] * len(sums) for sums in shared]))
+    columns = np.concatenate([sums.ravel() for sums in shared])
+    capacity = coo_array((np.ones(len(rows)), (rows, columns)), (limited, size))
+    later = weight[1:][starts[1:]]
+    changes = len(later)
+    each = np.arange(changes)
+    change = coo_array(
+        (np.repeat([1.0, -1.0], changes), (np.tile(each, 2), np.append(later, later - 1))), (changes, size)
     )
-    change = kron(step, eye_array(count))
-    slack = -eye_array((frames - 1) * count)
-    limits = np.concatenate([np.ones(capacity.shape[0]), np.zeros(2 * slack.shape[0])])
+    slack = -eye_array(changes)
     answer = linprog(
-        np.concatenate([-part.gains.ravel(), np.full(slack.shape[0], half_switch)]),
+        np.append(-np.bincount(weight.ravel(), part.gains.ravel(), size), np.full(changes, half_switch)),
         A_ub=block_array([[capacity, None], [change, slack], [-change, slack]], format="csr"),
-        b_ub=limits,
+        b_ub=np.append(np.ones(limited), np.zeros(2 * changes)),
         bounds=(0, 1),
         method="highs",
     )
     if answer.x is None:
         raise RuntimeError(f"trajectory GOSPA: {answer.message}")
-    return np.asarray(answer.x[: part.gains.size].reshape(part.gains.shape), dtype=np.float64)
+    return np.asarray(answer.x[weight], dtype=np.float64)
