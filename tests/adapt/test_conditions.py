@@ -104,3 +104,24 @@ def test_what_a_particle_belief_holds_inside(weigh, fakes):
 def test_an_exact_belief_needs_no_test():
     assert apply_test(Concentrated(share=0.9), Inside(0.9, math.inf, 1.0), 1.0).below
     assert apply_test(Concentrated(share=0.9), Inside(0.8999, math.inf, 1.0), 1.0).above
+
+
+def test_a_cause_has_all_numbers_of_the_test_and_where_it_turns():
+    """On at the largest share that was vouched for in the streak, off at the smallest."""
+    test = Concentrated(share=0.8, within_box=0.4, confidence=0.99)
+    found = apply_test(test, Inside(0.9, 50.0, 12.5), 33.0)
+    told = {
+        "share": 0.8,
+        "within_box": 0.4,
+        "confidence": 0.99,
+        "inside": 0.9,
+        "trials": 50.0,
+        "vouched": found.value,
+        "frames": 3,
+        "radius_px": 12.5,
+        "ud_px2": 33.0,
+    }
+    values = (0.7, 0.75, 0.72)
+    assert found.cause_above(3, values) == Concentration(**told, turning=0.75)
+    assert found.cause_below(3, values) == Concentration(**told, turning=0.7)
+    assert found.value == pytest.approx(stats.beta.ppf(0.01, 45, 6), rel=1e-6)

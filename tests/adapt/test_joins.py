@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from bayesnet_track.adapt.joins import (
     JoinMemory,
     Level,
+    PairMemory,
     Reach,
     decide_joins,
     reach_overlaps,
@@ -128,3 +129,25 @@ def test_a_level_belongs_to_the_agents_that_were_active():
     level = Level(frozenset("a"), -2.0, 0.0).then(frozenset("a"), -4.0, -1.0)
     assert level == Level(frozenset("a"), -3.0, -0.5, 2)
     assert level.then(frozenset("ab"), -9.0, -1.0) == Level(frozenset("ab"), -9.0, -1.0)
+
+
+def test_what_is_remembered_goes_with_the_target_or_with_its_last_join():
+    """Levels belong to live targets, joined or not; all else to those that a pair holds."""
+    everyone = "abcd"  # a and b joined, c alone, d gone
+    memory = JoinMemory(
+        pairs={("a", "b"): PairMemory(), ("a", "d"): PairMemory()},
+        levels={name: Level(frozenset(), -1.0, 0.0) for name in everyone},
+        carried={name: name for name in everyone},
+        centres={name: np.zeros(2) for name in everyone},
+        hidden={name: ("a", 3) for name in everyone},
+        carriers={name: ("b", 4) for name in everyone},
+    )
+    net = apply(net_of(a="t", b="t", c="t"), Joined(3, "a", "b", ("t", "t"), 0, 0.2, 0.1))
+    reaches = {"a": reach(50), "b": reach(60), "c": reach(300)}
+    decisions, kept = decide_joins(5, (NEAR,), net, reaches, memory)
+    assert decisions == () and set(kept.pairs) == {("a", "b")}
+    assert kept.pairs["a", "b"].overlap == pytest.approx(0.5)
+    assert set(kept.levels) == {"a", "b", "c"}
+    for part in (kept.carried, kept.centres, kept.hidden, kept.carriers):
+        assert set(part) == {"a", "b"}
+    assert kept.carried["b"] == "b" and kept.hidden["a"] == ("a", 3) and kept.carriers["a"] == ("b", 4)

@@ -141,3 +141,24 @@ def test_noise_widens_with_the_root_of_the_doubt(motion_of, doubt, factor):
     scale[np.ix_(position, position)] = factor**2
     np.testing.assert_allclose(wide_moves, moves)
     np.testing.assert_allclose(wide_spread, scale * spread, rtol=1e-12)
+
+
+def test_only_what_has_a_limit_and_noise_is_drawn_back(motion_of):
+    """By the closed form over three frames; the other of scale and aspect stays a random walk."""
+    noise = {"sd_px": {"x": 1.0, "y": 1.0}, "sd_log": {"scale": 0.1, "aspect": 0.05}}
+    walk, first = motion_of("random_walk", **noise), np.array([30.0, 55.0])
+    for settings, n, sd, limit in (
+        (KeepSize(sd_scale=0.3), 0, 0.1, 0.3),
+        (KeepSize(sd_aspect=0.2), 1, 0.05, 0.2),
+    ):
+        kept = size_kept(walk, settings, first, 3.0)
+        keep = np.exp(-3.0 * sd**2 / (2 * limit**2))
+        assert kept.shift.keep[n] == pytest.approx(keep, rel=1e-12) and kept.shift.keep[1 - n] == 1.0
+        sds = kept.motion.noise.sd_log.scale, kept.motion.noise.sd_log.aspect
+        assert sds[n] == pytest.approx(limit * np.sqrt((1 - keep**2) / 3.0), rel=1e-12)
+        assert sds[1 - n] == (0.1, 0.05)[1 - n]
+        np.testing.assert_allclose(kept.shift.first, [np.log(30 * 55) / 2, np.log(30 / 55)], rtol=1e-12)
+    still = size_kept(
+        motion_of("random_walk", sd_px={"x": 1.0, "y": 1.0}), KeepSize(sd_scale=0.3), first, 2.0
+    )
+    assert still.shift.keep.tolist() == [1.0, 1.0] and still.motion.noise.sd_log.scale == 0.0

@@ -17,9 +17,11 @@ from bayesnet_track.belief.particles.fitted import (
     flattened,
     paired_log_density,
 )
+from bayesnet_track.belief.particles.importance import drawn
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
 from bayesnet_track.belief.particles.passes import Pass, joined, prior_of
 from bayesnet_track.belief.particles.proposals import Draws, fitted_draws, mixed, parent_draws, taken
+from bayesnet_track.graph import spec
 from bayesnet_track.graph.settings.proposals import Adaptive, Auxiliary, LikelihoodMixture, Rejection
 from bayesnet_track.numerics.gaussian import weighted_moments
 from bayesnet_track.numerics.log_weights import LogWeights
@@ -362,3 +364,39 @@ def test_a_sharp_likelihood_is_flattened_until_enough_count_and_sharpened_twice_
     message = fitted_message(points, beta, log)
     mild = fitted_message(points, beta, power * log, effective=1)
     np.testing.assert_allclose(message.precision, STRETCH * mild.precision, rtol=1e-6)
+
+
+# ------------------------------------------------------------------------------------ which of them
+
+
+def particles(importance, size=SIZE, **more):
+    return spec.Particles.model_validate({"size": size, "importance": importance, **more})
+
+
+KLD = {"kld": {"bin_px": 2.0, "fields": ["x"]}}
+
+
+def test_a_fixed_number_is_remembered_by_no_method(inputs_of):
+    for importance, number in (
+        ("regular", SIZE),
+        ("auxiliary", SIZE),
+        ({"adaptive": {"above_kl": 1e9}}, SIZE),
+        ({"adaptive": {"above_kl": 0.0}}, 2 * SIZE),
+    ):
+        found = drawn(particles(importance), inputs_of())
+        assert len(found.whole) == number and found.sized is None and found.reports == ()
+        assert (found.log_evidence is None) == (number == SIZE)
+
+
+def test_an_adaptive_number_is_remembered_with_or_without_a_second_look(inputs_of):
+    """Rejection and a first pass alone remember the first pass; a second pass has a say of its own."""
+    plain = drawn(particles("regular", KLD, min=100, max=200), inputs_of())
+    assert plain.sized is not None
+    edited_ = drawn(particles({"rejection": {"rounds": 2}}, KLD, min=100, max=200), inputs_of())
+    assert edited_.sized.need == plain.sized.need and len(edited_.reports) == len(plain.reports)
+    quiet = drawn(particles({"adaptive": {"above_kl": 1e9}}, KLD, min=100, max=200), inputs_of())
+    assert quiet.sized.need == plain.sized.need
+    np.testing.assert_array_equal(quiet.whole.states, plain.whole.states)
+    always = drawn(particles({"adaptive": {"above_kl": 0.0}}, KLD, min=100, max=200), inputs_of())
+    assert len(always.whole) > len(plain.whole) and always.sized.need != plain.sized.need
+    assert always.log_evidence is not None

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.numerics.distributions import (
+    _peak_error,
     false_reset_level,
     feasibility,
     flattened,
@@ -129,3 +130,27 @@ def test_working_points_of_a_bimodal_density():
     assert chosen(9.0, 0.5) == pytest.approx(7 + 0.5 * np.sqrt(2 * np.log(1.6)), abs=0.01)
     assert chosen(0.0, 0.5) == pytest.approx(2 - 0.5 * np.sqrt(2 * np.log(2)), abs=0.01)
     assert chosen(4.5, 1e-300) == pytest.approx(4.5)  # epsilon 0: the external vector itself
+
+
+def test_the_peaks_error_is_the_gaussian_with_the_same_cells_above_half():
+    """A slanted line of five cells: its scatter and 1 / 12 per axis, around cell 0 and wrapped."""
+    above = np.zeros((7, 9))
+    for step, height in zip((-2, -1, 0, 1, 2), (0.5, 0.7, 1.0, 0.8, 0.6), strict=True):
+        above[3 + step, 4 + step] = height
+    above[0, 0] = 0.499  # below half: not counted
+    found = _peak_error(above, (np.intp(3), np.intp(4)), (14, 18))
+    assert found.shape == (14, 18)
+    spread = 4 / (2 * np.log(2)) * np.full((2, 2), 2.0) + np.eye(2) / 12
+    for row, column in ((0, 0), (1, 1), (-1, -1), (1, 0), (0, 1), (-1, 1), (3, 2)):
+        off = np.array([row, column], dtype=float)
+        expected = np.exp(-0.5 * off @ np.linalg.solve(spread, off))
+        assert found[row, column] == pytest.approx(expected, rel=1e-9)
+
+
+def test_an_axis_of_one_cell_has_no_error():
+    above = np.array([[[0.2, 1.0, 0.6]]])
+    found = _peak_error(above, (np.intp(0), np.intp(0), np.intp(1)), (2, 2, 6))
+    variance = 3 / (2 * np.log(2)) * 0.5 + 1 / 12  # offsets 0 and 1 above half, one dimension
+    np.testing.assert_allclose(found[0, 0], np.exp(-0.5 * np.array([0, 1, 2, -3, -2, -1]) ** 2 / variance))
+    np.testing.assert_array_equal(found[1, 1], found[0, 0])
+    np.testing.assert_array_equal(_peak_error(np.ones((1, 1)), (np.intp(0), np.intp(0)), (2, 2)), 1.0)

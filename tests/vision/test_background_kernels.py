@@ -87,3 +87,57 @@ def test_the_gain_of_the_camera_is_for_comparing_and_not_for_learning():
     assert evidence == BACKGROUND
     np.testing.assert_allclose(means[0], 100 + 100 * own, rtol=1e-6)
     assert update((255, 255, 255), gain=1.7)[0] == BACKGROUND  # 150 * 1.7 is the camera's 255
+
+
+def one_pixel(value, weights, share=0.8, rate=0.1, chroma=25.0, gain=1.0, match=16.0):
+    """As `update`, of the kernel's other settings."""
+    image = np.array(value, np.uint8).reshape(1, 1, 3)
+    w, v = np.array(weights, np.float32).reshape(1, 1, 3), np.full((1, 1, 3), 100.0, np.float32)
+    m, evidence = np.array(MEANS, np.float32).reshape(1, 1, 3, 3), np.full((1, 1), 77, np.uint8)
+    update_mixture(image, gain, rate, w, m, v, match, share, 30.0, 400.0, 0.5, chroma, evidence)
+    return int(evidence[0, 0]), w[0, 0], m[0, 0], v[0, 0]
+
+
+def test_a_mode_without_weight_is_none():
+    """Its mean is what a pixel once was; the pixel starts a new mode there, with the first variance."""
+    evidence, weights, _, variances = one_pixel((20, 20, 20), (0.7, 0.3, 0.0))
+    assert evidence == 255 and variances[2] == 400.0
+    np.testing.assert_allclose(weights, [0.63, 0.27, 0.1], rtol=1e-6)
+
+
+def test_a_pixel_at_the_limit_of_a_mode_is_not_its_own():
+    evidence, _, means, _ = one_pixel((140, 100, 100), (0.9, 0.05, 0.05), share=0.5)
+    assert evidence == 128 and means[0].tolist() == [100, 100, 100]  # 40^2 / 100 is 16, not below
+    assert one_pixel((139, 100, 100), (0.9, 0.05, 0.05), share=0.5)[0] == BACKGROUND
+
+
+def test_a_mode_that_begins_at_the_backgrounds_share_is_beyond_it():
+    assert one_pixel((20, 20, 20), (0.5, 0.25, 0.25), share=0.75)[0] == 255
+    assert one_pixel((20, 20, 20), (0.5, 0.25, 0.25), share=0.76)[0] == BACKGROUND
+
+
+def test_what_is_as_bright_as_the_background_is_no_shadow():
+    """140 + 60 + 100 along (1, 1, 1) is just the background's brightness; a gray level less is below it."""
+    assert one_pixel((140, 60, 100), (0.9, 0.05, 0.05), share=0.5, chroma=2000.0)[0] >= 128
+    assert one_pixel((140, 59, 100), (0.9, 0.05, 0.05), share=0.5, chroma=2000.0)[0] == SHADOW
+
+
+def test_a_shadow_differs_in_colour_by_less_than_the_limit():
+    """(5, 5, -10) off the line of grays: a mean square of 50."""
+    assert one_pixel((55, 55, 40), (0.6, 0.3, 0.1), chroma=50.0)[0] >= 128
+    assert one_pixel((55, 55, 40), (0.6, 0.3, 0.1), chroma=50.1)[0] == SHADOW
+
+
+def test_a_shadow_is_compared_with_the_background_under_the_gain():
+    """110 is darker than 200 = 2 * 100, though not than 100; at most 255 is seen of 3 * 100."""
+    assert one_pixel((110, 110, 110), (0.9, 0.05, 0.05), share=0.5, gain=2.0, match=4.0)[0] == SHADOW
+    assert one_pixel((130, 130, 130), (0.9, 0.05, 0.05), share=0.5, gain=3.0, match=4.0)[0] == SHADOW
+
+
+def test_modes_of_one_weight_keep_their_places_and_a_strong_one_comes_first():
+    _, weights, means, _ = one_pixel((150, 150, 150), (0.5, 0.5, 0.0), rate=0.0)
+    assert means.tolist() == [list(mean) for mean in MEANS]
+    _, weights, means, variances = one_pixel((240, 0, 0), (0.4, 0.35, 0.25), rate=0.5)
+    np.testing.assert_allclose(weights, np.array([0.5, 0.2, 0.175]) / 0.875, rtol=1e-6)
+    assert means.tolist() == [[240, 0, 0], list(MEANS[0]), list(MEANS[1])]
+    assert variances.tolist() == [400, 100, 100]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -83,3 +84,21 @@ def test_without_a_pixel_of_its_colours_it_stays():
     cells = np.zeros((40, 60), np.uint16)
     assert shifted(cells, np.eye(BINS)[3], 26.0, 20.0, 9.0, 7.0, 1e-6, 100) == (26.0, 20.0, 0)
     assert shifted(np.zeros((0, 0), np.uint16), np.eye(BINS)[0], 5.0, 5.0, 9.0, 7.0, 1e-6, 9)[2] == 0
+
+
+def test_a_histogram_worked_by_hand():
+    """Radii 2 about the middle of 3 x 3: 1 there, 3/4 beside it, 1/2 at the corners; 6 in all."""
+    cells = np.array([[0, 1, 2], [3, 4, 5], [2, 1, 0]], np.uint16)
+    found = kernel_histogram(cells, 1.0, 1.0, 2.0, 2.0, 7)
+    np.testing.assert_allclose(found * 6.0, [1.0, 1.5, 1.0, 0.75, 1.0, 0.75, 0.0], rtol=1e-12)
+    narrow = kernel_histogram(cells, 1.0, 1.0, 0.2, 2.0, 7)  # 1 px across: the middle column alone
+    np.testing.assert_allclose(narrow, [0.0, 0.6, 0.0, 0.0, 0.4, 0.0, 0.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize(("x", "y", "cell"), [(0.0, 0.0, 0), (2.0, 0.0, 2), (0.0, 2.0, 2), (2.0, 2.0, 0)])
+def test_the_corners_belong_to_the_picture(x, y, cell):
+    cells = np.array([[0, 1, 2], [3, 4, 5], [2, 1, 0]], np.uint16)
+    found = kernel_histogram(cells, x, y, 1.0, 1.0, 7)
+    assert found[cell] == 1.0 == found.sum()
+    outside = kernel_histogram(cells, x + (x > 0) - (x == 0), y, 1.0, 1.0, 7)
+    assert outside.sum() == 0.0

@@ -112,3 +112,32 @@ def test_edges_in_steps_of_a_pixel():
 def test_what_can_be_sampled(low, size, fits):
     units, spans = np.zeros(4, np.int64), np.zeros(3, np.int64)
     assert (edge_units(low, size, 0, 10, units, spans) > 0) == fits
+
+
+def test_a_box_that_cannot_be_seen_does_not_keep_the_next_from_being_seen():
+    """Outside on one axis alone, too narrow, not finite: rows of 0; the others are as by themselves."""
+    rng = np.random.default_rng(2)
+    line, polynomials = rng.random(3), rng.normal(size=(3, 3))
+    good = (8.0, 6.0, 6.0, 6.0)
+    bad = [(40.0, 6.0, 6.0, 6.0), (8.0, 40.0, 6.0, 6.0), (8.0, 6.0, 0.001, 6.0), (8.0, np.inf, 6.0, 6.0)]
+
+    def projected(boxes):
+        found = np.full((len(boxes), 6), np.nan)
+        patch_projections(
+            integral_of(0, 0), np.array(boxes), np.zeros(2, int), FRAME, line, polynomials, found
+        )
+        return found
+
+    (alone,) = projected([good])
+    found = projected([good, *bad, good, (7.5, 5.5, 3.0, 9.0), good])
+    np.testing.assert_array_equal(found[1:5], 0.0)
+    for row in (0, 5, 7):
+        np.testing.assert_array_equal(found[row], alone)
+    assert alone[0] > 0 and (found[6, 1:] != alone[1:]).all()
+
+
+def test_a_patch_without_weight_has_no_projections():
+    found = np.full((1, 6), np.nan)
+    boxes, nothing = np.array([(8.0, 6.0, 6.0, 6.0)]), np.zeros(3)
+    patch_projections(integral_of(0, 0), boxes, np.zeros(2, int), FRAME, nothing, np.ones((3, 3)), found)
+    np.testing.assert_array_equal(found, 0.0)
