@@ -21,7 +21,7 @@ def vouched_share(inside: float, trials: float, confidence: float) -> float:
         p at which P(X >= inside * trials) of X ~ Binomial(trials, p) is 1 - confidence, between whole numbers
         continued as the incomplete beta function; `inside` itself when exact.
 
-    >>> round(vouched_share(1.0, 29, 0.95), 4), vouched_share(0.7, math.inf, 0.95)
+    >>> round(vouched_share(1.0, 29, 0.95), 4), vouched_share(0.7, float("inf"), 0.95)
     (0.9019, 0.7)
     """
     inside = min(max(inside, 0.0), 1.0)
