@@ -34,7 +34,7 @@ IN_FLIGHT = [frame for first, last in FLIGHTS for frame in range(first, last + 2
 HELD = [frame for frame in range(12, FRAMES) if not any(a - 1 <= frame <= b + 4 for a, b in FLIGHTS)]
 """Frames well away from a flight."""
 
-VARIANTS = {"number adapted": "regular", "number and importance": None}
+VARIANTS = {"number adapted": "bootstrap", "number and importance": None}
 SHOWN = (2, 3, 5, 7, 9, 12)
 """Frames whose hypotheses are drawn."""
 
@@ -62,7 +62,7 @@ def graph_with(importance: str | None) -> GraphSpec:
     for plate in data["targets"].values():
         for node in plate["nodes"].values():
             if importance is not None and "belief" in node:
-                node["belief"]["particles"]["importance"] = importance
+                node["belief"]["particles"]["proposal"] = importance
     return GraphSpec.model_validate(data)
 
 

@@ -4,9 +4,9 @@
                                      [--sequences Car1,Crossing] [--features log_ud_box,evidence]
 
 DATA_FOLDER holds NAME/img/*.jpg and NAME/groundtruth.txt, as in benchmarks/sequences.py. The graph runs over
-every sequence; then score and slack are fitted to all sequences but one and judged on that one, in turn
-(docs/calibration.md). Learning and statuses are those of the graph as it is. The scenes are run with what is
-fitted to all sequences: how long is the target called tracked while the box is on something else?
+every sequence; then score and localization error are fitted to all sequences but one and judged on that one,
+in turn (docs/calibration.md). Learning and statuses are those of the graph as it is. The scenes are run with
+what is fitted to all sequences: how long is the target called tracked while the box is on something else?
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ def with_fitted(graph: CheckedGraph, fitted: Fitted) -> CheckedGraph:
     written = as_plain(graph.spec)
     for name, plate in graph.targets.items():
         root = written["targets"][name]["nodes"][plate.root]
-        sd, lost_sd = fitted.slack
+        sd, lost_sd = fitted.localization_error
         before = root["score"]["logistic"]
-        kept = {name: before[name] for name in ("memory", "full_fit") if name in before}
+        kept = {name: before[name] for name in ("memory_frames", "full_fit") if name in before}
         levels = fitted.levels
         root |= {
             "score": {"logistic": {**kept, **fitted.logistic}},
-            "slack": {"sd_box": sd, "lost_sd_box": lost_sd},
+            "localization_error": {"sd_box": sd, "lost_sd_box": lost_sd},
             "lost": {"score_below": levels.score_below, "uncertain_below": max(levels.uncertain_below, 0.51)},
         }
     return check_graph(written)
@@ -92,7 +92,10 @@ def main() -> None:
     print(calibration_table(rows, everyone) + "\n")
 
     fitted = fit(witnesses, features)
-    print(f"fitted to all: {dict(fitted.logistic)}, slack {fitted.slack}, {fitted.levels}\n")
+    print(
+        f"fitted to all: {dict(fitted.logistic)}, localization error {fitted.localization_error}, "
+        f"{fitted.levels}\n"
+    )
     ready = with_fitted(graph, fitted)
     for name in SCENES:
         for seed in range(options.seeds):

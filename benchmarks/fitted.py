@@ -139,7 +139,7 @@ def held(fitted: Fitted, share: float) -> Callable[[Witness], float]:
 
 
 def judge_sds(graph: str, learnt: Sequence[Video], unseen: Sequence[Video], o: argparse.Namespace) -> None:
-    """Fit sds, score and slack on `learnt`; residuals, regions and AUC on `unseen`."""
+    """Fit sds, score and localization error on `learnt`; residuals, regions and AUC on `unseen`."""
     text = graph_text(graph)
     own = fit_tracking.check_text(text, graph)
     sds = fit_sds([residuals_of(own, frames_of(one.images()), one.truth) for one in learnt])

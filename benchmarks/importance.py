@@ -33,14 +33,14 @@ BOX = np.array([160.0, 120.0, 60.0, 50.0])
 R = 4.0
 """Sd of the measured x and y, px."""
 
-THESIS = {"adaptive": {"by": "parents", "neighbours": 1, "weights": "second_only", "defensive": 0.0}}
+THESIS = {"second_pass": {"by": "parents", "neighbours": 1, "weights": "second_only", "defensive": 0.0}}
 METHODS: Mapping[str, object] = {
-    "adaptive": "adaptive",
-    "adaptive, parents": {"adaptive": {"by": "parents"}},
+    "second_pass": "second_pass",
+    "adaptive, parents": {"second_pass": {"by": "parents"}},
     "thesis as printed": THESIS,
     "auxiliary": "auxiliary",
-    "rejection": "rejection",
-    "west": "west",
+    "prior_editing": "prior_editing",
+    "iterated": "iterated",
     "likelihood mixture": "likelihood_mixture",
 }
 
@@ -59,12 +59,12 @@ JUMP_PX = {"constant velocity": 20.0, "random walk": 80.0}
 
 def particle_filter(size: int, importance: object, above_kl: float | None = None) -> ParticleFilter:
     """A filter; `above_kl` overrides that of a method that has one."""
-    settings = spec.Particles.model_validate({"size": size, "importance": importance})
-    if above_kl is not None and hasattr(settings.importance.settings, "above_kl"):
-        kind = settings.importance.kind
-        changed = settings.importance.settings.model_copy(update={"above_kl": above_kl})
-        chosen = settings.importance.model_copy(update={kind: changed})
-        settings = settings.model_copy(update={"importance": chosen})
+    settings = spec.Particles.model_validate({"size": size, "proposal": importance})
+    if above_kl is not None and hasattr(settings.proposal.settings, "above_kl"):
+        kind = settings.proposal.kind
+        changed = settings.proposal.settings.model_copy(update={"above_kl": above_kl})
+        chosen = settings.proposal.model_copy(update={kind: changed})
+        settings = settings.model_copy(update={"proposal": chosen})
     return ParticleFilter(settings)
 
 
@@ -164,7 +164,7 @@ def print_evidence(runs: int, size: int = 250) -> None:
     for model, off in (("constant velocity", 8.0), ("random walk", 30.0)):
         frame = one_frame(model, off, size)
         print(f"evidence over the exact one, one frame, {model}, {off:g} px off, N = {size}")
-        plain = relative_evidence(frame, particle_filter(2 * size, "regular"), runs)
+        plain = relative_evidence(frame, particle_filter(2 * size, "bootstrap"), runs)
         print(f"  {'plain, 2 N':28s} {plain.mean():.4f} ± {standard_error(plain):.4f}, sd {plain.std():.3f}")
         kls = [frame_kl(frame, size, seed) for seed in range(60)]
         for name, importance in METHODS.items():
@@ -181,7 +181,7 @@ def print_evidence(runs: int, size: int = 250) -> None:
 
 def frame_kl(frame: OneFrame, size: int, seed: int) -> float:
     """The larger surprise of the two halves of a first pass."""
-    step = frame.step(particle_filter(size, "regular"), seed)
+    step = frame.step(particle_filter(size, "bootstrap"), seed)
     likelihood = step.evidence.log_likelihood
     beta = np.full(size // 2, -np.log(size // 2))
     return max(surprise(beta, likelihood[k::2]) for k in (0, 1))
@@ -258,11 +258,11 @@ def print_tracks(runs: int, size: int = 500) -> None:
             what = f"a leap of {JUMP_PX[model]:g} px at every tenth step" if jumps else "quiet"
             print(f"40 steps against Kalman, {model}, {what}, {runs} runs: rmse/R, N = {size}")
             beliefs: dict[str, ParticleFilter] = {
-                "plain, N": particle_filter(size, "regular"),
-                "plain, 2 N": particle_filter(2 * size, "regular"),
+                "plain, N": particle_filter(size, "bootstrap"),
+                "plain, 2 N": particle_filter(2 * size, "bootstrap"),
                 **{name: particle_filter(size, importance) for name, importance in METHODS.items()},
-                "adaptive, every frame": particle_filter(size, "adaptive", 0.0),
-                "west, every frame": particle_filter(size, "west", 0.0),
+                "adaptive, every frame": particle_filter(size, "second_pass", 0.0),
+                "west, every frame": particle_filter(size, "iterated", 0.0),
             }
             for name, belief in beliefs.items():
                 begin = time.perf_counter()
@@ -312,7 +312,7 @@ def print_figure(runs: int, figure: Path | None, size: int = 300) -> None:
         f"Figure 5.8: prior on cluster 1 ({SHARES[0]:.0%}), likelihood on cluster 2 ({SHARES[1]:.0%}); "
         f"N = {size}, {runs} runs"
     )
-    beliefs = {"plain, 2 N": particle_filter(2 * size, "regular")}
+    beliefs = {"plain, 2 N": particle_filter(2 * size, "bootstrap")}
     beliefs |= {name: particle_filter(size, importance) for name, importance in METHODS.items()}
     kept = {}
     for name, belief in beliefs.items():

@@ -60,7 +60,7 @@ def graph(size: int, importance: object, sd_px: float = 8.0) -> GraphSpec:
     """Colour and intensity for a box that drifts as a random walk."""
     nodes = {
         "square": {
-            "belief": {"particles": {"size": size, "importance": importance}},
+            "belief": {"particles": {"size": size, "proposal": importance}},
             "motion": {"random_walk": {"sd_px": {"x": sd_px, "y": sd_px, "w": 0.5, "h": 0.5}}},
             "fuse": "product",
         },
@@ -131,13 +131,13 @@ def main() -> None:
     )
     options = parser.parse_args()
     methods: dict[str, tuple[int, object]] = {
-        "plain, N": (SIZE, "regular"),
-        "plain, 2 N": (2 * SIZE, "regular"),
-        "adaptive": (SIZE, "adaptive"),
-        "adaptive, parents": (SIZE, {"adaptive": {"by": "parents"}}),
+        "plain, N": (SIZE, "bootstrap"),
+        "plain, 2 N": (2 * SIZE, "bootstrap"),
+        "second_pass": (SIZE, "second_pass"),
+        "adaptive, parents": (SIZE, {"second_pass": {"by": "parents"}}),
         "auxiliary": (SIZE, "auxiliary"),
-        "rejection": (SIZE, "rejection"),
-        "west": (SIZE, "west"),
+        "prior_editing": (SIZE, "prior_editing"),
+        "iterated": (SIZE, "iterated"),
         "likelihood mixture": (SIZE, "likelihood_mixture"),
     }
     print("| importance | leap, px | overcome | held at the end | second passes a run | at leaps |")

@@ -26,7 +26,7 @@ NOISES = {
     "px": {"sd_px": {"x": 20, "y": 20, "w": 0.5, "h": 0.5}},
     "narrow and wide": {
         "sd_box": {"x": 0.1, "y": 0.1},
-        "wide": {"share": 0.5, "factor": 4},
+        "heavy_tail": {"weight": 0.5, "factor": 4},
         "sd_log": {"scale": 0.02},
     },
 }

@@ -71,7 +71,7 @@ def thesis(rules: Rules) -> Rules:
     """The graph's own levels of UD; all on, largest KL off."""
     on, off = (
         rules["activate"],
-        {key: rules["deactivate"][key] for key in rules["deactivate"] if key != "glance"},
+        {key: rules["deactivate"][key] for key in rules["deactivate"] if key != "sample_every"},
     )
     return {**rules, "activate": {**on, "which": "all"}, "deactivate": {**off, "drop": "largest_kl"}}
 
@@ -82,8 +82,8 @@ def quiet_level(rules: Rules) -> Rules:
     return thesis(
         {
             **rules,
-            "activate": {"above": {"ud_quiet": 2.0}, **on},
-            "deactivate": {"below": {"ud_quiet": 1.3}, **off},
+            "activate": {"above": {"ud_baseline": 2.0}, **on},
+            "deactivate": {"below": {"ud_baseline": 1.3}, **off},
         }
     )
 
@@ -99,7 +99,7 @@ def information(rules: Rules) -> Rules:
     return {
         **rules,
         "activate": {**rules["activate"], "which": "information_per_ms"},
-        "deactivate": {**thesis(rules)["deactivate"], "drop": "least_information_per_ms"},
+        "deactivate": {**thesis(rules)["deactivate"], "drop": "min_information_per_ms"},
     }
 
 

@@ -89,7 +89,7 @@ def graph_of(name: str, variant: str, detector: Mapping[str, Any] | None = None)
     if variant == "place alone":
         kind["nodes"]["seen"]["agent"] = "detection"
     if variant in ("no return", "place alone"):
-        kind["recall"] = {"lost": False, "least_probability": 1}
+        kind["reidentify"] = {"lost": False, "min_probability": 1}
     return check_graph(plain)
 
 

@@ -41,13 +41,13 @@ class DetectionParameters(CueParameters):
         description="A detection farther from the prediction than this share of right ones is not the "
         "target's (0..1).",
     )
-    least_overlap: float = Field(
+    min_overlap: float = Field(
         default=0.2,
         ge=0,
         le=1,
         description="Nor is one that overlaps the predicted box by less (intersection over union).",
     )
-    looks: float = Field(
+    appearance: float = Field(
         default=0.0,
         ge=0,
         le=10,
@@ -68,7 +68,7 @@ class Detection:
     def rule(self) -> ClaimRule:
         """Which detection is the target's."""
         p = self.parameters
-        return ClaimRule(p.sd_place, p.sd_size, p.gate, p.least_overlap, p.looks)
+        return ClaimRule(p.sd_place, p.sd_size, p.gate, p.min_overlap, p.appearance)
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """Nothing: a detection is this frame's."""

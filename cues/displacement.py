@@ -79,7 +79,7 @@ class DisplacementParameters(CueParameters):
         description="A point moves to the displacement nearest to the object's with at least this share of "
         "the largest probability.",
     )
-    least_seen: float = Field(
+    min_seen: float = Field(
         default=0.25, gt=0, le=1, description="Least share of the points whose patch must fit somewhere."
     )
     correlation: float = Field(
@@ -164,7 +164,7 @@ class DisplacementCue:
     ) -> Measurement | None:
         """The last place of the target plus the mean of P_sum, over the time since; None when not seen.
 
-        It is not seen when fewer than `least_seen` of its points are. P_sum holds what earlier frames said of
+        It is not seen when fewer than `min_seen` of its points are. P_sum holds what earlier frames said of
         the velocity, so that errors persist over frames; its variance is shared by the points as their
         `correlation` says. A pixel's own 1/12 is added. The matrices are centred on the prediction.
         """
@@ -173,7 +173,7 @@ class DisplacementCue:
         region = region_of_boxes(hypotheses.boxes).within(planes.frame)
         image, origin = _crop(planes, self.gray, region)
         found = self._displaced(reference, image, origin, dt, weights @ hypotheses.boxes)
-        if found is None or found.seen.mean() < self.parameters.least_seen:
+        if found is None or found.seen.mean() < self.parameters.min_seen:
             return None
         count = int(found.seen.sum())
         shared = (1.0 + (count - 1) * self.parameters.correlation) / count

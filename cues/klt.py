@@ -65,16 +65,16 @@ class KltParameters(CueParameters):
         description="Largest distance of a point from where tracking there and back takes it, and from where "
         "the motion of all takes it (px).",
     )
-    most_scale: float = Field(
+    max_scale: float = Field(
         default=1.5, gt=1, description="Largest change of size since the last look (factor)."
     )
-    least_correlation: float = Field(
+    min_correlation: float = Field(
         default=0.6,
         ge=-1,
         le=1,
         description="Least correlation of a point's patch with what it was when it was chosen (no unit).",
     )
-    least_seen: float = Field(
+    min_seen: float = Field(
         default=0.3, gt=0, le=1, description="Least share of the points that must agree, else it is not seen."
     )
     patience: float = Field(
@@ -166,7 +166,7 @@ class Klt:
     ) -> Measurement | None:
         """Where the points carry the box, with w and h when they say anything of size; None when not seen.
 
-        It is not seen when fewer than `least_seen` of its points agree. The covariance is that of the least
+        It is not seen when fewer than `min_seen` of its points agree. The covariance is that of the least
         squares fit at the box's centre, variance (1 / n + d^2 / spread), and what always remains.
         """
         p = self.parameters
@@ -212,8 +212,8 @@ class Klt:
             return None
         first = (_origin(reference)[0] + guess[0], _origin(reference)[1] + guess[1])
         looks = patches_at(now, first, there, reference["turns"] * motion.factor, _side(p))
-        alike = motion.kept & (correlations(reference["patches"], looks) >= p.least_correlation)
-        if alike.sum() < max(p.least_seen * len(at), 1.0):
+        alike = motion.kept & (correlations(reference["patches"], looks) >= p.min_correlation)
+        if alike.sum() < max(p.min_seen * len(at), 1.0):
             return None
         return agreed(at, there, alike, self.how)
 
@@ -254,7 +254,7 @@ def _make(parameters: KltParameters) -> MeasuringCue:
     )
 
     p = parameters
-    return Klt(p, Following(p.half_window_px, p.reach_px, p.agree_px, p.most_scale, p.least_correlation))
+    return Klt(p, Following(p.half_window_px, p.reach_px, p.agree_px, p.max_scale, p.min_correlation))
 
 
 CUE = CueDeclaration(

@@ -48,7 +48,7 @@ class OpencvTrackerParameters(CueParameters):
     sd_box: float = Field(
         default=0.06, gt=0, description="Error of the place at a score of 1 (share of the box's sides)."
     )
-    least_correlation: float = Field(
+    min_correlation: float = Field(
         default=0.3,
         ge=-1,
         le=1,
@@ -144,7 +144,7 @@ class OpencvTracker:
             session.update(image, index, weights @ hypotheses.boxes[:, :2])
         if session.box is None:
             return None
-        if session.likeness < p.least_correlation:
+        if session.likeness < p.min_correlation:
             session.refuse()
             return None
         score = 1.0 if session.score is None else session.score

@@ -18,21 +18,21 @@ Floats = NDArray[np.float64]
 def gains(
     mean: Floats, covariance: Floats, boxes: Floats, rule: ClaimRule, log_looks: Callable[[Floats], Floats]
 ) -> Floats:
-    """(N,) log of what speaks for detections z (N, 4) to be a target's: N(z; m, P + R) L(z)^looks.
+    """(N,) log of what speaks for detections z (N, 4) to be a target's: N(z; m, P + R) L(z)^appearance.
 
     m (4,) and P (4, 4) are the prediction of its centre box, R the detection's own error, log L(z) what
     `log_looks` gives for boxes (M, 4), at most 0, asked only of those near enough. Constants are left
     out. Unlike the distance alone, the density makes it dear for an unsure target to take what a sure one
-    expects. It is -inf beyond the gates: d^2 - 2 looks log L above the chi-square quantile of `gate`, or too
-    small an overlap.
+    expects. It is -inf beyond the gates: d^2 - 2 appearance log L above the chi-square quantile of `gate`, or
+    too small an overlap.
     """
     away = boxes - mean
     spread = covariance + rule.variances(boxes)[:, :, None] * np.eye(4)
     d2 = np.einsum("ni,ni->n", away, np.linalg.solve(spread, away[:, :, None])[:, :, 0])
     limit = chi_square_quantile(rule.gate, 4)
-    near = (d2 <= limit) & (overlap(boxes, mean) >= rule.least_overlap)
-    if rule.looks > 0 and near.any():
-        d2[near] -= 2.0 * rule.looks * log_looks(boxes[near])
+    near = (d2 <= limit) & (overlap(boxes, mean) >= rule.min_overlap)
+    if rule.appearance > 0 and near.any():
+        d2[near] -= 2.0 * rule.appearance * log_looks(boxes[near])
     return np.where(near & (d2 <= limit), -0.5 * (d2 + np.linalg.slogdet(spread)[1]), -np.inf)
 
 

@@ -41,16 +41,16 @@ class Worth:
         frames = self.frames.get(agent, 0.0)
         return self.nats[agent] / frames if frames > 0.0 else None
 
-    def hope(self, agent: str, explore: float) -> float:
+    def hope(self, agent: str, exploration: float) -> float:
         """The mean and what its uncertainty lets hope for, nats; inf for an agent that was never active.
 
-        mean + explore sqrt(ln(1 + sum n) / n), n the remembered frames.
+        mean + exploration sqrt(ln(1 + sum n) / n), n the remembered frames.
         """
         mean = self.mean(agent)
         if mean is None:
             return math.inf
         total = sum(self.frames.values())
-        return mean + explore * math.sqrt(math.log1p(total) / self.frames[agent])
+        return mean + exploration * math.sqrt(math.log1p(total) / self.frames[agent])
 
 
 def expected_per_ms(
@@ -59,11 +59,11 @@ def expected_per_ms(
     """Agent -> information that may be expected of it per declared cost, nats per ms.
 
     >>> worth = Worth().after({"a": 0.4, "b": 0.6}, memory=100)
-    >>> found = expected_per_ms(worth, "abc", {"a": 0.5, "b": 1.0, "c": 9.0}, Information(explore=0))
+    >>> found = expected_per_ms(worth, "abc", {"a": 0.5, "b": 1.0, "c": 9.0}, Information(exploration=0))
     >>> round(found["a"], 9), round(found["b"], 9), found["c"]
     (0.8, 0.6, inf)
     """
-    return {agent: worth.hope(agent, settings.explore) / costs_ms[agent] for agent in agents}
+    return {agent: worth.hope(agent, settings.exploration) / costs_ms[agent] for agent in agents}
 
 
 def remembered_per_ms(worth: Worth, agents: Iterable[str], costs_ms: Mapping[str, float]) -> dict[str, float]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.claims import NOBODY, distances, pair_up
-from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, Duplicates
+from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, MergeDuplicates
 from bayesnet_track.journal.net.net import Fault
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.detector import DetectorState
@@ -131,7 +131,8 @@ def feed(
     """The candidates after a look that found the boxes (N, 4), the best first, which no live target claims.
 
     A candidate goes on with the nearest box within `FOLLOW_BOX` of where it is expected. One that was missed
-    too often to be confirmed by the looks it has left is dropped. No more than twice `rule.most` (and 8) are
+    too often to be confirmed by the looks it has left is dropped. No more than twice `rule.max_targets` (and
+    8) are
     kept: those seen most often, then those with the best scores.
     """
     confirm = rule.confirm
@@ -151,13 +152,13 @@ def feed(
     for new in np.flatnonzero(owner == NOBODY):
         kept.append(Candidate(boxes[new].copy(), np.zeros(2), (float(scores[new]),), frame))
     best = sorted(range(len(kept)), key=lambda k: (-kept[k].seen, -kept[k].score, k))
-    chosen = sorted(best[: max(2 * rule.most, 8)])
+    chosen = sorted(best[: max(2 * rule.max_targets, 8)])
     return tuple(kept[k] for k in chosen)
 
 
 def is_confirmed(candidate: Candidate, confirm: Confirm) -> bool:
     """True when it is seen now and was often enough."""
-    return candidate.looks[-1] is not None and candidate.seen >= confirm.looks
+    return candidate.looks[-1] is not None and candidate.seen >= confirm.hits
 
 
 def _looked(candidate: Candidate, score: float | None, confirm: Confirm) -> Candidate:
@@ -177,7 +178,7 @@ def _is_hopeless(candidate: Candidate, confirm: Confirm) -> bool:
         if score is not None:
             break
         misses += 1
-    return misses > confirm.of - confirm.looks
+    return misses > confirm.of - confirm.hits
 
 
 def refusals_to_tell(before: int, after: int) -> bool:
@@ -222,7 +223,7 @@ def overlapping(
     beliefs: Mapping[str, tuple[Floats, Floats]],
     since: Mapping[str, int],
     before: Mapping[tuple[str, str], tuple[float, ...]],
-    rule: Duplicates,
+    rule: MergeDuplicates,
 ) -> dict[tuple[str, str], tuple[float, ...]]:
     """(younger, older) -> overlaps of their beliefs (mean, covariance) in the last frames.
 

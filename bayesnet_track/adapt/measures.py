@@ -61,7 +61,7 @@ class Measures:
             the windows that its rules ask about.
         parts: part -> its measures, in nets with parts.
         ud_without_px2: active agent -> UD of its governor's belief had it been switched off, about that
-            belief's most probable hypothesis; where a rule asks for it (`dearest_dispensable`).
+            belief's most probable hypothesis; where a rule asks for it (`most_expensive_redundant`).
     """
 
     ud_px2: Mapping[str, float]

@@ -48,13 +48,13 @@ def _note_worth(now: Situation, memory: Memory) -> Memory:
                 for agent, nats in now.measures.contribution.items()
                 if now.plate.governor[agent] == node
             }
-            worth[node] = worth.get(node, Worth()).after(governed, rules.information.memory)
+            worth[node] = worth.get(node, Worth()).after(governed, rules.information.memory_frames)
     return replace(memory, worth=worth)
 
 
 def _goes_by_worth(rules: Adapt) -> bool:
     on = rules.activate is not None and rules.activate.which == "information_per_ms"
-    return on or (rules.deactivate is not None and rules.deactivate.drop == "least_information_per_ms")
+    return on or (rules.deactivate is not None and rules.deactivate.drop == "min_information_per_ms")
 
 
 def _note_quiet(now: Situation, memory: Memory) -> Memory:
@@ -155,7 +155,9 @@ def _govern(now: Situation, memory: Memory, node: str, rules: Adapt, decisions: 
                 cause = found.cause_below(frames, down.values)
                 rule = rules.deactivate
                 decisions.append(
-                    Deactivated(now.frame, now.target, agent, node, cause, rule.drop, index, rule.glance or 0)
+                    Deactivated(
+                        now.frame, now.target, agent, node, cause, rule.drop, index, rule.sample_every or 0
+                    )
                 )
                 fired = True
     if fired:
@@ -227,11 +229,11 @@ def _drop_index(
     ]
     if drop == "largest_kl":
         return {agent: now.measures.kl[agent] for agent in agents}
-    if drop == "dearest_dispensable":
+    if drop == "most_expensive_redundant":
         return {agent: now.measures.ud_without_px2[agent] for agent in agents}
-    if drop == "dearest":
+    if drop == "most_expensive":
         return {agent: now.costs_ms[agent] for agent in agents}
-    if drop == "least_information_per_ms":
+    if drop == "min_information_per_ms":
         return remembered_per_ms(memory.worth.get(node, Worth()), agents, now.costs_ms)
     return {agent: now.measures.contribution[agent] / now.costs_ms[agent] for agent in agents}
 
@@ -245,8 +247,8 @@ def _dropped(
     now: Situation, memory: Memory, node: str, rules: Adapt, index: Mapping[str, float]
 ) -> str | None:
     """The agent to switch off by its index; None where none can be spared."""
-    if rules.deactivate is None or rules.deactivate.drop != "dearest_dispensable":
-        largest = rules.deactivate is not None and rules.deactivate.drop in ("largest_kl", "dearest")
+    if rules.deactivate is None or rules.deactivate.drop != "most_expensive_redundant":
+        largest = rules.deactivate is not None and rules.deactivate.drop in ("largest_kl", "most_expensive")
         return (max if largest else min)(index, key=lambda name: index[name])
     # Without it the rule that switches agents on would not call it back at once.
     level = rules.deactivate.below if rules.activate is None else rules.activate.above

@@ -16,7 +16,7 @@ def estimate(chosen: spec.Estimate | None, step: Step[Posterior]) -> Floats:
     """(D,) the state that stands for the belief after a step; the MAP when nothing is chosen.
 
     - `map`: largest posterior density, prior density included.
-    - `best`: hypothesis of the largest weight.
+    - `max_weight`: hypothesis of the largest weight.
     - `mean`: mean of the belief, which lies between the modes of a bimodal one.
     - `robust_mean`: weighted mean of the hypotheses whose centres lie within `box` sqrt(w h) of the best,
       in x and in y (tracking chapter, estimators).
@@ -34,7 +34,7 @@ def estimate(chosen: spec.Estimate | None, step: Step[Posterior]) -> Floats:
         predicted = step.prior.weights @ states[:, :2]
         return np.asarray(states[nearest_probable(states[:, :2], weights, predicted, chosen.nearest.epsilon)])
     best = np.asarray(states[int(np.argmax(weights))])
-    if kind == "best" or chosen is None or chosen.robust_mean is None:
+    if kind == "max_weight" or chosen is None or chosen.robust_mean is None:
         return best
     reach = chosen.robust_mean.box * float(np.sqrt(best[2] * best[3]))
     near = np.all(np.abs(states[:, :2] - best[:2]) <= reach, axis=1)

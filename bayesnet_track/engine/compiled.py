@@ -172,7 +172,7 @@ def _make_machinery(
     settings = root.motion.settings
     moving = None if own is not None or settings.is_plain else settings
     kind = plate.spec
-    life = life_rules(kind.birth, kind.duplicates, kind.death, kind.recall)
+    life = life_rules(kind.birth, kind.merge_duplicates, kind.death, kind.reidentify)
     return Machinery(
         plate=plate,
         cues=made,
@@ -203,7 +203,7 @@ def _make_motion(chosen: spec.Motion) -> Motion:
 
 
 def _finder(moving: Moving) -> Detector | None:
-    chosen = None if moving.recover is None else moving.recover.by.detector
+    chosen = None if moving.relocalize is None else moving.relocalize.by.detector
     if chosen is None:
         return None
     declaration = installed_detectors([chosen.detector])[chosen.detector]

@@ -54,12 +54,12 @@ def frame_metrics(
     variances = np.clip(np.diag(covariance)[:4], 0.0, None)
     root = plate.root
     score, features = (index(measures, root), {}) if scored is None else scored
-    slack = plate.inference(root).slack
-    if slack is None:
+    localization_error = plate.inference(root).localization_error
+    if localization_error is None:
         region50, region90 = posterior.region(0.5), posterior.region(0.9)
     else:
         side = float(np.sqrt(max(measures.area_px2, 1.0)))
-        wide = widened(posterior, slack, score, side)
+        wide = widened(posterior, localization_error, score, side)
         region50, region90 = wide.region50, wide.region90
         variances[:2] += wide.variance
     return FrameMetrics(

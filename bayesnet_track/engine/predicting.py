@@ -18,7 +18,7 @@ from bayesnet_track.belief.motion.rotating import Rotating
 from bayesnet_track.belief.motion.widened import widened, widening
 from bayesnet_track.engine.compiled import Machinery
 from bayesnet_track.graph.settings.adapt import Level
-from bayesnet_track.graph.settings.motion import Recover
+from bayesnet_track.graph.settings.motion import Relocalize
 from bayesnet_track.journal.events.life_events import DetectorFailed
 from bayesnet_track.journal.net.net import Fault
 from bayesnet_track.observation.detector import NOTHING, Detector, DetectorState, LearningDetector, checked
@@ -112,19 +112,21 @@ def predicted(
     if settings is None or known is None or not isinstance(plain, KinematicMotion):
         return Predicted(machine.motion if given is None else given, known)
     own = plain
-    if settings.widen is not None:
-        now = known.reading(settings.widen.above)
-        own = widened(own, 1.0 if now is None else widening(now.value / now.level, settings.widen.most))
+    if settings.inflate is not None:
+        now = known.reading(settings.inflate.above)
+        own = widened(
+            own, 1.0 if now is None else widening(now.value / now.level, settings.inflate.max_factor)
+        )
     motion: Motion = own
-    if settings.keep_size is not None:
-        motion = size_kept(own, settings.keep_size, known.size, dt)
+    if settings.size_reversion is not None:
+        motion = size_kept(own, settings.size_reversion, known.size, dt)
     if settings.camera is not None:
         motion = _with_camera(motion, cache, dt)
     if isinstance(machine.motion, Rotating):
         motion = replace(machine.motion, motion=motion)
     found = Predicted(motion, known)
-    if settings.recover is not None:
-        found = _recovering(motion, settings.recover, machine.finder, known, is_lost, dt, cache)
+    if settings.relocalize is not None:
+        found = _recovering(motion, settings.relocalize, machine.finder, known, is_lost, dt, cache)
     if isinstance(given, Attached):
         return replace(found, motion=replace(given, motion=found.motion))
     return found
@@ -141,7 +143,7 @@ def _with_camera(motion: Motion, cache: PlaneCache, dt: float) -> Motion:
 
 def _recovering(
     motion: Motion,
-    settings: Recover,
+    settings: Relocalize,
     finder: Detector | None,
     known: Outlook,
     is_lost: bool,
@@ -169,7 +171,7 @@ def _recovering(
     search = Search(
         hypotheses=settings.hypotheses * min(per_frame / settings.share, 1.0),
         by=settings.by.kind if settings.by.detector is None else settings.by.detector.detector,
-        probes=0 if probes is None else probes.most,
+        probes=0 if probes is None else probes.max_boxes,
         boxes=found.boxes,
         scores=found.scores,
         ud_px2=known.ud_px2,

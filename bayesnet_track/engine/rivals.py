@@ -8,20 +8,20 @@ import numpy as np
 
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.belief.contract import Posterior, Step
-from bayesnet_track.graph.settings.scores import Rivals
-from bayesnet_track.journal.events.rival_events import RivalSeen
+from bayesnet_track.graph.settings.scores import Distractors
+from bayesnet_track.journal.events.distractor_events import DistractorSeen
 from bayesnet_track.journal.net.net import TargetNet
 
 
 def rival_seen(
-    rule: Rivals,
+    rule: Distractors,
     frame: int,
     target: str,
     live: TargetNet,
     agents: Mapping[str, object],
     step: Step[Posterior],
     measures: Measures,
-) -> RivalSeen | None:
+) -> DistractorSeen | None:
     """The best hypothesis that is not the target's own, where it is nearly as likely; else None.
 
     Asked only in frames at which all `agents` look, since it takes all of them to tell things apart, and
@@ -42,6 +42,6 @@ def rival_seen(
     if behind >= rule.within_nats:
         return None
     x, y = boxes[other, :2].tolist()
-    return RivalSeen(
+    return DistractorSeen(
         frame, target, x, y, float(away[other]), behind, rule.within_nats, measures.fit, rule.hold
     )

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.belief.contract import Posterior, Step
-from bayesnet_track.graph.spec import Logistic, Slack
-from bayesnet_track.journal.events.rival_events import RivalSeen
+from bayesnet_track.graph.spec import Localization, Logistic
+from bayesnet_track.journal.events.distractor_events import DistractorSeen
 from bayesnet_track.numerics.mixtures import mixture_quantiles
 
 Floats = NDArray[np.float64]
@@ -67,7 +67,9 @@ class Scored:
             "agreement": _agreement(step, seeing),
             "log_size": abs(math.log(side / first)),
         }
-        gain = 1.0 if not self.smooth or rule.memory == 0 else 1.0 - math.exp(-1.0 / rule.memory)
+        gain = (
+            1.0 if not self.smooth or rule.memory_frames == 0 else 1.0 - math.exp(-1.0 / rule.memory_frames)
+        )
         smooth = {
             name: value if gain == 1.0 else self.smooth[name] + gain * (value - self.smooth[name])
             for name, value in found.items()
@@ -75,7 +77,7 @@ class Scored:
         return Scored(smooth, usual, first, self.rivals, max(self.doubt - 1, 0))
 
 
-def with_rival(scored: Scored, rival: RivalSeen | None, frames: int) -> Scored:
+def with_rival(scored: Scored, rival: DistractorSeen | None, frames: int) -> Scored:
     """With the rival of this frame, if there is one; `frames` in a row put the target in doubt."""
     count = 0 if rival is None else scored.rivals + 1
     doubt = rival.hold if rival is not None and count >= frames else scored.doubt
@@ -104,15 +106,15 @@ def most(rule: Logistic, fit: float, doubt: int) -> float:
 
 @dataclass(frozen=True)
 class Widened:
-    """Bounds of the centre x_low, x_high, y_low, y_high in px, and the variance that slack adds, px^2."""
+    """Bounds of the centre x_low, x_high, y_low, y_high, px, and the localization error's variance, px^2."""
 
     region50: Region
     region90: Region
     variance: float
 
 
-def widened(posterior: Posterior, rule: Slack, score: float, side_px: float) -> Widened:
-    """The posterior's regions, its centre blurred by slack.
+def widened(posterior: Posterior, rule: Localization, score: float, side_px: float) -> Widened:
+    """The posterior's regions, its centre blurred by the localization error.
 
     p(c) = sum_h w_h [p N(c; h, sd_box^2 s^2 I) + (1 - p) N(c; h, lost_sd_box^2 s^2 I)], p = `score` and
     s = `side_px`: a mixture of being on target and off it. Without `lost_sd_box`, p = 1.

@@ -181,9 +181,9 @@ def conclude(
     if root.score is not None:
         rule = root.score.settings
         scored = scored.after(rule, measures, stepped, measures.ud_px2[machine.plate.root])
-        if root.rivals is not None:
-            rival = rival_seen(root.rivals, frame.index, target, live, machine.cues, stepped, measures)
-            scored = with_rival(scored, rival, root.rivals.frames)
+        if root.distractors is not None:
+            rival = rival_seen(root.distractors, frame.index, target, live, machine.cues, stepped, measures)
+            scored = with_rival(scored, rival, root.distractors.frames)
         bound = most(rule, measures.fit, scored.doubt)
         score = min(probability(rule, scored.smooth), bound)
     now = Situation(
@@ -207,8 +207,8 @@ def conclude(
     seen = max(1.0 - 2.0 * hidden, 0.0)
     rate, at_parts = rate * seen, {part: own * seen for part, own in at_parts.items()}
     held = working.status == "tracking" or (working.status == "uncertain" and scored.doubt > 0)
-    every = min(live.glances.values(), default=1)
-    # Between glances the others are less sure alone: what is learnt then would be their errors.
+    every = min(live.sampled.values(), default=1)
+    # Between samples the others are less sure alone: what is learnt then would be their errors.
     if not held or not working.active or stepped.degenerate is not None or frame.index % every:
         rate, at_parts = 0.0, {}
     rates = {

@@ -17,7 +17,7 @@ ON_TARGET, OFF_TARGET = 0.5, 0.1
 NEWTON_STEPS = 50
 SLACKS = np.geomspace(0.002, 0.5, 34)
 LOST_SLACKS = np.geomspace(0.05, 20.0, 37)
-"""Sds in box sides among which slack is chosen: 18 % apart."""
+"""Sds in box sides among which the localization error is chosen: 18 % apart."""
 
 
 def auroc(scores: ArrayLike, positive: ArrayLike) -> float | None:
@@ -140,10 +140,10 @@ def _newton(table: Floats, y: Floats, w: Floats, ridge: float) -> Floats:
     return solved
 
 
-def fit_slack(
+def fit_localization_error(
     offsets: Sequence[ArrayLike], scores: Sequence[ArrayLike], shares: tuple[float, float] = (0.5, 0.9)
 ) -> tuple[float, float]:
-    """Slack (sd_box, lost_sd_box) with which regions hold as many true centres as they say.
+    """The localization error (sd_box, lost_sd_box) with which regions hold as many true centres as they say.
 
     The pair, on a logarithmic grid, whose coverage of the central 50 % and 90 % regions, averaged over
     videos, is nearest to 50 % and 90 % (sum of squared differences).

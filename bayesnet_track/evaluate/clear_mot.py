@@ -43,10 +43,10 @@ class ClearMot:
         return self.iou_sum / self.tp if self.tp else 0.0
 
 
-def clear_mot(pairs: Pairs, least_iou: float = LEAST_IOU) -> ClearMot:
+def clear_mot(pairs: Pairs, min_iou: float = LEAST_IOU) -> ClearMot:
     """CLEAR MOT of a sequence with true boxes.
 
-    In each frame boxes are matched one to one where they overlap by at least `least_iou`: a pair that was
+    In each frame boxes are matched one to one where they overlap by at least `min_iou`: a pair that was
     matched in the frame before stays matched, the rest so that the sum of overlaps is largest.
     """
     last = np.full(len(pairs.true_boxes), NOBODY, dtype=np.int64)
@@ -55,7 +55,7 @@ def clear_mot(pairs: Pairs, least_iou: float = LEAST_IOU) -> ClearMot:
     for frame in pairs.frames:
         if not frame.iou.size:
             continue  # such a frame parts nobody: a correspondence holds until there is evidence against it
-        rows, columns = _match(frame, before, least_iou)
+        rows, columns = _match(frame, before, min_iou)
         true, tracked = frame.true[rows], frame.tracked[columns]
         idsw += int(((last[true] != NOBODY) & (last[true] != tracked)).sum())
         last[true] = tracked
@@ -66,9 +66,9 @@ def clear_mot(pairs: Pairs, least_iou: float = LEAST_IOU) -> ClearMot:
     return ClearMot(tp, int(pairs.true_boxes.sum()) - tp, int(pairs.tracked_boxes.sum()) - tp, idsw, iou_sum)
 
 
-def _match(frame: FramePairs, before: Integers, least_iou: float) -> tuple[Integers, Integers]:
+def _match(frame: FramePairs, before: Integers, min_iou: float) -> tuple[Integers, Integers]:
     kept = before[frame.true][:, None] == frame.tracked[None, :]
-    near = frame.iou >= least_iou - EPSILON
+    near = frame.iou >= min_iou - EPSILON
     rows, columns = assign(np.where(near, KEPT * kept + frame.iou, 0.0))
     matched = near[rows, columns]
     return rows[matched], columns[matched]

@@ -41,16 +41,16 @@ class DetectionScore:
         return DetectionScore(self.found + other.found, self.missed + other.missed, self.false + other.false)
 
 
-def score_detections(boxes: Floats, truth: Floats, least_iou: float = 0.5) -> DetectionScore:
+def score_detections(boxes: Floats, truth: Floats, min_iou: float = 0.5) -> DetectionScore:
     """Centre boxes (N, 4), the best first, against the true ones (M, 4) of the same frame.
 
     Each detection in turn takes the true box, of those not taken, that it overlaps most, when their
-    intersection over union is at least `least_iou` (as in Pascal VOC).
+    intersection over union is at least `min_iou` (as in Pascal VOC).
     """
     free = np.ones(len(truth), dtype=bool)
     for box in boxes:
         fit = np.where(free, overlap(box, truth), -1.0)
-        if len(fit) and fit.max() >= least_iou:
+        if len(fit) and fit.max() >= min_iou:
             free[int(fit.argmax())] = False
     found = int((~free).sum())
     return DetectionScore(found, len(truth) - found, len(boxes) - found)

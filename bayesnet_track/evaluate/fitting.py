@@ -16,8 +16,8 @@ from bayesnet_track.evaluate.calibration import (
     auroc,
     brier,
     fit_levels,
+    fit_localization_error,
     fit_logistic,
-    fit_slack,
     reliability,
 )
 from bayesnet_track.evaluate.witness import TEMPERATURES, Witness
@@ -43,7 +43,7 @@ class Fitted:
 
     Attributes:
         logistic: bias and coefficients of the score.
-        slack: sd_box and lost_sd_box.
+        localization_error: sd_box and lost_sd_box.
         levels: of the statuses.
         ud_box: levels of UD, relative to the box: activate, deactivate, learn.
         temperatures: agent -> factor on its temperature.
@@ -52,7 +52,7 @@ class Fitted:
     """
 
     logistic: Mapping[str, float]
-    slack: tuple[float, float]
+    localization_error: tuple[float, float]
     levels: Levels
     ud_box: Mapping[str, float]
     videos: int
@@ -76,12 +76,18 @@ def fit(witnesses: Sequence[Witness], features: Sequence[str] = USUAL_FEATURES) 
     table = {name: np.concatenate([one.features[name] for one in witnesses]) for name in features}
     logistic = fit_logistic(table, hits, weights, SIGNS)
     scores = [score_of(logistic, one) for one in witnesses]
-    slack = fit_slack([one.offsets for one in witnesses], scores)
+    localization_error = fit_localization_error([one.offsets for one in witnesses], scores)
     iou = np.concatenate([one.iou for one in witnesses])
     ud = np.concatenate([one.ud_box for one in witnesses])
     levels = fit_levels(np.concatenate(scores), iou)
     return Fitted(
-        logistic, slack, levels, _ud_levels(ud, iou), len(videos), len(iou), _temperatures(witnesses)
+        logistic,
+        localization_error,
+        levels,
+        _ud_levels(ud, iou),
+        len(videos),
+        len(iou),
+        _temperatures(witnesses),
     )
 
 
@@ -153,7 +159,7 @@ def mass_below(fitted: Fitted, one: Witness) -> Floats:
     from scipy.special import ndtr  # here, because it takes long to import
 
     p = score_of(fitted.logistic, one)[:, None]
-    near, far = (ndtr(one.offsets / sd).mean(axis=1) for sd in fitted.slack)
+    near, far = (ndtr(one.offsets / sd).mean(axis=1) for sd in fitted.localization_error)
     return np.asarray(p * near + (1.0 - p) * far)
 
 

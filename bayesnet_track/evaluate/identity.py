@@ -40,15 +40,15 @@ class Identity:
         return self.idtp / (self.idtp + self.idfn)
 
 
-def identity(pairs: Pairs, least_iou: float = LEAST_IOU) -> Identity:
+def identity(pairs: Pairs, min_iou: float = LEAST_IOU) -> Identity:
     """Identity scores of a sequence with true boxes.
 
     Whole tracks are assigned to whole targets, one to one, so that most of their boxes overlap by at least
-    `least_iou`. (The published cost, IDFN + IDFP, is the number of all boxes less twice IDTP.)
+    `min_iou`. (The published cost, IDFN + IDFP, is the number of all boxes less twice IDTP.)
     """
     together = np.zeros((len(pairs.true_boxes), len(pairs.tracked_boxes)))
     for frame in pairs.frames:
-        i, j = np.nonzero(frame.iou >= least_iou)
+        i, j = np.nonzero(frame.iou >= min_iou)
         together[frame.true[i], frame.tracked[j]] += 1
     idtp = int(together[assign(together)].sum())
     return Identity(idtp, int(pairs.true_boxes.sum()) - idtp, int(pairs.tracked_boxes.sum()) - idtp)

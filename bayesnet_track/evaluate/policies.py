@@ -26,7 +26,7 @@ class Policy:
 
     activate: float
     deactivate: float
-    glance: int | None
+    sample_every: int | None
 
 
 @dataclass(frozen=True)
@@ -71,15 +71,19 @@ def policy_of(adapt: Adapt | None) -> Policy:
             "levels of UD in the same unit"
         )
     assert adapt.deactivate is not None
-    return Policy(float(on.settings), float(off.settings), adapt.deactivate.glance)
+    return Policy(float(on.settings), float(off.settings), adapt.deactivate.sample_every)
 
 
 def candidates(own: Policy) -> tuple[Policy, ...]:
     """The graph's own policy, and those around it that ask for less."""
-    glances = (None, 3) if own.glance is None else (own.glance, own.glance + 1, 2 * own.glance)
+    sampled = (
+        (None, 3)
+        if own.sample_every is None
+        else (own.sample_every, own.sample_every + 1, 2 * own.sample_every)
+    )
     found = [
-        Policy(_short(scale * own.activate), _short(scale * own.deactivate), glance)
-        for scale, glance in product(SCALES, glances)
+        Policy(_short(scale * own.activate), _short(scale * own.deactivate), sample_every)
+        for scale, sample_every in product(SCALES, sampled)
     ]
     return tuple(dict.fromkeys([own, *found]))
 

@@ -152,10 +152,12 @@ def _solve(part: _Part, half_switch: float) -> Floats:
     change = coo_array(
         (np.repeat([1.0, -1.0], changes), (np.tile(each, 2), np.append(later, later - 1))), (changes, size)
     )
-    slack = -eye_array(changes)
+    localization_error = -eye_array(changes)
     answer = linprog(
         np.append(-np.bincount(weight.ravel(), part.gains.ravel(), size), np.full(changes, half_switch)),
-        A_ub=block_array([[capacity, None], [change, slack], [-change, slack]], format="csr"),
+        A_ub=block_array(
+            [[capacity, None], [change, localization_error], [-change, localization_error]], format="csr"
+        ),
         b_ub=np.append(np.ones(limited), np.zeros(2 * changes)),
         bounds=(0, 1),
         method="highs",

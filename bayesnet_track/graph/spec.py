@@ -29,13 +29,21 @@ from bayesnet_track.graph.settings.base import Choice, Empty, Model, Name, Numbe
 from bayesnet_track.graph.settings.gaussian import Gaussian, Unscented
 from bayesnet_track.graph.settings.grid import Grid, Reset
 from bayesnet_track.graph.settings.joins import Attachment, Exclusion, Join, Occlusion, Together
-from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, DetectorChoice, Duplicates, Recall
+from bayesnet_track.graph.settings.lifecycle import (
+    Birth,
+    Confirm,
+    Death,
+    DetectorChoice,
+    MergeDuplicates,
+    Reidentify,
+)
 from bayesnet_track.graph.settings.motion import (
     BoxSd,
     ConstantAcceleration,
     ConstantVelocity,
     DampedVelocity,
-    KeepSize,
+    HeavyTail,
+    Inflate,
     LogSd,
     LookedFor,
     Motion,
@@ -44,9 +52,8 @@ from bayesnet_track.graph.settings.motion import (
     PixelSd,
     Probes,
     RandomWalk,
-    Recover,
-    Wide,
-    Widen,
+    Relocalize,
+    SizeReversion,
 )
 from bayesnet_track.graph.settings.nodes import (
     Belief,
@@ -67,7 +74,7 @@ from bayesnet_track.graph.settings.particles import (
     NormalSize,
     Particles,
 )
-from bayesnet_track.graph.settings.scores import Logistic, Rivals, Score, Slack
+from bayesnet_track.graph.settings.scores import Distractors, Localization, Logistic, Score
 
 LANGUAGE_VERSION = 1
 
@@ -93,7 +100,7 @@ __all__ = [
     "Deactivate",
     "Death",
     "DetectorChoice",
-    "Duplicates",
+    "Distractors",
     "Empty",
     "EssBelow",
     "Estimate",
@@ -104,18 +111,21 @@ __all__ = [
     "GraphSpec",
     "Grid",
     "Guard",
+    "HeavyTail",
     "InferenceNode",
+    "Inflate",
     "Information",
     "Join",
-    "KeepSize",
     "Latent",
     "Learn",
     "Level",
     "LikelihoodSize",
+    "Localization",
     "LogSd",
     "Logistic",
     "LookedFor",
     "Lost",
+    "MergeDuplicates",
     "Model",
     "Motion",
     "Moving",
@@ -130,19 +140,16 @@ __all__ = [
     "PixelSd",
     "Probes",
     "RandomWalk",
-    "Recall",
-    "Recover",
+    "Reidentify",
+    "Relocalize",
     "Reset",
-    "Rivals",
     "Score",
     "SelfCheck",
     "SizeBox",
-    "Slack",
+    "SizeReversion",
     "Target",
     "Together",
     "Unscented",
-    "Wide",
-    "Widen",
     "Window",
 ]
 
@@ -189,11 +196,11 @@ class InferenceNode(Model):
         description="root only; how the score becomes a probability of being on target. Default: an index of "
         "fit and UD in 0..1, not calibrated",
     )
-    slack: Slack | None = Field(
-        default=None, description="root only; widens the regions and sds that are told; default not at all"
+    localization_error: Localization | None = Field(
+        default=None, description="root only; widens the reported regions and sds; default not at all"
     )
-    rivals: Rivals | None = Field(
-        default=None, description="root only; doubt after something that looks like the target; needs `score`"
+    distractors: Distractors | None = Field(
+        default=None, description="root only; limits the score after a look-alike; needs `score`"
     )
 
 
@@ -240,12 +247,12 @@ class Target(Model):
     birth: Birth | None = Field(
         default=None, description="where targets come from besides the given start boxes; default nowhere"
     )
-    duplicates: Duplicates | None = Field(
-        default=None, description="when two nets hold the same target; default, with `birth`, as below"
+    merge_duplicates: MergeDuplicates | None = Field(
+        default=None, description="when two nets track the same target; default, with `birth`, as below"
     )
     death: Death | None = Field(default=None, description="when a net ends; default, with `birth`, as below")
-    recall: Recall | None = Field(
-        default=None, description="how targets are recognised again; default, with `birth`, as below"
+    reidentify: Reidentify | None = Field(
+        default=None, description="how targets are re-identified; default, with `birth`, as below"
     )
     nodes: dict[Name, Node] = Field(min_length=1, description="the net: one tree under its root")
 

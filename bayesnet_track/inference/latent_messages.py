@@ -51,8 +51,8 @@ def grid_message(
     of an sd, and are coarser only where more than 2 million would be needed.
     """
     parts = [(1.0, 1.0)]
-    if given.wide is not None:
-        parts = [(1.0 - given.wide.share, 1.0), (given.wide.share, given.wide.factor)]
+    if given.heavy_tail is not None:
+        parts = [(1.0 - given.heavy_tail.weight, 1.0), (given.heavy_tail.weight, given.heavy_tail.factor)]
     sd = np.array([given.sd_px.x, given.sd_px.y])
     places = np.concatenate([above.boxes[:, :2], own.boxes[:, :2]]) / sd
     low, high = places.min(axis=0), places.max(axis=0)

@@ -82,7 +82,7 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
 def _asks_for_the_dispensable(target: CheckedTarget, governor: str) -> bool:
     rules = target.inference(governor).adapt
     off = None if rules is None else rules.deactivate
-    return off is not None and off.drop == "dearest_dispensable"
+    return off is not None and off.drop == "most_expensive_redundant"
 
 
 def _ud_without(

@@ -20,6 +20,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 from bayesnet_track.journal.encoder import NON_FINITE, JournalError, members_encoder, short
 from bayesnet_track.journal.events.basic import JOURNAL_VERSION, Event, FrameMetrics, RunStarted
 from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.renamed import EVENTS, in_new_words
 
 __all__ = ["JournalError", "event_classes", "event_name", "from_json", "to_json", "type_hints"]
 
@@ -66,6 +67,7 @@ def from_json(line: str) -> Event | Input | FrameMetrics:
     if not isinstance(values, dict) or not isinstance(values.get("event"), str):
         raise JournalError(f'no object with a key "event": {short(line)}')
     name = values.pop("event")
+    name = EVENTS.get(name, name)
     kind = event_classes().get(name)
     if kind is None:
         raise JournalError(
@@ -132,7 +134,7 @@ def _decode(value: Any, hint: Any, where: str) -> Any:
 
 
 def _decode_object(values: Mapping[str, Any], kind: Any, where: str) -> Any:
-    hints = type_hints(kind)
+    hints, values = type_hints(kind), in_new_words(kind.__name__, values)
     unknown = set(values) - set(hints)
     needed = {f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING}
     missing = needed - set(values)

@@ -146,15 +146,16 @@ class ClaimRule:
         sd_place: sd of a detection's centre, as a share of its sides.
         sd_size: sd of its sides, as a share of them.
         gate: a detection farther from the prediction than this share of right ones is not the target's.
-        least_overlap: nor is one whose intersection over union with the predicted box is smaller.
-        looks: exponent of the likelihood that agents which know looks give the detection's box.
+        min_overlap: nor is one whose intersection over union with the predicted box is smaller.
+        appearance: exponent of the likelihood that agents which know the target's appearance give the
+            detection's box.
     """
 
     sd_place: float
     sd_size: float
     gate: float
-    least_overlap: float
-    looks: float
+    min_overlap: float
+    appearance: float
 
     def variances(self, boxes: Floats) -> Floats:
         """(..., 4) variances in px^2 of x, y, w, h of detections (..., 4)."""

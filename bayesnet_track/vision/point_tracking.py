@@ -34,15 +34,15 @@ class Following:
         reach_px: largest displacement from the predicted one, in x and in y.
         agree_px: largest distance between a point and where tracking there and back takes it, and between a
             point and where the others say that it is.
-        most_scale: largest change of size, as a factor.
-        least_correlation: of a point's patch with what it was when the point was chosen.
+        max_scale: largest change of size, as a factor.
+        min_correlation: of a point's patch with what it was when the point was chosen.
     """
 
     half_window_px: int
     reach_px: int
     agree_px: float
-    most_scale: float
-    least_correlation: float
+    max_scale: float
+    min_correlation: float
 
     @property
     def margin(self) -> int:
@@ -203,7 +203,7 @@ def agreed(source: Floats, target: Floats, candidates: NDArray[np.bool_], how: F
 
     kept = np.zeros(len(source), dtype=np.bool_)
     apart = 2.0 * how.half_window_px
-    among = consensus(source[candidates], target[candidates], how.agree_px, apart, how.most_scale)
+    among = consensus(source[candidates], target[candidates], how.agree_px, apart, how.max_scale)
     kept[np.flatnonzero(candidates)[among]] = True
     if not kept.any():
         return None

@@ -12,7 +12,7 @@ from scipy.stats import chi2, multivariate_normal
 from bayesnet_track.adapt.assign import assign, gains
 from bayesnet_track.observation.cue import ClaimRule
 
-RULE = ClaimRule(sd_place=0.1, sd_size=0.05, gate=0.99, least_overlap=0.3, looks=0.0)
+RULE = ClaimRule(sd_place=0.1, sd_size=0.05, gate=0.99, min_overlap=0.3, appearance=0.0)
 
 
 @given(st.integers(0, 2**32), st.integers(1, 9), st.integers(1, 9), st.sampled_from([0.0, 0.3, 0.7, 1.0]))
@@ -66,7 +66,7 @@ def test_both_gates_shut():
 
 
 def test_looks_count_in_the_gain_and_in_the_gate():
-    rule = ClaimRule(0.1, 0.05, 0.99, 0.3, looks=0.5)
+    rule = ClaimRule(0.1, 0.05, 0.99, 0.3, appearance=0.5)
     mean = np.array([100.0, 80.0, 40.0, 40.0])
     boxes = np.stack([mean, mean, mean + [300.0, 0, 0, 0]])
     asked = []

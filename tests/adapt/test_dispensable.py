@@ -1,4 +1,4 @@
-"""`drop: dearest_dispensable`: the dearest agent goes without which the belief would stay narrow."""
+"""`drop: most_expensive_redundant`: the dearest agent goes without which the belief would stay narrow."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
 
 ADAPT = {
     "activate": {"above": {"ud_px2": 20.0}},
-    "deactivate": {"below": {"ud_px2": 18.0}, "frames": 2, "drop": "dearest_dispensable"},
+    "deactivate": {"below": {"ud_px2": 18.0}, "frames": 2, "drop": "most_expensive_redundant"},
 }
 NODES = {
     "root": {"fuse": "product", "ud_fields": ["x", "y"], "adapt": ADAPT},
@@ -36,7 +36,7 @@ def test_the_dearest_goes_first_and_the_one_that_is_needed_stays(fakes):
     off = [event for event in events if isinstance(event, Deactivated)]
     assert [event.node for event in off] == ["a", "c"]  # b, the dearest of all, cannot be spared
     assert not [event for event in events if isinstance(event, Activated)]
-    assert off[0].drop == "dearest_dispensable" and set(off[0].index) == {"a", "b", "c"}
+    assert off[0].drop == "most_expensive_redundant" and set(off[0].index) == {"a", "b", "c"}
     assert off[0].index["a"] < 20 < off[0].index["b"]
 
 
@@ -59,7 +59,10 @@ def test_ud_without_an_agent_is_that_of_the_others(fakes):
 @pytest.mark.parametrize("part", ["activate", "deactivate"])
 def test_it_needs_levels(part):
     test = {"activate": {"unless": "concentrated"}, "deactivate": {"when": "concentrated"}}[part]
-    adapt = {**ADAPT, part: {**test, **({"drop": "dearest_dispensable"} if part == "deactivate" else {})}}
+    adapt = {
+        **ADAPT,
+        part: {**test, **({"drop": "most_expensive_redundant"} if part == "deactivate" else {})},
+    }
     root = {
         "motion": {"random_walk": {"sd_px": {"x": 1, "y": 1}}},
         "fuse": "product",
@@ -69,5 +72,5 @@ def test_it_needs_levels(part):
         "a": {"parent": "root", "agent": "intensity"},
         "b": {"parent": "root", "agent": "color_histogram"},
     }
-    with pytest.raises(GraphError, match="dearest_dispensable asks what UD would be"):
+    with pytest.raises(GraphError, match="most_expensive_redundant asks what UD would be"):
         check_graph({"name": "bad", "targets": {"t": {"nodes": {"root": root, **agents}}}})

@@ -21,7 +21,7 @@ def by_evidence(guard):
     root = written["targets"]["square"]["nodes"]["square"]
     root["adapt"] = {
         "activate": {"unless": TEST, "which": "information_per_ms"},
-        "deactivate": {"when": TEST, "frames": 6, "drop": "least_information_per_ms"},
+        "deactivate": {"when": TEST, "frames": 6, "drop": "min_information_per_ms"},
     }
     root["learn"]["guard"] = guard
     return GraphSpec.model_validate(written)

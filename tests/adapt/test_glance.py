@@ -1,4 +1,4 @@
-"""`glance`: an agent that was switched off still looks at every k-th frame, and only then is learnt."""
+"""`sample_every`: an agent that was switched off still looks at every k-th frame, and only then is learnt."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bayesnet_track.journal.text.sentences import explain
 
 ADAPT = {
     "activate": {"above": {"ud_px2": 60.0}},
-    "deactivate": {"below": {"ud_px2": 40.0}, "frames": 1, "drop": "dearest", "glance": 3},
+    "deactivate": {"below": {"ud_px2": 40.0}, "frames": 1, "drop": "most_expensive", "sample_every": 3},
 }
 NODES = {
     "root": {
@@ -37,7 +37,7 @@ def played(fakes, cheap_sd, frames=14):
 def test_the_dearest_goes_and_looks_at_every_third_frame(fakes):
     outcomes = played(fakes, 3.0)
     (off,) = [event for one in outcomes for event in one.events if isinstance(event, Deactivated)]
-    assert (off.node, off.glance, off.index) == ("dear", 3, {"cheap": 1.0, "dear": 9.0})
+    assert (off.node, off.sample_every, off.index) == ("dear", 3, {"cheap": 1.0, "dear": 9.0})
     after = [one.metrics[0] for one in outcomes if one.metrics[0].frame > off.frame]
     assert len(after) > 6
     for line in after:
@@ -45,7 +45,7 @@ def test_the_dearest_goes_and_looks_at_every_third_frame(fakes):
         assert line.active == (("cheap", "dear") if looks else ("cheap",))
         assert (line.learn_rate > 0.0) == looks
     assert explain(off).endswith("stayed on at deactivate ≤ " + explain(off).rsplit(" ", 1)[1])
-    assert "→ dear off (the dearest: 9 ms), but for a glance every 3 frames; would have" in explain(off)
+    assert "→ dear off (most expensive cue: 9 ms), still evaluated every 3 frames; would have" in explain(off)
 
 
 def test_it_comes_back_as_soon_as_the_others_are_unsure(fakes):
@@ -57,7 +57,7 @@ def test_it_comes_back_as_soon_as_the_others_are_unsure(fakes):
 
 
 def test_what_failed_or_is_in_a_persons_hand_does_not_glance():
-    net = LiveNets({"1": TargetNet("t", frozenset({"a"}), glances={"b": 2})})
+    net = LiveNets({"1": TargetNet("t", frozenset({"a"}), sampled={"b": 2})})
     assert net.targets["1"].looking(4) == {"a", "b"} and net.targets["1"].looking(5) == {"a"}
     for decision in (Quarantined(3, "1", "b", "raised"), Toggled(3, "1", "b", False)):
         assert apply(net, decision).targets["1"].looking(4) == {"a"}

@@ -16,7 +16,7 @@ from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
 
 AGENTS = ("a", "b", "c")
 COSTS = {"a": 1.0, "b": 0.5, "c": 4.0}
-SETTINGS = Information(memory=200, explore=0.1)
+SETTINGS = Information(memory_frames=200, exploration=0.1)
 
 
 def play(gains, rounds, settings_=SETTINGS, seed=0):
@@ -26,7 +26,7 @@ def play(gains, rounds, settings_=SETTINGS, seed=0):
     for k in range(rounds):
         index = expected_per_ms(worth, AGENTS, COSTS, settings_)
         best = max(AGENTS, key=lambda agent: index[agent])
-        worth = worth.after({best: gains(k)[best] + 0.05 * rng.standard_normal()}, settings_.memory)
+        worth = worth.after({best: gains(k)[best] + 0.05 * rng.standard_normal()}, settings_.memory_frames)
         chosen.append(best)
     return chosen
 
@@ -59,7 +59,7 @@ def test_it_follows_a_change():
     chosen = play(gains, 2000)
     assert regret(chosen[1000:], lambda k: gains(k + 1000)) < 0.15
     assert chosen[1500:].count("a") > 0.9 * 500
-    stubborn = play(gains, 2000, Information(memory=1_000_000, explore=0.0))
+    stubborn = play(gains, 2000, Information(memory_frames=1_000_000, exploration=0.0))
     assert regret(stubborn[1000:], lambda k: gains(k + 1000)) > regret(
         chosen[1000:], lambda k: gains(k + 1000)
     )
@@ -96,11 +96,11 @@ def test_time_away_raises_hope():
 # ------------------------------------------------------------------------------------ as rules
 
 
-def net(which="information_per_ms", drop="least_information_per_ms", **more):
+def net(which="information_per_ms", drop="min_information_per_ms", **more):
     adapt = {
         "activate": {"above": {"ud_px2": 200.0}, "frames": 2, "which": which},
         "deactivate": {"below": {"ud_px2": 100.0}, "frames": 2, "drop": drop},
-        "information": {"memory": 50, "explore": 0.0},
+        "information": {"memory_frames": 50, "exploration": 0.0},
         **more,
     }
     nodes = {"root": {"fuse": "product", "adapt": adapt, "lost": {"above": {"ud_px2": 1e9}}}}
@@ -112,8 +112,8 @@ def test_the_least_is_dropped_and_the_most_called_back_one_at_a_time(drive):
     made = drive(net(), [50] * 4 + [300] * 5, contribution=gives, costs=COSTS)
     off = made.of(Deactivated)
     assert [(d.frame, d.node, d.drop) for d in off] == [
-        (2, "c", "least_information_per_ms"),
-        (4, "b", "least_information_per_ms"),
+        (2, "c", "min_information_per_ms"),
+        (4, "b", "min_information_per_ms"),
     ]
     assert off[0].index == pytest.approx({"a": 0.9, "b": 0.6, "c": 0.25})
     on = made.of(Activated)
@@ -122,12 +122,12 @@ def test_the_least_is_dropped_and_the_most_called_back_one_at_a_time(drive):
 
 
 def test_one_frame_does_not_decide_what_many_say(drive):
-    """a gives much but for the frame of the decision; `least_contribution_per_ms` falls for it."""
+    """a gives much but for the frame of the decision; `min_contribution_per_ms` falls for it."""
     gives = {"a": lambda k: 0.0 if k == 9 else 1.0, "b": 0.2, "c": 4.0}
     nodes = net()
     remembered = drive(nodes, [150] * 8 + [50] * 2, contribution=gives, costs=COSTS)
     assert [d.node for d in remembered.of(Deactivated)] == ["b"]
-    nodes = net(drop="least_contribution_per_ms")
+    nodes = net(drop="min_contribution_per_ms")
     momentary = drive(nodes, [150] * 8 + [50] * 2, contribution=gives, costs=COSTS)
     assert [d.node for d in momentary.of(Deactivated)] == ["a"]
 

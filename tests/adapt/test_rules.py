@@ -105,7 +105,7 @@ def test_asymmetric_delays_outlast_a_dip(drive):
     ("drop", "dropped", "index"),
     [
         ("largest_kl", "b", {"a": 0.5, "b": 0.9, "c": 0.1}),
-        ("least_contribution_per_ms", "c", {"a": 0.75, "b": 0.4, "c": 0.2}),
+        ("min_contribution_per_ms", "c", {"a": 0.75, "b": 0.4, "c": 0.2}),
     ],
 )
 def test_which_agent_is_dropped(drive, drop, dropped, index):
@@ -181,29 +181,29 @@ def test_levels_relative_to_the_box(drive):
 
 def test_levels_relative_to_the_quiet_level(drive):
     made = drive(
-        net(on_off(on=2.0, off=1.25, unit="ud_quiet")), [94] * 12 + [187] * 5 + [189] * 3, active="a"
+        net(on_off(on=2.0, off=1.25, unit="ud_baseline")), [94] * 12 + [187] * 5 + [189] * 3, active="a"
     )
     (decision,) = made.of(Activated)
     assert decision.frame == 20
-    assert decision.cause.unit == "ud_quiet" and decision.cause.scale_px2 == 94.0
+    assert decision.cause.unit == "ud_baseline" and decision.cause.scale_px2 == 94.0
     assert decision.cause.value == pytest.approx(189 / 94)
 
 
 def test_no_rule_fires_while_the_quiet_level_is_unknown(drive):
-    made = drive(net(on_off(on=2.0, off=1.25, unit="ud_quiet")), [100] * 6 + [1e6] * 3, active="a")
+    made = drive(net(on_off(on=2.0, off=1.25, unit="ud_baseline")), [100] * 6 + [1e6] * 3, active="a")
     assert made.of(Activated) == []
-    assert read_level(Level(ud_quiet=2.0), 100.0, 400.0, None) is None
+    assert read_level(Level(ud_baseline=2.0), 100.0, 400.0, None) is None
     assert read_level(Level(ud_box=2.0), 100.0, 0.0, None) is None
 
 
 def test_a_lost_target_is_helped_although_the_quiet_level_of_fewer_agents_is_unknown(drive):
     """With fewer agents it is measured anew, but not while lost: the level of more agents calls for them."""
-    rules = net(on_off(on=2.0, off=1.25, unit="ud_quiet"), lost={"above": {"ud_px2": 1e5}, "frames": 3})
+    rules = net(on_off(on=2.0, off=1.25, unit="ud_baseline"), lost={"above": {"ud_px2": 1e5}, "frames": 3})
     fits = [1.0] * 16 + [0.01] * 12
     made = drive(rules, [100.0] * 16 + [250.0] * 12, fits=fits)
     assert made.frames(Deactivated) == [14] and made.frames(StatusChanged) == [19]
     back = made.of(Activated)[0]
-    assert back.frame == 22 and back.cause.unit == "ud_quiet" and back.cause.scale_px2 == 100.0
+    assert back.frame == 22 and back.cause.unit == "ud_baseline" and back.cause.scale_px2 == 100.0
     narrow = drive(rules, [100.0] * 16 + [150.0] * 12, fits=fits)
     assert narrow.frames(StatusChanged) == [19] and narrow.of(Activated) == []  # 150 is below twice 100
 
@@ -214,14 +214,14 @@ def test_quiet_is_that_of_the_agents_that_stay_on(drive):
     """
     alone = {frozenset("a"): 94.0, frozenset("b"): 130.0}
     made = drive(
-        net(on_off(on=1.5, off=1.25, unit="ud_quiet")),
+        net(on_off(on=1.5, off=1.25, unit="ud_baseline")),
         [lambda active: alone.get(active, 40.0)] * 300,
         kl={"a": 0.1, "b": 0.2},
     )
     assert [(d.frame, d.node) for d in made.of(Deactivated)] == [(14, "b")]
     assert made.of(Activated) == []
     noisy = drive(
-        net(on_off(on=1.5, off=1.25, unit="ud_quiet")),
+        net(on_off(on=1.5, off=1.25, unit="ud_baseline")),
         [lambda active: alone.get(active, 40.0)] * 100
         + [300.0] * 20
         + [lambda active: alone.get(active, 40.0)] * 80,
@@ -435,7 +435,7 @@ def test_found_says_why(drive):
         "frame 3: UD 60 px² ≤ 100 for 3 frames, and the best hypothesis has a likelihood of 1 of a perfect "
         "match ≥ fit_below 0.05 → target 1 found again"
     )
-    unknown = {**LOST, "above": {"ud_quiet": 3.0}}
+    unknown = {**LOST, "above": {"ud_baseline": 3.0}}
     (found,) = drive(net(lost=unknown), [50] * 3, net=gone, fits=[0.5] * 3).of(StatusChanged)
     assert found.cause is None
     assert found.reason == "the best hypothesis has a likelihood of 0.5 of a perfect match ≥ fit_below 0.05"

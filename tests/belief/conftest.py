@@ -97,7 +97,7 @@ AT_WORK = {
     "likelihood_sum",
     "adaptive_size_and_importance",
     "auxiliary",
-    "rejection",
+    "prior_editing",
     "kalman",
     "unscented_samples",
     "grid_that_resets",

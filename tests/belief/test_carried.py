@@ -11,7 +11,7 @@ from bayesnet_track.belief.motion.functions import derivative
 from bayesnet_track.belief.motion.models import linear_gaussian
 from bayesnet_track.belief.motion.widened import widened, widening
 from bayesnet_track.graph import spec
-from bayesnet_track.graph.settings.motion import KeepSize
+from bayesnet_track.graph.settings.motion import SizeReversion
 
 BOX = np.array([160.0, 120.0, 60.0, 40.0])
 FLOW = np.array([[0.02, -0.05, 3.0], [0.05, 0.02, -4.0]])
@@ -65,7 +65,7 @@ def test_particles_carried_have_the_kalman_moments(linear, rng):
 
 def test_the_jacobians_are_the_derivatives(motion_of, rng):
     walk = motion_of("random_walk", sd_px={"x": 1.0, "y": 1.0}, sd_log={"scale": 0.1, "aspect": 0.05})
-    kept = size_kept(walk, KeepSize(sd_scale=0.3, sd_aspect=0.2), np.array([30.0, 55.0]), 2.0)
+    kept = size_kept(walk, SizeReversion(sd_scale=0.3, sd_aspect=0.2), np.array([30.0, 55.0]), 2.0)
     moving = Carried(
         motion_of("constant_velocity"), CameraShift(np.array([[1.1, 0.2], [-0.2, 1.1]]), np.ones(2))
     )
@@ -79,7 +79,7 @@ def test_the_size_is_an_ornstein_uhlenbeck_process(motion_of):
     """Two half steps are one, many steps have the long run's sd, and a wide prior is the random walk."""
     step, limit = 0.1, 0.3
     walk = motion_of("random_walk", sd_px={"x": 1.0, "y": 1.0}, sd_log={"scale": step})
-    settings = KeepSize(sd_scale=limit)
+    settings = SizeReversion(sd_scale=limit)
 
     def moments(dt):
         kept = size_kept(walk, settings, BOX[2:4], dt)
@@ -92,7 +92,7 @@ def test_the_size_is_an_ornstein_uhlenbeck_process(motion_of):
     keep, variance = moments(1.0)
     assert variance / (1 - keep**2) == pytest.approx(limit**2)
     assert keep == pytest.approx(np.exp(-(step**2) / (2 * limit**2)))
-    far = size_kept(walk, KeepSize(sd_scale=1e4), BOX[2:4], 1.0)
+    far = size_kept(walk, SizeReversion(sd_scale=1e4), BOX[2:4], 1.0)
     # 1 - keep^2 is 1e-10 there, and its last digit 2e-16: 1e-6 of the sd.
     assert far.motion.noise.sd_log.scale == pytest.approx(step, rel=1e-5)
     states = np.array([[0.0, 0.0, 6.0, 4.0]])
@@ -101,7 +101,7 @@ def test_the_size_is_an_ornstein_uhlenbeck_process(motion_of):
 
 def test_a_size_drawn_back_keeps_its_shape_and_does_not_collapse(motion_of, rng):
     walk = motion_of("random_walk", sd_px={"x": 1.0, "y": 1.0}, sd_log={"scale": 0.05})
-    motion = size_kept(walk, KeepSize(sd_scale=0.2), BOX[2:4], 1.0)
+    motion = size_kept(walk, SizeReversion(sd_scale=0.2), BOX[2:4], 1.0)
     states = np.tile(BOX / [1, 1, 8, 8], (4000, 1))
     for _ in range(200):  # 6 time constants of 2 S^2 / s^2 = 32 frames
         states = motion.propagate(states, 1.0, rng)
@@ -114,7 +114,7 @@ def test_a_size_drawn_back_keeps_its_shape_and_does_not_collapse(motion_of, rng)
 
 def test_densities_are_those_of_the_motion_from_the_shifted_states(motion_of, rng):
     walk = motion_of("random_walk", sd_box={"x": 0.1, "y": 0.2}, sd_log={"scale": 0.05, "aspect": 0.02})
-    kept = size_kept(walk, KeepSize(sd_scale=0.3, sd_aspect=0.2), np.array([30.0, 55.0]), 1.0)
+    kept = size_kept(walk, SizeReversion(sd_scale=0.3, sd_aspect=0.2), np.array([30.0, 55.0]), 1.0)
     motion = Carried(kept, camera_shift(FLOW, 1.0))
     old, new = states_around(walk, rng), states_around(walk, rng, 5)
     once = camera_shift(FLOW, 1.0).shifted(old)
@@ -148,8 +148,8 @@ def test_only_what_has_a_limit_and_noise_is_drawn_back(motion_of):
     noise = {"sd_px": {"x": 1.0, "y": 1.0}, "sd_log": {"scale": 0.1, "aspect": 0.05}}
     walk, first = motion_of("random_walk", **noise), np.array([30.0, 55.0])
     for settings, n, sd, limit in (
-        (KeepSize(sd_scale=0.3), 0, 0.1, 0.3),
-        (KeepSize(sd_aspect=0.2), 1, 0.05, 0.2),
+        (SizeReversion(sd_scale=0.3), 0, 0.1, 0.3),
+        (SizeReversion(sd_aspect=0.2), 1, 0.05, 0.2),
     ):
         kept = size_kept(walk, settings, first, 3.0)
         keep = np.exp(-3.0 * sd**2 / (2 * limit**2))
@@ -159,6 +159,6 @@ def test_only_what_has_a_limit_and_noise_is_drawn_back(motion_of):
         assert sds[1 - n] == (0.1, 0.05)[1 - n]
         np.testing.assert_allclose(kept.shift.first, [np.log(30 * 55) / 2, np.log(30 / 55)], rtol=1e-12)
     still = size_kept(
-        motion_of("random_walk", sd_px={"x": 1.0, "y": 1.0}), KeepSize(sd_scale=0.3), first, 2.0
+        motion_of("random_walk", sd_px={"x": 1.0, "y": 1.0}), SizeReversion(sd_scale=0.3), first, 2.0
     )
     assert still.shift.keep.tolist() == [1.0, 1.0] and still.motion.noise.sd_log.scale == 0.0

@@ -36,7 +36,7 @@ def chosen(word, posterior):
     [
         (None, STATES[3]),
         ("map", STATES[3]),
-        ("best", STATES[0]),
+        ("max_weight", STATES[0]),
         ("mean", [160.8, 50.8, 40, 10]),
         # The window is .25 * sqrt(40 * 10) = 5 px: the fourth, 8 px below, is out.
         ("robust_mean", [100 + 4 / 3, 50, 40, 10]),

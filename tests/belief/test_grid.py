@@ -94,7 +94,11 @@ def test_kalman_is_a_special_case(kind, tolerance, motion_of, stream_of):
 
 def test_size_and_heavy_tails(motion_of, stream_of):
     """Scale noise adds up in its logarithm; the wide share of the noise in the variance of the position."""
-    noise = {"sd_px": {"x": 2.0, "y": 2.0}, "sd_log": {"scale": 0.08}, "wide": {"share": 0.2, "factor": 3.0}}
+    noise = {
+        "sd_px": {"x": 2.0, "y": 2.0},
+        "sd_log": {"scale": 0.08},
+        "heavy_tail": {"weight": 0.2, "factor": 3.0},
+    }
     motion = motion_of("random_walk", **noise)
     belief = GridFilter(spec.Grid(cell_px=1.0, cut=0.0, scale_cells=27, scale_cell=0.05))
     known = belief.start(BOX, motion, stream_of(0, 0))

@@ -54,14 +54,14 @@ def test_three_steps_have_the_motions_drift_and_noise(kind, dt, motion_of):
 
 
 def test_a_walk_has_one_step_and_each_component_its_variance(motion_of):
-    wide = motion_of("random_walk", sd_px={"x": 3.0, "y": 2.0}, wide={"share": 0.2, "factor": 4.0})
+    wide = motion_of("random_walk", sd_px={"x": 3.0, "y": 2.0}, heavy_tail={"weight": 0.2, "factor": 4.0})
     steps, shares = axis_steps(wide, np.array([50.0, 40.0, 20.0, 10.0]), 2.0)
     np.testing.assert_allclose(sorted(shares), [0.2, 0.8])
     by_share = [dict(zip(np.round(shares, 3), step.variances, strict=True)) for step in steps]
     assert by_share[0] == pytest.approx({0.8: 18.0, 0.2: 18.0 * 16})
     assert by_share[1] == pytest.approx({0.8: 8.0, 0.2: 8.0 * 16})
     assert all(step.first == step.second == step.decay == step.sd_velocity == 0.0 for step in steps)
-    still = motion_of("random_walk", sd_px={"y": 2.0}, wide={"share": 0.2, "factor": 4.0})
+    still = motion_of("random_walk", sd_px={"y": 2.0}, heavy_tail={"weight": 0.2, "factor": 4.0})
     steps, _ = axis_steps(still, np.array([50.0, 40.0, 20.0, 10.0]), 1.0)
     assert steps[0].variances == (0.0, 0.0) and sorted(steps[1].variances) == pytest.approx([4.0, 64.0])
 
@@ -126,7 +126,7 @@ def test_scales_spread_by_their_matrix_and_those_without_mass_are_filled(motion_
 def test_wide_noise_is_a_mixture(motion_of):
     lattice = Lattice((50.0, 40.0), 2.0, 0, 0, (20.0, 10.0), np.zeros(1), np.zeros(1))
     belief = GridBelief(np.ones((1, 1, 1, 1, 1)), lattice, np.ones((1, 1)))
-    motion = motion_of("random_walk", sd_px={"x": 3.0, "y": 2.0}, wide={"share": 0.2, "factor": 3.0})
+    motion = motion_of("random_walk", sd_px={"x": 3.0, "y": 2.0}, heavy_tail={"weight": 0.2, "factor": 3.0})
     found = predicted(belief, motion, 1.0, 64)
     assert found.covariance[0, 0] == pytest.approx(9 * (0.8 + 0.2 * 9), rel=1e-6)
     assert found.covariance[1, 1] == pytest.approx(4 * (0.8 + 0.2 * 9), rel=1e-6)

@@ -21,33 +21,33 @@ from bayesnet_track.numerics.log_weights import LogWeights
 
 BOX = np.array([160.0, 120.0, 60.0, 50.0])
 R = 4.0
-PARENTS = {"adaptive": {"by": "parents"}}
-SEPARATE = {"adaptive": {"by": "parents", "neighbours": 1, "weights": "separate"}}
-PRINTED = {"adaptive": {"by": "parents", "neighbours": 1, "weights": "second_only", "defensive": 0.0}}
+PARENTS = {"second_pass": {"by": "parents"}}
+SEPARATE = {"second_pass": {"by": "parents", "neighbours": 1, "weights": "separate"}}
+PRINTED = {"second_pass": {"by": "parents", "neighbours": 1, "weights": "second_only", "defensive": 0.0}}
 METHODS = {
-    "regular": "regular",
-    "adaptive": "adaptive",
+    "bootstrap": "bootstrap",
+    "second_pass": "second_pass",
     "parents": PARENTS,
     "separate": SEPARATE,
     "auxiliary": "auxiliary",
-    "rejection": {"rejection": {"rounds": 3}},
-    "west": {"west": {"refinements": 2}},
+    "prior_editing": {"prior_editing": {"rounds": 3}},
+    "iterated": {"iterated": {"refinements": 2}},
     "likelihood_mixture": "likelihood_mixture",
 }
 OTHERS_SLOW = [
     pytest.param(
-        method, marks=pytest.mark.slow if method in ("regular", "parents", "separate", "west") else ()
+        method, marks=pytest.mark.slow if method in ("bootstrap", "parents", "separate", "iterated") else ()
     )
     for method in METHODS
 ]
-BY_LEVEL = ("adaptive", "parents", "separate", "west")
+BY_LEVEL = ("second_pass", "parents", "separate", "iterated")
 
 
 def belief_of(importance, size=150, above_kl=None, **settings):
     chosen = {importance: {}} if isinstance(importance, str) else dict(importance)
     if above_kl is not None:
         chosen = {kind: {**values, "above_kl": above_kl} for kind, values in chosen.items()}
-    return ParticleFilter(spec.Particles.model_validate({"size": size, "importance": chosen, **settings}))
+    return ParticleFilter(spec.Particles.model_validate({"size": size, "proposal": chosen, **settings}))
 
 
 def near(place, floor=0.0):
@@ -141,7 +141,7 @@ def test_the_evidence_is_unbiased(method, frame_of, stream_of):
     check_mean(found, np.exp(frame.log_evidence))
 
 
-@pytest.mark.parametrize("method", ["adaptive", "parents"])
+@pytest.mark.parametrize("method", ["second_pass", "parents"])
 def test_the_evidence_is_unbiased_when_the_first_pass_decides_on_the_second(method, frame_of, stream_of):
     frame, fired = frame_of(), []
     belief = belief_of(METHODS[method], above_kl=1.8)
@@ -152,17 +152,18 @@ def test_the_evidence_is_unbiased_when_the_first_pass_decides_on_the_second(meth
 
 
 @pytest.mark.parametrize(
-    "method", ["adaptive", *(pytest.param(m, marks=pytest.mark.slow) for m in ("west", "likelihood_mixture"))]
+    "method",
+    ["second_pass", *(pytest.param(m, marks=pytest.mark.slow) for m in ("iterated", "likelihood_mixture"))],
 )
 def test_sizes_in_logarithms_and_heavy_tails_leave_it_unbiased(method, frame_of, stream_of):
     frame = frame_of(
         "random_walk",
         off=(25.0, 10.0),
         sd_box={"x": 0.1, "y": 0.1},
-        wide={"share": 0.5, "factor": 4.0},
+        heavy_tail={"weight": 0.5, "factor": 4.0},
         sd_log={"scale": 0.02},
     )
-    many = belief_of("regular", size=8000)
+    many = belief_of("bootstrap", size=8000)
     exact = np.exp([frame.step(many, stream_of(seed, 2)).log_evidence for seed in range(40)])
     belief = belief_of(METHODS[method], above_kl=0.0 if method in BY_LEVEL else None)
     found = np.exp([frame.step(belief, stream_of(seed, 1)).log_evidence for seed in range(120)])
@@ -174,7 +175,7 @@ def test_sizes_in_logarithms_and_heavy_tails_leave_it_unbiased(method, frame_of,
 def test_weights_make_a_sample_of_the_posterior(method, frame_of, stream_of):
     frame = frame_of(off=(6.0, 3.0))
     belief = belief_of(METHODS[method], above_kl=0.0 if method in BY_LEVEL else None)
-    many = belief_of("regular", size=40_000)
+    many = belief_of("bootstrap", size=40_000)
     exact = frame.step(many, stream_of(0, 3)).posterior
     sd = np.sqrt(exact.covariance.diagonal()[[0, 1, 4, 5]])
     means = [frame.step(belief, stream_of(seed, 4)).posterior.mean for seed in range(60)]
@@ -230,7 +231,7 @@ def test_at_equal_cost_it_beats_a_plain_filter(kind, settings, leap, most, motio
     goals, .3 or more away in the logarithm.
     """
     motion = motion_of(kind, **settings)
-    twice, plain = belief_of("adaptive", 250, above_kl=0.0), belief_of("regular", 500)
+    twice, plain = belief_of("second_pass", 250, above_kl=0.0), belief_of("bootstrap", 500)
     ratios = [
         np.sqrt(
             squared_error(motion, twice, seed, leap, stream_of)
@@ -245,7 +246,7 @@ def test_a_prior_on_another_cluster_is_overcome(motion_of, stream_of):
     """Figure 5.8: of 600 evaluations a plain filter has two or three effective, the prior being elsewhere."""
     motion = motion_of("random_walk", sd_px={"x": 6.0, "y": 6.0})
     clusters = np.array([[100.0, 140.0], [220.0, 120.0], [150.0, 40.0]])
-    effective = {"plain": [], "adaptive": [], "parents": []}
+    effective = {"plain": [], "second_pass": [], "parents": []}
     for seed in range(12):
         rng = np.random.default_rng(seed)
         states = np.tile(BOX, (300, 1))
@@ -255,13 +256,13 @@ def test_a_prior_on_another_cluster_is_overcome(motion_of, stream_of):
         prior = ParticleSet(states, motion.fields, LogWeights.uniform(300))
         frame = OneFrame(motion, prior, clusters[1] + [15.0, -10.0])
         for name, belief in (
-            ("plain", belief_of("regular", 600)),
-            ("adaptive", belief_of("adaptive", 300)),
+            ("plain", belief_of("bootstrap", 600)),
+            ("second_pass", belief_of("second_pass", 300)),
             ("parents", belief_of(PARENTS, 300)),
         ):
             effective[name].append(frame.step(belief, stream_of(seed, 1)).posterior.weights.ess)
     assert np.mean(effective["plain"]) < 5
-    assert min(np.mean(effective["adaptive"]), np.mean(effective["parents"])) > 3 * np.mean(
+    assert min(np.mean(effective["second_pass"]), np.mean(effective["parents"])) > 3 * np.mean(
         effective["plain"]
     )
 
@@ -271,7 +272,7 @@ def test_a_prior_on_another_cluster_is_overcome(motion_of, stream_of):
 
 def test_both_passes_are_the_support_and_the_report_is_true_when_tried(frame_of, stream_of):
     frame = frame_of()
-    step = frame.step(belief_of("adaptive", above_kl=0.5), stream_of(3, 1))
+    step = frame.step(belief_of("second_pass", above_kl=0.5), stream_of(3, 1))
     assert len(step.support.states) == len(step.prior) == len(step.evidence.log_likelihood) == 300
     assert step.prior.weights[:150].max() <= 2.0 / 150  # balanced: none above its weight in the first alone
     (report,) = step.reports
@@ -279,7 +280,7 @@ def test_both_passes_are_the_support_and_the_report_is_true_when_tried(frame_of,
     assert (event.frame, event.target, event.method, event.first, event.particles) == (
         7,
         "1",
-        "adaptive",
+        "second_pass",
         150,
         150,
     )
@@ -287,16 +288,16 @@ def test_both_passes_are_the_support_and_the_report_is_true_when_tried(frame_of,
     assert event.ess == pytest.approx(step.support.weights.ess)
     assert event.kl > event.above_kl == 0.5
     level = float(explain(event).rpartition("≥ ")[2])
-    assert not frame.step(belief_of("adaptive", above_kl=level), stream_of(3, 1)).reports
-    below = frame.step(belief_of("adaptive", above_kl=0.99 * event.kl), stream_of(3, 1))
+    assert not frame.step(belief_of("second_pass", above_kl=level), stream_of(3, 1)).reports
+    below = frame.step(belief_of("second_pass", above_kl=0.99 * event.kl), stream_of(3, 1))
     assert below.reports
     assert step.map_state.shape == (6,)
 
 
 def test_a_frame_that_does_not_surprise_is_the_regular_one(frame_of, stream_of):
     frame = frame_of(off=(0.0, 0.0))
-    regular = frame.step(belief_of("regular"), stream_of(0, 1))
-    for method in ("adaptive", "west"):
+    regular = frame.step(belief_of("bootstrap"), stream_of(0, 1))
+    for method in ("second_pass", "iterated"):
         step = frame.step(belief_of(method, above_kl=4.0), stream_of(0, 1))
         assert np.array_equal(step.posterior.states, regular.posterior.states)
         assert step.log_evidence == regular.log_evidence
@@ -304,7 +305,7 @@ def test_a_frame_that_does_not_surprise_is_the_regular_one(frame_of, stream_of):
 
 
 def test_a_second_pass_in_every_frame_is_no_news(frame_of, stream_of):
-    step = frame_of().step(belief_of("adaptive", above_kl=0.0), stream_of(0, 1))
+    step = frame_of().step(belief_of("second_pass", above_kl=0.0), stream_of(0, 1))
     assert (len(step.posterior), step.reports) == (300, ())
 
 
@@ -316,7 +317,7 @@ def test_passes_of_different_nets_are_not_joined(frame_of, stream_of):
         heard = near(frame.place)(hypotheses, log_prior)
         return Evidence(heard.log_likelihood, faults={"hue": "broke"} if len(calls) > 1 else {})
 
-    for method in ("adaptive", "west"):
+    for method in ("second_pass", "iterated"):
         calls.clear()
         belief = belief_of(method, above_kl=0.0)
         step = belief.step(frame.prior, frame.motion, 1.0, failing, stream_of(0, 1))
@@ -354,7 +355,7 @@ def test_a_target_that_cannot_move_has_its_parents_resampled(motion_of, stream_o
     still = motion_of("random_walk", sd_px={})
     states = np.tile(BOX, (100, 1)) + np.linspace(0, 50, 100)[:, None] * [1, 0, 0, 0]
     frame = OneFrame(still, ParticleSet(states, still.fields, LogWeights.uniform(100)), BOX[:2])
-    for method in ("adaptive", "west", "likelihood_mixture"):
+    for method in ("second_pass", "iterated", "likelihood_mixture"):
         step = frame.step(
             belief_of(METHODS[method], 100, 0.0 if method in BY_LEVEL else None), stream_of(0, 1)
         )
@@ -363,16 +364,16 @@ def test_a_target_that_cannot_move_has_its_parents_resampled(motion_of, stream_o
 
 def test_adaptive_sizes_and_uneven_parents_go_with_a_second_pass(frame_of, stream_of):
     frame = frame_of()
-    sized = belief_of("adaptive", {"kld": {"bin_px": 2.0}}, above_kl=0.0, min=100, max=400)
-    uneven = belief_of("adaptive", 150, above_kl=0.0, when={"ess_below": 0.01})
+    sized = belief_of("second_pass", {"kld": {"bin_px": 2.0}}, above_kl=0.0, min=100, max=400)
+    uneven = belief_of("second_pass", 150, above_kl=0.0, when={"ess_below": 0.01})
     for belief in (sized, uneven):
         found = np.array([frame.step(belief, stream_of(seed, 1)).posterior.mean[0] for seed in range(40)])
-        exact = frame.step(belief_of("regular", 40_000), stream_of(0, 2)).posterior
+        exact = frame.step(belief_of("bootstrap", 40_000), stream_of(0, 2)).posterior
         sd = np.sqrt(exact.covariance[0, 0])
         assert abs(found.mean() - exact.mean[0]) < 4 * found.std() / np.sqrt(40) + 0.1 * sd
 
 
-@pytest.mark.parametrize("method", ["adaptive", "west", "rejection"])
+@pytest.mark.parametrize("method", ["second_pass", "iterated", "prior_editing"])
 def test_numbers_stay_where_parents_are_not_redrawn_at_every_frame(method, frame_of, stream_of):
     """A second pass adds hypotheses and a rejection takes some away, but not of those of the last frame."""
     frame = frame_of()
@@ -446,11 +447,11 @@ targets:
   t:
     nodes:
       t:
-        belief: {particles: {size: {kld: {bin_px: 4}}, importance: auxiliary}}
+        belief: {particles: {size: {kld: {bin_px: 4}}, proposal: auxiliary}}
         motion: {random_walk: {sd_px: {x: 5, y: 5}}}
       hue: {parent: t, agent: color_histogram}
 """
     graph_file = tmp_path / "g.yaml"
     graph_file.write_text(graph, encoding="utf-8")
-    with pytest.raises(GraphError, match="importance: auxiliary beside an adaptive size"):
+    with pytest.raises(GraphError, match="proposal: auxiliary beside an adaptive size"):
         load_graph(str(graph_file))

@@ -42,7 +42,7 @@ def scene_of(side, leaps, step, seed, frames):
 def track(scene, size, importance, seed):
     nodes = {
         "square": {
-            "belief": {"particles": {"size": size, "importance": importance}},
+            "belief": {"particles": {"size": size, "proposal": importance}},
             "motion": {"random_walk": {"sd_px": {"x": 8.0, "y": 8.0, "w": 0.5, "h": 0.5}}},
             "fuse": "product",
         },
@@ -59,7 +59,7 @@ def test_a_leap_brings_a_second_pass_into_the_journal():
     """A leap of three sds brought one in 15 of 18 cases; two of three have a probability of .93 then."""
     fired = 0
     for seed in range(3):
-        results, passes = track(scene_of(32.0, {6}, 24.0, seed, 8), 100, "adaptive", seed)
+        results, passes = track(scene_of(32.0, {6}, 24.0, seed, 8), 100, "second_pass", seed)
         at_leap = [event for event in passes if event.frame == 6]
         fired += len(at_leap)
         for event in at_leap:
@@ -78,11 +78,11 @@ def test_candidates_of_the_likelihood_hold_what_a_plain_filter_loses():
     Measured: a plain filter held 6, the mixture 19 (at 22 px 18 and 19, at 30 px 1 and 7). The difference of
     two such counts has an sd of about 2.3: three of them below 13 are asked for.
     """
-    held = {"regular": 0, "likelihood_mixture": 0}
+    held = {"bootstrap": 0, "likelihood_mixture": 0}
     for seed in range(20):
         scene = scene_of(16.0, {8, 9, 10}, 26.0, seed, 18)
-        for importance, size in (("regular", 200), ("likelihood_mixture", 100)):
+        for importance, size in (("bootstrap", 200), ("likelihood_mixture", 100)):
             results, _ = track(scene, size, importance, seed)
             box = np.array([results[-1].targets[0].box])
             held[importance] += float(overlap(box, centre_from_corner(scene.truth[-1:]))[0]) > 0.5
-    assert held["likelihood_mixture"] >= held["regular"] + 6
+    assert held["likelihood_mixture"] >= held["bootstrap"] + 6

@@ -22,7 +22,12 @@ from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
 from bayesnet_track.belief.particles.passes import Pass, joined, prior_of
 from bayesnet_track.belief.particles.proposals import Draws, fitted_draws, mixed, parent_draws, taken
 from bayesnet_track.graph import spec
-from bayesnet_track.graph.settings.proposals import Adaptive, Auxiliary, LikelihoodMixture, Rejection
+from bayesnet_track.graph.settings.proposals import (
+    Auxiliary,
+    LikelihoodMixture,
+    PriorEditing,
+    SecondPassProposal,
+)
 from bayesnet_track.numerics.gaussian import weighted_moments
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Hypotheses
@@ -103,7 +108,7 @@ def test_where_nothing_fits_ahead_parents_are_drawn_by_their_weights(inputs_of):
 def test_hypotheses_are_kept_by_their_likelihood_and_weighted_by_the_inverse(inputs_of, first_of):
     inputs = inputs_of()
     first = first_of(inputs)
-    found = edited(inputs, first, Rejection(rounds=1, accept_above=0.5))
+    found = edited(inputs, first, PriorEditing(rounds=1, accept_above=0.5))
     log = first.evidence.log_likelihood
     others = [np.delete(log, i).max() for i in range(SIZE)]
     chance = np.minimum(1.0, np.exp(log - others) / 0.5)
@@ -120,7 +125,7 @@ def test_hypotheses_are_kept_by_their_likelihood_and_weighted_by_the_inverse(inp
 def test_rounds_are_drawn_from_the_prior_and_share_its_weight(inputs_of, first_of):
     inputs = inputs_of()
     first = first_of(inputs)
-    found = edited(inputs, first, Rejection(rounds=3, accept_above=1e-9))  # all are kept
+    found = edited(inputs, first, PriorEditing(rounds=3, accept_above=1e-9))  # all are kept
     assert len(found) == 3 * SIZE
     likely = look(found.states) > np.log(1e-9) + look(found.states).max()
     np.testing.assert_allclose(found.prior_log[likely], -np.log(3 * SIZE))
@@ -133,7 +138,7 @@ def test_evidence_that_says_nothing_edits_nothing(inputs_of, first_of):
     for nothing in (-np.inf, np.nan, np.inf):
         inputs = inputs_of(evaluate=lambda h, p, nothing=nothing: Evidence(np.full(len(h), nothing)))
         first = first_of(inputs)
-        assert edited(inputs, first, Rejection(rounds=1)) is first
+        assert edited(inputs, first, PriorEditing(rounds=1)) is first
 
 
 def test_a_part_of_a_pass_has_its_part_of_all_evidence():
@@ -165,16 +170,22 @@ METHODS = {
     "mixture": lambda inputs, first: mixture_pass(inputs, SIZE, LikelihoodMixture(share=0.5)),
     "parents": lambda inputs, first: (
         taken(
-            inputs, first, parent_draws(inputs, first, Adaptive(by="parents", neighbours=1)), "second_only"
+            inputs,
+            first,
+            parent_draws(inputs, first, SecondPassProposal(by="parents", neighbours=1)),
+            "second_only",
         ).whole
     ),
     "groups": lambda inputs, first: (
         taken(
-            inputs, first, parent_draws(inputs, first, Adaptive(by="parents", neighbours=4)), "separate"
+            inputs,
+            first,
+            parent_draws(inputs, first, SecondPassProposal(by="parents", neighbours=4)),
+            "separate",
         ).whole
     ),
     "fitted": lambda inputs, first: (
-        taken(inputs, first, fitted_draws(inputs, first, Adaptive()), "second_only").whole
+        taken(inputs, first, fitted_draws(inputs, first, SecondPassProposal()), "second_only").whole
     ),
 }
 
@@ -234,7 +245,7 @@ def test_parents_that_did_well_are_drawn_more_often(inputs_of, first_of):
     inputs = inputs_of()
     first = first_of(inputs)
     likelihood = np.exp(look(first.states))
-    draws = parent_draws(inputs, first, Adaptive(by="parents", neighbours=1, defensive=0.2))
+    draws = parent_draws(inputs, first, SecondPassProposal(by="parents", neighbours=1, defensive=0.2))
     ratio = 0.2 + 0.8 * likelihood / likelihood.mean()
     np.testing.assert_allclose(np.exp(draws.log_ratio_first), ratio)
     drawn_by = np.bincount(first.ancestors, ratio, SIZE)
@@ -370,7 +381,7 @@ def test_a_sharp_likelihood_is_flattened_until_enough_count_and_sharpened_twice_
 
 
 def particles(importance, size=SIZE, **more):
-    return spec.Particles.model_validate({"size": size, "importance": importance, **more})
+    return spec.Particles.model_validate({"size": size, "proposal": importance, **more})
 
 
 KLD = {"kld": {"bin_px": 2.0, "fields": ["x"]}}
@@ -378,10 +389,10 @@ KLD = {"kld": {"bin_px": 2.0, "fields": ["x"]}}
 
 def test_a_fixed_number_is_remembered_by_no_method(inputs_of):
     for importance, number in (
-        ("regular", SIZE),
+        ("bootstrap", SIZE),
         ("auxiliary", SIZE),
-        ({"adaptive": {"above_kl": 1e9}}, SIZE),
-        ({"adaptive": {"above_kl": 0.0}}, 2 * SIZE),
+        ({"second_pass": {"above_kl": 1e9}}, SIZE),
+        ({"second_pass": {"above_kl": 0.0}}, 2 * SIZE),
     ):
         found = drawn(particles(importance), inputs_of())
         assert len(found.whole) == number and found.sized is None and found.reports == ()
@@ -389,14 +400,14 @@ def test_a_fixed_number_is_remembered_by_no_method(inputs_of):
 
 
 def test_an_adaptive_number_is_remembered_with_or_without_a_second_look(inputs_of):
-    """Rejection and a first pass alone remember the first pass; a second pass has a say of its own."""
-    plain = drawn(particles("regular", KLD, min=100, max=200), inputs_of())
+    """PriorEditing and a first pass alone remember the first pass; a second pass has a say of its own."""
+    plain = drawn(particles("bootstrap", KLD, min=100, max=200), inputs_of())
     assert plain.sized is not None
-    edited_ = drawn(particles({"rejection": {"rounds": 2}}, KLD, min=100, max=200), inputs_of())
+    edited_ = drawn(particles({"prior_editing": {"rounds": 2}}, KLD, min=100, max=200), inputs_of())
     assert edited_.sized.need == plain.sized.need and len(edited_.reports) == len(plain.reports)
-    quiet = drawn(particles({"adaptive": {"above_kl": 1e9}}, KLD, min=100, max=200), inputs_of())
+    quiet = drawn(particles({"second_pass": {"above_kl": 1e9}}, KLD, min=100, max=200), inputs_of())
     assert quiet.sized.need == plain.sized.need
     np.testing.assert_array_equal(quiet.whole.states, plain.whole.states)
-    always = drawn(particles({"adaptive": {"above_kl": 0.0}}, KLD, min=100, max=200), inputs_of())
+    always = drawn(particles({"second_pass": {"above_kl": 0.0}}, KLD, min=100, max=200), inputs_of())
     assert len(always.whole) > len(plain.whole) and always.sized.need != plain.sized.need
     assert always.log_evidence is not None

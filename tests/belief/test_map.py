@@ -11,7 +11,7 @@ GENERAL = {
     "sd_px": {"x": 1.0},
     "sd_box": {"x": 0.05, "y": 0.1},
     "sd_log": {"scale": 0.02, "aspect": 0.01},
-    "wide": {"share": 0.3, "factor": 4},
+    "heavy_tail": {"weight": 0.3, "factor": 4},
 }
 KINDS = [
     ("random_walk", {}),

@@ -12,7 +12,7 @@ GENERAL = {
     "sd_px": {"x": 1.0, "w": 0.4, "h": 0.3},
     "sd_box": {"x": 0.05, "y": 0.1},
     "sd_log": {"scale": 0.02, "aspect": 0.01},
-    "wide": {"share": 0.3, "factor": 4},
+    "heavy_tail": {"weight": 0.3, "factor": 4},
 }
 
 
@@ -136,7 +136,7 @@ def test_dimensions_without_noise_stay_and_are_left_out(rng):
 
 
 def test_a_stated_share_takes_the_wide_noise(rng):
-    noise = spec.Noise.model_validate({"sd_px": {"x": 1.0}, "wide": {"share": 0.25, "factor": 1000}})
+    noise = spec.Noise.model_validate({"sd_px": {"x": 1.0}, "heavy_tail": {"weight": 0.25, "factor": 1000}})
     far = np.zeros(400)
     for _ in range(50):
         far += np.abs(sample_noise(noise, np.tile(BOX, (400, 1)), rng)[:, 0] - BOX[0]) > 6
@@ -172,7 +172,7 @@ def test_time_must_move_forward(linear, dt, rng):
         linear.propagate(linear.start(BOX, 3, rng), dt, rng)
 
 
-@pytest.mark.parametrize("word", ["sd_box", "sd_log", "wide"])
+@pytest.mark.parametrize("word", ["sd_box", "sd_log", "heavy_tail"])
 def test_only_pixel_noise_is_linear_gaussian(word):
     motion = make_motion(spec.Motion.model_validate({"random_walk": {word: GENERAL[word]}}))
     with pytest.raises(ValueError, match="linear-Gaussian"):

@@ -19,7 +19,11 @@ BOX = np.array([50.0, 60.0, 20.0, 30.0])
 KINDS = {
     "random_walk": {"sd_px": {"x": 2, "y": 3}, "sd_log": {"scale": 0.02}},
     "constant_velocity": {"sd_velocity_px": 1, "sd_px": {"x": 1, "y": 1}},
-    "damped_velocity": {"sd_velocity_px": 1, "wide": {"share": 0.5, "factor": 4}, "sd_px": {"x": 1, "y": 1}},
+    "damped_velocity": {
+        "sd_velocity_px": 1,
+        "heavy_tail": {"weight": 0.5, "factor": 4},
+        "sd_px": {"x": 1, "y": 1},
+    },
     "constant_acceleration": {"sd_acceleration_px": 1, "sd_log": {"scale": 0.02, "aspect": 0.01}},
 }
 

@@ -520,7 +520,7 @@ MISTAKES = {
     "demo --graph {wrong}/bad.yaml": (
         3,
         "{wrong}/bad.yaml:1:1: graph: key 'targets' is missing; allowed: a mapping, each a mapping with "
-        "state, birth, duplicates, death, recall, nodes\n"
+        "state, birth, merge_duplicates, death, reidentify, nodes\n"
         "{wrong}/bad.yaml:3:1: graph: unknown key 'targts'; allowed: bayesnet, name, about, targets, joins; "
         "nearest: targets",
     ),

@@ -47,7 +47,7 @@ def data(tmp_path: Path) -> Path:
 
 def test_a_graph_is_calibrated_and_keeps_its_comments(data, capsys):
     out = data / "fitted.yaml"
-    what = "score,slack,lost,temperature"
+    what = "score,localization_error,lost,temperature"
     arguments = ["fit", str(data / "g.yaml"), "--folder", str(data / "data"), "--seeds", "1"]
     assert main([*arguments, "--what", what, "--out", str(out)]) == 0
     text = out.read_text()
@@ -56,7 +56,7 @@ def test_a_graph_is_calibrated_and_keeps_its_comments(data, capsys):
     ]
     assert "# fit: probability of IoU > 0.5; 30 frames of 2 videos" in text
     root = load_graph(out).targets["target"].inference("target")
-    assert root.score is not None and root.slack is not None and root.lost is not None
+    assert root.score is not None and root.localization_error is not None and root.lost is not None
     assert root.lost.uncertain_below is not None and root.lost.score_below < root.lost.uncertain_below
     # Again, from what was written: the same keys once more, not twice.
     assert main(["fit", str(out), *arguments[2:], "--out", str(out), "--overwrite"]) == 0
@@ -138,7 +138,7 @@ CASES = [
     ),
     (
         ("--folder", "DATA", "--what", "score,sizes"),
-        "--what: no 'sizes'; there are score, slack, lost, ud, temperature, sds, policy",
+        "--what: no 'sizes'; there are score, localization_error, lost, ud, temperature, sds, policy",
     ),
     (
         ("--folder", "DATA", "--what", "sds"),

@@ -113,7 +113,7 @@ def still(count, *things):
 def test_a_target_is_born_when_it_was_seen_often_enough(looks, of, born):
     """Seen in frames 0, 2, 4, 5, 6: three of four looks first at 5 (2, 4, 5), two of two at 5."""
     says = lambda frame: ((50, 40),) if frame in (0, 2, 4, 5, 6) else ()  # noqa: E731
-    engine = engine_of(says, birth={"confirm": {"looks": looks, "of": of}})
+    engine = engine_of(says, birth={"confirm": {"hits": looks, "of": of}})
     outcomes = play(engine, still(8, (50, 40, 200)))
     (told,) = events_of(outcomes, CandidateConfirmed)
     assert (told.frame, told.target, told.seen, told.nearest) == (born, "1", looks, None)
@@ -123,7 +123,7 @@ def test_a_target_is_born_when_it_was_seen_often_enough(looks, of, born):
 
 
 def test_looks_are_as_far_apart_as_the_graph_says():
-    engine = engine_of(at((50, 40)), birth={"every": 3, "confirm": {"looks": 2, "of": 2}})
+    engine = engine_of(at((50, 40)), birth={"every": 3, "confirm": {"hits": 2, "of": 2}})
     outcomes = play(engine, still(8, (50, 40, 200)))
     assert [e.frame for e in events_of(outcomes, TargetStarted)] == [3]
     assert int(outcomes[-1].state.life.detectors["detections"]["frames"]) == 3
@@ -131,7 +131,7 @@ def test_looks_are_as_far_apart_as_the_graph_says():
 
 def test_a_live_target_claims_its_detection_and_ids_go_on():
     """The start box is target 1; only the other detection is born, as 2, at the first look."""
-    engine = engine_of(at((50, 40), (90, 70)), birth={"confirm": {"looks": 1, "of": 1}})
+    engine = engine_of(at((50, 40), (90, 70)), birth={"confirm": {"hits": 1, "of": 1}})
     frames = still(6, (50, 40, 200), (90, 70, 120))
     begun = start_target(engine, State(), frames[0], "1", "square", np.array([50.0, 40, SIDE, SIDE]))
     outcomes = [first_look(engine, begun, frames[0])]
@@ -142,7 +142,7 @@ def test_a_live_target_claims_its_detection_and_ids_go_on():
 
 
 def test_the_same_object_detected_twice_is_one_target():
-    engine = engine_of(at((50, 40), (53, 40, 0.5)), birth={"confirm": {"looks": 2, "of": 2}, "detector": RAW})
+    engine = engine_of(at((50, 40), (53, 40, 0.5)), birth={"confirm": {"hits": 2, "of": 2}, "detector": RAW})
     outcomes = play(engine, still(8, (50, 40, 200)))
     assert [e.box[0] for e in events_of(outcomes, TargetStarted)] == [50.0]
 
@@ -153,13 +153,13 @@ RAW = {"detections": {"max_overlap": 1, "max_count": 1000, "min_score": 0}}
 def test_a_detector_that_fires_everywhere_gives_no_more_nets_than_the_graph_allows():
     rng = np.random.default_rng(0)
     crowd = [tuple(map(tuple, rng.uniform((5, 5), (115, 95), (1000, 2)))) for _ in range(6)]
-    birth = {"confirm": {"looks": 1, "of": 1}, "most": 5, "detector": RAW}
-    engine = engine_of(lambda frame: crowd[frame], birth=birth, recall={"lost": False})
+    birth = {"confirm": {"hits": 1, "of": 1}, "max_targets": 5, "detector": RAW}
+    engine = engine_of(lambda frame: crowd[frame], birth=birth, reidentify={"lost": False})
     outcomes = play(engine, still(6))
     assert max(len(o.state.targets) for o in outcomes) == 5
     assert max(len(o.state.life.candidates["square"]) for o in outcomes) <= 10
     refused = events_of(outcomes, BirthsRefused)
-    assert 1 <= len(refused) <= 3 and refused[0].live == refused[0].most == 5
+    assert 1 <= len(refused) <= 3 and refused[0].live == refused[0].max_targets == 5
     assert [e.refused for e in refused] == sorted(e.refused for e in refused)
 
 
@@ -214,7 +214,7 @@ def test_a_detector_that_fails_is_tried_again_after_a_while_that_doubles():
 
 # ------------------------------------------------------------------------------------ ends and returns
 
-FAST = {"birth": {"confirm": {"looks": 1, "of": 1}}, "death": {"lost_frames": 4}}
+FAST = {"birth": {"confirm": {"hits": 1, "of": 1}}, "death": {"lost_frames": 4}}
 
 
 def vanishing(level_after, back=20, x_after=50):
@@ -256,7 +256,7 @@ def test_another_object_is_a_new_target():
 
 def test_a_dead_target_is_forgotten_in_time():
     frames, says = vanishing(200)
-    outcomes = play(engine_of(says, **FAST, recall={"frames": 10}), frames)
+    outcomes = play(engine_of(says, **FAST, reidentify={"frames": 10}), frames)
     assert [e.target for e in events_of(outcomes, CandidateConfirmed)] == ["1", "2"]
     assert outcomes[-1].state.life.dead == ()
 
@@ -270,13 +270,13 @@ def test_a_lost_target_is_found_again_where_a_detection_looks_like_it():
     assert [m.target for m in outcomes[-1].metrics] == ["1"]
     assert outcomes[-1].metrics[0].status == "tracking"
     assert abs(outcomes[-1].metrics[0].box[0] - 65) < SIDE / 2
-    off = engine_of(says, **life, recall={"lost": False})
+    off = engine_of(says, **life, reidentify={"lost": False})
     assert events_of(play(off, frames), Reacquired) == []
 
 
 def test_a_target_that_is_not_detected_dies_where_the_graph_says_so():
     engine = engine_of(
-        at((50, 40), until=3), birth={"confirm": {"looks": 1, "of": 1}}, death={"unseen_frames": 4}
+        at((50, 40), until=3), birth={"confirm": {"hits": 1, "of": 1}}, death={"unseen_frames": 4}
     )
     outcomes = play(engine, still(9, (50, 40, 200)))
     (died,) = events_of(outcomes, TargetDied)
@@ -287,8 +287,10 @@ def test_of_two_nets_that_hold_one_object_the_younger_ends():
     """A second net starts apart from the first, on a square that then moves onto the first one's."""
     near = [(50 + max(40 - 4 * n, 0), 40) for n in range(25)]
     frames = [picture(n, (*near[n], 200), (50, 40, 200)) for n in range(25)]
-    birth = {"confirm": {"looks": 1, "of": 1}, "apart_box": 0.5}
-    engine = engine_of(lambda n: ((50, 40), near[n])[: 1 + (n > 0)], birth=birth, duplicates={"frames": 3})
+    birth = {"confirm": {"hits": 1, "of": 1}, "min_distance_box": 0.5}
+    engine = engine_of(
+        lambda n: ((50, 40), near[n])[: 1 + (n > 0)], birth=birth, merge_duplicates={"frames": 3}
+    )
     outcomes = play(engine, frames)
     (ended,) = events_of(outcomes, DuplicateEnded)
     assert (ended.target, ended.kept, ended.frames) == ("2", "1", 3)

@@ -48,7 +48,7 @@ def test_a_plain_motion_is_the_plates_own(fakes):
 
 
 def test_what_depends_on_the_last_frame_is_arrays_and_numbers(fakes):
-    machine = machine_of(fakes, recover={"by": {"detector": "color_backprojection"}})
+    machine = machine_of(fakes, relocalize={"by": {"detector": "color_backprojection"}})
     found = outlook(machine, BOX, FramePair(Frame(0, 0.0, orange_at(60, 50)), None))
     for item in fields(Outlook):
         value = getattr(found, item.name)
@@ -60,7 +60,7 @@ def test_what_depends_on_the_last_frame_is_arrays_and_numbers(fakes):
     ("ud", "is_lost", "share"), [(0.0, False, 0.0), (150.0, False, 0.1), (0.0, True, 0.1)]
 )
 def test_it_jumps_while_unsure_or_lost(fakes, ud, is_lost, share):
-    machine = machine_of(fakes, recover={"by": "uniform", "above": {"ud_box": 0.5}})
+    machine = machine_of(fakes, relocalize={"by": "uniform", "above": {"ud_box": 0.5}})
     cache = PlaneCache(FramePair(fakes.frame(2), fakes.frame(0)))
     known = replace(outlook(machine, BOX, cache.frames), ud_px2=ud)
     motion = predicted(machine, None, known, is_lost, 2.0, cache).motion
@@ -96,7 +96,7 @@ def test_an_angle_is_beside_all_of_it(fakes):
         Frame(n, float(n), np.dstack([ground[20:220, 20 + at : 260 + at]] * 3)) for n, at in ((0, 0), (1, 4))
     ]
     plain = machine_of(
-        fakes, camera="compensate", keep_size={"sd_scale": 0.3}, widen={}, recover={"by": "uniform"}
+        fakes, camera="compensate", size_reversion={"sd_scale": 0.3}, inflate={}, relocalize={"by": "uniform"}
     )
     machine = replace(plain, motion=Rotating(plain.motion, 6.0))
     known = outlook(machine, BOX, FramePair(views[0], None))
@@ -108,7 +108,7 @@ def test_an_angle_is_beside_all_of_it(fakes):
 
 
 def test_the_detector_is_shown_the_target_and_looks_for_it(fakes):
-    machine = machine_of(fakes, recover={"by": {"detector": "color_backprojection"}})
+    machine = machine_of(fakes, relocalize={"by": {"detector": "color_backprojection"}})
     start = Frame(0, 0.0, orange_at(60, 50))
     known = outlook(machine, np.array([60.0, 50.0, 20.0, 20.0]), FramePair(start, None))
     now = PlaneCache(FramePair(Frame(1, 1.0, orange_at(100, 30)), start))
@@ -138,7 +138,7 @@ def test_a_detector_that_fails_is_out_and_told(fakes, error, reason):
         def detect(self, frames, state):
             raise error
 
-    machine = replace(machine_of(fakes, recover={"by": "uniform"}), finder=Broken())
+    machine = replace(machine_of(fakes, relocalize={"by": "uniform"}), finder=Broken())
     cache = PlaneCache(FramePair(fakes.frame(1), fakes.frame(0)))
     found = predicted(machine, None, outlook(machine, BOX, cache.frames), True, 1.0, cache)
     assert isinstance(found.motion, Jumping)
@@ -166,7 +166,7 @@ def test_the_answer_of_a_detector_is_checked_as_where_targets_are_born(fakes, an
         def detect(self, frames, state):
             return answer, state
 
-    machine = replace(machine_of(fakes, recover={"by": "uniform"}), finder=Wrong())
+    machine = replace(machine_of(fakes, relocalize={"by": "uniform"}), finder=Wrong())
     cache = PlaneCache(FramePair(fakes.frame(1), fakes.frame(0)))
     found = predicted(machine, None, outlook(machine, BOX, cache.frames), True, 1.0, cache)
     assert [reason in event.reason for event in found.told] == [True]
@@ -191,7 +191,7 @@ def test_a_target_that_leaps_is_found_again_and_that_is_told(fakes, by):
             outcomes.append(step(engine, outcomes[-1].state, fakes.frame(index)))
         return outcomes
 
-    found = run(recover={"by": by, "above": {"ud_box": 0.2}})
+    found = run(relocalize={"by": by, "above": {"ud_box": 0.2}})
     told = [event for outcome in found for event in outcome.events if isinstance(event, Reappeared)]
     assert len(told) == 1
     assert told[0].by == by
@@ -201,26 +201,30 @@ def test_a_target_that_leaps_is_found_again_and_that_is_told(fakes, by):
 
 
 REFUSED = [
-    ({"keep_size": {}}, {}, "keep_size without an sd"),
-    ({"keep_size": {"sd_scale": 0.05}}, {}, "sd_scale is 0.05, and the step, sd_log.scale, is 0.05"),
-    ({"keep_size": {"sd_aspect": 0.5}}, {}, "sd_aspect is 0.5, and the step, sd_log.aspect, is 0"),
+    ({"size_reversion": {}}, {}, "size_reversion without an sd"),
+    ({"size_reversion": {"sd_scale": 0.05}}, {}, "sd_scale is 0.05, and the step, sd_log.scale, is 0.05"),
+    ({"size_reversion": {"sd_aspect": 0.5}}, {}, "sd_aspect is 0.5, and the step, sd_log.aspect, is 0"),
     (
-        {"keep_size": {"sd_scale": 0.5}, "sd_px": {"x": 1.0, "y": 1.0, "w": 1.0}},
+        {"size_reversion": {"sd_scale": 0.5}, "sd_px": {"x": 1.0, "y": 1.0, "w": 1.0}},
         {},
-        "keep_size beside sd_px.w",
+        "size_reversion beside sd_px.w",
     ),
     ({"camera": "compensate"}, {"belief": "grid"}, "camera beside a grid"),
-    ({"keep_size": {"sd_scale": 0.5}}, {"belief": "grid"}, "keep_size beside a grid"),
-    ({"recover": {}}, {"belief": {"gaussian": {"filter": "extended"}}}, "recover beside gaussian"),
-    ({"recover": {}}, {"belief": {"particles": {"importance": "west"}}}, "recover beside importance: west"),
+    ({"size_reversion": {"sd_scale": 0.5}}, {"belief": "grid"}, "size_reversion beside a grid"),
+    ({"relocalize": {}}, {"belief": {"gaussian": {"filter": "extended"}}}, "relocalize beside gaussian"),
     (
-        {"recover": {}},
-        {"belief": {"particles": {"size": {"kld": {"bin_px": 9}}}}},
-        "recover beside an adaptive size",
+        {"relocalize": {}},
+        {"belief": {"particles": {"proposal": "iterated"}}},
+        "relocalize beside proposal: iterated",
     ),
-    ({"recover": {}, "sd_px": {"x": 1.0}}, {}, "recover without noise of y"),
-    ({"recover": {"by": {"detector": "mottion"}}}, {}, "unknown detector 'mottion'"),
-    ({"recover": {"by": {"detector": {"motion": {"no": 1}}}}}, {}, "unknown key 'no'"),
+    (
+        {"relocalize": {}},
+        {"belief": {"particles": {"size": {"kld": {"bin_px": 9}}}}},
+        "relocalize beside an adaptive size",
+    ),
+    ({"relocalize": {}, "sd_px": {"x": 1.0}}, {}, "relocalize without noise of y"),
+    ({"relocalize": {"by": {"detector": "mottion"}}}, {}, "unknown detector 'mottion'"),
+    ({"relocalize": {"by": {"detector": {"motion": {"no": 1}}}}}, {}, "unknown key 'no'"),
 ]
 
 
@@ -235,17 +239,26 @@ def test_what_cannot_act_is_refused(fakes, settings, root, message):
 @pytest.mark.parametrize(
     ("belief", "settings"),
     [
-        ({"gaussian": {"filter": "kalman"}}, {"camera": "compensate", "widen": {"above": {"ud_box": 0.01}}}),
-        ({"gaussian": {"filter": "unscented"}}, {"camera": "compensate", "keep_size": {"sd_scale": 0.3}}),
-        ({"grid": {"cell_px": 2}}, {"widen": {"above": {"ud_box": 0.01}}}),
-        ({"particles": {"size": {"kld": {"bin_px": 5}}}}, {"widen": {}, "keep_size": {"sd_scale": 0.3}}),
+        (
+            {"gaussian": {"filter": "kalman"}},
+            {"camera": "compensate", "inflate": {"above": {"ud_box": 0.01}}},
+        ),
+        (
+            {"gaussian": {"filter": "unscented"}},
+            {"camera": "compensate", "size_reversion": {"sd_scale": 0.3}},
+        ),
+        ({"grid": {"cell_px": 2}}, {"inflate": {"above": {"ud_box": 0.01}}}),
+        (
+            {"particles": {"size": {"kld": {"bin_px": 5}}}},
+            {"inflate": {}, "size_reversion": {"sd_scale": 0.3}},
+        ),
     ],
     ids=["kalman", "unscented", "grid", "kld"],
 )
 def test_every_belief_takes_what_the_laws_let_pass(fakes, belief, settings):
     nodes = nodes_of(**settings)
     nodes["root"]["belief"] = belief
-    if "keep_size" not in settings:
+    if "size_reversion" not in settings:
         nodes["root"]["motion"]["random_walk"].pop("sd_log")
     seen = fakes.gaussian(62.0, 52.0, 3.0, floor=1e-3)
     end = fakes.play(fakes.engine(nodes, {"eye": seen})[0], 5, {"1": tuple(BOX)})[-1].metrics[0]

@@ -9,7 +9,7 @@ from bayesnet_track.adapt.claims import NOBODY, alike, claim, distances, pair_up
 from bayesnet_track.adapt.lifecycle import Identity, belief_overlap, refusals_to_tell
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.engine.lifecycle.recognise import LOOKALIKE, Compared, looks, match, placed
-from bayesnet_track.graph.settings.lifecycle import Recall
+from bayesnet_track.graph.settings.lifecycle import Reidentify
 from bayesnet_track.graph.spec import Motion
 
 NOWHERE = Identity("1", "t", np.zeros(4), np.zeros((4, 4)), 0.0, {})
@@ -91,7 +91,7 @@ def test_place_is_a_density_over_the_frame():
     x, y = (g.ravel() for g in np.meshgrid(np.arange(0.5, 200), np.arange(0.5, 160)))
     boxes = np.column_stack([x, y, np.full_like(x, 8.0), np.full_like(x, 8.0)])
     known = Identity("1", "t", np.array([100.0, 80, 8, 8]), np.diag([4.0, 1, 0, 0]), 10.0, {})
-    fading, place, distance = placed(known, motion, boxes, 20.0, 200.0 * 160, Recall(frames=50))
+    fading, place, distance = placed(known, motion, boxes, 20.0, 200.0 * 160, Reidentify(frames=50))
     assert fading == pytest.approx(-0.2)
     assert np.mean(np.exp(place)) == pytest.approx(1.0, abs=1e-6)
     # var 4 + 10 steps of 2^2 + (8 / 4)^2, and 1 + 10 of 3^2 + 4; at the mean itself
@@ -116,7 +116,7 @@ def compared(name, odds):
 
 
 def test_a_target_is_taken_once_and_what_is_left_is_new():
-    found = match([compared("1", [9.0, 6.0]), compared("2", [3.0, 0.5])], 2, Recall(least_probability=0.5))
+    found = match([compared("1", [9.0, 6.0]), compared("2", [3.0, 0.5])], 2, Reidentify(min_probability=0.5))
     first, second = found
     assert (first.detection, first.recognition.target, first.is_sure) == (0, "1", True)
     assert first.recognition.probability == pytest.approx(9 / 13) and first.recognition.rival == "2"

@@ -1,4 +1,4 @@
-"""Rivals: what looks like the target puts it in doubt; nothing that fits keeps a score up for a while."""
+"""Distractors: look-alikes put the target in doubt; where nothing fits, the score falls at once."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import pytest
 from bayesnet_track import Tracker
 from bayesnet_track.engine.score import Scored, most, with_rival
 from bayesnet_track.evaluate.calibration import longest_run
-from bayesnet_track.graph.spec import Logistic, Rivals
-from bayesnet_track.journal.events.rival_events import RivalSeen
+from bayesnet_track.graph.spec import Distractors, Logistic
+from bayesnet_track.journal.events.distractor_events import DistractorSeen
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.sources.scenes import make_scene
 
-SEEN = RivalSeen(5, "1", 80.0, 60.0, 0.9, 1.5, 4.0, 0.3, 250)
+SEEN = DistractorSeen(5, "1", 80.0, 60.0, 0.9, 1.5, 4.0, 0.3, 250)
 
 
 def test_only_rivals_in_a_row_put_it_in_doubt_and_the_doubt_ends():
@@ -21,7 +21,7 @@ def test_only_rivals_in_a_row_put_it_in_doubt_and_the_doubt_ends():
     assert once.doubt == 0 and with_rival(with_rival(once, None, 2), SEEN, 2).doubt == 0
     twice = with_rival(once, SEEN, 2)
     assert twice.doubt == SEEN.hold and with_rival(twice, None, 2).doubt == SEEN.hold
-    assert Rivals().frames == 2
+    assert Distractors().frames == 2
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_general_does_not_say_tracking_on_the_other_of_two_equal_squares(seed):
             tracker.init(frame, tuple(scene.truth[0]))
             continue
         tracker.update(frame)
-        told += sum(isinstance(event, RivalSeen) for event in tracker.events)
+        told += sum(isinstance(event, DistractorSeen) for event in tracker.events)
         true = centre_from_corner(scene.truth[index])
         found = float(overlap(np.array(tracker.metrics.box)[None], true[None])[0])
         wrong.append(found < 0.1 and tracker.status == "tracking")

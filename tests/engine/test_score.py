@@ -8,7 +8,7 @@ import pytest
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.particles.belief import ParticleSet
 from bayesnet_track.engine.score import FEATURES, probability, widened
-from bayesnet_track.graph.spec import Logistic, Slack
+from bayesnet_track.graph.spec import Localization, Logistic
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.net.rule_decisions import StatusChanged
 from bayesnet_track.numerics.log_weights import LogWeights
@@ -39,21 +39,24 @@ def run(fakes, frames=30, agent_nodes=None, **settings):
     return fakes.play(engine, frames), cues
 
 
-SCORE = {"logistic": {"bias": 6.0, "log_fit": 2.0, "memory": 0}}
+SCORE = {"logistic": {"bias": 6.0, "log_fit": 2.0, "memory_frames": 0}}
 
 
 def test_the_score_is_the_logistic_of_the_features(fakes):
     outcomes, _ = run(
-        fakes, score={"logistic": {"bias": 0.5, "evidence": 0.3, "log_ud_box": -0.2, "memory": 4}}
+        fakes, score={"logistic": {"bias": 0.5, "evidence": 0.3, "log_ud_box": -0.2, "memory_frames": 4}}
     )
-    rule = Logistic(bias=0.5, evidence=0.3, log_ud_box=-0.2, memory=4)
+    rule = Logistic(bias=0.5, evidence=0.3, log_ud_box=-0.2, memory_frames=4)
     lines = [one.metrics[0] for one in outcomes[1:]]
     assert all(set(line.features) == {*FEATURES, "most"} for line in lines)
     assert [line.score for line in lines] == pytest.approx(
         [probability(rule, line.features) for line in lines]
     )
     # The filter: the raw features are those of a run without memory.
-    raw = [one.metrics[0].features for one in run(fakes, score={"logistic": {"bias": 0, "memory": 0}})[0][1:]]
+    raw = [
+        one.metrics[0].features
+        for one in run(fakes, score={"logistic": {"bias": 0, "memory_frames": 0}})[0][1:]
+    ]
     smooth, gain = dict(raw[0]), 1 - np.exp(-1 / 4)
     for line, found in zip(lines, raw, strict=True):
         smooth = {name: value + gain * (found[name] - value) for name, value in smooth.items()}
@@ -90,7 +93,7 @@ def test_while_uncertain_nothing_is_learnt_and_lost_is_said(fakes):
 
 
 def test_a_calibrated_line_survives_the_journal(fakes):
-    outcomes, _ = run(fakes, 3, score=SCORE, slack={"sd_box": 0.1})
+    outcomes, _ = run(fakes, 3, score=SCORE, localization_error={"sd_box": 0.1})
     line = outcomes[-1].metrics[0]
     again = from_json(to_json(line))
     assert dict(again.features) == pytest.approx(dict(line.features))
@@ -99,7 +102,7 @@ def test_a_calibrated_line_survives_the_journal(fakes):
 
 def test_slack_touches_only_what_is_told(fakes):
     plain, _ = run(fakes)
-    wide, _ = run(fakes, slack={"sd_box": 0.5})
+    wide, _ = run(fakes, localization_error={"sd_box": 0.5})
     for one, other in zip(plain[1:], wide[1:], strict=True):
         a, b = one.metrics[0], other.metrics[0]
         assert (a.box, a.ud_px2, a.cloud, a.score, a.status) == (b.box, b.ud_px2, b.cloud, b.score, b.status)
@@ -112,11 +115,11 @@ def test_slack_touches_only_what_is_told(fakes):
 
 @pytest.mark.parametrize("score", [0.2, 0.7, 1.0])
 def test_a_widened_region_holds_what_it_says(score):
-    """Truths drawn from the mixture that slack stands for lie in the regions as often as they say."""
+    """True centres drawn from the mixture of localization_error lie in the regions as often as they say."""
     rng = np.random.default_rng(4)
     boxes = np.column_stack([rng.normal(100, 3, 400), rng.normal(50, 2, 400), np.full((400, 2), 20.0)])
     belief = ParticleSet(boxes, BOX_FIELDS, LogWeights.uniform(400))
-    found = widened(belief, Slack(sd_box=0.1, lost_sd_box=4.0), score, 20.0)
+    found = widened(belief, Localization(sd_box=0.1, lost_sd_box=4.0), score, 20.0)
     n = 20_000
     noise = np.where(rng.random(n) < score, 2.0, 80.0)[:, None] * rng.normal(size=(n, 2))
     truth = boxes[rng.integers(400, size=n), :2] + noise

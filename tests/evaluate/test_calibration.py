@@ -13,8 +13,8 @@ from bayesnet_track.evaluate.calibration import (
     brier,
     coverage,
     fit_levels,
+    fit_localization_error,
     fit_logistic,
-    fit_slack,
     longest_run,
     reliability,
 )
@@ -81,7 +81,7 @@ def drawn(n, sd, lost_sd, rng, draws=24, spread=0.02):
 
 def test_slack_is_found_from_data_drawn_with_it():
     offsets, p = drawn(1500, 0.05, 2.0, np.random.default_rng(3))
-    sd, lost_sd = fit_slack([offsets], [p])
+    sd, lost_sd = fit_localization_error([offsets], [p])
     # Coverage of 3,000 axes has an sd below 0.01, which the grid's 18 % exceeds; two of its steps.
     assert 0.05 / 1.4 < sd < 0.05 * 1.4
     assert 2.0 / 1.4 < lost_sd < 2.0 * 1.4

@@ -15,7 +15,7 @@ def test_candidates_begin_with_the_graph_s_own_and_ask_for_less():
     found = candidates(OWN)
     assert found[0] == OWN and len(set(found)) == len(found)
     assert all(one.deactivate < one.activate and one.activate >= OWN.activate for one in found)
-    assert {one.glance for one in candidates(Policy(0.07, 0.06, 3))} == {3, 4, 6}
+    assert {one.sample_every for one in candidates(Policy(0.07, 0.06, 3))} == {3, 4, 6}
 
 
 def noisy(costs, losses):

@@ -79,11 +79,11 @@ def _importance(positive: st.SearchStrategy[float]) -> st.SearchStrategy[Any]:
         "neighbours": st.integers(1, 1000),
     }
     return _choice(
-        ["regular", "adaptive", "auxiliary", "rejection", "west", "likelihood_mixture"],
-        adaptive=_mapping({}, adaptive),
+        ["bootstrap", "second_pass", "auxiliary", "prior_editing", "iterated", "likelihood_mixture"],
+        second_pass=_mapping({}, adaptive),
         auxiliary=_mapping({}, {"defensive": defensive}),
-        rejection=_mapping({}, {"rounds": st.integers(1, 20), "accept_above": share}),
-        west=_mapping({}, {**above, "refinements": st.integers(1, 10), "bandwidth": positive}),
+        prior_editing=_mapping({}, {"rounds": st.integers(1, 20), "accept_above": share}),
+        iterated=_mapping({}, {**above, "refinements": st.integers(1, 10), "bandwidth": positive}),
         likelihood_mixture=_mapping({}, {"share": share, "reach_sd": positive}),
     )
 
@@ -94,21 +94,21 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
     share = st.floats(min_value=0, max_value=1, exclude_min=True, exclude_max=True)
     sd = st.just(0) | positive
     frames = st.integers(1, 1_000_000)
-    level = _choice([], ud_px2=positive, ud_box=positive, ud_quiet=positive)
+    level = _choice([], ud_px2=positive, ud_box=positive, ud_baseline=positive)
     noise = {
         "sd_px": _mapping({}, dict.fromkeys("xywh", sd)),
         "sd_box": _mapping({}, dict.fromkeys("xy", sd)),
         "sd_log": _mapping({}, {"scale": sd, "aspect": sd}),
-        "wide": _mapping(
-            {"share": share, "factor": st.floats(min_value=1, max_value=1e9, exclude_min=True)}, {}
+        "heavy_tail": _mapping(
+            {"weight": share, "factor": st.floats(min_value=1, max_value=1e9, exclude_min=True)}, {}
         ),
     }
     looked = _choice(
         ["uniform", "agents"],
-        agents=_mapping({}, {"most": st.integers(16, 10_000)}),
+        agents=_mapping({}, {"max_boxes": st.integers(16, 10_000)}),
         detector=_choice(["motion"], background=_mapping({}, {"min_area_px": st.integers(1, 900)})),
     )
-    recover = {
+    relocalize = {
         "share": share,
         "above": level,
         "usual": st.just(0) | share,
@@ -119,10 +119,10 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
     moving = {
         **noise,
         "sd_angle_deg": sd,
-        "widen": _mapping({}, {"above": level, "most": factor}),
-        "keep_size": _mapping({}, {"sd_scale": positive, "sd_aspect": positive}),
+        "inflate": _mapping({}, {"above": level, "max_factor": factor}),
+        "size_reversion": _mapping({}, {"sd_scale": positive, "sd_aspect": positive}),
         "camera": st.just("compensate"),
-        "recover": _mapping({}, recover),
+        "relocalize": _mapping({}, relocalize),
     }
     velocity = {**moving, "sd_velocity_px": sd, "start_velocity_sd_px": sd}
     acceleration = {
@@ -150,7 +150,7 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
             "max": counts,
             "resample": schemes,
             "when": when,
-            "importance": _importance(positive),
+            "proposal": _importance(positive),
         },
     )
     spread = st.floats(min_value=1e-6, max_value=9)
@@ -168,9 +168,9 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
     window = _mapping({}, {"box": positive})
     nearest = _mapping({}, {"epsilon": share | st.just(1)})
     estimate = _choice(
-        ["map", "best", "mean", "robust_mean", "nearest"],
+        ["map", "max_weight", "mean", "robust_mean", "nearest"],
         map=empty,
-        best=empty,
+        max_weight=empty,
         mean=empty,
         robust_mean=window,
         nearest=nearest,
@@ -187,7 +187,7 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
         latent=_mapping({"given": _mapping({}, noise | part)}, {"draw": st.sampled_from(["one", "kernel"])}),
     )
     which = st.sampled_from(["all", "most_helpful", "information_per_ms"])
-    drop = st.sampled_from(["largest_kl", "least_contribution_per_ms", "least_information_per_ms"])
+    drop = st.sampled_from(["largest_kl", "min_contribution_per_ms", "min_information_per_ms"])
     half = st.floats(0.5, 0.99)
     test = _choice(
         ["concentrated"],
@@ -201,7 +201,7 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
             "deactivate": _mapping({"below": level}, {"frames": frames, "drop": drop})
             | _mapping({"when": test}, {"frames": frames, "drop": drop}),
             "keep": st.integers(1, 9),
-            "information": _mapping({}, {"memory": frames, "explore": positive | st.just(0)}),
+            "information": _mapping({}, {"memory_frames": frames, "exploration": positive | st.just(0)}),
         },
     )
     inference = _mapping(
@@ -238,9 +238,11 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
                     "frames": frames,
                 },
             ),
-            "score": _choice([], logistic=_mapping({"bias": aside}, {"evidence": aside, "memory": share})),
-            "slack": _mapping({}, {"sd_box": sd, "lost_sd_box": positive}),
-            "rivals": _mapping({}, {"within_nats": positive, "hold": frames}),
+            "score": _choice(
+                [], logistic=_mapping({"bias": aside}, {"evidence": aside, "memory_frames": share})
+            ),
+            "localization_error": _mapping({}, {"sd_box": sd, "lost_sd_box": positive}),
+            "distractors": _mapping({}, {"within_nats": positive, "hold": frames}),
         },
     )
     parameters = _mapping(
@@ -298,14 +300,14 @@ def _life(positive: Any, share: Any, frames: Any) -> dict[str, st.SearchStrategy
         {}, {"min_area_px": st.floats(min_value=1, max_value=1e9), "max_count": st.integers(1, 1000)}
     )
     detector = _choice(["background", "detections"], gray_level=settings, detections=settings)
-    confirm = _mapping({}, {"looks": st.integers(1, 3), "of": st.integers(4, 1000)})
+    confirm = _mapping({}, {"hits": st.integers(1, 3), "of": st.integers(4, 1000)})
     birth = {"labels": st.lists(st.text("abc", min_size=1), max_size=2), "every": frames, "confirm": confirm}
-    birth |= {"most": st.integers(1, 1000), "apart_box": positive}
+    birth |= {"max_targets": st.integers(1, 1000), "min_distance_box": positive}
     return {
         "birth": _mapping({"detector": detector}, birth),
-        "duplicates": _mapping({}, {"overlap": share, "frames": frames}),
+        "merge_duplicates": _mapping({}, {"overlap": share, "frames": frames}),
         "death": _mapping({}, {"lost_frames": frames, "unseen_frames": frames}),
-        "recall": _mapping({}, {"frames": frames, "least_probability": share, "lost": st.booleans()}),
+        "reidentify": _mapping({}, {"frames": frames, "min_probability": share, "lost": st.booleans()}),
     }
 
 
@@ -359,15 +361,15 @@ def everything() -> dict[str, Any]:
                     "when": {"ess_below": 0.5},
                 }
             },
-            "motion": {"random_walk": {**noise, "wide": {"share": 0.5, "factor": 4}}},
+            "motion": {"random_walk": {**noise, "heavy_tail": {"weight": 0.5, "factor": 4}}},
             "estimate": {"robust_mean": {"box": 0.1}},
             "fuse": "product",
             "adapt": {"activate": {"above": level}, "deactivate": {"below": {"ud_box": 0.5}}, "keep": 2},
-            "learn": {"below": {"ud_quiet": 2}, "guard": {}},
+            "learn": {"below": {"ud_baseline": 2}, "guard": {}},
             "lost": {"frames": 9, "score_below": 0.25, "uncertain_below": 0.6},
             "score": {"logistic": {"bias": -1.5, "log_ud_box": -0.5}},
-            "slack": {"lost_sd_box": 3.5},
-            "rivals": {"hold": 100},
+            "localization_error": {"lost_sd_box": 3.5},
+            "distractors": {"hold": 100},
         },
         "b": {
             "parent": "a",
@@ -386,10 +388,10 @@ def everything() -> dict[str, Any]:
                 "damped_velocity": {
                     "damping": 0.5,
                     "sd_log": {"scale": 0.02},
-                    "widen": {"most": 3},
-                    "keep_size": {"sd_scale": 0.5},
+                    "inflate": {"max_factor": 3},
+                    "size_reversion": {"sd_scale": 0.5},
                     "camera": "compensate",
-                    "recover": {"by": {"agents": {"most": 200}}, "usual": 0.01},
+                    "relocalize": {"by": {"agents": {"max_boxes": 200}}, "usual": 0.01},
                 }
             },
             "estimate": "mean",
@@ -400,21 +402,21 @@ def everything() -> dict[str, Any]:
             "fuse": "pool",
             "belief": {"particles": {"size": {"likelihood_sum": {"threshold": 20}}}},
         },
-        "r": {"adapt": {"activate": {"unless": "concentrated"}, "information": {"explore": 1}}},
-        "m": {"belief": {"particles": {"importance": {"adaptive": {"by": "parents"}}}}},
-        "n": {"belief": {"particles": {"importance": {"auxiliary": {"defensive": 0.2}}}}},
-        "o": {"belief": {"particles": {"importance": {"rejection": {"rounds": 3}}}}},
-        "p": {"belief": {"particles": {"importance": {"west": {"bandwidth": 2}}}}},
-        "q": {"belief": {"particles": {"importance": {"likelihood_mixture": {"share": 0.3}}}}},
+        "r": {"adapt": {"activate": {"unless": "concentrated"}, "information": {"exploration": 1}}},
+        "m": {"belief": {"particles": {"proposal": {"second_pass": {"by": "parents"}}}}},
+        "n": {"belief": {"particles": {"proposal": {"auxiliary": {"defensive": 0.2}}}}},
+        "o": {"belief": {"particles": {"proposal": {"prior_editing": {"rounds": 3}}}}},
+        "p": {"belief": {"particles": {"proposal": {"iterated": {"bandwidth": 2}}}}},
+        "q": {"belief": {"particles": {"proposal": {"likelihood_mixture": {"share": 0.3}}}}},
         "h": {"belief": {"grid": {"cell_px": 3, "reset": {"region": "image", "false_rate": 0.01}}}},
         "d": {"parent": "c", "agent": {"hue": {"bins": 16, "window": [5, 5]}}, "learn_rate_max": 0},
         "e": {"parent": "c", "agent": "motion", "active": False, "self_check": {"above": level, "rest": 7}},
     }
     life = {
         "birth": {"detector": {"background": {"min_area_px": 200}}, "labels": ["car"], "confirm": {"of": 5}},
-        "duplicates": {"overlap": 0.8},
+        "merge_duplicates": {"overlap": 0.8},
         "death": {"unseen_frames": 9},
-        "recall": {"lost": False},
+        "reidentify": {"lost": False},
     }
     return {
         "name": "everything",

@@ -50,15 +50,15 @@ CASES = [
         "rules could hold at once; allowed: at least 0.99",
     ),
     (
-        "  adapt: {deactivate: {when: concentrated}, information: {memory: 9}}",
+        "  adapt: {deactivate: {when: concentrated}, information: {memory_frames: 9}}",
         "5:45: s: information has no effect: no rule here goes by it; "
-        "allowed: which: information_per_ms, drop: least_information_per_ms, or no such key",
+        "allowed: which: information_per_ms, drop: min_information_per_ms, or no such key",
     ),
     (
-        "  adapt: {deactivate: {when: concentrated, drop: least_information_per_ms}, information: "
-        "{explore: 9}}",
-        "5:91: s: explore has no effect: only which: information_per_ms hopes for the unknown; "
-        "allowed: which: information_per_ms, or no explore",
+        "  adapt: {deactivate: {when: concentrated, drop: min_information_per_ms}, information: "
+        "{exploration: 9}}",
+        "5:89: s: exploration has no effect: only which: information_per_ms hopes for the unknown; "
+        "allowed: which: information_per_ms, or no exploration",
     ),
     (
         "  learn: {below: {ud_px2: 9}, guard: {apart_nats: 0, pull: 2}}",
@@ -83,7 +83,7 @@ def test_each_message(text, said):
         "  adapt: {activate: {above: {ud_box: 1}}, deactivate: {when: {concentrated: {share: 0.5}}}}",
         "  adapt: {activate: {unless: concentrated, which: information_per_ms},\n"
         "    deactivate: {when: {concentrated: {share: 0.95, within_box: 0.2}}}, information: "
-        "{explore: 0.3}}",
+        "{exploration: 0.3}}",
         "  learn: {below: {ud_px2: 9}, guard: {}}",
     ],
 )

@@ -30,9 +30,9 @@ nodes:
 
 
 def test_a_new_key_is_the_last_of_its_mapping():
-    found = set_value(TEXT, ("nodes", "root", "slack"), {"sd": 0.1}, "from 3 videos")
+    found = set_value(TEXT, ("nodes", "root", "localization_error"), {"sd": 0.1}, "from 3 videos")
     before, after = TEXT.split("\n\n", 1)
-    assert found == f"{before}\n    # fit: from 3 videos\n    slack: {{sd: 0.1}}\n\n{after}"
+    assert found == f"{before}\n    # fit: from 3 videos\n    localization_error: {{sd: 0.1}}\n\n{after}"
 
 
 def test_a_value_is_replaced_in_place_and_keeps_the_comment_behind_it():
@@ -78,10 +78,10 @@ def test_every_graph_of_the_library_can_be_written_into(name):
     text, graph = find_graph(name).read_text(encoding="utf-8"), load_graph(name)
     for plate, target in graph.targets.items():
         node = ("targets", plate, "nodes")
-        changed = set_value(text, (*node, target.root, "slack"), {"sd_box": 0.125}, "c")
+        changed = set_value(text, (*node, target.root, "localization_error"), {"sd_box": 0.125}, "c")
         changed = set_value(changed, (*node, target.agents[0], "temperature"), 1.75, "c")
         spec, _ = read_graph(changed)
-        assert spec.targets[plate].nodes[target.root].slack.sd_box == 0.125
+        assert spec.targets[plate].nodes[target.root].localization_error.sd_box == 0.125
         assert spec.targets[plate].nodes[target.agents[0]].temperature == 1.75
         kept = [line for line in text.splitlines() if line.lstrip().startswith("#")]
         assert all(line in changed.splitlines() for line in kept)

@@ -59,7 +59,7 @@ def test_the_noise_of_velocities_is_told(target):
 
 def test_what_a_motion_depends_on_is_told(target):
     nodes = _fusion()
-    further = {"keep_size": {"sd_scale": 0.4}, "camera": "compensate", "widen": {}, "recover": {}}
+    further = {"size_reversion": {"sd_scale": 0.4}, "camera": "compensate", "inflate": {}, "relocalize": {}}
     nodes["s"]["motion"] = {
         "random_walk": {"sd_box": {"x": 0.1, "y": 0.1}, "sd_log": {"scale": 0.1}, **further}
     }

@@ -40,12 +40,12 @@ def errors_of(life, cues):
             ["g.yaml:5:48: t: min_score is 2; allowed: a number at least 0, at most 1"],
         ),
         (
-            "    birth: {detector: motion, confirm: {looks: 5, of: 4}}",
-            ["g.yaml:5:40: t: confirm is ", "no more looks than `of`: 5 of 4"],
+            "    birth: {detector: motion, confirm: {hits: 5, of: 4}}",
+            ["g.yaml:5:40: t: confirm is ", "no more hits than `of`: 5 of 4"],
         ),
         ("    birth: {every: 2}", ["g.yaml:5:12: t: key 'detector' is missing; allowed: a detector, or one"]),
         ("    birth: {detector: {motion: {}, background: {}}}", ["allowed: exactly one detector"]),
-        ("    recall: {frames: 20}", ["g.yaml:5:5: t: recall without birth"]),
+        ("    reidentify: {frames: 20}", ["g.yaml:5:5: t: reidentify without birth"]),
     ],
 )
 def test_refusals_name_place_and_what_is_allowed(life, said, cues):
@@ -55,12 +55,18 @@ def test_refusals_name_place_and_what_is_allowed(life, said, cues):
 
 
 def test_defaults_are_filled_in_where_targets_are_born(cues):
-    from bayesnet_track.graph.settings.lifecycle import Death, Duplicates, LifeRules, Recall, life_rules
+    from bayesnet_track.graph.settings.lifecycle import (
+        Death,
+        LifeRules,
+        MergeDuplicates,
+        Reidentify,
+        life_rules,
+    )
     from bayesnet_track.graph.spec import Birth
 
     birth = Birth(detector="detections")
     assert life_rules(None, None, None, None) is None
-    assert life_rules(birth, None, None, None) == LifeRules(birth, Duplicates(), Death(), Recall())
+    assert life_rules(birth, None, None, None) == LifeRules(birth, MergeDuplicates(), Death(), Reidentify())
     assert life_rules(None, None, Death(lost_frames=3), None) == LifeRules(
         None, None, Death(lost_frames=3), None
     )

@@ -40,13 +40,13 @@ CASES = [
         "allowed: when: every_frame",
     ),
     (
-        "{importance: auxiliary, when: {ess_below: 0.5}}",
-        "4:45: s: when: ess_below beside importance: auxiliary, which draws new parents; "
+        "{proposal: auxiliary, when: {ess_below: 0.5}}",
+        "4:43: s: when: ess_below beside proposal: auxiliary, which draws new parents; "
         "allowed: when: every_frame",
     ),
     (
-        "{importance: {adaptive: {neighbours: 3}}}",
-        "4:40: s: neighbours has no effect beside by: fitted; allowed: by: parents, or no neighbours",
+        "{proposal: {second_pass: {neighbours: 3}}}",
+        "4:41: s: neighbours has no effect beside by: fitted; allowed: by: parents, or no neighbours",
     ),
     (
         "{size: {asymptotic_normal: {confidence: 0.9}}}",

@@ -17,11 +17,11 @@ SCORE = "score: {logistic: {bias: 1, evidence: 0.5}}"
 
 CASES = [
     (
-        "  lost: {score_below: 0.2}, slack: {lost_sd_box: 2}",
+        "  lost: {score_below: 0.2}, localization_error: {lost_sd_box: 2}",
         "4:10: s: lost.score_below without a score that is a probability; allowed: score at the root, or no "
         "such key\n"
-        "4:37: s: slack.lost_sd_box without a score that is a probability; allowed: score at the root, or no "
-        "such key",
+        "4:50: s: localization_error.lost_sd_box without a score that is a probability; allowed: score at "
+        "the root, or no such key",
     ),
     (
         f"  {SCORE}, lost: {{uncertain_below: 0.2}}",
@@ -37,12 +37,13 @@ CASES = [
         "allowed: one of above, score_below",
     ),
     (
-        f"  {SCORE}, slack: {{sd_box: 0.5, lost_sd_box: 0.25}}",
-        "4:82: s: slack.lost_sd_box is 0.25, not above slack.sd_box, 0.5; allowed: above 0.5",
+        f"  {SCORE}, localization_error: {{sd_box: 0.5, lost_sd_box: 0.25}}",
+        "4:95: s: localization_error.lost_sd_box is 0.25, not above localization_error.sd_box, 0.5; allowed: "
+        "above 0.5",
     ),
     (
-        f"  {SCORE}, lost: {{score_below: 0.2, uncertain_below: 0.5}}, rivals: {{}}",
-        "4:96: s: rivals put the score at one half, which lost.uncertain_below does not call uncertain; "
+        f"  {SCORE}, lost: {{score_below: 0.2, uncertain_below: 0.5}}, distractors: {{}}",
+        "4:96: s: distractors put the score at one half, which lost.uncertain_below does not call uncertain; "
         "allowed: lost.uncertain_below above 0.5",
     ),
 ]
@@ -60,7 +61,7 @@ def test_messages(inside, said):
 
 
 def test_a_calibrated_graph_is_accepted_and_written_back():
-    inside = f"  {SCORE}, slack: {{sd_box: 0.02, lost_sd_box: 2}}, lost: {{score_below: 0.2}}"
+    inside = f"  {SCORE}, localization_error: {{sd_box: 0.02, lost_sd_box: 2}}, lost: {{score_below: 0.2}}"
     spec, at = read_graph(graph(inside).replace("agent: motion", "agent: motion, temperature: 1.7"))
     assert read_graph(check(spec, at).text)[0] == spec
     assert "temperature: 1.7" in write_graph(spec)
@@ -73,6 +74,8 @@ def test_a_temperature_is_above_zero(wrong):
 
 
 def test_score_belongs_to_the_root():
-    text = graph(f"  {SCORE}").replace("a: {parent: s", "b: {parent: s, slack: {}}, a: {parent: b")
-    with pytest.raises(GraphError, match="key 'slack' below the root"):
+    text = graph(f"  {SCORE}").replace(
+        "a: {parent: s", "b: {parent: s, localization_error: {}}, a: {parent: b"
+    )
+    with pytest.raises(GraphError, match="key 'localization_error' below the root"):
         check(*read_graph(text))

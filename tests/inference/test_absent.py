@@ -12,7 +12,7 @@ from bayesnet_track.journal.net.net import Quarantined, Readmitted, Toggled
 
 BELIEFS = {
     "particles": {"particles": {"size": 80}},
-    "second pass": {"particles": {"size": 80, "importance": {"adaptive": {"above_kl": 0}}}},
+    "second pass": {"particles": {"size": 80, "proposal": {"second_pass": {"above_kl": 0}}}},
     "grid": {"grid": {"reset": {"region": "image"}}},
 }
 

@@ -294,13 +294,13 @@ def test_ten_thousand_hostile_likelihoods(fakes, belief):
 
 
 def again(method, **settings):
-    return {"particles": {"size": 120, "importance": {method: settings}}}
+    return {"particles": {"size": 120, "proposal": {method: settings}}}
 
 
 LATER = {
-    "adaptive": again("adaptive", above_kl=0),
-    "west": again("west", above_kl=0),
-    "rejection": again("rejection"),
+    "second_pass": again("second_pass", above_kl=0),
+    "iterated": again("iterated", above_kl=0),
+    "prior_editing": again("prior_editing"),
     "auxiliary": again("auxiliary"),
     "likelihood_mixture": again("likelihood_mixture"),
     "size": {"particles": {"size": {"kld": {"bin_px": 0.5}}, "min": 120, "max": 2000}},

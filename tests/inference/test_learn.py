@@ -15,7 +15,7 @@ SHARES = {0.0: 0.982014, 0.25: 0.952574, 0.5: 0.880797, 0.75: 0.731059, 0.9: 0.5
 
 @pytest.mark.parametrize(
     ("level", "theta_px2"),
-    [(Level(ud_px2=80.0), 80.0), (Level(ud_box=0.05), 200.0), (Level(ud_quiet=1.5), 75.0)],
+    [(Level(ud_px2=80.0), 80.0), (Level(ud_box=0.05), 200.0), (Level(ud_baseline=1.5), 75.0)],
 )
 def test_the_rate_at_each_uncertainty(level: Level, theta_px2: float) -> None:
     rule, area_px2, quiet_px2 = Learn(below=level), 4000.0, 50.0
@@ -28,7 +28,7 @@ def test_the_rate_at_each_uncertainty(level: Level, theta_px2: float) -> None:
 
 def test_nothing_is_learnt_without_a_rule_or_while_the_quiet_level_is_unknown() -> None:
     assert learning_rate(None, 0.0, 400.0, 50.0) == 0.0
-    assert learning_rate(Learn(below=Level(ud_quiet=1.5)), 10.0, 400.0, None) == 0.0
+    assert learning_rate(Learn(below=Level(ud_baseline=1.5)), 10.0, 400.0, None) == 0.0
 
 
 def test_every_frame_of_a_run_learns_by_that_rate_times_the_largest(fakes) -> None:

@@ -352,7 +352,7 @@ def test_the_kernel_step_is_the_kernel_message(fakes):
     [
         {"sd_px": {"x": 6.0, "y": 6.0}},
         {"sd_px": {"x": 3.0, "y": 9.0}},
-        {"sd_px": {"x": 4.0, "y": 4.0}, "wide": {"share": 0.3, "factor": 3.0}},
+        {"sd_px": {"x": 4.0, "y": 4.0}, "heavy_tail": {"weight": 0.3, "factor": 3.0}},
     ],
 )
 def test_the_grid_is_the_kernel_up_to_its_cells(noise):

@@ -17,12 +17,12 @@ from bayesnet_track.journal.events.belief_events import (
     ReferenceGuarded,
     SecondPass,
 )
+from bayesnet_track.journal.events.distractor_events import DistractorSeen
 from bayesnet_track.journal.events.inputs import AgentMissed, InputRefused
 from bayesnet_track.journal.events.join_events import AttachmentChanged, OcclusionChanged, RingChanged
 from bayesnet_track.journal.events.jump_events import Reappeared
 from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
 from bayesnet_track.journal.events.machine_events import MachineChanged
-from bayesnet_track.journal.events.rival_events import RivalSeen
 from bayesnet_track.journal.events.source_events import (
     FramesDropped,
     FrameSizeChanged,
@@ -95,11 +95,11 @@ GOLDEN = [
             "hue",
             "square",
             Cause("ud_px2", 130, 81, 1, 81, 81, 1),
-            "least_contribution_per_ms",
+            "min_contribution_per_ms",
             {"hue": 0.5, "motion": 2.0},
         ),
         "frame 9: UD 81 px² < 130 for 1 frame → hue off "
-        "(least contribution per ms 0.50 against motion 2.00); would have stayed on at deactivate ≤ 81",
+        "(min contribution per ms 0.50 against motion 2.00); would have stayed on at deactivate ≤ 81",
     ),
     (
         ON,
@@ -111,9 +111,9 @@ GOLDEN = [
         "(helped most so far: 1.23 nats); would have stayed off at activate ≥ 0.131 × box area (209 px²)",
     ),
     (
-        Activated(30, "1", "motion", "square", Cause("ud_quiet", 2.0, 2.0004, 1, 2.0004, 188.04, 94)),
-        "frame 30: UD 2.0004 × quiet level (188.04 px²) > 2 × quiet level (188 px²) for 1 frame → motion on; "
-        "would have stayed off at activate ≥ 2.01 × quiet level (189 px²)",
+        Activated(30, "1", "motion", "square", Cause("ud_baseline", 2.0, 2.0004, 1, 2.0004, 188.04, 94)),
+        "frame 30: UD 2.0004 × baseline (188.04 px²) > 2 × baseline (188 px²) for 1 frame → motion on; "
+        "would have stayed off at activate ≥ 2.01 × baseline (189 px²)",
     ),
     (Activated(31, "1", "motion", "square", None), "frame 31: no agent was active → motion on"),
     (
@@ -235,13 +235,13 @@ GOLDEN = [
         "→ not used; nothing else was measured near the prediction; would have been used at gate: 1",
     ),
     (
-        SecondPass(41, "1", "adaptive", 4.6123, 2.0, 500, 500, 6.2, 310.4),
+        SecondPass(41, "1", "second_pass", 4.6123, 2.0, 500, 500, 6.2, 310.4),
         "frame 41: KL(posterior, prior) 4.61 nats > 2 → second pass of 500 hypotheses, 6 effective before, "
         "310 after; would have been spared at above_kl ≥ 4.62",
     ),
     (
-        SecondPass(42, "1", "west", 2.0004, 2.0, 500, 1000, 40.0, 700.0),
-        "frame 42: KL(posterior, prior) 2.0004 nats > 2 → second pass of 1000 hypotheses, by west, 40 "
+        SecondPass(42, "1", "iterated", 2.0004, 2.0, 500, 1000, 40.0, 700.0),
+        "frame 42: KL(posterior, prior) 2.0004 nats > 2 → second pass of 1000 hypotheses, by iterated, 40 "
         "effective before, 700 after; would have been spared at above_kl ≥ 2.01",
     ),
     (
@@ -314,13 +314,13 @@ GOLDEN = [
         CandidateConfirmed(3, "2", "square", "gray_level", 3, 1, 1, 0.8214, UNLIKELY),
         "frame 3: gray_level saw it in 1 of 1 look, mean score 0.82 → target 2 is new: it is target 1 with "
         "probability 0.123 < 0.5 (41 frames away -0.14, 235 px off -1.20, looks by color, intensity -0.70 "
-        "nats); would have been target 1 at least_probability ≤ 0.123",
+        "nats); would have been target 1 at min_probability ≤ 0.123",
     ),
     (
         Returned(60, "3", "square", BORN.box, ("color",), LIKELY),
         "frame 60: a detection is target 3 with probability 0.931 ≥ 0.5 (41 frames away -0.14, 35 px off "
         "+2.13, looks by color, intensity +7.40 nats; next a new target, 0.069) → target 3 is back, centre "
-        "270, 190, 40 x 40 px; would have been a new target at least_probability ≥ 0.94",
+        "270, 190, 40 x 40 px; would have been a new target at min_probability ≥ 0.94",
     ),
     (
         Reacquired(60, "3", BORN.box, replace(LIKELY, probability=1.0, rival="1", rival_probability=2e-12)),
@@ -343,8 +343,8 @@ GOLDEN = [
     ),
     (
         BirthsRefused(9, "square", "motion", 20, 20, 31, 12),
-        "frame 9: 20 targets of square live, the most there may be → 12 births refused, 31 so far; would "
-        "have been born at most ≥ 32",
+        "frame 9: 20 targets of square live, the maximum → 12 births refused, 31 so far; would "
+        "have been born at max_targets ≥ 32",
     ),
     (
         DetectorFailed(4, "motion", "raised ValueError: no", 14),
@@ -399,9 +399,9 @@ GOLDEN = [
         "their joint belief is of the tree again",
     ),
     (
-        RivalSeen(50, "1", 80.0, 60.0, 0.9, 1.5, 4.0, 0.3, 250),
-        "frame 50: a rival at 80, 60, 0.9 box sides away, is only 1.5 < 4 nats less likely than the target → "
-        "score at most 0.5 for 250 frames; would not have been one at within_nats ≤ 1.5",
+        DistractorSeen(50, "1", 80.0, 60.0, 0.9, 1.5, 4.0, 0.3, 250),
+        "frame 50: look-alike at 80, 60, 0.9 box sides away, only 1.5 < 4 nats less likely than the target → "
+        "score at most 0.5 for 250 frames; ignored with within_nats ≤ 1.5",
     ),
     (
         ReferenceGuarded(50, "1", "hue", True, -0.31, -1.42, 1.0, 0.05, 0),
@@ -445,7 +445,7 @@ def test_the_target_can_be_named():
 @given(
     level=st.floats(1e-3, 1e5),
     excess=st.lists(st.floats(1e-5, 10), min_size=1, max_size=5),
-    unit=st.sampled_from(["ud_px2", "ud_box", "ud_quiet"]),
+    unit=st.sampled_from(["ud_px2", "ud_box", "ud_baseline"]),
 )
 def test_the_turning_threshold_really_turns(level, excess, unit):
     """At the printed threshold some frame of the streak is no longer above it; at the set one all are."""

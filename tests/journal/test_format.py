@@ -1,4 +1,4 @@
-"""Version 1 of the journal's format keeps every event and field that it ever had."""
+"""No event or field of the journal's format is ever lost; renamed words are read."""
 
 from __future__ import annotations
 
@@ -10,11 +10,20 @@ from typing import Any, get_args
 
 import pytest
 
-from bayesnet_track.journal.codec import JournalError, event_classes, event_name, from_json, type_hints
+from bayesnet_track.journal.codec import (
+    _CAPITAL,
+    JournalError,
+    event_classes,
+    event_name,
+    from_json,
+    type_hints,
+)
 from bayesnet_track.journal.document import words_of
 from bayesnet_track.journal.events.basic import JOURNAL_VERSION
+from bayesnet_track.journal.renamed import EVENTS, FIELDS
 
-FORMAT = Path(__file__).with_name("format_1.json")
+FORMAT = Path(__file__).with_name("format_2.json")
+FORMAT_1 = Path(__file__).with_name("format_1.json")
 
 
 def within(hint: Any) -> Iterator[Any]:
@@ -40,9 +49,18 @@ def described() -> dict[str, dict[str, list[object]]]:
     return found
 
 
-def test_no_event_or_field_is_gone_or_of_another_type_and_added_fields_have_a_default() -> None:
-    assert JOURNAL_VERSION == 1, "pin the new version's format beside this one"
-    then, now = json.loads(FORMAT.read_text()), described()
+def renamed(name: str, before: dict[str, list[object]]) -> dict[str, list[object]]:
+    """The fields of an object of format 1 in today's words."""
+    fields_ = next((new for kind, new in FIELDS.items() if _CAPITAL.sub("_", kind).lower() == name), {})
+    return {fields_.get(field, field): what for field, what in before.items()}
+
+
+@pytest.mark.parametrize("path", [FORMAT_1, FORMAT], ids=lambda path: path.stem)
+def test_no_event_or_field_is_gone_or_of_another_type_and_added_fields_have_a_default(path: Path) -> None:
+    assert JOURNAL_VERSION == 2, "pin the new version's format beside this one"
+    then, now = json.loads(path.read_text()), described()
+    if path == FORMAT_1:
+        then = {EVENTS.get(name, name): renamed(name, object_) for name, object_ in then.items()}
     assert then.keys() <= now.keys()
     for name, before in then.items():
         after = now[name]
@@ -54,8 +72,8 @@ def test_no_event_or_field_is_gone_or_of_another_type_and_added_fields_have_a_de
 
 
 def test_a_journal_of_a_later_format_is_refused_with_the_version_that_wrote_it() -> None:
-    line = json.dumps({"event": "run_started", "journal": 2, "versions": {"bayesnet-track": "7.5"}, "x": 1})
-    with pytest.raises(JournalError, match=r"format 2 of journals.*up to 1.*bayesnet-track 7\.5"):
+    line = json.dumps({"event": "run_started", "journal": 3, "versions": {"bayesnet-track": "7.5"}, "x": 1})
+    with pytest.raises(JournalError, match=r"format 3 of journals.*up to 2.*bayesnet-track 7\.5"):
         from_json(line)
 
 

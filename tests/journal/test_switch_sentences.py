@@ -35,10 +35,10 @@ GOLDEN = [
         "(never tried against color never tried either); would have stayed off at share ≤ 0.8996",
     ),
     (
-        Deactivated(40, "1", "motion", "square", SURE, "least_information_per_ms", INDEX),
+        Deactivated(40, "1", "motion", "square", SURE, "min_information_per_ms", INDEX),
         "frame 40: 97.1 % within 10.2 px of the mode, of 214 effective hypotheses: at 95 % "
         "confidence at least "
-        "0.945 lies there, ≥ 0.9 for 6 frames → motion off (least information per ms 0.12 against "
+        "0.945 lies there, ≥ 0.9 for 6 frames → motion off (min information per ms 0.12 against "
         "color 0.40); "
         "would have stayed on at share > 0.932",
     ),

@@ -53,7 +53,7 @@ def found(tmp_path):
 
 def test_a_run_by_detections_from_a_file(pictures, found, tmp_path):
     """Nobody is there at first; every output is written all the same, and the journal names the file."""
-    graph = graph_by("detections", confirm={"looks": 2, "of": 2})
+    graph = graph_by("detections", confirm={"hits": 2, "of": 2})
     out = tmp_path / "run"
     results = list(track(graph, str(pictures), out=out, detections=found, video=True))
     assert [len(result.targets) for result in results] == [0, 0, 0, 1, 1, 1, 1, 1]
@@ -84,7 +84,7 @@ def test_graph_and_file_have_to_go_together(pictures, found):
 
 
 def test_a_tracker_without_a_box():
-    tracker = Tracker(graph_by({"gray_level": {"min_area_px": 100}}, confirm={"looks": 1, "of": 1}))
+    tracker = Tracker(graph_by({"gray_level": {"min_area_px": 100}}, confirm={"hits": 1, "of": 1}))
     empty = np.full((90, 120, 3), 40, np.uint8)
     there = empty.copy()
     there[30:50, 50:70] = 220

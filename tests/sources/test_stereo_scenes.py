@@ -35,12 +35,12 @@ def inside(scene, index, inset=5):
 def test_correlation_finds_the_true_disparity_as_semi_global_matching_does(scene, index):
     """On the textured person both are within 1 px nearly everywhere; elsewhere borders hide from one eye."""
     person = inside(scene, index)
-    for matcher, least_dense, least_right in ((Correlation(), 0.45, 0.9), (SemiGlobal(), 0.85, 0.9)):
+    for matcher, min_dense, min_right in ((Correlation(), 0.45, 0.9), (SemiGlobal(), 0.85, 0.9)):
         found, true = disparity(scene, index, matcher)
         near = np.abs(found - true) <= 1.0
         known = np.isfinite(found)
         assert known[person].mean() > 0.9 and near[known & person].mean() > 0.99
-        assert known.mean() > least_dense and near[known].mean() > least_right
+        assert known.mean() > min_dense and near[known].mean() > min_right
         assert np.nanmedian(np.abs(found - true)[person]) < 0.35
 
 

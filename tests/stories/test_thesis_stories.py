@@ -64,7 +64,7 @@ def test_color_fusion_tells_its_story_in_most_seeds(stories: Any) -> None:
 def test_color_fusion_finds_the_square_again_behind_an_occluder() -> None:
     """It did in 24 of 24 runs; with a share of 0.95 fewer than 9 of 12 have a probability of 0.2 %.
 
-    Seeds of neither the choice of `recover` (100 to 135) nor the report (0 to 23).
+    Seeds of neither the choice of `relocalize` (100 to 135) nor the report (0 to 23).
     """
     again = 0
     for seed in range(200, 212):

@@ -65,7 +65,7 @@ def test_uncertainty_with_switches_levels_and_loss(run):
 def test_a_level_in_other_units_is_drawn_in_px2(run):
     scales = ((9, 100.0), (15, 80.0))
     run.events[1:] = [
-        Activated(at, "1", "motion", "root", Cause("ud_quiet", 2.0, 2.1, 1, 2.1, 2.1 * scale, scale))
+        Activated(at, "1", "motion", "root", Cause("ud_baseline", 2.0, 2.1, 1, 2.1, 2.1 * scale, scale))
         for at, scale in scales
     ]
     ax = Axis()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import Ancestors, Motion
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.noise import Transition
-from bayesnet_track.graph.settings.motion import KeepSize
+from bayesnet_track.graph.settings.motion import SizeReversion
 
 Floats = NDArray[np.float64]
 
@@ -154,7 +154,7 @@ class SizeShift:
         return found
 
 
-def size_kept(motion: KinematicMotion, settings: KeepSize, first: Floats, dt: float) -> Carried:
+def size_kept(motion: KinematicMotion, settings: SizeReversion, first: Floats, dt: float) -> Carried:
     """The motion with log size an Ornstein-Uhlenbeck process around the size (2,) `first`, over `dt`.
 
     With the noise's sd s per frame interval and the sd S in the long run, the rate is k = s^2 / (2 S^2), and

@@ -118,7 +118,7 @@ class KinematicMotion:
         """F and Q, each (D, D): new = F old + noise of covariance Q, at the state (D,).
 
         F is exact. Q is exact for noise in px; relative noise is taken at the state's own size after the
-        drift, noise of log w and log h to first order, and `wide` by its total variance.
+        drift, noise of log w and log h to first order, and `heavy_tail` by its total variance.
         """
         transition, covariance = _kinematics(self, dt)
         box = (transition @ state)[None, :4]
@@ -228,7 +228,7 @@ def linear_gaussian(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]
         ValueError: the noise depends on the state (sd_box, sd_log) or is not Gaussian (wide).
     """
     noise = motion.noise
-    if noise.sd_box != spec.BoxSd() or is_log(noise) or noise.wide is not None:
+    if noise.sd_box != spec.BoxSd() or is_log(noise) or noise.heavy_tail is not None:
         raise ValueError("only noise in px makes a linear-Gaussian motion")
     return motion.linearise(np.ones(len(motion.fields)), dt)
 

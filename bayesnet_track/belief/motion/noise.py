@@ -57,9 +57,9 @@ class Transition:
 def sample_noise(noise: Noise, boxes: Floats, rng: np.random.Generator, dt: float = 1.0) -> Floats:
     """(N, 4) centre boxes with the noise of `dt` frame intervals added; widths and heights at least 1 px.
 
-    Relative sds refer to the sizes before. The share of `noise.wide`, rounded to a whole number of boxes
-    drawn at random, takes its position noise times the factor. Changes of size by `sd_log` are cut at 10 %
-    per frame interval.
+    Relative sds refer to the sizes before. The share of `noise.heavy_tail`, rounded to a whole number of
+    boxes drawn at random, takes its position noise times the factor. Changes of size by `sd_log` are cut at
+    10 % per frame interval.
     """
     new = boxes.copy()
     add_noise(noise, new, rng, dt)
@@ -71,9 +71,9 @@ def add_noise(noise: Noise, boxes: Floats, rng: np.random.Generator, dt: float =
     keep = noisy(noise)
     if any(keep[:2]):
         steps = np.sqrt(position_variance(noise, boxes, dt)) * rng.standard_normal((len(boxes), 2))
-        if noise.wide is not None:
-            wide = rng.permutation(len(boxes))[: round(noise.wide.share * len(boxes))]
-            steps[wide] *= noise.wide.factor
+        if noise.heavy_tail is not None:
+            wide = rng.permutation(len(boxes))[: round(noise.heavy_tail.weight * len(boxes))]
+            steps[wide] *= noise.heavy_tail.factor
         boxes[:, :2] += steps
     if any(keep[2:]):
         steps = size_sd(noise, boxes, dt) * rng.standard_normal((len(boxes), 2))
@@ -155,18 +155,18 @@ def boxes_at(noise: Noise, points: Floats) -> Floats:
 
 
 def component_variances(noise: Noise, old: Floats, dt: float) -> Floats:
-    """(C, N, 4) variances of the coordinates around boxes (N, 4): C = 2 with `wide`, else 1."""
+    """(C, N, 4) variances of the coordinates around boxes (N, 4): C = 2 with `heavy_tail`, else 1."""
     narrow = np.concatenate([position_variance(noise, old, dt), size_sd(noise, old, dt) ** 2], axis=1)
-    if noise.wide is None:
+    if noise.heavy_tail is None:
         return narrow[None]
-    factor = noise.wide.factor**2
+    factor = noise.heavy_tail.factor**2
     return np.stack([narrow, narrow * np.array([factor, factor, 1.0, 1.0])])
 
 
 def component_log_shares(noise: Noise) -> Floats:
     """(C,) log-weights of the components."""
-    wide = noise.wide
-    return np.zeros(1) if wide is None else np.log([1.0 - wide.share, wide.share])
+    tail = noise.heavy_tail
+    return np.zeros(1) if tail is None else np.log([1.0 - tail.weight, tail.weight])
 
 
 def position_variance(noise: Noise, boxes: Floats, dt: float) -> Floats:

@@ -16,7 +16,12 @@ from bayesnet_track.belief.particles.particle_set import Inputs
 from bayesnet_track.belief.particles.passes import Pass, joined, prior_of
 from bayesnet_track.belief.particles.proposals import Both, inside, log_sum, mixed, reweighted
 from bayesnet_track.belief.states import hypotheses_of
-from bayesnet_track.graph.settings.proposals import Auxiliary, LikelihoodMixture, Rejection, West
+from bayesnet_track.graph.settings.proposals import (
+    Auxiliary,
+    IteratedProposal,
+    LikelihoodMixture,
+    PriorEditing,
+)
 from bayesnet_track.numerics.gaussian import weighted_moments
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import systematic
@@ -61,7 +66,7 @@ def auxiliary_pass(inputs: Inputs, size: int, settings: Auxiliary) -> Pass:
 # ------------------------------------------------------------------------------------ prior editing
 
 
-def edited(inputs: Inputs, first: Pass, settings: Rejection) -> Pass:
+def edited(inputs: Inputs, first: Pass, settings: PriorEditing) -> Pass:
     """Prior editing: hypotheses kept with probability min(1, L / c), their weight divided by it.
 
     All rounds are drawn, so that their number depends on nothing, and c_i is a share of the largest
@@ -110,7 +115,7 @@ def selected(one: Pass, index: Ancestors) -> Pass:
 # ------------------------------------------------------------------------------------ by kernels
 
 
-def refined(inputs: Inputs, first: Pass, settings: West) -> Both | None:
+def refined(inputs: Inputs, first: Pass, settings: IteratedProposal) -> Both | None:
     """West's adaptive mixture: each refinement draws from kernels around all hypotheses so far.
 
     All are weighted by the mixture of what they could have been drawn from, 1 / (n + sum m_r r_r(x)), where

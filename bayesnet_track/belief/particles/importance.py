@@ -16,7 +16,13 @@ from bayesnet_track.belief.particles.passes import Pass
 from bayesnet_track.belief.particles.proposals import Both, fitted_draws, log_sum, parent_draws, taken
 from bayesnet_track.belief.particles.sample_size import Sized
 from bayesnet_track.graph import spec
-from bayesnet_track.graph.settings.proposals import Adaptive, Auxiliary, LikelihoodMixture, Rejection, West
+from bayesnet_track.graph.settings.proposals import (
+    Auxiliary,
+    IteratedProposal,
+    LikelihoodMixture,
+    PriorEditing,
+    SecondPassProposal,
+)
 from bayesnet_track.journal.events.belief_events import SecondPass
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
@@ -43,20 +49,20 @@ class Drawn:
 
 def drawn(settings: spec.Particles, inputs: Inputs) -> Drawn:
     """The hypotheses of a frame, by the importance function that the settings choose."""
-    chosen = settings.importance.settings
+    chosen = settings.proposal.settings
     match chosen:
         case Auxiliary():
             return Drawn(auxiliary_pass(inputs, start_size(settings), chosen))
         case LikelihoodMixture():
             return Drawn(mixture_pass(inputs, start_size(settings), chosen))
-        case Adaptive() | West():
+        case SecondPassProposal() | IteratedProposal():
             first = first_pass(settings, inputs, partial(_is_surprise, chosen.above_kl))
             twice = _twice(inputs, first, chosen)
             if len(twice.whole) == len(first.one):
                 return twice
             return replace(twice, sized=resized_by(settings, inputs, twice.whole, first.sized))
     first = first_pass(settings, inputs)
-    if isinstance(chosen, Rejection):
+    if isinstance(chosen, PriorEditing):
         return Drawn(edited(inputs, first.one, chosen), first.sized, first.reports)
     return Drawn(first.one, first.sized, first.reports)
 
@@ -79,7 +85,7 @@ def _is_surprise(above_kl: float, prior_log: Floats, log_likelihood: Floats) -> 
     return above_kl == 0 or surprise(prior_log, log_likelihood) > above_kl
 
 
-def _twice(inputs: Inputs, first: First, settings: Adaptive | West) -> Drawn:
+def _twice(inputs: Inputs, first: First, settings: SecondPassProposal | IteratedProposal) -> Drawn:
     """The first pass, and a second one where the first is a surprise.
 
     The frame's evidence is unbiased although the first pass decides on the second: each half of the first
@@ -110,8 +116,8 @@ def _twice(inputs: Inputs, first: First, settings: Adaptive | West) -> Drawn:
     return Drawn(both.whole, first.sized, reports, log_evidence)
 
 
-def _second(inputs: Inputs, first: Pass, settings: Adaptive | West) -> Both | None:
-    if isinstance(settings, West):
+def _second(inputs: Inputs, first: Pass, settings: SecondPassProposal | IteratedProposal) -> Both | None:
+    if isinstance(settings, IteratedProposal):
         return refined(inputs, first, settings)
     draws = fitted_draws(inputs, first, settings) if settings.by == "fitted" else None
     draws = parent_draws(inputs, first, settings) if draws is None else draws
@@ -130,10 +136,10 @@ def _weighted(log_first: float, log_second: float, share: float) -> float:
         return float(np.logaddexp(np.log(share) + log_first, np.log1p(-share) + log_second))
 
 
-def _report(first: Pass, both: Both, settings: Adaptive | West, found: float) -> Report:
+def _report(first: Pass, both: Both, settings: SecondPassProposal | IteratedProposal, found: float) -> Report:
     before, after = _ess(first), _ess(both.whole)
     particles = len(both.whole) - len(first) or len(first)
-    method = "west" if isinstance(settings, West) else "adaptive"
+    method = "iterated" if isinstance(settings, IteratedProposal) else "second_pass"
     return lambda frame, target: SecondPass(
         frame=frame,
         target=target,

@@ -23,7 +23,7 @@ from bayesnet_track.belief.particles.fitted import (
 )
 from bayesnet_track.belief.particles.particle_set import Inputs
 from bayesnet_track.belief.particles.passes import Pass, joined, prior_of
-from bayesnet_track.graph.settings.proposals import Adaptive
+from bayesnet_track.graph.settings.proposals import SecondPassProposal
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.resampling import systematic
 
@@ -110,7 +110,7 @@ def log_sum(log: Floats) -> float:
 # ------------------------------------------------------------------------------------ by a fitted Gaussian
 
 
-def fitted_draws(inputs: Inputs, first: Pass, settings: Adaptive) -> Draws | None:
+def fitted_draws(inputs: Inputs, first: Pass, settings: SecondPassProposal) -> Draws | None:
     """Parents and states by the motion times a Gaussian likelihood that the first pass is fitted with.
 
     Pairs (parent, state) are drawn from beta_k p(x | k) G(x), normalised in closed form, over all hypotheses
@@ -172,7 +172,7 @@ def mixed(log_ratio: Floats, defensive: float) -> Floats:
 # ------------------------------------------------------------------------------------ by the parents
 
 
-def parent_draws(inputs: Inputs, first: Pass, settings: Adaptive) -> Draws:
+def parent_draws(inputs: Inputs, first: Pass, settings: SecondPassProposal) -> Draws:
     """Importance resampling: parents of hypotheses that did well, moved again (eqs. 5.23-5.26, corrected).
 
     j is drawn by v' among the parents of the first pass, each as often as it was drawn there, and weighted by

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from bayesnet_track.evaluate.witness import Witness
     from bayesnet_track.graph.checked import CheckedGraph
 
-WHAT = ("score", "slack", "lost", "ud", "temperature", "sds", "policy")
+WHAT = ("score", "localization_error", "lost", "ud", "temperature", "sds", "policy")
 BEFORE = ("sds", "policy")
 """What changes the tracking, and is fitted before the rest."""
 
@@ -110,17 +110,21 @@ def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[
         said = f"67 % of the frames on target lie below, at most 50 % of those off it; {from_what}"
         put(("learn", "below"), {"ud_box": _short(fitted.ud_box["learn"])}, said)
     if "score" in what:
-        others = {} if spec.score is None else {"memory": _short(spec.score.settings.memory)}
+        others = {} if spec.score is None else {"memory_frames": _short(spec.score.settings.memory_frames)}
         if spec.score is not None and spec.score.settings.full_fit > 0:
             others["full_fit"] = _short(spec.score.settings.full_fit)
         values = {name: _short(value) for name, value in fitted.logistic.items() if value or name == "bias"}
         put(("score",), {"logistic": {**values, **others}}, f"probability of IoU > 0.5; {from_what}")
-    if "slack" in what:
-        sd, lost_sd = (_short(value) for value in fitted.slack)
-        put(("slack",), {"sd_box": sd, "lost_sd_box": lost_sd}, f"regions hold 50 % and 90 %; {from_what}")
+    if "localization_error" in what:
+        sd, lost_sd = (_short(value) for value in fitted.localization_error)
+        put(
+            ("localization_error",),
+            {"sd_box": sd, "lost_sd_box": lost_sd},
+            f"regions hold 50 % and 90 %; {from_what}",
+        )
     if "lost" in what and "score" in what:
-        # A rival puts the score at one half, which has to count as uncertain.
-        least = 0.0 if spec.rivals is None else 0.51
+        # A distractor puts the score at one half, which has to count as uncertain.
+        least = 0.0 if spec.distractors is None else 0.51
         levels = {
             "score_below": _short(fitted.levels.score_below),
             "uncertain_below": _short(max(fitted.levels.uncertain_below, least)),
@@ -218,9 +222,10 @@ def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
     )
     fit.add_argument(
         "--what",
-        default="score,slack,lost",
+        default="score,localization_error,lost",
         metavar="LIST",
-        help="of score, slack, lost, ud, temperature, sds, policy (default score,slack,lost)",
+        help="of score, localization_error, lost, ud, temperature, sds, policy (default "
+        "score,localization_error,lost)",
     )
     fit.add_argument(
         "--features",

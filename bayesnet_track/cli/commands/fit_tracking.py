@@ -110,14 +110,14 @@ def write_policy(text: str, graph: CheckedGraph, policy: Policy, comment: str = 
     kind, where = adapt.activate.above.kind, ("targets", name, "nodes", plate.root, "adapt")
     text = set_value(text, (*where, "activate", "above"), {kind: policy.activate}, comment)
     text = set_value(text, (*where, "deactivate", "below"), {kind: policy.deactivate}, comment)
-    if policy.glance is not None:
-        text = set_value(text, (*where, "deactivate", "glance"), policy.glance, comment)
+    if policy.sample_every is not None:
+        text = set_value(text, (*where, "deactivate", "sample_every"), policy.sample_every, comment)
     return text
 
 
 def _told(policy: Policy) -> str:
-    glance = "" if policy.glance is None else f", glance {policy.glance}"
-    return f"on above {policy.activate:g}, off below {policy.deactivate:g}{glance}"
+    sample_every = "" if policy.sample_every is None else f", sample_every {policy.sample_every}"
+    return f"on above {policy.activate:g}, off below {policy.deactivate:g}{sample_every}"
 
 
 def _summary(chosen: Chosen) -> str:

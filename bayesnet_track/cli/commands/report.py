@@ -100,11 +100,11 @@ def _graph(directory: RunDirectory) -> CheckedGraph | None:
     """The run's graph, whose cues are not run; None, with a notice, where it cannot be read."""
     from bayesnet_track.graph.checks.run import check, cues_named
     from bayesnet_track.graph.text.messages import GraphError
-    from bayesnet_track.graph.text.read import read_graph
+    from bayesnet_track.graph.text.recorded import read_recorded
     from bayesnet_track.observation.cue import stand_ins
 
     try:
-        spec, at = read_graph(directory.graph)
+        spec, at = read_recorded(directory.graph)
         return check(spec, at, stand_ins(cues_named(spec)))
     except (GraphError, OSError) as error:
         complain(f"{directory.graph}: the page shows no net: {error}")

@@ -70,11 +70,11 @@ def chosen_events(events: Sequence[Event], options: argparse.Namespace) -> list[
 def _check_node(directory: RunDirectory, node: str | None) -> None:
     """Refuse a node that the run's graph does not have."""
     from bayesnet_track.graph.text.messages import nearest
-    from bayesnet_track.graph.text.read import read_graph
+    from bayesnet_track.graph.text.recorded import read_recorded
 
     if node is None or not directory.graph.is_file():
         return
-    names = [name for target in read_graph(directory.graph)[0].targets.values() for name in target.nodes]
+    names = [name for target in read_recorded(directory.graph)[0].targets.values() for name in target.nodes]
     if node not in names:
         close = nearest(node, names)
         near = f"; nearest: {close}" if close else ""

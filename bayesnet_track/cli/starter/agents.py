@@ -118,7 +118,7 @@ def _detections(task: Task) -> Lines:
         "whose a detection is."
     )
     looks = 0.5 if len(task.apart) > 1 else 0
-    return _agent("seen", f"{{detection: {{sd_place: 0.06, sd_size: 0.06, looks: {looks}}}}}", comment)
+    return _agent("seen", f"{{detection: {{sd_place: 0.06, sd_size: 0.06, appearance: {looks}}}}}", comment)
 
 
 _AGENTS: Mapping[str, Callable[[Task], Lines]] = {
@@ -140,11 +140,11 @@ def birth_of(task: Task) -> Lines:
     inside = (
         *key(f"detector: {detector}", comment),
         *key(
-            "confirm: {looks: 3, of: 4}",
+            "confirm: {hits: 3, of: 4}",
             "Seen in so many of the last looks it becomes a target; raise both "
             "against false ones, lower both for things that pass quickly.",
         ),
-        *key(f"most: {most}", "Targets at the same time, at most."),
+        *key(f"max_targets: {most}", "Targets at the same time, at most."),
     )
     return (
         *key("birth:", "New targets: what the detector finds, and no target claims.", inside),
@@ -153,7 +153,7 @@ def birth_of(task: Task) -> Lines:
             "A target that is lost for so many frames ends; raise it if targets are hidden for longer.",
         ),
         *key(
-            "recall: {frames: 300}",
+            "reidentify: {frames: 300}",
             "Who comes back within so many frames, and looks like it used to, gets its old number again.",
         ),
     )

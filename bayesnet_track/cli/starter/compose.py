@@ -106,7 +106,7 @@ def _motion(task: Task) -> Lines:
     )
     if task.belief == "particles" and task.speed != "slow":
         inside += key(
-            "wide: {share: 0.3, factor: 4}",
+            "heavy_tail: {weight: 0.3, factor: 4}",
             "Some hypotheses look this many times as far. Leave it out for something that never leaps.",
         )
     if task.belief != "grid" or "size" in task.hard:
@@ -118,7 +118,7 @@ def _motion(task: Task) -> Lines:
     if task.belief != "grid":
         sd = 0.7 if "size" in task.hard else 0.15
         inside += key(
-            f"keep_size: {{sd_scale: {sd}}}",
+            f"size_reversion: {{sd_scale: {sd}}}",
             "Draws the size back to that of the first box, so that it "
             "cannot shrink away: how far, in logarithms, it may be in the long run.",
         )
@@ -128,7 +128,7 @@ def _motion(task: Task) -> Lines:
         inside += _CAMERA
     if task.belief == "particles" and "occlusion" in task.hard:
         inside += key(
-            "recover: {share: 0.1, above: {ud_box: 0.5}}",
+            "relocalize: {share: 0.1, above: {ud_box: 0.5}}",
             "While it is unsure, some hypotheses look all over "
             "the picture, where the agents see something alike. Leave it out where others look the same.",
         )
@@ -200,13 +200,13 @@ def _adapt(task: Task) -> Lines:
                 "activate: {above: {ud_box: 0.06}}",
                 "On when UD is above this share of the box's area. Lower it if help comes too late; each "
                 "sentence of the log says at which level a decision would not have been taken. "
-                "`{ud_quiet: 2}` is twice the level that is measured while all is well.",
+                "`{ud_baseline: 2}` is twice the level that is measured while all is well.",
             ),
             *key(
-                "deactivate: {below: {ud_box: 0.05}, frames: 3, drop: dearest_dispensable}",
+                "deactivate: {below: {ud_box: 0.05}, frames: 3, drop: most_expensive_redundant}",
                 "One off when UD is below that for so many frames; leave a gap to the level above, and raise "
-                "both if all agents work all the time. `dearest_dispensable` drops the dearest one without "
-                "which UD would stay low, `largest_kl` the one that agrees least.",
+                "both if all agents work all the time. `most_expensive_redundant` drops the most expensive "
+                "one without which UD would stay low, `largest_kl` the one that agrees least.",
             ),
             *keep,
         ),

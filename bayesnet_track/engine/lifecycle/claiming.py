@@ -1,8 +1,9 @@
 """Give targets their detections before they are weighed, for plates whose agents measure by them.
 
 The detectors look, every target's belief is predicted, and the targets of a plate share its detections out:
-as many as can be, the best for all together by where each target is expected and, where the agent's `looks`
-ask for it, by what the target looks like. What nobody gets is left to the life of targets (`population`).
+as many as can be, the best for all together by where each target is expected and, where the agent's
+`appearance` asks for it, by what the target looks like. What nobody gets is left to the life of targets
+(`population`).
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ TESTED = 32
 """Detections, the best, that are compared with remembered targets in a frame: bounds the time it takes."""
 
 REMEMBERED = 4
-"""Dead targets that are remembered, in multiples of `birth.most`."""
+"""Dead targets that are remembered, in multiples of `birth.max_targets`."""
 
 
 def live(
@@ -117,7 +117,7 @@ class _Nursery:
 
 def _give_birth(now: _Nursery, found: Found, owners: tuple[str | None, ...] | None) -> None:
     """What becomes of a plate's detections; `owners` says whose each is where they were given before."""
-    people, apart, covered = now.people, now.birth.apart_box, now.birth.covered
+    people, apart, covered = now.people, now.birth.min_distance_box, now.birth.max_overlap
     held = people.held(now.plate)
     if owners is None:
         sd = np.array([_sd_px(people.targets[target]) for target in held])
@@ -146,11 +146,11 @@ def _give_birth(now: _Nursery, found: Found, owners: tuple[str | None, ...] | No
 
 def _find_lost(now: _Nursery, found: Found, seen: Sequence[str]) -> Floats:
     """Lost targets whose looks a free detection has start again there: (K, 4) where; not those `seen`."""
-    people, recall = now.people, now.rule.recall
+    people, reidentify = now.people, now.rule.reidentify
     held = {*people.held(now.plate), *seen}
     lost = [target for target in people.of_plate(now.plate) if target not in held]
     places = np.empty((0, 4))
-    if recall is None or not recall.lost or not lost:
+    if reidentify is None or not reidentify.lost or not lost:
         return places
     boxes = found.boxes[:TESTED]
     known = [_identity(people, target, now.plate) for target in lost]
@@ -170,7 +170,7 @@ def _find_lost(now: _Nursery, found: Found, seen: Sequence[str]) -> Floats:
 
 def _bear(now: _Nursery, ready: Sequence[Candidate], found: Found) -> list[Candidate]:
     """Confirmed candidates become targets, the best first, while there is room; those that are done with."""
-    people, most = now.people, now.birth.most
+    people, most = now.people, now.birth.max_targets
     dead = [one for one in people.life.dead if one.template == now.plate]
     boxes = np.array([one.box for one in ready[:TESTED]]).reshape(-1, 4)
     nearest = {one.detection: one for one in _matches(now, dead, boxes, found.boxes)}
@@ -178,7 +178,7 @@ def _bear(now: _Nursery, ready: Sequence[Candidate], found: Found) -> list[Candi
     refused = 0
     for number, candidate in enumerate(ready):
         others = people.boxes(people.held(now.plate))
-        if alike(candidate.box[None], others, now.birth.apart_box, now.birth.covered).any():
+        if alike(candidate.box[None], others, now.birth.min_distance_box, now.birth.max_overlap).any():
             taken.append(candidate)
         elif len(people.of_plate(now.plate)) >= most:
             refused += 1
@@ -238,7 +238,13 @@ def _refuse(now: _Nursery, waiting: int) -> None:
         detector = now.birth.detector.detector
         people.events.append(
             BirthsRefused(
-                now.frame.index, now.plate, detector, live_ones, now.birth.most, before + waiting, waiting
+                now.frame.index,
+                now.plate,
+                detector,
+                live_ones,
+                now.birth.max_targets,
+                before + waiting,
+                waiting,
             )
         )
 
@@ -247,12 +253,12 @@ def _matches(
     now: _Nursery, known: Sequence[Identity], boxes: Floats, detections: Floats
 ) -> tuple[Match, ...]:
     """Which of the boxes (M, 4) are which of the known targets."""
-    recall = now.rule.recall
-    if recall is None or not known or not len(boxes):
+    reidentify = now.rule.reidentify
+    if reidentify is None or not known or not len(boxes):
         return ()
     others = np.concatenate([now.people.boxes(now.people.held(now.plate)), detections[:TESTED]])
-    asked = partial(compare, now.engine, now.plate, recall, now.frame, now.cache, boxes, others)
-    return match([asked(one) for one in known], len(boxes), recall)
+    asked = partial(compare, now.engine, now.plate, reidentify, now.frame, now.cache, boxes, others)
+    return match([asked(one) for one in known], len(boxes), reidentify)
 
 
 # ------------------------------------------------------------------------------------ ends
@@ -260,7 +266,7 @@ def _matches(
 
 def _end_duplicates(people: Population, plate: str, rule: LifeRules, frame: Frame) -> None:
     """The younger of two nets whose beliefs hold one object ends; joined ones are known to be two."""
-    if rule.duplicates is None:
+    if rule.merge_duplicates is None:
         return
     held = people.held(plate)
     beliefs = {t: (people.targets[t].belief.mean, people.targets[t].belief.covariance) for t in held}
@@ -268,14 +274,19 @@ def _end_duplicates(people: Population, plate: str, rule: LifeRules, frame: Fram
     others = {
         pair: s for pair, s in people.life.overlaps.items() if not set(pair) & set(people.of_plate(plate))
     }
-    streaks = overlapping(beliefs, since, people.life.overlaps, rule.duplicates)
+    streaks = overlapping(beliefs, since, people.life.overlaps, rule.merge_duplicates)
     joined = {frozenset(pair) for pair in people.net.joins}
     streaks = {pair: streak for pair, streak in streaks.items() if frozenset(pair) not in joined}
     for (younger, older), streak in list(streaks.items()):
         both = younger in people.targets and older in people.targets
-        if both and len(streak) >= rule.duplicates.frames:
+        if both and len(streak) >= rule.merge_duplicates.frames:
             ended = DuplicateEnded(
-                frame.index, younger, older, min(streak), rule.duplicates.overlap, rule.duplicates.frames
+                frame.index,
+                younger,
+                older,
+                min(streak),
+                rule.merge_duplicates.overlap,
+                rule.merge_duplicates.frames,
             )
             _end(people, ended)
     left = {pair: streak for pair, streak in streaks.items() if set(pair) <= set(people.targets)}
@@ -287,13 +298,15 @@ def _end_lost(engine: Engine, people: Population, plate: str, rule: LifeRules, f
     for target in people.of_plate(plate) if rule.death is not None else []:
         why = time_to_die(people.life.lifelines[target], rule.death) if rule.death is not None else None
         if why is not None:
-            if rule.recall is not None:
+            if rule.reidentify is not None:
                 people.life = replace(people.life, dead=(*people.life.dead, _identity(people, target, plate)))
-            _end(people, TargetDied(frame.index, target, *why, remembered=rule.recall is not None))
-    if rule.recall is not None and rule.birth is not None:
+            _end(people, TargetDied(frame.index, target, *why, remembered=rule.reidentify is not None))
+    if rule.reidentify is not None and rule.birth is not None:
         own = [one for one in people.life.dead if one.template == plate]
-        kept = [one for one in own if frame.time - one.time <= rule.recall.frames]
-        gone = {one.target for one in own} - {one.target for one in kept[-REMEMBERED * rule.birth.most :]}
+        kept = [one for one in own if frame.time - one.time <= rule.reidentify.frames]
+        gone = {one.target for one in own} - {
+            one.target for one in kept[-REMEMBERED * rule.birth.max_targets :]
+        }
         people.life = replace(
             people.life, dead=tuple(one for one in people.life.dead if one.target not in gone)
         )

@@ -11,7 +11,7 @@ from bayesnet_track.adapt.lifecycle import Identity
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.lifecycle.recognise import Compared, elsewhere, looks, placed
-from bayesnet_track.graph.settings.lifecycle import Recall
+from bayesnet_track.graph.settings.lifecycle import Reidentify
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.observation.cue import Hypotheses
@@ -26,7 +26,7 @@ LEAST_LOG = -700.0
 def compare(
     engine: Engine,
     plate: str,
-    rule: Recall,
+    rule: Reidentify,
     frame: Frame,
     cache: PlaneCache,
     boxes: Floats,

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.lifecycle import Identity
 from bayesnet_track.belief.contract import Motion
-from bayesnet_track.graph.settings.lifecycle import Recall
+from bayesnet_track.graph.settings.lifecycle import Reidentify
 from bayesnet_track.journal.net.life_decisions import Recognition
 from bayesnet_track.numerics.boxes import overlap
 
@@ -85,11 +85,11 @@ class Match:
     @property
     def is_sure(self) -> bool:
         """True when it is probable enough."""
-        return self.recognition.probability >= self.recognition.least_probability
+        return self.recognition.probability >= self.recognition.min_probability
 
 
 def placed(
-    identity: Identity, motion: Motion, boxes: Floats, time: float, area_px2: float, rule: Recall
+    identity: Identity, motion: Motion, boxes: Floats, time: float, area_px2: float, rule: Reidentify
 ) -> tuple[float, Floats, Floats]:
     """log g, (M,) log(A p_k) and (M,) distances in px of centre boxes (M, 4) for a target at `time`."""
     dt = max(time - identity.time, 1e-9)
@@ -131,7 +131,7 @@ def looks(boxes: Floats, log_l: Floats, groups: Sequence[tuple[Floats, Floats]])
     return result
 
 
-def match(compared: Sequence[Compared], detections: int, rule: Recall) -> tuple[Match, ...]:
+def match(compared: Sequence[Compared], detections: int, rule: Reidentify) -> tuple[Match, ...]:
     """Each detection's most probable target, one to one: the best odds of all first, then of what is left.
 
     A pair that is not sure takes nothing away from others. Detections for which no target is left, or all of
@@ -157,7 +157,7 @@ def match(compared: Sequence[Compared], detections: int, rule: Recall) -> tuple[
 
 
 def _recognition(
-    compared: Sequence[Compared], rows: Sequence[int], shares: Floats, best: int, m: int, rule: Recall
+    compared: Sequence[Compared], rows: Sequence[int], shares: Floats, best: int, m: int, rule: Reidentify
 ) -> Recognition:
     one = compared[rows[best]]
     rivals = {compared[row].identity.target: float(shares[i]) for i, row in enumerate(rows) if i != best}
@@ -166,7 +166,7 @@ def _recognition(
     return Recognition(
         target=one.identity.target,
         probability=float(shares[best]),
-        least_probability=rule.least_probability,
+        min_probability=rule.min_probability,
         away=one.away,
         distance_px=float(one.distance_px[m]),
         fading=one.fading,

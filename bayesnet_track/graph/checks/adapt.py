@@ -48,25 +48,27 @@ def information_has_effect(plate: Plate) -> Iterator[GraphMessage]:
         if adapt is None or adapt.information == Information():
             continue
         on = adapt.activate is not None and adapt.activate.which == "information_per_ms"
-        off = adapt.deactivate is not None and adapt.deactivate.drop == "least_information_per_ms"
+        off = adapt.deactivate is not None and adapt.deactivate.drop == "min_information_per_ms"
         if not on and not off:
-            allowed = "which: information_per_ms, drop: least_information_per_ms, or no such key"
+            allowed = "which: information_per_ms, drop: min_information_per_ms, or no such key"
             found = "information has no effect: no rule here goes by it"
             yield plate.message(name, found, allowed, key=("adapt", "information"), on_key=True)
-        elif not on and adapt.information.explore != Information().explore:
-            key = ("adapt", "information", "explore")
-            found = "explore has no effect: only which: information_per_ms hopes for the unknown"
-            yield plate.message(name, found, "which: information_per_ms, or no explore", key=key, on_key=True)
+        elif not on and adapt.information.exploration != Information().exploration:
+            key = ("adapt", "information", "exploration")
+            found = "exploration has no effect: only which: information_per_ms hopes for the unknown"
+            yield plate.message(
+                name, found, "which: information_per_ms, or no exploration", key=key, on_key=True
+            )
 
 
 def dispensable_by_levels(plate: Plate) -> Iterator[GraphMessage]:
     """What can be spared is told by levels of UD, not by tests."""
     for name, node in plate.inference.items():
         adapt = node.adapt
-        if adapt is None or adapt.deactivate is None or adapt.deactivate.drop != "dearest_dispensable":
+        if adapt is None or adapt.deactivate is None or adapt.deactivate.drop != "most_expensive_redundant":
             continue
         if adapt.deactivate.below is None or (adapt.activate is not None and adapt.activate.above is None):
-            found = "drop: dearest_dispensable asks what UD would be, and a rule here goes by a test"
+            found = "drop: most_expensive_redundant asks what UD would be, and a rule here goes by a test"
             allowed = "levels of UD (above, below), or another drop"
             yield plate.message(name, found, allowed, key=("adapt", "deactivate", "drop"))
 

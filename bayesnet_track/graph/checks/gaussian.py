@@ -21,7 +21,7 @@ def kalman_moves_linearly(plate: Plate) -> Iterator[GraphMessage]:
             for field in type(getattr(noise, part)).model_fields
             if getattr(getattr(noise, part), field) > 0
         ]
-        further += ["wide"] if noise.wide is not None else []
+        further += ["heavy_tail"] if noise.heavy_tail is not None else []
         if further:
             found = f"filter: kalman with {', '.join(further)}, which is not Gaussian noise in px"
             allowed = "filter: extended or unscented, or noise by sd_px alone"

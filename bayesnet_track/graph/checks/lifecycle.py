@@ -45,9 +45,11 @@ def parameters_fit_the_detector(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def recall_has_a_detector(plate: Plate) -> Iterator[GraphMessage]:
-    """`recall` stands beside `birth`: without detections nothing is there to be recognised."""
-    if plate.spec.recall is not None and plate.spec.birth is None:
-        yield _message(plate, ("recall",), "recall without birth", "birth, too, or no such key", on_key=True)
+    """`reidentify` stands beside `birth`: without detections nothing is there to be recognised."""
+    if plate.spec.reidentify is not None and plate.spec.birth is None:
+        yield _message(
+            plate, ("reidentify",), "reidentify without birth", "birth, too, or no such key", on_key=True
+        )
 
 
 def claiming_agents_have_births(plate: Plate) -> Iterator[GraphMessage]:

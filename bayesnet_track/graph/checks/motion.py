@@ -14,7 +14,7 @@ from bayesnet_track.graph.text.messages import GraphMessage, Path
 from bayesnet_track.observation.detector import ENTRY_POINT_GROUP, installed_detectors
 from bayesnet_track.observation.plugins import why_absent
 
-_DETECTOR = ("recover", "by", "detector")
+_DETECTOR = ("relocalize", "by", "detector")
 
 
 def _moving(plate: Plate) -> Iterator[tuple[str, Path, Moving]]:
@@ -25,18 +25,18 @@ def _moving(plate: Plate) -> Iterator[tuple[str, Path, Moving]]:
 
 
 def size_is_drawn_back_from_somewhere(plate: Plate) -> Iterator[GraphMessage]:
-    """`keep_size` bounds noise of the size in logarithms, and is wider than one step of it."""
+    """`size_reversion` bounds noise of the size in logarithms, and is wider than one step of it."""
     for name, key, settings in _moving(plate):
-        kept = settings.keep_size
+        kept = settings.size_reversion
         if kept is None:
             continue
-        here = (*key, "keep_size")
+        here = (*key, "size_reversion")
         limits = {"scale": kept.sd_scale, "aspect": kept.sd_aspect}
         if all(limit is None for limit in limits.values()):
-            yield plate.message(name, "keep_size without an sd", ["sd_scale", "sd_aspect"], key=here)
+            yield plate.message(name, "size_reversion without an sd", ["sd_scale", "sd_aspect"], key=here)
         for side in ("w", "h"):
             if getattr(settings.sd_px, side) > 0:
-                found = f"keep_size beside sd_px.{side}, whose steps it does not bound"
+                found = f"size_reversion beside sd_px.{side}, whose steps it does not bound"
                 yield plate.message(name, found, "size noise by sd_log alone", key=here, on_key=True)
         for part, limit in limits.items():
             step = getattr(settings.sd_log, part)
@@ -51,24 +51,24 @@ def belief_holds_the_motion(plate: Plate) -> Iterator[GraphMessage]:
     for name, key, settings in _moving(plate):
         belief = plate.inference[name].belief
         if belief is not None and belief.grid is not None:
-            for word in ("keep_size", "camera"):
+            for word in ("size_reversion", "camera"):
                 if getattr(settings, word) is not None:
                     found = f"{word} beside a grid, whose cells all move alike"
                     yield plate.message(name, found, "particles or gaussian", key=(*key, word), on_key=True)
-        if settings.recover is None:
+        if settings.relocalize is None:
             continue
-        here = (*key, "recover")
+        here = (*key, "relocalize")
         if belief is not None and belief.particles is None:
-            found = f"recover beside {belief.kind}, which cannot jump"
+            found = f"relocalize beside {belief.kind}, which cannot jump"
             yield plate.message(name, found, "particles", key=here, on_key=True)
         elif belief is not None and belief.particles is not None:
             particles = belief.particles
             if not isinstance(particles.size, int):
-                found, allowed = "recover beside an adaptive size", "a size that is a number"
+                found, allowed = "relocalize beside an adaptive size", "a size that is a number"
                 yield plate.message(name, found, allowed, key=here, on_key=True)
-            if particles.importance.kind != "regular":
-                found = f"recover beside importance: {particles.importance.kind}"
-                yield plate.message(name, found, "importance: regular", key=here, on_key=True)
+            if particles.proposal.kind != "bootstrap":
+                found = f"relocalize beside proposal: {particles.proposal.kind}"
+                yield plate.message(name, found, "proposal: bootstrap", key=here, on_key=True)
 
 
 def angle_is_seen(plate: Plate) -> Iterator[GraphMessage]:
@@ -89,9 +89,9 @@ def angle_is_seen(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def jumps_have_places(plate: Plate) -> Iterator[GraphMessage]:
-    """`recover` needs noise of both x and y, and a detector that is installed and takes its parameters."""
+    """`relocalize` needs noise of both x and y, and a detector that is installed and takes its parameters."""
     for name, key, settings in _moving(plate):
-        if settings.recover is None:
+        if settings.relocalize is None:
             continue
         driven = getattr(settings, "sd_velocity_px", getattr(settings, "sd_acceleration_px", 0.0)) > 0
         still = [
@@ -100,9 +100,9 @@ def jumps_have_places(plate: Plate) -> Iterator[GraphMessage]:
             if not driven and getattr(settings.sd_px, axis) + getattr(settings.sd_box, axis) == 0
         ]
         if still:
-            found = f"recover without noise of {' and '.join(still)}"
-            yield plate.message(name, found, "noise of x and y", key=(*key, "recover"), on_key=True)
-        chosen = settings.recover.by.detector
+            found = f"relocalize without noise of {' and '.join(still)}"
+            yield plate.message(name, found, "noise of x and y", key=(*key, "relocalize"), on_key=True)
+        chosen = settings.relocalize.by.detector
         if chosen is None:
             continue
         known, path = installed_detectors([chosen.detector]), (*key, *_DETECTOR, chosen.detector)

@@ -25,14 +25,12 @@ def sizes_in_order(plate: Plate) -> Iterator[GraphMessage]:
                     found = f"{key} beside a size of {particles.size}, which is fixed"
                     allowed = f"an adaptive size ({', '.join(AdaptiveSize.model_fields)}), or no {key}"
                     yield plate.message(name, found, allowed, key=(*_KEY, key), on_key=True)
-            if isinstance(particles.when, EssBelow) and particles.importance.kind in _REDRAWN:
-                found = (
-                    f"when: ess_below beside importance: {particles.importance.kind}, which draws new parents"
-                )
+            if isinstance(particles.when, EssBelow) and particles.proposal.kind in _REDRAWN:
+                found = f"when: ess_below beside proposal: {particles.proposal.kind}, which draws new parents"
                 yield plate.message(name, found, "when: every_frame", key=(*_KEY, "when"))
-        adaptive = particles.importance.adaptive
+        adaptive = particles.proposal.second_pass
         if adaptive is not None and adaptive.by == "fitted" and "neighbours" in adaptive.model_fields_set:
-            key_of_pass = (*_KEY, "importance", "adaptive", "neighbours")
+            key_of_pass = (*_KEY, "proposal", "second_pass", "neighbours")
             found = "neighbours has no effect beside by: fitted"
             yield plate.message(name, found, "by: parents, or no neighbours", key=key_of_pass, on_key=True)
 
@@ -47,10 +45,10 @@ def _adaptive(plate: Plate, name: str, particles: Particles, size: AdaptiveSize)
     if isinstance(particles.when, EssBelow):
         found = "when: ess_below beside an adaptive size, which changes by drawing new parents"
         yield plate.message(name, found, "when: every_frame", key=(*_KEY, "when"))
-    if particles.importance.kind in _REDRAWN:
-        found = f"importance: {particles.importance.kind} beside an adaptive size"
-        allowed = "regular, adaptive, west or rejection; or a size that is a number"
-        yield plate.message(name, found, allowed, key=(*_KEY, "importance"))
+    if particles.proposal.kind in _REDRAWN:
+        found = f"proposal: {particles.proposal.kind} beside an adaptive size"
+        allowed = "bootstrap, second_pass, iterated or prior_editing; or a size that is a number"
+        yield plate.message(name, found, allowed, key=(*_KEY, "proposal"))
     if isinstance(size.settings, NormalSize):
         given = [key for key in ("error_px", "error_sd") if getattr(size.settings, key) is not None]
         if len(given) != 1:

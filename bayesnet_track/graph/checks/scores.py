@@ -17,10 +17,10 @@ def score_serves_its_users(plate: Plate) -> Iterator[GraphMessage]:
         needing: list[tuple[str, ...]] = []
         if node.lost is not None and node.lost.score_below is not None:
             needing.append(("lost", "score_below"))
-        if node.slack is not None and node.slack.lost_sd_box is not None:
-            needing.append(("slack", "lost_sd_box"))
-        if node.rivals is not None:
-            needing.append(("rivals",))
+        if node.localization_error is not None and node.localization_error.lost_sd_box is not None:
+            needing.append(("localization_error", "lost_sd_box"))
+        if node.distractors is not None:
+            needing.append(("distractors",))
         for key in needing:
             found = f"{'.'.join(key)} without a score that is a probability"
             yield plate.message(name, found, "score at the root, or no such key", key=key, on_key=True)
@@ -48,25 +48,31 @@ def rivals_are_noticed(plate: Plate) -> Iterator[GraphMessage]:
     """A doubt makes the score one half: a level of uncertainty has to lie above."""
     for name, node in plate.inference.items():
         high = None if node.lost is None else node.lost.uncertain_below
-        if node.rivals is not None and (high is None or high <= 0.5):
-            found = "rivals put the score at one half, which lost.uncertain_below does not call uncertain"
-            yield plate.message(name, found, "lost.uncertain_below above 0.5", key=("rivals",), on_key=True)
+        if node.distractors is not None and (high is None or high <= 0.5):
+            found = (
+                "distractors put the score at one half, which lost.uncertain_below does not call uncertain"
+            )
+            yield plate.message(
+                name, found, "lost.uncertain_below above 0.5", key=("distractors",), on_key=True
+            )
 
 
-def slack_is_wider_when_lost(plate: Plate) -> Iterator[GraphMessage]:
+def localization_error_is_larger_when_lost(plate: Plate) -> Iterator[GraphMessage]:
     """Off target it is farther away than on target."""
     for name, node in plate.inference.items():
-        slack = node.slack
-        if slack is not None and slack.lost_sd_box is not None and slack.lost_sd_box <= slack.sd_box:
+        error = node.localization_error
+        if error is not None and error.lost_sd_box is not None and error.lost_sd_box <= error.sd_box:
             found = (
-                f"slack.lost_sd_box is {slack.lost_sd_box:.6g}, not above slack.sd_box, {slack.sd_box:.6g}"
+                f"localization_error.lost_sd_box is {error.lost_sd_box:.6g}, not above "
+                f"localization_error.sd_box, {error.sd_box:.6g}"
             )
-            yield plate.message(name, found, f"above {slack.sd_box:.6g}", key=("slack", "lost_sd_box"))
+            key = ("localization_error", "lost_sd_box")
+            yield plate.message(name, found, f"above {error.sd_box:.6g}", key=key)
 
 
 SCORE_LAWS: tuple[Law, ...] = (
     score_serves_its_users,
     score_levels_in_order,
     rivals_are_noticed,
-    slack_is_wider_when_lost,
+    localization_error_is_larger_when_lost,
 )

@@ -13,7 +13,7 @@ from bayesnet_track.graph.checks.plates import Law, Plate
 from bayesnet_track.graph.text.messages import GraphMessage
 
 MAX_LEVELS = 32
-ROOT_ONLY = ("motion", "estimate", "learn", "lost", "score", "slack", "rivals")
+ROOT_ONLY = ("motion", "estimate", "learn", "lost", "score", "localization_error", "distractors")
 
 
 def parents_exist(plate: Plate) -> Iterator[GraphMessage]:

@@ -14,7 +14,7 @@ class Level(Choice):
 
     ud_px2: Positive | None = Field(default=None, description="in px^2")
     ud_box: Positive | None = Field(default=None, description="as a share of the estimate's area w h")
-    ud_quiet: Positive | None = Field(default=None, description="as a multiple of the measured quiet level")
+    ud_baseline: Positive | None = Field(default=None, description="as a multiple of its measured baseline")
 
 
 class Concentrated(Model):
@@ -71,21 +71,21 @@ class Deactivate(Model):
     )
     drop: Literal[
         "largest_kl",
-        "least_contribution_per_ms",
-        "least_information_per_ms",
-        "dearest_dispensable",
-        "dearest",
+        "min_contribution_per_ms",
+        "min_information_per_ms",
+        "most_expensive_redundant",
+        "most_expensive",
     ] = Field(
         default="largest_kl",
-        description="largest KL(belief || agent); least KL(belief || belief without it) per declared cost in "
-        "this frame; the same, averaged over the frames in which it was active; the largest declared cost "
-        "among those without which UD, in this frame, would stay below the level that switches agents on; "
-        "or the largest declared cost",
+        description="which one: the largest KL(belief || agent); the smallest KL(belief || belief without "
+        "it) per declared cost in this frame; the same, averaged over the frames in which it was active; the "
+        "largest declared cost among those without which UD, in this frame, would stay below the level that "
+        "switches agents on; or the largest declared cost",
     )
-    glance: Annotated[Whole, Field(ge=2, le=1000)] | None = Field(
+    sample_every: Annotated[Whole, Field(ge=2, le=1000)] | None = Field(
         default=None,
-        description="the agent that is switched off still looks in frames whose number this divides, and "
-        "references learn in these frames only, as much as in all of them else; default: it does not look",
+        description="evaluate the agent that is switched off in frames whose number this divides; references "
+        "then learn in these frames only, as much as they would in all of them; default: not evaluated",
     )
 
     @model_validator(mode="after")
@@ -96,14 +96,17 @@ class Deactivate(Model):
 
 
 class Information(Model):
-    """How the information that agents contributed is remembered, and how much the unknown tempts.
+    """How the information that agents contributed is remembered, and how much an untried agent is favoured.
 
-    An agent's contribution is KL(belief || belief without it), nats. Frames count exp(-age / memory). An
-    agent is expected to contribute its mean plus explore sqrt(ln(1 + sum n) / n), n its remembered frames.
+    An agent's contribution is KL(belief || belief without it), nats. Frames count
+    exp(-age / memory_frames). An agent is expected to contribute its mean plus
+    exploration sqrt(ln(1 + sum n) / n), n its remembered frames.
     """
 
-    memory: FrameCount = Field(default=100, description="frames over which the past fades")
-    explore: NotNegative = Field(default=0.1, description="what an agent long unheard of may hope for, nats")
+    memory_frames: FrameCount = Field(default=100, description="frames over which past contributions fade")
+    exploration: NotNegative = Field(
+        default=0.1, description="exploration bonus of agents rarely evaluated, nats"
+    )
 
 
 class Adapt(Model):
@@ -113,7 +116,7 @@ class Adapt(Model):
     deactivate: Deactivate | None = Field(default=None, description="when an agent is switched off")
     keep: Annotated[Whole, Field(ge=1)] = Field(default=1, description="agents that always stay active")
     information: Information = Field(
-        default=Information(), description="memory of `information_per_ms` and `least_information_per_ms`"
+        default=Information(), description="memory of `information_per_ms` and `min_information_per_ms`"
     )
 
 

@@ -33,47 +33,50 @@ class DetectorChoice(PluginChoice):
 
 
 class Confirm(Model):
-    """A detection becomes a target when it was seen in `looks` of the last `of` looks, this one included."""
+    """A detection becomes a target after `hits` in the detector's last `of` runs, this one included."""
 
-    looks: Annotated[Whole, Field(ge=1, le=1000)] = Field(default=3, description="looks in which it is seen")
-    of: Annotated[Whole, Field(ge=1, le=1000)] = Field(default=4, description="looks that count")
+    hits: Annotated[Whole, Field(ge=1, le=1000)] = Field(
+        default=3, description="runs of the detector in which it is seen"
+    )
+    of: Annotated[Whole, Field(ge=1, le=1000)] = Field(default=4, description="runs that count")
 
     @model_validator(mode="after")
     def _no_more_than_there_are(self) -> Self:
-        if self.looks > self.of:
-            raise ValueError(f"no more looks than `of`: {self.looks} of {self.of} cannot be")
+        if self.hits > self.of:
+            raise ValueError(f"no more hits than `of`: {self.hits} of {self.of} cannot be")
         return self
 
 
 class Birth(Model):
     """A detector's finds that no live target claims become targets of this plate, each with a net of its own.
 
-    A live target claims one detection: the nearest within `apart_box`, or within twice the sd of its belief
-    beyond that. Further ones within `apart_box`, or `covered` by it (or it by them), are taken for the same
-    object. While a target is lost it claims none. Where an agent measures by detections, they are given to
-    targets before, lost ones too, as that agent says.
+    A live target claims one detection: the nearest within `min_distance_box`, or within twice the sd of its
+    belief beyond that. Further ones within `min_distance_box`, or that share at least `max_overlap` of the
+    smaller box with it, are taken for the same object. While a target is lost it claims none. Where an agent
+    measures by detections, they are given to targets before, lost ones too, as that agent says.
     """
 
     detector: DetectorChoice = Field(description="what finds targets")
     labels: tuple[str, ...] = Field(
         default=(), max_length=64, description="only detections with one of these labels; default all"
     )
-    every: FrameCount = Field(default=1, description="frames between looks")
-    confirm: Confirm = Field(default=Confirm(), description="how often it is seen before it gets a net")
-    most: Annotated[Whole, Field(ge=1, le=1000)] = Field(
+    every: FrameCount = Field(default=1, description="frames between runs of the detector")
+    confirm: Confirm = Field(default=Confirm(), description="how often it is detected before it gets a net")
+    max_targets: Annotated[Whole, Field(ge=1, le=1000)] = Field(
         default=20, description="live targets of this plate at most"
     )
-    apart_box: NotNegative = Field(
+    min_distance_box: NotNegative = Field(
         default=0.5,
-        description="least distance of a birth's centre from a live target's, in the mean of both sqrt(w h)",
+        description="smallest distance of a birth's centre from a live target's, in the mean of both "
+        "sqrt(w h)",
     )
-    covered: Share = Field(
+    max_overlap: Share = Field(
         default=0.5,
         description="share of the smaller box that two boxes have in common, from which on they are one",
     )
 
 
-class Duplicates(Model):
+class MergeDuplicates(Model):
     """Of two nets of a plate whose beliefs overlap for so long, none of them lost, the younger one ends.
 
     The overlap is the Bhattacharyya coefficient of the Gaussians with the beliefs' moments of x, y, w, h,
@@ -94,7 +97,7 @@ class Death(Model):
     )
 
 
-class Recall(Model):
+class Reidentify(Model):
     """What a detection has to show to be taken for a target that is lost, or whose net has ended.
 
     P(it is k) = o_k / (1 + sum o), the 1 standing for a new target, o_k = g p_k(x, y) A r_k: g = exp(-t /
@@ -106,8 +109,8 @@ class Recall(Model):
     frames: FrameCount = Field(
         default=300, description="frames over which the memory fades; after as many a dead one is forgotten"
     )
-    least_probability: Annotated[Number, Field(gt=0, le=1)] = Field(
-        default=0.5, description="least probability to be taken for it"
+    min_probability: Annotated[Number, Field(gt=0, le=1)] = Field(
+        default=0.5, description="smallest probability at which it is taken for that target"
     )
     lost: Truth = Field(
         default=True, description="whether targets that are lost are found by detections, too"
@@ -120,21 +123,26 @@ class LifeRules:
 
     Attributes:
         birth: where targets come from.
-        duplicates: when two nets hold the same target.
+        merge_duplicates: when two nets track the same target.
         death: when a net ends.
-        recall: how targets are recognised again.
+        reidentify: how targets are re-identified.
     """
 
     birth: Birth | None
-    duplicates: Duplicates | None
+    merge_duplicates: MergeDuplicates | None
     death: Death | None
-    recall: Recall | None
+    reidentify: Reidentify | None
 
 
 def life_rules(
-    birth: Birth | None, duplicates: Duplicates | None, death: Death | None, recall: Recall | None
+    birth: Birth | None,
+    merge_duplicates: MergeDuplicates | None,
+    death: Death | None,
+    reidentify: Reidentify | None,
 ) -> LifeRules | None:
     """The rules of a plate with these settings; None when its targets live as long as the run."""
     if birth is None:
-        return LifeRules(None, duplicates, death, None) if duplicates or death else None
-    return LifeRules(birth, duplicates or Duplicates(), death or Death(), recall or Recall())
+        return LifeRules(None, merge_duplicates, death, None) if merge_duplicates or death else None
+    return LifeRules(
+        birth, merge_duplicates or MergeDuplicates(), death or Death(), reidentify or Reidentify()
+    )

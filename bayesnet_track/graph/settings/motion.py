@@ -34,10 +34,10 @@ class LogSd(Model):
     aspect: NotNegative = Field(default=0.0, description="of log(w / h)")
 
 
-class Wide(Model):
+class HeavyTail(Model):
     """A share of the hypotheses moves with a larger sd: heavy tails for sudden motion."""
 
-    share: Annotated[Number, Field(gt=0, lt=1)] = Field(description="share of the hypotheses")
+    weight: Annotated[Number, Field(gt=0, lt=1)] = Field(description="share of the hypotheses")
     factor: Annotated[Number, Field(gt=1)] = Field(description="how many times the position's sd")
 
 
@@ -50,22 +50,22 @@ class Noise(Model):
     sd_px: PixelSd = Field(default=PixelSd(), description="in pixels")
     sd_box: BoxSd = Field(default=BoxSd(), description="relative to the box")
     sd_log: LogSd = Field(default=LogSd(), description="of the size, in logarithms")
-    wide: Wide | None = Field(default=None, description="heavy tails of the position")
+    heavy_tail: HeavyTail | None = Field(default=None, description="heavy tails of the position")
 
 
-class Widen(Model):
-    """The position's noise grows while the belief is unsure.
+class Inflate(Model):
+    """The position's noise is inflated while the belief is uncertain.
 
-    Its sd is multiplied by sqrt(UD / level), UD being the last frame's: by 1 up to the level, and by `most`
-    at most. So a search grows as fast as the belief does, and is as narrow as ever once it is sure again.
+    Its sd is multiplied by sqrt(UD / level), UD being the last frame's: by 1 up to the level, and by
+    `max_factor` at most. The search widens as fast as the belief, and narrows with it.
     """
 
     above: Level = Field(default=Level(ud_box=0.12), description="level of UD up to which nothing changes")
-    most: Annotated[Number, Field(gt=1)] = Field(default=4.0, description="largest factor on the sd")
+    max_factor: Annotated[Number, Field(gt=1)] = Field(default=4.0, description="largest factor on the sd")
 
 
-class KeepSize(Model):
-    """The size is drawn back to that of the first box: it cannot collapse, however long a cue prefers small.
+class SizeReversion(Model):
+    """The size reverts to that of the first box, so that it cannot collapse when a cue prefers small boxes.
 
     The logarithms of scale and aspect are Ornstein-Uhlenbeck processes around their first values, exactly
     discretised: noise as `sd_log` says, and in the long run no more than the sd given here.
@@ -82,7 +82,7 @@ class KeepSize(Model):
 class Probes(Model):
     """Boxes of the belief's size on a lattice over the frame, which the net's own active agents score."""
 
-    most: Annotated[Whole, Field(ge=16, le=10_000)] = Field(default=400, description="boxes at most")
+    max_boxes: Annotated[Whole, Field(ge=16, le=10_000)] = Field(default=400, description="boxes at most")
 
 
 class LookedFor(Choice):
@@ -95,11 +95,11 @@ class LookedFor(Choice):
     )
 
 
-class Recover(Model):
+class Relocalize(Model):
     """The target may reappear anywhere: p(x | x') = (1 - share) motion + share / (W H) in its position.
 
     So it is found again after an occlusion, or after leaving the view. Needs particles of a fixed `size` with
-    `importance: regular`.
+    `proposal: bootstrap`.
     """
 
     share: Annotated[Number, Field(gt=0, lt=1)] = Field(
@@ -118,8 +118,10 @@ class Recover(Model):
 class Moving(Noise):
     """A motion of the target: its noise, and what else is known of it."""
 
-    widen: Widen | None = Field(default=None, description="more noise while unsure; default never")
-    keep_size: KeepSize | None = Field(default=None, description="draws the size back; default nothing")
+    inflate: Inflate | None = Field(default=None, description="more noise while uncertain; default never")
+    size_reversion: SizeReversion | None = Field(
+        default=None, description="reverts the size to the first one; default not"
+    )
     sd_angle_deg: NotNegative = Field(
         default=0.0,
         description="of the target's rotation in the picture, degrees; 0: the state has no angle",
@@ -127,12 +129,17 @@ class Moving(Noise):
     camera: Literal["compensate"] | None = Field(
         default=None, description="move hypotheses with the background's flow first; default not"
     )
-    recover: Recover | None = Field(default=None, description="reappearing anywhere; default never")
+    relocalize: Relocalize | None = Field(default=None, description="reappearing anywhere; default never")
 
     @property
     def is_plain(self) -> bool:
         """Whether it is noise and kinematics alone."""
-        return self.widen is None and self.keep_size is None and self.camera is None and self.recover is None
+        return (
+            self.inflate is None
+            and self.size_reversion is None
+            and self.camera is None
+            and self.relocalize is None
+        )
 
 
 class RandomWalk(Moving):

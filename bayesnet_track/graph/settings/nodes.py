@@ -54,7 +54,7 @@ class Estimate(Choice):
     map: Empty | None = Field(
         default=None, description="maximum a posteriori hypothesis, prior density included"
     )
-    best: Empty | None = Field(default=None, description="hypothesis with the largest weight")
+    max_weight: Empty | None = Field(default=None, description="hypothesis with the largest weight")
     mean: Empty | None = Field(default=None, description="weighted mean")
     robust_mean: Window | None = Field(
         default=None, description="weighted mean inside a window around the best"

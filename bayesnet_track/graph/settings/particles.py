@@ -17,7 +17,7 @@ from bayesnet_track.graph.settings.base import (
     Whole,
     word_or_mapping,
 )
-from bayesnet_track.graph.settings.proposals import Importance
+from bayesnet_track.graph.settings.proposals import Proposal
 
 BoxFields = Annotated[tuple[Literal["x", "y", "w", "h"], ...], Field(min_length=1)]
 Confidence = Annotated[Number, Field(ge=0.5, lt=1)]
@@ -121,8 +121,8 @@ class Particles(Model):
     ] = Field(
         default="every_frame", description="at every frame, or only when the weights have become uneven"
     )
-    importance: Importance = Field(
-        default=Importance(regular=Empty()), description="from where hypotheses are drawn"
+    proposal: Proposal = Field(
+        default=Proposal(bootstrap=Empty()), description="from where hypotheses are drawn"
     )
 
     @property

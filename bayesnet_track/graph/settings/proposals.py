@@ -1,4 +1,4 @@
-"""The settings of the importance function: from where the hypotheses of a frame are drawn."""
+"""The settings of the proposal: from where the hypotheses of a frame are drawn."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bayesnet_track.graph.settings.base import (
 Defensive = Annotated[Number, Field(ge=0, lt=1)]
 
 
-class Adaptive(Model):
+class SecondPassProposal(Model):
     """A second pass, drawn where the first one found the target, in frames that surprise (thesis 5.5.2).
 
     The first pass is drawn from the motion model and its hypotheses are kept. A surprise is
@@ -61,7 +61,7 @@ class Auxiliary(Model):
     defensive: Defensive = Field(default=0.1, description="share of the parents drawn by their weight alone")
 
 
-class Rejection(Model):
+class PriorEditing(Model):
     """Prior editing: unlikely hypotheses are rejected at random, those kept are weighted for it.
 
     A hypothesis of likelihood L is kept with probability min(1, L / c).
@@ -75,7 +75,7 @@ class Rejection(Model):
     )
 
 
-class West(Model):
+class IteratedProposal(Model):
     """West's refinement: hypotheses from kernels around the weighted ones so far; quadratic cost (5.18)."""
 
     above_kl: NotNegative = Field(
@@ -105,14 +105,18 @@ class LikelihoodMixture(Model):
     )
 
 
-class Importance(Choice):
+class Proposal(Choice):
     """From where the hypotheses of a frame are drawn (thesis 5.5), weighted so that none is favoured."""
 
-    regular: Empty | None = Field(default=None, description="from the motion model")
-    adaptive: Adaptive | None = Field(default=None, description="with a second pass in frames that surprise")
+    bootstrap: Empty | None = Field(default=None, description="from the motion model")
+    second_pass: SecondPassProposal | None = Field(
+        default=None, description="with a second pass in frames that surprise"
+    )
     auxiliary: Auxiliary | None = Field(default=None, description="from parents that a look ahead favours")
-    rejection: Rejection | None = Field(default=None, description="prior editing")
-    west: West | None = Field(default=None, description="from kernels around the weighted hypotheses")
+    prior_editing: PriorEditing | None = Field(default=None, description="prior editing")
+    iterated: IteratedProposal | None = Field(
+        default=None, description="from kernels around the weighted hypotheses"
+    )
     likelihood_mixture: LikelihoodMixture | None = Field(
         default=None, description="partly from the likelihood itself"
     )

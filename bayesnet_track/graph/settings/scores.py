@@ -1,4 +1,4 @@
-"""The settings of calibration: how sure the target is held, and how wide it is drawn around the belief."""
+"""The settings of calibration: the probability of being on target, and the regions that are reported."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ class Logistic(Model):
     """Probability of being on target, 1 / (1 + exp(-(bias + sum of coefficient times feature))).
 
     On target is an overlap (IoU) above 0.5 with the true box. Features are filtered over frames,
-    s <- s + (1 - exp(-1 / memory)) (x - s), beginning with the first frame's. `bayesnet-track fit` estimates
-    the coefficients from videos with truth.
+    s <- s + (1 - exp(-1 / memory_frames)) (x - s), beginning with the first frame's. `bayesnet-track fit`
+    estimates the coefficients from videos with ground truth.
     """
 
     bias: Number = Field(description="log odds where every feature is 0")
@@ -34,7 +34,7 @@ class Logistic(Model):
         "over these agents, nats",
     )
     log_size: Number = Field(default=0.0, description="|log| of the estimate's sqrt(w h) over the first one")
-    memory: Annotated[Number, Field(ge=0, le=1e6)] = Field(
+    memory_frames: Annotated[Number, Field(ge=0, le=1e6)] = Field(
         default=10.0, description="frames over which features are smoothed; 0 takes them as they are"
     )
     full_fit: Annotated[Number, Field(ge=0, le=1)] = Field(
@@ -50,12 +50,11 @@ class Score(Choice):
     logistic: Logistic | None = Field(default=None, description="a logistic function of a few features")
 
 
-class Slack(Model):
-    """How far the target is from where the belief says, for the regions and sds that are told.
+class Localization(Model):
+    """The localization error that is added to the belief in the reported regions and sds.
 
     The true centre is taken to be a hypothesis' centre plus Gaussian noise: of sd `sd_box` with probability
-    p, of sd `lost_sd_box` with probability 1 - p, where p is the score. The belief itself, and all that goes
-    by it, stays as it is.
+    p, of sd `lost_sd_box` with probability 1 - p, where p is the score. The belief itself is not changed.
     """
 
     sd_box: NotNegative = Field(default=0.05, description="sd on each axis while on target, sqrt(w h)")
@@ -65,18 +64,18 @@ class Slack(Model):
     )
 
 
-class Rivals(Model):
-    """Watch out for what looks like the target: whoever passes it may be followed instead.
+class Distractors(Model):
+    """Look-alikes, which may be followed instead of the target when they pass it.
 
-    In frames at which all agents look, a rival is a hypothesis at least `beyond_box` from the most probable
-    one whose log-likelihood is less than `within_nats` below that one's. After `frames` of them the score is
-    at most one half, for `hold` frames: nothing that the net has will tell which of the two it follows.
+    In frames in which all agents are evaluated, a distractor is a hypothesis at least `beyond_box` from the
+    most probable one whose log-likelihood is less than `within_nats` below that one's. After `frames` of them
+    the score is at most one half, for `hold` frames: the net cannot know which of the two it follows.
     """
 
     within_nats: Positive = Field(default=4.0, description="difference of log-likelihoods, nats")
     beyond_box: Positive = Field(default=0.5, description="distance from the most probable one, sqrt(w h)")
     fit: Annotated[Number, Field(ge=0, le=1)] = Field(
-        default=0.01, description="no rival is looked for where the best hypothesis fits less"
+        default=0.01, description="distractors are ignored while the best hypothesis fits less"
     )
-    frames: FrameCount = Field(default=2, description="consecutive frames in which there is one")
-    hold: FrameCount = Field(default=250, description="frames for which the doubt lasts after a rival")
+    frames: FrameCount = Field(default=2, description="consecutive frames with a distractor")
+    hold: FrameCount = Field(default=250, description="frames for which the score stays limited")

@@ -10,7 +10,7 @@ from typing import Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel, Tag, ValidationError
 from pydantic.fields import FieldInfo
 
-from bayesnet_track.graph.settings.base import Choice, Name, PluginChoice
+from bayesnet_track.graph.settings.base import Choice, Model, Name, PluginChoice
 from bayesnet_track.graph.spec import AgentNode, InferenceNode
 from bayesnet_track.graph.text.messages import (
     MAX_MESSAGES,
@@ -21,6 +21,7 @@ from bayesnet_track.graph.text.messages import (
     shown,
     shown_name,
 )
+from bayesnet_track.graph.text.renamed import new_word
 
 MAX_EXPLAINED = 4 * MAX_MESSAGES
 
@@ -193,6 +194,8 @@ def _explained(kind: str, said: str, steps: list[_Step], at: Positions, prefix: 
         allowed = "at least one"
     found = f"{name} is {shown(last.value)}" if last.value not in ({}, [], ()) else f"{name} is empty"
     word = last.value if isinstance(last.value, str) else ""
+    if word and (new := _renamed(f"{name}.{word}", owner, path)):
+        return at.message(path, f"{name} {shown(word)} has been renamed", new)
     return at.message(path, found, allowed or _said(said), word=word, near=_words(last.shape))
 
 
@@ -208,7 +211,21 @@ def _unknown_key(word: str, owner: Any, parent: _Step, path: Path, at: Positions
     elif owner is InferenceNode or owner is AgentNode:
         found += " of an agent node" if owner is AgentNode else " of an inference node"
         near = [*fields, "agent"]
+    if new := _renamed(word, owner, path):
+        what = (
+            found.removeprefix("unknown ")
+            .removesuffix(" of an inference node")
+            .removesuffix(" of an agent node")
+        )
+        return at.message(path, f"{what} has been renamed", new, on_key=True)
     return at.message(path, found, fields or "no settings", word=word, near=near, on_key=True)
+
+
+def _renamed(word: str, owner: Any, path: Path) -> str | None:
+    """The new name of a key; a cue's parameters are known by the cue's name."""
+    if not isinstance(owner, type):
+        return None
+    return new_word(owner if issubclass(owner, Model) else str(path[-2]), word)
 
 
 def _bad_choice(last: _Step, name: str, said: str, path: Path, at: Positions) -> GraphMessage:

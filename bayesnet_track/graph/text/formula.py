@@ -207,11 +207,13 @@ def _motion(target: CheckedTarget) -> str:
         for field, unit in (("velocity", "px/frame"), ("acceleration", "px/frame²"))
         if (sd := getattr(settings, f"sd_{field}_px", 0.0)) > 0
     ]
-    further += [] if settings.widen is None else [f"up to {settings.widen.most:g} times that while unsure"]
-    further += [] if settings.keep_size is None else ["around the first size"]
+    further += (
+        [] if settings.inflate is None else [f"up to {settings.inflate.max_factor:g} times that while unsure"]
+    )
+    further += [] if settings.size_reversion is None else ["around the first size"]
     further += [] if settings.camera is None else ["with the camera"]
-    if settings.recover is not None:
-        further.append(f"anywhere with probability {settings.recover.share:g} while unsure")
+    if settings.relocalize is not None:
+        further.append(f"anywhere with probability {settings.relocalize.share:g} while unsure")
     return ", ".join(filter(None, (motion.kind.replace("_", " "), _noise(settings), *further)))
 
 

@@ -28,7 +28,7 @@ def read_graph(
     """
     if not isinstance(source, (str, bytes)):
         file = source.name if not isinstance(source, PathLike) else str(source)
-        source = _bytes_of(source, file)
+        source = bytes_of(source, file)
     document = read_document(source, file)
     errors = list(_only_in_python(document))
     try:
@@ -42,7 +42,8 @@ def read_graph(
     return spec, document.at
 
 
-def _bytes_of(source: PathLike[str] | Traversable, file: str) -> bytes:
+def bytes_of(source: PathLike[str] | Traversable, file: str) -> bytes:
+    """The content of a file, up to the limit of a graph; raises GraphError where it cannot be read."""
     path = FilePath(source) if isinstance(source, PathLike) else source
     try:
         with path.open("rb") as stream:

@@ -30,8 +30,12 @@ def write_graph(spec: GraphSpec) -> str:
           t:
             fuse: pool
     """
-    top = {"bayesnet": spec.bayesnet, **as_plain(spec)}
-    return "\n".join(_block(top, "", depth=0)) + "\n"
+    return plain_text({"bayesnet": spec.bayesnet, **as_plain(spec)})
+
+
+def plain_text(data: Mapping[str, Any]) -> str:
+    """A graph that is plain data as YAML, each value as it is."""
+    return "\n".join(_block(data, "", depth=0)) + "\n"
 
 
 def graph_sha256(text: str) -> str:

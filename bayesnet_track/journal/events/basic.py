@@ -17,6 +17,7 @@ from bayesnet_track.journal.events.belief_events import (
     ReferenceGuarded,
     SecondPass,
 )
+from bayesnet_track.journal.events.distractor_events import DistractorSeen
 from bayesnet_track.journal.events.inputs import AgentMissed, InputRefused
 from bayesnet_track.journal.events.join_events import (
     AttachmentChanged,
@@ -28,7 +29,6 @@ from bayesnet_track.journal.events.jump_events import Reappeared
 from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
 from bayesnet_track.journal.events.machine_events import MachineChanged
 from bayesnet_track.journal.events.part_metrics import PartMetrics
-from bayesnet_track.journal.events.rival_events import RivalSeen
 from bayesnet_track.journal.events.source_events import (
     FramesDropped,
     FrameSizeChanged,
@@ -38,7 +38,7 @@ from bayesnet_track.journal.events.source_events import (
 )
 from bayesnet_track.journal.net.net import Decision
 
-JOURNAL_VERSION = 1
+JOURNAL_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ Event = (
     | SecondPass
     | Reappeared
     | ReferenceGuarded
-    | RivalSeen
+    | DistractorSeen
     | CandidateConfirmed
     | BirthsRefused
     | DetectorFailed
@@ -133,7 +133,7 @@ class FrameMetrics:
         target: target id.
         box: estimate, centre box x, y, w, h in px.
         map: maximum a posteriori box.
-        sd: posterior sd of x, y, w, h in px, that of x and y with the graph's slack.
+        sd: posterior sd of x, y, w, h in px, that of x and y with the graph's localization_error.
         ud_px2: uncertainty deviation at the root.
         ud_nodes: inference node -> its UD in px^2.
         quiet_px2: measured quiet level of UD at the root, or None.
@@ -150,8 +150,8 @@ class FrameMetrics:
         agent_ud_px2: active agent -> UD about its own maximum-likelihood hypothesis.
         strength: node -> KL(prior times message || prior), nats: how much its message says.
         learn_rate: learning rate applied this frame (0 when UD is above the level).
-        region50: bounds of the central 50 % of the centre, with the graph's slack: x_low, x_high, y_low,
-            y_high in px.
+        region50: bounds of the central 50 % of the centre, with the graph's localization_error: x_low,
+            x_high, y_low, y_high in px.
         region90: the same of the central 90 %.
         cloud: hypotheses drawn from the posterior, whole px, centre boxes.
         silent: those of the active agents that measure and did not see the target.

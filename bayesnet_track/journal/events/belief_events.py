@@ -124,7 +124,7 @@ class SecondPass:
     Attributes:
         frame: the frame.
         target: target id.
-        method: adaptive or west.
+        method: second_pass or iterated.
         kl: KL(posterior || prior) of the first pass, nats; the larger one of its two halves.
         above_kl: level above which a second pass is paid for.
         first: hypotheses of the first pass.

@@ -43,7 +43,7 @@ class BirthsRefused:
         template: name of the plate.
         detector: name of the detector.
         live: live targets of the plate.
-        most: the rule's number.
+        max_targets: the rule's number.
         refused: confirmed detections refused so far; one that stays counts in every look.
         waiting: confirmed detections refused in this frame.
     """
@@ -52,7 +52,7 @@ class BirthsRefused:
     template: str
     detector: str
     live: int
-    most: int
+    max_targets: int
     refused: int
     waiting: int
 

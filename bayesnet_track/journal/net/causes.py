@@ -10,7 +10,7 @@ class Cause:
     """The numbers that made a threshold rule fire.
 
     Attributes:
-        unit: the level's unit: ud_px2, ud_box or ud_quiet.
+        unit: the level's unit: ud_px2, ud_box or ud_baseline.
         level: the level in that unit.
         value: UD at this frame in that unit.
         frames: how many consecutive frames it had to hold.

@@ -15,10 +15,10 @@ class Recognition:
     Attributes:
         target: the target's id.
         probability: that the detection is this target.
-        least_probability: the level of the rule.
+        min_probability: the level of the rule.
         away: frame intervals since the target was last well seen.
         distance_px: distance of the detection from where its motion leads it.
-        fading: log of g = exp(-away / recall.frames), nats.
+        fading: log of g = exp(-away / reidentify.frames), nats.
         place: log of the frame's area times the density of its place there, nats.
         appearance: log of the likelihood that its remembered looks give the box, over that of boxes elsewhere
             (one in twenty is taken to look like it), nats.
@@ -29,7 +29,7 @@ class Recognition:
 
     target: str
     probability: float
-    least_probability: float
+    min_probability: float
     away: float
     distance_px: float
     fading: float

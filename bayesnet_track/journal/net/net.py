@@ -128,7 +128,7 @@ class TargetNet:
         shed: agents that were switched off for want of time, in this order.
         most_particles: most hypotheses for want of time; None without such a limit.
         faults: agent that failed, whether it is still out or not -> its last failure.
-        glances: agent that is switched off but still looks -> in frames whose number this divides.
+        sampled: agent that is switched off but still evaluated -> in frames whose number this divides.
         status: tracking, uncertain or lost.
     """
 
@@ -142,13 +142,13 @@ class TargetNet:
     faults: Mapping[str, Fault] = field(default_factory=dict)
     shed: tuple[str, ...] = ()
     most_particles: int | None = None
-    glances: Mapping[str, int] = field(default_factory=dict)
+    sampled: Mapping[str, int] = field(default_factory=dict)
 
     def looking(self, frame: int) -> frozenset[str]:
-        """The agents that look at a frame: those switched on, and those whose glance is due."""
-        if not self.glances:
+        """The agents that look at a frame: those switched on, and those whose sample is due."""
+        if not self.sampled:
             return self.active
-        return self.active | {agent for agent, every in self.glances.items() if frame % every == 0}
+        return self.active | {agent for agent, every in self.sampled.items() if frame % every == 0}
 
 
 @dataclass(frozen=True)
@@ -225,8 +225,12 @@ def _change(net: TargetNet, decision: Change) -> TargetNet:
         case ParticlesLimited():
             return replace(net, most_particles=decision.most)
         case Deactivated():
-            glances = {**net.glances, decision.node: decision.glance} if decision.glance else net.glances
-            return replace(net, active=net.active - {decision.node}, glances=glances)
+            sampled = (
+                {**net.sampled, decision.node: decision.sample_every}
+                if decision.sample_every
+                else net.sampled
+            )
+            return replace(net, active=net.active - {decision.node}, sampled=sampled)
         case SelfStopped():
             return replace(
                 net,
@@ -266,10 +270,10 @@ def _change(net: TargetNet, decision: Change) -> TargetNet:
 
 
 def _without_vain_glances(net: TargetNet) -> TargetNet:
-    """Agents that are on need no glances; those that failed, are shed or switched by hand get none."""
+    """Only agents that a rule switched off are sampled: none that failed, are shed or switched by hand."""
     out = (net.active, net.quarantined, net.by_hand, net.shed)
-    glances = {a: every for a, every in net.glances.items() if not any(a in agents for agents in out)}
-    return net if len(glances) == len(net.glances) else replace(net, glances=glances)
+    sampled = {a: every for a, every in net.sampled.items() if not any(a in agents for agents in out)}
+    return net if len(sampled) == len(net.sampled) else replace(net, sampled=sampled)
 
 
 def _other(agents: tuple[str, ...], agent: str) -> tuple[str, ...]:

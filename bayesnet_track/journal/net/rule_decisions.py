@@ -43,10 +43,10 @@ class Deactivated:
         node: the agent.
         governor: the inference node whose rule fired.
         cause: the numbers.
-        drop: which index chose it: largest_kl, least_contribution_per_ms, least_information_per_ms or
-            dearest_dispensable, dearest.
+        drop: which index chose it: largest_kl, min_contribution_per_ms, min_information_per_ms or
+            most_expensive_redundant, most_expensive.
         index: agent -> that index, for every active agent it was chosen among.
-        glance: it still looks in frames whose number this divides; 0 when it does not look any more.
+        sample_every: it is still evaluated in frames whose number this divides; 0 when it is not.
     """
 
     frame: int
@@ -56,7 +56,7 @@ class Deactivated:
     cause: Cause | Concentration
     drop: str
     index: Mapping[str, float] = field(default_factory=dict)
-    glance: int = 0
+    sample_every: int = 0
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ def measurement_gated(event: MeasurementGated) -> str:
 def second_pass(event: SecondPass) -> str:
     """Hypotheses drawn a second time."""
     found, level = told_apart(event.kl, event.above_kl)
-    how = "" if event.method == "adaptive" else f", by {event.method}"
+    how = "" if event.method == "second_pass" else f", by {event.method}"
     turning = rounded(event.kl, decimals(event.kl, event.above_kl), up=True)
     return (
         f"KL(posterior, prior) {found} nats > {level} → second pass of {event.particles} hypotheses{how}, "

@@ -23,13 +23,13 @@ def confirmed(event: CandidateConfirmed) -> str:
     near = event.nearest
     if near is None:
         return found
-    value, level = told_apart(near.probability, near.least_probability)
-    if near.probability >= near.least_probability:
+    value, level = told_apart(near.probability, near.min_probability)
+    if near.probability >= near.min_probability:
         return f"{found} (target {near.target} is taken for another detection)"
-    turning = rounded(near.probability, decimals(near.probability, near.least_probability), up=False)
+    turning = rounded(near.probability, decimals(near.probability, near.min_probability), up=False)
     return (
         f"{found}: it is target {near.target} with probability {value} < {level} ({_summands(near)}); "
-        f"would have been target {near.target} at least_probability ≤ {turning}"
+        f"would have been target {near.target} at min_probability ≤ {turning}"
     )
 
 
@@ -71,8 +71,8 @@ def births_refused(event: BirthsRefused) -> str:
     """`20 targets of square live, the most → births refused`."""
     so_far = f", {event.refused} so far" if event.refused > event.waiting else ""
     return (
-        f"{plural(event.live, 'target')} of {event.template} live, the most there may be → "
-        f"{plural(event.waiting, 'birth')} refused{so_far}; would have been born at most ≥ "
+        f"{plural(event.live, 'target')} of {event.template} live, the maximum → "
+        f"{plural(event.waiting, 'birth')} refused{so_far}; would have been born at max_targets ≥ "
         f"{event.live + event.waiting}"
     )
 
@@ -88,12 +88,12 @@ def detector_failed(event: DetectorFailed) -> str:
 
 
 def _recognised(by: Recognition, then: str, otherwise: str) -> str:
-    value, level = told_apart(by.probability, by.least_probability)
+    value, level = told_apart(by.probability, by.min_probability)
     # As many digits as tell it from 1, and rounded up, so that the level named would have refused it.
     digits = max(2, math.ceil(-math.log10(max(1.0 - by.probability, 1e-7))))
     turning = float(rounded(by.probability, digits, up=True))
-    but = f"; would have been {otherwise} at least_probability ≥ {turning:.9g}" if turning < 1 else ""
-    relation = "≥" if by.probability > by.least_probability else "="
+    but = f"; would have been {otherwise} at min_probability ≥ {turning:.9g}" if turning < 1 else ""
+    relation = "≥" if by.probability > by.min_probability else "="
     rival = "a new target" if by.rival == "new" else f"target {by.rival}"
     return (
         f"a detection is target {by.target} with probability {value} {relation} {level} ({_summands(by)}; "

@@ -13,12 +13,12 @@ from bayesnet_track.journal.events.belief_events import (
     ReferenceGuarded,
     SecondPass,
 )
+from bayesnet_track.journal.events.distractor_events import DistractorSeen, distractor_seen
 from bayesnet_track.journal.events.inputs import AgentMissed, InputRefused
 from bayesnet_track.journal.events.join_events import AttachmentChanged, OcclusionChanged, RingChanged
 from bayesnet_track.journal.events.jump_events import Reappeared, reappeared
 from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
 from bayesnet_track.journal.events.machine_events import MachineChanged
-from bayesnet_track.journal.events.rival_events import RivalSeen, rival_seen
 from bayesnet_track.journal.events.source_events import (
     FramesDropped,
     FrameSizeChanged,
@@ -154,7 +154,7 @@ def happened(
     | SecondPass
     | Reappeared
     | ReferenceGuarded
-    | RivalSeen
+    | DistractorSeen
     | OcclusionChanged
     | AttachmentChanged
     | RingChanged,
@@ -216,8 +216,8 @@ def happened(
             return duplicate_ended(event)
         case ReferenceGuarded():
             return guarded(event)
-        case RivalSeen():
-            return rival_seen(event)
+        case DistractorSeen():
+            return distractor_seen(event)
         case Joined():
             return joined(event)
         case Parted():

@@ -27,7 +27,7 @@ def activated(event: Activated) -> str:
 def deactivated(event: Deactivated) -> str:
     """`... → motion off (...); would have stayed on at ...`."""
     return (
-        f"{_well(event.cause)} → {event.node} off{_chosen_among(event)}{_glancing(event)}; "
+        f"{_well(event.cause)} → {event.node} off{_chosen_among(event)}{_sampled(event)}; "
         f"would have stayed on at {_not_well(event.cause)}"
     )
 
@@ -93,17 +93,17 @@ def _told(trials: float) -> str:
     return f"{trials:.0f}" if trials >= 10 else f"{trials:.2g}"
 
 
-def _glancing(event: Deactivated) -> str:
-    return f", but for a glance every {event.glance} frames" if event.glance else ""
+def _sampled(event: Deactivated) -> str:
+    return f", still evaluated every {event.sample_every} frames" if event.sample_every else ""
 
 
 def _chosen_among(event: Deactivated) -> str:
     """Why this agent and not another: its index against that of the runner-up."""
     own = event.index.get(event.node)
-    if own is not None and event.drop == "dearest_dispensable":
-        return f" (the dearest that can be spared: UD {own:.3g} px² without it)"
-    if own is not None and event.drop == "dearest":
-        return f" (the dearest: {own:.3g} ms)"
+    if own is not None and event.drop == "most_expensive_redundant":
+        return f" (most expensive redundant agent: UD {own:.3g} px² without it)"
+    if own is not None and event.drop == "most_expensive":
+        return f" (most expensive cue: {own:.3g} ms)"
     others = {name: value for name, value in event.index.items() if name != event.node}
     if own is None or not others:
         return ""

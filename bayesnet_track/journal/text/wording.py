@@ -6,7 +6,7 @@ import math
 
 from bayesnet_track.journal.net.net import Cause
 
-UNIT = {"ud_px2": " px²", "ud_box": " × box area", "ud_quiet": " × quiet level"}
+UNIT = {"ud_px2": " px²", "ud_box": " × box area", "ud_baseline": " × baseline"}
 """How a level's unit is written behind its number."""
 
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.engine.starts import Start
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.recorded import load_recorded
 from bayesnet_track.graph.text.write import graph_sha256
 from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.writer import read_position
@@ -210,7 +210,7 @@ class Recipe:
             raise RunDirectoryError(f"{path}: cannot be read: {error}") from error
         if graph_sha256(text) != self.graph_sha256:
             raise RecipeError(f"{path}: another graph than the one that the run began with")
-        return load_graph(path, tuple(cues))
+        return load_recorded(path, tuple(cues))
 
 
 def _check_format(path: Path, plain: object) -> None:

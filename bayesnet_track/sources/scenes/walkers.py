@@ -56,9 +56,9 @@ class CrowdSettings:
         if self.width < LEAST_WIDTH or self.height < LEAST_HEIGHT:
             least = f"{LEAST_WIDTH}x{LEAST_HEIGHT}"
             raise ValueError(f"image {self.width}x{self.height} px; a crowd needs at least {least}")
-        least_frames = 2 * LEG + 1 if self.crossings or self.beside else 1
-        if self.frames < least_frames:
-            raise ValueError(f"{self.frames} frames; these people need at least {least_frames}")
+        min_frames = 2 * LEG + 1 if self.crossings or self.beside else 1
+        if self.frames < min_frames:
+            raise ValueError(f"{self.frames} frames; these people need at least {min_frames}")
         for name in ("alone", "births", "crossings", "beside"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"{name} {getattr(self, name):g}; expected a number from 0 on")

@@ -23,7 +23,7 @@ def update_mixture(
     variances: Singles,
     match: float,
     background_share: float,
-    least_variance: float,
+    min_variance: float,
     first_variance: float,
     darkest: float,
     chroma: float,
@@ -40,7 +40,7 @@ def update_mixture(
         variances: (H, W, K) of each channel.
         match: a pixel belongs to a mode within this squared distance, in the mode's variances.
         background_share: modes are background until those before them have this weight together.
-        least_variance, first_variance: lower bound, and what a new mode starts with.
+        min_variance, first_variance: lower bound, and what a new mode starts with.
         darkest: a shadow has at least this share of the background's brightness; 1 for no shadows.
         chroma: and differs in colour by this at most, mean square, gray levels squared.
         evidence: (H, W) is filled in.
@@ -88,7 +88,7 @@ def update_mixture(
                 weights[y, x],
                 means[y, x],
                 variances[y, x],
-                least_variance,
+                min_variance,
                 first_variance,
             )
 
@@ -101,7 +101,7 @@ def _learn(
     weights: Singles,
     means: Singles,
     variances: Singles,
-    least_variance: float,
+    min_variance: float,
     first_variance: float,
 ) -> None:
     modes = weights.shape[0]
@@ -126,7 +126,7 @@ def _learn(
             away += step * step
             means[k, c] += own * step
         # the part of the squared step that is scatter: with a share `own` of the new mean it is shorter
-        variances[k] = max((1.0 - own) * (variances[k] + own * away / 3.0), least_variance)
+        variances[k] = max((1.0 - own) * (variances[k] + own * away / 3.0), min_variance)
     while k > 0 and weights[k] > weights[k - 1]:
         weights[k], weights[k - 1] = weights[k - 1], weights[k]
         variances[k], variances[k - 1] = variances[k - 1], variances[k]

@@ -62,7 +62,7 @@ function everyone(run: RunData, track: Track): Panel {
 /** A level in px², frame by frame. */
 export function levelAt(track: Track, rule: Rule, row: number): number {
   if (rule.unit === "ud_box") return rule.level * track.value("box", row, 2) * track.value("box", row, 3);
-  return rule.unit === "ud_quiet" ? rule.level * track.value("quiet_px2", row) : rule.level;
+  return rule.unit === "ud_baseline" ? rule.level * track.value("quiet_px2", row) : rule.level;
 }
 
 const LEVELS: Record<string, { ink: string; dash: number[] }> = {

@@ -1,4 +1,4 @@
-"""The event of a rival that looks like the target, and its sentence."""
+"""The event of a distractor, something that looks like the target, and its sentence."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from bayesnet_track.journal.text.wording import decimals, rounded, told_apart
 
 
 @dataclass(frozen=True)
-class RivalSeen:
+class DistractorSeen:
     """Something beside the target is nearly as likely to be it: they may be exchanged from now on.
 
-    Told when the doubt begins; a rival that is seen while it lasts makes it last longer.
+    Reported when the doubt begins; a distractor that is seen while it lasts prolongs it.
 
     Attributes:
         frame: the frame.
         target: target id.
-        x: centre of the rival's best hypothesis, px.
+        x: centre of the distractor's best hypothesis, px.
         y: the same, of rows.
         away_box: how far that is from the most probable hypothesis, roots of the estimate's area.
         behind_nats: how much less likely it is, nats.
-        within_nats: difference below which it counts as a rival.
+        within_nats: difference below which it counts as a distractor.
         fit: how well the best hypothesis of all fits.
         hold: frames for which the score is at most one half.
     """
@@ -36,12 +36,12 @@ class RivalSeen:
     hold: int
 
 
-def rival_seen(event: RivalSeen) -> str:
+def distractor_seen(event: DistractorSeen) -> str:
     """The sentence, without the frame."""
     behind, within = told_apart(event.behind_nats, event.within_nats)
     turning = rounded(event.behind_nats, decimals(event.behind_nats, event.within_nats), up=False)
     return (
-        f"a rival at {event.x:.4g}, {event.y:.4g}, {event.away_box:.2g} box sides away, is only {behind} < "
-        f"{within} nats less likely than the target → score at most 0.5 for {event.hold} frames; would not "
-        f"have been one at within_nats ≤ {turning}"
+        f"look-alike at {event.x:.4g}, {event.y:.4g}, {event.away_box:.2g} box sides away, only {behind} < "
+        f"{within} nats less likely than the target → score at most 0.5 for {event.hold} frames; ignored "
+        f"with within_nats ≤ {turning}"
     )
