@@ -207,7 +207,7 @@ def test_a_broken_package_does_not_keep_other_graphs_from_running(install, tmp_p
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
     folder = tmp_path_factory.mktemp("build")
-    wanted = ("pyproject.toml", "README.md", "LICENSE", "bayesnet_track", "cues", "graphs")
+    wanted = ("pyproject.toml", "setup.py", "README.md", "LICENSE", "bayesnet_track", "cues", "graphs")
     for name in wanted:
         source = ROOT / name
         if source.is_dir():
@@ -233,8 +233,12 @@ def test_the_wheel_holds_everything_that_a_run_needs(wheel):
     graphs = {
         f"bayesnet_track/graphs/{path.name}" for path in (ROOT / "graphs").glob("*.*") if path.is_file()
     }
+    page = {
+        f"bayesnet_track/view/page/{path.name}" for path in (ROOT / "bayesnet_track/view/page").glob("*.?s*")
+    }
     others = {"bayesnet_track/py.typed", f"{about}/licenses/LICENSE"}
-    assert modules | graphs | others <= names
+    assert len(page) >= 2 and modules | graphs | page | others <= names
+    assert {name for name in names if name.endswith((".py", ".yaml"))} <= modules | graphs
     assert {name.split("/")[0] for name in names} == {"bayesnet_track", about}
     assert "bayesnet-track = bayesnet_track.cli.main:main" in points
     assert all(f"{cue} = bayesnet_track.cues.{cue}:CUE" in points for cue in BUILT_IN)
