@@ -16,7 +16,7 @@ import pytest
 
 from bayesnet_track.cli.batch import places
 from bayesnet_track.cli.batch.jobs import Job, Video
-from bayesnet_track.runtime.executors.nursery import Nursery
+from bayesnet_track.runtime.executors.fork_server import ForkServer
 from bayesnet_track.sources.child import cut, python, tie
 from bayesnet_track.sources.isolated import IsolatedReader
 from bayesnet_track.sources.sandbox import Limits
@@ -40,12 +40,12 @@ def started_by(monkeypatch, start):
 
 
 @posix
-@pytest.mark.parametrize("kind", ["nursery", "decoder", "batch"])
+@pytest.mark.parametrize("kind", ["fork_server", "decoder", "batch"])
 def test_every_process_looks_in_no_folder_but_those_of_this_one(monkeypatch, tmp_path, kind):
     """The first lines of each process, run in a folder of decoys, say where it imports from."""
     job = Job("g", Video("v", "v"), 0, str(tmp_path))
     start = {
-        "nursery": lambda: Nursery(0, 0, 1.0),
+        "fork_server": lambda: ForkServer(0, 0, 1.0),
         "decoder": lambda: IsolatedReader("missing.mp4", limits=Limits()),
         "batch": lambda: list(places.Processes(1).run([job])),
     }
@@ -96,21 +96,21 @@ def is_tied(pid, lifeline):
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere one that is stopped stays")
-def test_a_nursery_that_is_stopped_is_given_up_within_its_patience():
+def test_a_fork_server_that_is_stopped_is_given_up_within_its_patience():
     """Not after a minute for each question; and a worker of the next one ends though it is stopped."""
     frames = os.open(os.devnull, os.O_RDONLY)
-    nursery = Nursery(frames, 0, 3.0)
+    fork_server = ForkServer(frames, 0, 3.0)
     try:
-        channel, lifeline, pid = nursery.worker()
-        stopped = nursery._process.pid
+        channel, lifeline, pid = fork_server.worker()
+        stopped = fork_server._process.pid
         os.kill(stopped, signal.SIGSTOP)
         began = time.monotonic()
         channel.close()
         cut(lifeline)
-        assert nursery.ended(pid) is None
+        assert fork_server.ended(pid) is None
         assert time.monotonic() - began < 20.0
-        channel, lifeline, pid = nursery.worker()
-        assert nursery._process.pid != stopped
+        channel, lifeline, pid = fork_server.worker()
+        assert fork_server._process.pid != stopped
         assert time.monotonic() - began < 40.0
         poll = select.poll()
         poll.register(channel, select.POLLIN)
@@ -123,5 +123,5 @@ def test_a_nursery_that_is_stopped_is_given_up_within_its_patience():
         assert poll.poll(10e3) and channel.recv(1) == b""
     finally:
         channel.close()
-        nursery.close()
+        fork_server.close()
         os.close(frames)

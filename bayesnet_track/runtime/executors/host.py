@@ -18,10 +18,10 @@ from bayesnet_track.observation.shared import shown
 from bayesnet_track.runtime.executors.questions import (
     LEARN_AND_BLEND,
     Answer,
+    EncodedReference,
     Foreign,
     Question,
     Received,
-    Told,
 )
 
 CACHES = 2
@@ -41,11 +41,11 @@ class AgentHost:
         self._received = Received()
         self._caches: dict[tuple[int, int], PlaneCache] = {}
 
-    def employ(self, agent: str, make: Callable[[Any], AnyCue], parameters: Any) -> None:
+    def assign(self, agent: str, make: Callable[[Any], AnyCue], parameters: Any) -> None:
         """Make the cue of an agent."""
         self._cues[agent] = make(parameters)
 
-    def dismiss(self, agent: str) -> None:
+    def unassign(self, agent: str) -> None:
         """Drop the cue of an agent."""
         self._cues.pop(agent, None)
 
@@ -66,7 +66,8 @@ class AgentHost:
         received.forget(question.forget)
         cue: Any = self._cues[question.agent]
         arguments: list[Any] = [
-            shown(received.reference(part)) if isinstance(part, Told) else part for part in question.arguments
+            shown(received.reference(part)) if isinstance(part, EncodedReference) else part
+            for part in question.arguments
         ]
         if question.frames is not None:
             assert question.region is not None
@@ -89,8 +90,8 @@ class AgentHost:
             return None
         # As the engine looks at what a cue learnt: what is no mapping fails in the same words.
         reference: Mapping[str, Any] = dict(returned.items())
-        given = [part for part in question.arguments if isinstance(part, Told)]
-        return received.tell(reference, given, question.next_number)
+        given = [part for part in question.arguments if isinstance(part, EncodedReference)]
+        return received.encode(reference, given, question.next_number)
 
     def _cache(self, frames: tuple[Any, Any]) -> PlaneCache:
         current, previous = frames

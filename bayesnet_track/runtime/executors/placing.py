@@ -10,10 +10,10 @@ from bayesnet_track.belief.motion.functions import FunctionMotion
 from bayesnet_track.engine.step import Engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.observation.cue import CueDeclaration
-from bayesnet_track.runtime.executors.net_host import make_net_host
 from bayesnet_track.runtime.executors.processes import PlacingError
-from bayesnet_track.runtime.executors.proxy import Desk, SentFrames, placed
-from bayesnet_track.runtime.executors.staff import Employed
+from bayesnet_track.runtime.executors.proxy import SentFrames, Transport, placed
+from bayesnet_track.runtime.executors.target_host import make_net_host
+from bayesnet_track.runtime.executors.worker_pool import AgentSpec
 
 Place = Literal["engine", "process"]
 PLACES: tuple[Place, ...] = ("engine", "process")
@@ -110,16 +110,18 @@ def plates_elsewhere(
     return frozenset(nets)
 
 
-def hosts_of(graph: CheckedGraph, seed: int, workers: int) -> dict[str, Employed]:
+def hosts_of(graph: CheckedGraph, seed: int, workers: int) -> dict[str, AgentSpec]:
     """Name of every worker for whole nets -> how it is made."""
-    return {f"nets {number}": Employed(make_net_host, (graph, seed), 1.0) for number in range(1, workers + 1)}
+    return {
+        f"nets {number}": AgentSpec(make_net_host, (graph, seed), 1.0) for number in range(1, workers + 1)
+    }
 
 
-def employed_of(
+def agent_specs(
     engine: Engine,
     places: Mapping[tuple[str, str], Place],
     cues: Mapping[str, CueDeclaration] | None = None,
-) -> dict[str, Employed]:
+) -> dict[str, AgentSpec]:
     """Name of every agent that works in a process -> how its cue is made there."""
     declarations = _declarations(engine, cues)
     found = {}
@@ -128,17 +130,19 @@ def employed_of(
             machine = engine.machinery[plate]
             make = declarations[machine.plate.agent(agent).agent.cue].make
             parameters = machine.plate.parameters[agent]
-            found[_name(plate, agent)] = Employed(make, parameters, machine.costs_ms[agent] * 1e-3)
+            found[_name(plate, agent)] = AgentSpec(make, parameters, machine.costs_ms[agent] * 1e-3)
     return found
 
 
-def with_proxies(engine: Engine, places: Mapping[tuple[str, str], Place], desk: Desk) -> Engine:
+def with_proxies(engine: Engine, places: Mapping[tuple[str, str], Place], transport: Transport) -> Engine:
     """The engine with a proxy in place of the cue of every agent that works in a process."""
-    sent = SentFrames(desk)
+    sent = SentFrames(transport)
     machinery = {}
     for plate, machine in engine.machinery.items():
         cues = {
-            agent: placed(_name(plate, agent), cue, desk, sent) if places[plate, agent] == "process" else cue
+            agent: placed(_name(plate, agent), cue, transport, sent)
+            if places[plate, agent] == "process"
+            else cue
             for agent, cue in machine.cues.items()
         }
         machinery[plate] = replace(machine, cues=cues)

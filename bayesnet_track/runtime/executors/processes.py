@@ -18,7 +18,7 @@ from bayesnet_track.runtime.deadline import Patience
 from bayesnet_track.runtime.executors.frames import FrameStore, SharedFrame
 from bayesnet_track.runtime.executors.pending import Pending
 from bayesnet_track.runtime.executors.questions import ADVANCE, Answer, Foreign
-from bayesnet_track.runtime.executors.staff import Employed, Slot, Staff
+from bayesnet_track.runtime.executors.worker_pool import AgentSpec, Slot, WorkerPool
 from bayesnet_track.runtime.executors.workers import Late, Limits, Worker, WorkerGone, WorkerLost
 
 COMING_S = 0.002
@@ -43,13 +43,13 @@ class Processes:
     """
 
     def __init__(
-        self, agents: Mapping[str, Employed], workers: int, limits: Limits, retries: int = 2
+        self, agents: Mapping[str, AgentSpec], workers: int, limits: Limits, retries: int = 2
     ) -> None:
-        for agent, employed in agents.items():
-            _check_sendable(agent, employed)
+        for agent, spec in agents.items():
+            _check_sendable(agent, spec)
         self.retries, self.patience = retries, None
         self._store = FrameStore()
-        self._staff = Staff(agents, workers, limits, self._store.descriptor)
+        self._pool = WorkerPool(agents, workers, limits, self._store.descriptor)
         self._unsent: list[Pending] = []
         self._frames = 0
         self._asking = RLock()
@@ -63,7 +63,7 @@ class Processes:
             if shared.number > self._frames:
                 self._frames = shared.number
                 self._unsent.clear()
-                self._staff.look_after(self._frames)
+                self._pool.look_after(self._frames)
             return shared
 
     def ask(
@@ -96,12 +96,12 @@ class Processes:
 
     def workers(self) -> dict[int, tuple[str, ...]]:
         """Process id of every worker -> the agents that it has."""
-        alive = (slot.worker for slot in self._staff.slots)
+        alive = (slot.worker for slot in self._pool.slots)
         return {w.pid: tuple(sorted(w.agents)) for w in alive if w is not None and not w.is_dead}
 
     def close(self) -> None:
         """End all workers."""
-        self._staff.close()
+        self._pool.close()
         self._store.close()
 
     def _heard(self, pending: Pending) -> Any:
@@ -113,7 +113,7 @@ class Processes:
                 try:
                     answer = self._answered(pending)
                 except Late:
-                    self._staff.spent(agent, time.monotonic() - (pending.sent_at or began))
+                    self._pool.spent(agent, time.monotonic() - (pending.sent_at or began))
                     raise
                 except WorkerLost as lost:
                     pending.lost.append(str(lost))
@@ -122,13 +122,13 @@ class Processes:
                 finally:
                     if pending.patience is not None:
                         pending.patience.waited(agent, time.monotonic() - began)
-                self._staff.spent(agent, answer.seconds)
+                self._pool.spent(agent, answer.seconds)
                 if answer.raised is not None:
                     raise _again(*answer.raised)
                 if isinstance(answer.value, Foreign):
                     return type(answer.value.type_name, (), {})()
                 return answer.value
-            self._staff.start(self._staff.slot(agent))
+            self._pool.start(self._pool.slot(agent))
         tries = f", {len(pending.lost)} times" if len(pending.lost) > 1 else ""
         raise AgentUnavailable(f"{pending.lost[-1]}{tries}")
 
@@ -146,16 +146,16 @@ class Processes:
 
     def _send(self, pending: Pending) -> None:
         """Send a question, when its worker is there and free for it."""
-        while (slot := self._staff.slot(pending.agent)).asked is not None:
+        while (slot := self._pool.slot(pending.agent)).asked is not None:
             self._drive(slot.asked)
         until = pending.until_from(time.monotonic())
         busy_with = None if slot.worker is None else slot.worker.busy_with
         if slot.worker is not None and busy_with == pending.agent:  # nobody waited for that answer
             self._drop_answer(slot, slot.worker, until)
         elif busy_with is not None:
-            self._staff.set_apart(slot, busy_with)
+            self._pool.set_apart(slot, busy_with)
         while not pending.is_sent:
-            worker = self._staff.awaited(slot, until)
+            worker = self._pool.awaited(slot, until)
             if until is not None and until <= time.monotonic():
                 raise Late("there was no time left to ask it")
             with suppress(WorkerGone):  # a fresh one is never that
@@ -163,7 +163,7 @@ class Processes:
 
     def _forwarded(self, pending: Pending) -> bool:
         """Whether the question could be sent without waiting for anything."""
-        slot = self._staff.slot(pending.agent)
+        slot = self._pool.slot(pending.agent)
         if slot.asked is not None or (slot.worker is not None and slot.worker.busy_with is not None):
             return False
         now = time.monotonic()
@@ -171,7 +171,7 @@ class Processes:
         if until is not None and until <= now:
             return False
         try:
-            worker = self._staff.come(slot)
+            worker = self._pool.come(slot)
         except AgentUnavailable:  # as it will be when it is waited for
             return False
         if worker is None:
@@ -179,7 +179,7 @@ class Processes:
         try:
             self._hand_over(pending, slot, worker, until)
         except WorkerGone:
-            self._staff.start(slot)
+            self._pool.start(slot)
             return False
         except WorkerLost as lost:
             pending.outcome = lost
@@ -187,7 +187,7 @@ class Processes:
 
     def _hand_over(self, pending: Pending, slot: Slot, worker: Worker, until: float | None) -> None:
         try:
-            self._staff.employ(worker, pending.agent)
+            self._pool.assign(worker, pending.agent)
             worker.ask(*pending.asked)
         except WorkerLost:
             slot.worker = None
@@ -198,10 +198,10 @@ class Processes:
     def _drive(self, pending: Pending) -> None:
         """Receive answers, and send what waits for their workers, until the outcome of `pending` is known."""
         while pending.outcome is None:
-            working = [slot for slot in self._staff.slots if slot.asked is not None]
+            working = [slot for slot in self._pool.slots if slot.asked is not None]
             end = min(_end(slot) for slot in working)
             is_coming = self._unsent and any(
-                self._staff.slot(one.agent).worker is None for one in self._unsent
+                self._pool.slot(one.agent).worker is None for one in self._unsent
             )
             left = max(end - time.monotonic(), 0.0)
             ready = _readable(working, min(left, COMING_S) if is_coming else left)
@@ -266,17 +266,17 @@ def _again(name: str, text: str) -> Exception:
     return kind(text)
 
 
-def _check_sendable(agent: str, employed: Employed) -> None:
+def _check_sendable(agent: str, spec: AgentSpec) -> None:
     """Refuse an agent whose cue cannot be made elsewhere; raises PlacingError."""
     try:
-        pickle.dumps((employed.make, employed.parameters), protocol=5)
+        pickle.dumps((spec.make, spec.parameters), protocol=5)
     except Exception as error:
         raise PlacingError(
             f"agent {agent} cannot be in a process: how its cue is made cannot be sent there ({error}); "
             "its declaration's `make` must be a function of a module"
         ) from None
-    make = employed.make.make if isinstance(employed.make, Making) else employed.make
-    if "__main__" in (getattr(make, "__module__", ""), type(employed.parameters).__module__):
+    make = spec.make.make if isinstance(spec.make, Making) else spec.make
+    if "__main__" in (getattr(make, "__module__", ""), type(spec.parameters).__module__):
         raise PlacingError(
             f"agent {agent} cannot be in a process: its cue is defined in the program that runs, which "
             "workers do not import; put it into a file of its own, and give its path: cues=['my_cue.py']"

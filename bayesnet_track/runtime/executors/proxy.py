@@ -14,7 +14,7 @@ from bayesnet_track.observation.planes import Array, Frame, FramePair, Plane, Pl
 from bayesnet_track.runtime.executors.questions import LEARN_AND_BLEND
 
 
-class Desk(Protocol):
+class Transport(Protocol):
     """Where questions for agents that work elsewhere are handed in."""
 
     def send_frame(self, frame: Frame) -> Any:
@@ -53,11 +53,11 @@ class Desk(Protocol):
 class SentFrames:
     """The plane that a proxy needs: "computing" it brings the frames to where the agents are, once a frame.
 
-    Its value is an array of two objects: what `Desk.send_frame` said of the current frame and of the one
+    Its value is an array of two objects: what `Transport.send_frame` said of the current frame and of the one
     before, or None.
     """
 
-    desk: Desk
+    transport: Transport
     margin: None = None
     inputs: tuple[Plane, ...] = ()
     is_points: bool = True
@@ -66,8 +66,8 @@ class SentFrames:
         """Where the two frames lie."""
         where: NDArray[np.object_] = np.empty(2, dtype=object)
         # The older one first: it lies there already, and must not be overwritten by the newer.
-        where[1] = None if frames.previous is None else self.desk.send_frame(frames.previous)
-        where[0] = self.desk.send_frame(frames.current)
+        where[1] = None if frames.previous is None else self.transport.send_frame(frames.previous)
+        where[0] = self.transport.send_frame(frames.current)
         return where
 
 
@@ -76,7 +76,7 @@ class Placed:
     """What all proxies have: a name to ask by, and the plane that sends frames."""
 
     agent: str
-    desk: Desk
+    transport: Transport
     sent: SentFrames
     context: float
 
@@ -87,12 +87,12 @@ class Placed:
 
     def ask(self, method: str, planes: Planes | None, *arguments: Any) -> Any:
         """A question, about a frame unless `planes` is None."""
-        return self.desk.ask(*self._question(method, planes, arguments))
+        return self.transport.ask(*self._question(method, planes, arguments))
 
     def ask_ahead(self, method: str, *arguments: Any) -> Callable[[], Any]:
         """Ask what the method of that name returns, which what is returned waits for."""
         asked = self._blending(*arguments) if method == "blend" else (method, *arguments)
-        return self.desk.begin(*self._question(asked[0], asked[1], asked[2:]))
+        return self.transport.begin(*self._question(asked[0], asked[1], asked[2:]))
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """As of a `Cue`."""
@@ -104,7 +104,7 @@ class Placed:
         return blended
 
     def _question(self, method: str, planes: Planes | None, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
-        # Before the desk is busy with this question: what was learnt may have to be asked for.
+        # Before the transport is busy with this question: what was learnt may have to be asked for.
         known = tuple([dict(part) if type(part) is Learnt else part for part in arguments])
         if planes is None:
             return self.agent, method, None, None, known
@@ -170,7 +170,7 @@ FURTHER: Mapping[str, Any] = {
 """Methods that a proxy has where its cue has them, so that it fulfils the same protocols."""
 
 
-def placed(agent: str, cue: AnyCue, desk: Desk, sent: SentFrames) -> AnyCue:
+def placed(agent: str, cue: AnyCue, transport: Transport, sent: SentFrames) -> AnyCue:
     """A proxy of `cue`, which fulfils the runtime protocols that `cue` does."""
     own = {name: method for name, method in FURTHER.items() if hasattr(cue, name)}
     if hasattr(cue, "rule"):
@@ -178,5 +178,5 @@ def placed(agent: str, cue: AnyCue, desk: Desk, sent: SentFrames) -> AnyCue:
     from bayesnet_track.observation.cue import context_of
 
     kind = type("Placed" + type(cue).__name__, (Placed,), own)
-    proxy: AnyCue = kind(agent, desk, sent, context_of(cue))
+    proxy: AnyCue = kind(agent, transport, sent, context_of(cue))
     return proxy

@@ -26,7 +26,7 @@ MOST_BYTES = 256 << 20
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class EncodedReference:
     """A reference: name -> the array, or the number of one that the other side holds, or both: to be kept."""
 
     arrays: Mapping[str, tuple[int | None, Array | None]]
@@ -41,7 +41,7 @@ class Question:
         method: such as "log_likelihood".
         frames: where the current frame and the one before lie; None for a method that sees none.
         region: of the planes.
-        arguments: those behind the planes, references as `Told`.
+        arguments: those behind the planes, references as `EncodedReference`.
         next_number: of the first array of the answer that is kept.
         forget: numbers of arrays that are kept no longer.
     """
@@ -60,7 +60,7 @@ class Answer:
     """What became of a question.
 
     Attributes:
-        value: what the method returned; a reference as `Told`.
+        value: what the method returned; a reference as `EncodedReference`.
         raised: (type, text) of what it raised.
         out_of_memory: whether it needed more memory than it may have.
         seconds: how long it took.
@@ -99,10 +99,10 @@ class Sent:
         """The question, references in `arguments` told."""
         # First: an array that this question tells or refers to must outlast it.
         forget = self._forgotten()
-        told = tuple(self.tell(part) if isinstance(part, Mapping) else part for part in arguments)
+        told = tuple(self.encode(part) if isinstance(part, Mapping) else part for part in arguments)
         return Question(agent, method, frames, region, told, self.next_number, forget)
 
-    def tell(self, reference: Mapping[str, Any]) -> Told:
+    def encode(self, reference: Mapping[str, Any]) -> EncodedReference:
         """The reference, without the arrays that the worker has."""
         arrays: dict[str, tuple[int | None, Array | None]] = {}
         for name, value in reference.items():
@@ -114,9 +114,9 @@ class Sent:
                 arrays[name] = self._keep(value), value
             else:
                 arrays[name] = None, value
-        return Told(arrays)
+        return EncodedReference(arrays)
 
-    def heard(self, told: Told) -> dict[str, Array]:
+    def decode(self, told: EncodedReference) -> dict[str, Array]:
         """The reference that a worker made; what it keeps of it is noted."""
         reference: dict[str, Any] = {}
         for name, (number, told_value) in told.arrays.items():
@@ -156,7 +156,7 @@ class Received:
 
     arrays: dict[int, Array] = field(default_factory=dict)
 
-    def reference(self, told: Told) -> dict[str, Any]:
+    def reference(self, told: EncodedReference) -> dict[str, Any]:
         """The reference that was told."""
         reference: dict[str, Any] = {}
         for name, (number, told_value) in told.arrays.items():
@@ -174,7 +174,9 @@ class Received:
         for number in numbers:
             self.arrays.pop(number, None)
 
-    def tell(self, reference: Mapping[str, Any], given: Sequence[Told], next_number: int) -> Told:
+    def encode(
+        self, reference: Mapping[str, Any], given: Sequence[EncodedReference], next_number: int
+    ) -> EncodedReference:
         """A reference that was made here of those `given`; their arrays are not sent back."""
         known = {
             id(self.arrays[number]): number
@@ -194,4 +196,4 @@ class Received:
                 next_number += 1
             else:
                 arrays[name] = None, array
-        return Told(arrays)
+        return EncodedReference(arrays)

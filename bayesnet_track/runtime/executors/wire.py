@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import Region
-from bayesnet_track.runtime.executors.questions import Told
+from bayesnet_track.runtime.executors.questions import EncodedReference
 
 Array = NDArray[Any]
 
@@ -97,7 +97,7 @@ class _Packing:
         if kind is Hypotheses and type(value.fields) is dict:
             fields = [(self.flat(name), self.flat(own)) for name, own in value.fields.items()]
             return HYPOTHESES, self.flat(value.boxes), fields
-        if kind is Told:
+        if kind is EncodedReference:
             return TOLD, [
                 (self.flat(name), number, None if array is None else self.flat(array))
                 for name, (number, array) in value.arrays.items()
@@ -143,7 +143,7 @@ def _whole(flat: Any, body: bytearray, arrays_at: int) -> Any:
         own = {_whole(name, body, arrays_at): _whole(values, body, arrays_at) for name, values in flat[2]}
         return Hypotheses(_whole(flat[1], body, arrays_at), own)
     if kind == TOLD:
-        return Told(
+        return EncodedReference(
             {
                 _whole(name, body, arrays_at): (number, _kept(_whole(one, body, arrays_at)))
                 for name, number, one in flat[1]

@@ -1,11 +1,11 @@
-"""The program of the nursery and of the worker processes that it forks, which answer questions about agents.
+"""The program of the fork server and of its worker processes, which answer questions about agents.
 
 What it reads from its input are the engine's cue files.
 
-`nursery.Nursery` starts it.
+`fork_server.ForkServer` starts it.
 
-The nursery imports once what cues need. A worker forked from it is ready within milliseconds, and shares that
-memory. It has one thread, so that forking is safe.
+The fork server imports once what cues need. A worker forked from it is ready within milliseconds, and shares
+that memory. It has one thread, so that forking is safe.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import sys
 import time
 from contextlib import suppress
 
+from bayesnet_track.runtime.executors.fork_server import END_S, NUMBER, READY, UNKNOWN, WORKER
 from bayesnet_track.runtime.executors.memory import limit_memory
-from bayesnet_track.runtime.executors.nursery import END_S, NUMBER, READY, UNKNOWN, WORKER
 from bayesnet_track.sources.child import die_with
 
 POLL_S = 0.002
@@ -90,7 +90,7 @@ def _load(cue_files: bytes) -> None:
 def _ended(child: int, until: float) -> int:
     """The exit code of a child, minus the signal that killed it; after `until` it is killed.
 
-    UNKNOWN where it is no child of this nursery but of one before it.
+    UNKNOWN where it is no child of this fork server but of one before it.
     """
     while True:
         try:
@@ -134,10 +134,10 @@ def _serve(channel: socket.socket, frames: int, is_limited: bool) -> None:
         except (EOFError, ConnectionError):
             return
         if kind == EMPLOY:
-            host.employ(agent, *values)
+            host.assign(agent, *values)
             continue
         if kind == DISMISS:
-            host.dismiss(agent)
+            host.unassign(agent)
             continue
         method, numbers, where, next_number, forget, new = plain
         for known in reversed(new):

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from bayesnet_track.inference.executor import AgentUnavailable
+from bayesnet_track.runtime.executors.fork_server import ForkServer
 from bayesnet_track.runtime.executors.frames import SLOTS, SharedFrame, parts_of
-from bayesnet_track.runtime.executors.nursery import Nursery
-from bayesnet_track.runtime.executors.questions import Answer, Sent, Told
+from bayesnet_track.runtime.executors.questions import Answer, EncodedReference, Sent
 from bayesnet_track.runtime.executors.wire import ASK, DISMISS, EMPLOY, receive, send
 from bayesnet_track.sources.child import cut
 
@@ -56,9 +56,9 @@ class Worker:
         until: the moment by which it has to answer.
     """
 
-    def __init__(self, nursery: Nursery, limits: Limits) -> None:
-        self._nursery = nursery
-        self.channel, self._lifeline, self.pid = nursery.worker()
+    def __init__(self, fork_server: ForkServer, limits: Limits) -> None:
+        self._fork_server = fork_server
+        self.channel, self._lifeline, self.pid = fork_server.worker()
         # A worker that is stopped reads nothing, or has sent half an answer: neither is waited for for ever.
         patience = struct.pack("@ll", int(limits.answer_s), int(limits.answer_s % 1 * 1e6))
         for side in (socket.SO_SNDTIMEO, socket.SO_RCVTIMEO):
@@ -81,12 +81,12 @@ class Worker:
         except OSError:
             return True
 
-    def employ(self, agent: str, make: Any, parameters: Any) -> None:
+    def assign(self, agent: str, make: Any, parameters: Any) -> None:
         """Have it make the cue of an agent."""
         self._send((EMPLOY, agent), make, parameters)
         self.agents.add(agent)
 
-    def dismiss(self, agent: str) -> None:
+    def unassign(self, agent: str) -> None:
         """Have it drop an agent."""
         self._send((DISMISS, agent))
         self.agents.discard(agent)
@@ -136,7 +136,9 @@ class Worker:
                 f"needs more than {self._limits.memory_mb} MB above what its process starts with"
             )
         self._known.add(self._asked)
-        return Answer(self._sent.heard(value) if isinstance(value, Told) else value, raised, False, seconds)
+        return Answer(
+            self._sent.decode(value) if isinstance(value, EncodedReference) else value, raised, False, seconds
+        )
 
     def overdue(self) -> WorkerLost:
         """Kill it, since it has not answered `until` then; what is to be said of that."""
@@ -146,7 +148,7 @@ class Worker:
     def close(self) -> int | None:
         """Let it go, and see it off: its exit code, None when nobody knows."""
         self.let_go()
-        return self._nursery.ended(self.pid)
+        return self._fork_server.ended(self.pid)
 
     def let_go(self) -> None:
         """Close what it is connected by, which ends it, whatever it does."""

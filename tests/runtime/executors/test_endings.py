@@ -75,18 +75,18 @@ def test_a_run_whose_agents_hang_ends_as_soon(run, way, are_all):
 
     Nor is the process that forks them, where it is stopped, too.
     """
-    nursery = children(run.pid)
-    workers = [pid for pid in nursery if any(pid in children(other) for other in nursery)]
+    server = children(run.pid)
+    workers = [pid for pid in server if any(pid in children(other) for other in server)]
     assert len(workers) >= 2
-    for pid in nursery if are_all else workers:
+    for pid in server if are_all else workers:
         os.kill(pid, signal.SIGSTOP)
     time.sleep(0.5)
     assert run.poll() is None
     run.send_signal(way)
     ended = time.monotonic()
     code = run.wait(LEFT_S)
-    while any(map(is_there, nursery)):
-        assert time.monotonic() < ended + LEFT_S, [pid for pid in nursery if is_there(pid)]
+    while any(map(is_there, server)):
+        assert time.monotonic() < ended + LEFT_S, [pid for pid in server if is_there(pid)]
         time.sleep(0.01)
     assert code == {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGKILL: -9}[way]
 
@@ -94,14 +94,14 @@ def test_a_run_whose_agents_hang_ends_as_soon(run, way, are_all):
 def test_a_run_goes_on_soon_though_what_forks_its_workers_is_stopped(run):
     """It is given up after the time that an agent has, and another one forks the workers that are missing."""
     all_of_them = children(run.pid)
-    (nursery,) = [pid for pid in all_of_them if children(pid)]
-    os.kill(nursery, signal.SIGSTOP)
+    (server,) = [pid for pid in all_of_them if children(pid)]
+    os.kill(server, signal.SIGSTOP)
     for pid in all_of_them:
-        if pid != nursery:
+        if pid != server:
             os.kill(pid, signal.SIGKILL)
     output = run.communicate(timeout=90)[0].decode()
     assert run.returncode == 0, output
-    assert not is_there(nursery)
+    assert not is_there(server)
 
 
 def test_no_worker_outlives_a_run_that_comes_to_its_end(run):

@@ -22,7 +22,7 @@ from bayesnet_track.runtime.executors.frames import FrameStore, FrameView
 from bayesnet_track.runtime.executors.host import AgentHost
 from bayesnet_track.runtime.executors.proxy import SentFrames
 from bayesnet_track.runtime.executors.proxy import placed as place
-from bayesnet_track.runtime.executors.questions import LEAST_BYTES, Sent, Told
+from bayesnet_track.runtime.executors.questions import LEAST_BYTES, EncodedReference, Sent
 
 PROTOCOLS = (Cue, MeasuringCue, ClaimingCue, LocallyAdaptable, Turnable)
 
@@ -34,7 +34,7 @@ class Across:
         self.store = FrameStore()
         view = FrameView(self.store.descriptor)
         self.host = AgentHost(view.get, is_limited)
-        self.host.employ(agent, make, parameters)
+        self.host.assign(agent, make, parameters)
         self.sent, self.bytes, self.is_busy = Sent(), [], False
 
     def send_frame(self, frame):
@@ -50,7 +50,7 @@ class Across:
         self.is_busy = False
         if answer.raised:
             raise RuntimeError(answer.raised)
-        return self.sent.heard(answer.value) if isinstance(answer.value, Told) else answer.value
+        return self.sent.decode(answer.value) if isinstance(answer.value, EncodedReference) else answer.value
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.inputs import Toggled
 from bayesnet_track.runtime.executors import make_executor
-from bayesnet_track.runtime.executors.net_crew import NetCrew
 from bayesnet_track.runtime.executors.placing import PlacingError
+from bayesnet_track.runtime.executors.target_executor import TargetExecutor
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
 
@@ -93,7 +93,7 @@ def test_a_name_that_is_no_agent_and_no_plate_is_refused(crowd):
 
 
 def test_nothing_is_kept_of_targets_that_are_gone():
-    crew = NetCrew(None, ("nets 1",), frozenset({"disc"}))
+    crew = TargetExecutor(None, ("nets 1",), frozenset({"disc"}))
     crew._returned = {"1": object(), "2": object()}
     crew._share_out({"2": object()})
     assert set(crew._returned) == {"2"}

@@ -8,7 +8,7 @@ from bayesnet_track.engine.step import make_engine
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.runtime.executors import PlacingError, make_executor, parse_places
-from bayesnet_track.runtime.executors.placing import employed_of, places_of
+from bayesnet_track.runtime.executors.placing import agent_specs, places_of
 
 AGENTS = {"a": ("placed", {}), "b": ("placed", {"x": 1.0}), "c": ("kept", {})}
 
@@ -71,9 +71,9 @@ targets:
         load_graph(path)
     path.write_text(text % "engine")
     engine = make_engine(load_graph(path))
-    assert list(employed_of(engine, places_of(engine, "process", {}))) == ["it.color"]
-    assert list(employed_of(engine, places_of(engine, "engine", {}))) == ["it.color"]
-    assert list(employed_of(engine, places_of(engine, "process", {"flow": "process"}))) == [
+    assert list(agent_specs(engine, places_of(engine, "process", {}))) == ["it.color"]
+    assert list(agent_specs(engine, places_of(engine, "engine", {}))) == ["it.color"]
+    assert list(agent_specs(engine, places_of(engine, "process", {"flow": "process"}))) == [
         "it.color",
         "it.flow",
     ]

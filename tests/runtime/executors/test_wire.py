@@ -12,7 +12,7 @@ import pytest
 
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import Region
-from bayesnet_track.runtime.executors.questions import Told
+from bayesnet_track.runtime.executors.questions import EncodedReference
 from bayesnet_track.runtime.executors.wire import HEAD, receive, send
 
 VALUES = np.random.default_rng(0).normal(size=(7, 10))
@@ -74,7 +74,7 @@ def test_values_arrive_as_they_were():
 def test_what_cues_are_asked_and_say_arrives_whole():
     hypotheses = Hypotheses(VALUES[:, :4].copy(), {"angle": VALUES[:, 5]})
     measurement = Measurement(("x", "y"), VALUES[0, :2], VALUES[:2, :2], "floor")
-    told = Told({"new": (3, VALUES), "known": (4, None), "small": (None, VALUES[0])})
+    told = EncodedReference({"new": (3, VALUES), "known": (4, None), "small": (None, VALUES[0])})
     asked, said, reference = across(hypotheses, measurement, told)
     assert asked.boxes.tobytes() == hypotheses.boxes.tobytes() and list(asked.fields) == ["angle"]
     assert asked.fields["angle"].tobytes() == VALUES[:, 5].tobytes()

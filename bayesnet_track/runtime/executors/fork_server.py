@@ -32,12 +32,12 @@ ONE_THREAD: Mapping[str, str] = MappingProxyType(
     dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 )
 START_S = 60.0
-"""Seconds in which the nursery has imported everything, on the slowest machine."""
+"""Seconds in which the fork server has imported everything, on the slowest machine."""
 LOOK_S = 0.25
-"""Seconds after which it is looked whether a nursery that does not answer is stopped."""
+"""Seconds after which it is looked whether a fork server that does not answer is stopped."""
 
 
-class Nursery:
+class ForkServer:
     """The engine's side. For several threads.
 
     A process that the engine forked itself would hold whatever locks its threads held then; one that starts
@@ -50,7 +50,7 @@ class Nursery:
         Args:
             frames: descriptor of the frames' memory.
             memory_mb: what a worker may take above what it starts with; 0 for no limit.
-            answer_s: seconds for which a nursery that hangs, or is stopped, is waited for.
+            answer_s: seconds for which a fork server that hangs, or is stopped, is waited for.
         """
         self._frames, self._memory_mb = frames, memory_mb
         self._patience_s = answer_s + 2 * END_S  # it may wait END_S for a worker's end itself
@@ -169,7 +169,7 @@ class Nursery:
 
 @contextmanager
 def _cue_files() -> Iterator[int | IO[bytes]]:
-    """What the nursery reads the engine's cue files from."""
+    """What the fork server reads the engine's cue files from."""
     content = packed()
     if not content:
         yield subprocess.DEVNULL

@@ -13,10 +13,9 @@ from bayesnet_track.engine.step import Engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.inference.executor import Executor, Serial
 from bayesnet_track.observation.cue import CueDeclaration
-from bayesnet_track.runtime.executors.net_crew import NetCrew
 from bayesnet_track.runtime.executors.placing import (
     Place,
-    employed_of,
+    agent_specs,
     hosts_of,
     places_of,
     plates_elsewhere,
@@ -24,6 +23,7 @@ from bayesnet_track.runtime.executors.placing import (
 )
 from bayesnet_track.runtime.executors.processes import PlacingError, Processes
 from bayesnet_track.runtime.executors.single import one_thread_inside
+from bayesnet_track.runtime.executors.target_executor import TargetExecutor
 from bayesnet_track.runtime.executors.threads import Threads
 from bayesnet_track.runtime.executors.workers import Limits
 from bayesnet_track.runtime.system import NO_WORKERS, has_workers
@@ -86,17 +86,17 @@ class Executing:
         """
         nets = plates_elsewhere(engine, graph, self._places, self._cues)
         places = places_of(engine, self._default, self._places, self._cues, nets)
-        employed = employed_of(engine, places, self._cues)
+        specs = agent_specs(engine, places, self._cues)
         hosts = dict(hosts_of(graph, engine.streams.seed, self.workers)) if nets and graph is not None else {}
-        if employed or hosts:
+        if specs or hosts:
             if not has_workers():
                 raise PlacingError(NO_WORKERS)
             again = retries if self._retries is None else self._retries
-            desk = self.processes = Processes({**employed, **hosts}, self.workers, self._limits, again)
-            self._open.callback(desk.close)
-            engine = with_proxies(engine, places, desk)
+            transport = self.processes = Processes({**specs, **hosts}, self.workers, self._limits, again)
+            self._open.callback(transport.close)
+            engine = with_proxies(engine, places, transport)
             if hosts:
-                engine = replace(engine, crew=NetCrew(desk, tuple(hosts), nets))
+                engine = replace(engine, crew=TargetExecutor(transport, tuple(hosts), nets))
         return replace(engine, executor=self._pool())
 
     def _pool(self) -> Executor:

@@ -11,7 +11,7 @@ from typing import Any
 
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.observation.cue import AnyCue
-from bayesnet_track.runtime.executors.nursery import Nursery
+from bayesnet_track.runtime.executors.fork_server import ForkServer
 from bayesnet_track.runtime.executors.packing import packed, repacked
 from bayesnet_track.runtime.executors.workers import Late, Limits, Worker, WorkerLost
 
@@ -24,7 +24,7 @@ MEMORY_OF_COST = 0.9
 
 
 @dataclass(frozen=True, eq=False)
-class Employed:
+class AgentSpec:
     """How a worker makes an agent's cue, and what it is expected to cost, seconds a frame."""
 
     make: Callable[[Any], AnyCue]
@@ -46,18 +46,18 @@ class Slot:
         self.asked: Any = None
 
 
-class Staff:
+class WorkerPool:
     """The slots of some agents. Not for several threads at a time.
 
     Args:
         frames: descriptor of the frames' memory.
     """
 
-    def __init__(self, agents: Mapping[str, Employed], workers: int, limits: Limits, frames: int) -> None:
+    def __init__(self, agents: Mapping[str, AgentSpec], workers: int, limits: Limits, frames: int) -> None:
         self.slots = [Slot() for _ in range(max(1, min(workers, len(agents))))]
         self._agents, self._limits = agents, limits
-        self._nursery = Nursery(frames, limits.memory_mb, limits.answer_s)
-        self._costs = {agent: employed.cost_s for agent, employed in agents.items()}
+        self._fork_server = ForkServer(frames, limits.memory_mb, limits.answer_s)
+        self._costs = {agent: spec.cost_s for agent, spec in agents.items()}
         self._spent = dict.fromkeys(agents, 0.0)
         self._asked_in = dict.fromkeys(agents, 0)
         self._slot_of: dict[str, Slot] = {}
@@ -111,11 +111,11 @@ class Staff:
         slot.worker = worker = coming.result()
         return worker
 
-    def employ(self, worker: Worker, agent: str) -> None:
+    def assign(self, worker: Worker, agent: str) -> None:
         """See that the worker has the agent; raises WorkerLost."""
         if agent not in worker.agents:
-            employed = self._agents[agent]
-            worker.employ(agent, employed.make, employed.parameters)
+            spec = self._agents[agent]
+            worker.assign(agent, spec.make, spec.parameters)
 
     def start(self, slot: Slot) -> Future[Worker]:
         """Have a worker started for the slot, unless one comes already; nobody need wait for it."""
@@ -127,7 +127,7 @@ class Staff:
 
             def start() -> None:
                 try:
-                    coming.set_result(Worker(self._nursery, self._limits))
+                    coming.set_result(Worker(self._fork_server, self._limits))
                 except BaseException as error:
                     coming.set_exception(error)
 
@@ -158,7 +158,7 @@ class Staff:
         for slot in self.slots:
             if slot.worker is not None:
                 slot.worker.let_go()
-        self._nursery.close()
+        self._fork_server.close()
         for slot in self.slots:
             coming = slot.coming
             if coming is not None and coming.done() and coming.exception() is None:
@@ -182,6 +182,6 @@ class Staff:
                 slot.worker = None
                 return
             for agent in worker.agents - slot.agents:
-                worker.dismiss(agent)
+                worker.unassign(agent)
         except WorkerLost:
             slot.worker = None

@@ -42,7 +42,7 @@ BOTH_FRAMES = BothFrames()
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class TargetRequest:
     """What is asked for one target: its net, and its state without the plan; None for the one held here."""
 
     net: TargetNet
@@ -70,7 +70,7 @@ class NetHost:
         No bytes when a state is asked for that is not held here: by a fresh worker.
         """
         cache = PlaneCache(planes[BOTH_FRAMES][0])
-        given: Mapping[str, Asked] = pickle.loads(asked)
+        given: Mapping[str, TargetRequest] = pickle.loads(asked)
         if any(one.state is None and target not in self._held for target, one in given.items()):
             return b""
         net = Net({target: one.net for target, one in given.items()})
@@ -80,7 +80,7 @@ class NetHost:
             {target: _without_plan(one) for target, one in made.items()}, protocol=pickle.HIGHEST_PROTOCOL
         )
 
-    def _advanced(self, net: Net, target: str, asked: Asked, cache: PlaneCache) -> Advanced:
+    def _advanced(self, net: Net, target: str, asked: TargetRequest, cache: PlaneCache) -> Advanced:
         state = self._held[target] if asked.state is None else asked.state
         return advance(self._engine, net, target, replace(state, plan=self._plan(asked.net)), cache)
 

@@ -12,9 +12,9 @@ from bayesnet_track.engine.state import TargetState
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.observation.planes import FramePair, Region
-from bayesnet_track.runtime.executors.net_host import Asked
-from bayesnet_track.runtime.executors.proxy import Desk
+from bayesnet_track.runtime.executors.proxy import Transport
 from bayesnet_track.runtime.executors.questions import ADVANCE
+from bayesnet_track.runtime.executors.target_host import TargetRequest
 
 REMEMBERED = tuple(item.name for item in fields(TargetState) if item.name != "plan")
 
@@ -27,21 +27,21 @@ class _Shift:
     answer: Callable[[], bytes]
 
 
-class NetCrew:
-    """Advances targets in the workers behind a desk.
+class TargetExecutor:
+    """Advances targets in the workers behind a transport.
 
     Each has a share of the targets, those that it had before. A worker that is lost has forgotten their
     states: it is asked again with all of them, and what it still does not advance is left to the engine.
 
     Args:
-        desk: where questions are handed in.
-        hosts: names that the desk knows the workers by.
+        transport: where questions are handed in.
+        hosts: names that the transport knows the workers by.
         plates: of which targets are taken.
     """
 
-    def __init__(self, desk: Desk, hosts: Sequence[str], plates: frozenset[str]) -> None:
+    def __init__(self, transport: Transport, hosts: Sequence[str], plates: frozenset[str]) -> None:
         self.plates = plates
-        self._desk, self._hosts = desk, tuple(hosts)
+        self._transport, self._hosts = transport, tuple(hosts)
         self._host_of: dict[str, str] = {}
         self._returned: dict[str, TargetState] = {}
 
@@ -50,8 +50,8 @@ class NetCrew:
     ) -> Callable[[], Mapping[str, Advanced]]:
         """Have the targets advanced; see `executor.Crew`."""
         self._share_out(targets)
-        where = self._desk.send_frame(frames.previous) if frames.previous is not None else None
-        both = self._desk.send_frame(frames.current), where
+        where = self._transport.send_frame(frames.previous) if frames.previous is not None else None
+        both = self._transport.send_frame(frames.current), where
         whole = Region(0, 0, frames.current.width, frames.current.height)
         shifts = []
         for host in self._hosts:
@@ -84,9 +84,11 @@ class NetCrew:
         """What waits for the answer of a worker, which is asked now."""
         known = {target: self._is_held(target, state) for target, state in own.items()}
         question = host, ADVANCE, both, whole, (_question(net, own, known),)
-        answered = self._desk.begin(*question)
+        answered = self._transport.begin(*question)
         # A fresh worker holds no state: it says nothing, and is told all of them.
-        return lambda: answered() or self._desk.ask(host, ADVANCE, both, whole, (_question(net, own, {}),))
+        return lambda: (
+            answered() or self._transport.ask(host, ADVANCE, both, whole, (_question(net, own, {}),))
+        )
 
     def _is_held(self, target: str, state: TargetState) -> bool:
         """Whether the state is the one that the worker returned last: nobody has changed it since."""
@@ -113,5 +115,5 @@ def _question(net: Net, own: Mapping[str, TargetState], known: Mapping[str, bool
     asked = {}
     for target, state in own.items():
         bare: Any = None if known.get(target) else replace(state, plan=None)  # type: ignore[arg-type]
-        asked[target] = Asked(net.targets[target], bare)
+        asked[target] = TargetRequest(net.targets[target], bare)
     return pickle.dumps(asked, protocol=pickle.HIGHEST_PROTOCOL)
