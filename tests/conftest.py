@@ -198,7 +198,7 @@ def declare(cue: Any, **settings: Any) -> CueDeclaration:
 
 
 def graph_of(nodes: Mapping[str, Any], cues: Mapping[str, CueDeclaration]) -> CheckedGraph:
-    """A lawful graph of the plate "plate"; a text for a node is the parent of an agent."""
+    """A valid graph of the plate "plate"; a text for a node is the parent of an agent."""
     full = {
         name: {"parent": node, "agent": name} if isinstance(node, str) else dict(node)
         for name, node in nodes.items()

@@ -1,1 +1,1 @@
-"""The language: specification, YAML with positions, laws, and the net with its decisions."""
+"""The language: specification, YAML with positions, checks, and the net with its decisions."""

@@ -1,4 +1,4 @@
-"""A graph that has passed every law: what compilation starts from."""
+"""A graph that has passed every check: what compilation starts from."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class CheckedTarget:
 
 @dataclass(frozen=True, eq=False)
 class CheckedGraph:
-    """A lawful graph.
+    """A valid graph.
 
     Attributes:
         spec: the specification as written.

@@ -22,9 +22,9 @@ def check_line(event: Any) -> None:
         JournalError: names the field, what it is and what it may be.
     """
     kind: Any = type(event)  # a class of events is hashable, whatever mypy says of Any
-    for name, is_lawful, what in _laws(kind):
+    for name, is_valid, what in _checks_of(kind):
         value = getattr(event, name)
-        if not is_lawful(value):
+        if not is_valid(value):
             raise JournalError(f"{name}: {short(repr(value))} is not {what}")
 
 
@@ -52,12 +52,12 @@ def _is_interval(value: float) -> bool:
     return math.isnan(value) or 0 <= value < math.inf
 
 
-Law = tuple[str, Callable[[Any], bool], str]
+Check = tuple[str, Callable[[Any], bool], str]
 
 _COUNT = (_is_count, f"an integer from 0 to {MOST}")
 _SIZE = (_is_size, f"an integer from 1 to {MOST}")
 _BOX = (_is_box, "four numbers")
-_LAWS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
+_CHECKS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     **dict.fromkeys(("frame", "frames", "declared_frames", "particles", "first_frame"), _COUNT),
     **dict.fromkeys(("width", "height"), _SIZE),
     **dict.fromkeys(("box", "map", "sd", "region50", "region90"), _BOX),
@@ -69,5 +69,5 @@ _LAWS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
 
 
 @cache
-def _laws(kind: Any) -> tuple[Law, ...]:
-    return tuple((item.name, *_LAWS[item.name]) for item in fields(kind) if item.name in _LAWS)
+def _checks_of(kind: Any) -> tuple[Check, ...]:
+    return tuple((item.name, *_CHECKS[item.name]) for item in fields(kind) if item.name in _CHECKS)

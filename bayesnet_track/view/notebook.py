@@ -28,7 +28,7 @@ def graph_html(graph: CheckedGraph) -> str:
 
 
 def spec_html(spec: GraphSpec) -> str:
-    """The same of a specification, or all its errors where it breaks a law."""
+    """The same of a specification, or all its errors where it fails a check."""
     try:
         return graph_html(check_graph(spec))
     except GraphError as error:

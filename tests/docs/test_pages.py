@@ -1,4 +1,4 @@
-"""What the pages show is true: commands run, graphs are lawful, the cue of the page on cues is right."""
+"""What the pages show is true: commands run, graphs are valid, the cue of the page on cues is right."""
 
 import os
 import re

@@ -255,7 +255,7 @@ def test_what_cannot_act_is_refused(fakes, settings, root, message):
     ],
     ids=["kalman", "unscented", "grid", "kld"],
 )
-def test_every_belief_takes_what_the_laws_let_pass(fakes, belief, settings):
+def test_every_belief_takes_what_the_checks_let_pass(fakes, belief, settings):
     nodes = nodes_of(**settings)
     nodes["root"]["belief"] = belief
     if "size_reversion" not in settings:

@@ -336,7 +336,7 @@ def _grids(positive: st.SearchStrategy[float]) -> st.SearchStrategy[dict[str, An
 
 @pytest.fixture(scope="session")
 def graphs() -> st.SearchStrategy[dict[str, Any]]:
-    """Well-formed graphs as plain data: every model and key of the specification; laws may be broken."""
+    """Well-formed graphs as plain data: every model and key of the specification; checks may fail."""
     return _graphs()
 
 
@@ -348,7 +348,7 @@ def specs(graphs: st.SearchStrategy[dict[str, Any]]) -> st.SearchStrategy[GraphS
 
 @pytest.fixture(scope="session")
 def everything() -> dict[str, Any]:
-    """One graph that uses every part of the language (and breaks laws)."""
+    """One graph that uses every part of the language (and fails checks)."""
     level = {"ud_px2": 200}
     noise = {"sd_px": {"x": 1.5}, "sd_box": {"y": 0.1}, "sd_log": {"scale": 0.02}}
     part = {"offset_box": {"y": -0.4}, "size_box": {"w": 0.5}}

@@ -1,7 +1,7 @@
 """Every message, word for word: the tables in `messages/` hold graphs and what is said of them.
 
 A case is ``=== name``, the graph, and its messages, each after ``-->`` and without the file's name. In
-`nodes.txt` and `laws.txt` the graph is the nodes of one target, five lines down and six columns in.
+`nodes.txt` and `checks.txt` the graph is the nodes of one target, five lines down and six columns in.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ def test_nodes(text, said):
     assert _said(error) == said
 
 
-@pytest.mark.parametrize(("text", "said"), _cases("laws.txt"))
-def test_laws(text, said, cues):
+@pytest.mark.parametrize(("text", "said"), _cases("checks.txt"))
+def test_checks(text, said, cues):
     spec, at = read_graph(_nodes(text), "g.yaml")
     with pytest.raises(GraphError) as error:
         check(spec, at, cues)

@@ -141,7 +141,7 @@ FUSIONS = ("product", "pool", {"latent": {"given": GIVEN}}, {"latent": {"given":
 
 @st.composite
 def trees(draw: st.DrawFn) -> tuple[dict[str, object], list[str]]:
-    """Nodes of a lawful tree with random fusions, and some of its agents."""
+    """Nodes of a valid tree with random fusions, and some of its agents."""
     inner = draw(st.integers(1, 6))
     nodes: dict[str, object] = {"n0": {"fuse": draw(st.sampled_from(FUSIONS[:2]))}}
     leaves = {0}

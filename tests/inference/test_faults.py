@@ -161,7 +161,7 @@ def test_a_plane_that_breaks_later(fakes):
 
 
 def test_a_partly_impossible_likelihood_is_no_fault(fakes):
-    """-inf is a weight of zero: lawful as long as one hypothesis is left."""
+    """-inf is a weight of zero: valid as long as one hypothesis is left."""
     outcomes = fakes.play(fakes.engine(small({"root": {}, "a": "root"}), {"a": one(-np.inf)})[0], 3)
     assert all(not outcome.events for outcome in outcomes[1:])
 
@@ -233,9 +233,9 @@ def is_proper(belief):
 
 
 def assert_survives(fakes, belief, cases):
-    """So many hostile answers of up to three agents; every second run has a lawful agent beside them.
+    """So many hostile answers of up to three agents; every second run has a valid agent beside them.
 
-    Where both hostile agents are found out at once, the lawful one's numbers are those that it has alone.
+    Where both hostile agents are found out at once, the valid one's numbers are those that it has alone.
     """
     rng = np.random.default_rng(11)
     answers = 0
@@ -254,9 +254,9 @@ def assert_survives(fakes, belief, cases):
     run, stopped, compared = 0, 0, 0
     while answers < cases:
         run += 1
-        lawful = run % 2 == 0
+        valid = run % 2 == 0
         good = fakes.gaussian(50.0, 40.0, 10.0)
-        sees = {"a": hostile, "b": hostile, "c": good if lawful else hostile}
+        sees = {"a": hostile, "b": hostile, "c": good if valid else hostile}
         outcomes = fakes.play(fakes.engine(nodes, sees, seed=run)[0], 3)
         for outcome in outcomes[1:]:
             metrics = outcome.metrics[0]
@@ -265,11 +265,11 @@ def assert_survives(fakes, belief, cases):
             assert np.isfinite([*numbers, *metrics.agent_ud_px2.values()]).all()
             assert not np.isnan([*metrics.kl.values(), *metrics.contribution.values()]).any()
         out = outcomes[-1].state.net.targets["1"].quarantined
-        assert not (lawful and "c" in out)
+        assert not (valid and "c" in out)
         told = [e.node for outcome in outcomes for e in outcome.events if isinstance(e, Quarantined)]
         assert sorted(told) == sorted(out)
         stopped += len(out)
-        if lawful and {e.node for e in outcomes[1].events if isinstance(e, Quarantined)} == {"a", "b"}:
+        if valid and {e.node for e in outcomes[1].events if isinstance(e, Quarantined)} == {"a", "b"}:
             clean = fakes.play(fakes.engine(alone, {"c": good}, seed=run)[0], 3)
             compared += 1
             for dirty, other in zip(outcomes[1:], clean[1:], strict=True):

@@ -15,7 +15,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 @st.composite
 def trees(draw):
-    """Nodes of a lawful plate: inference nodes hung anywhere, then agents below every childless one."""
+    """Nodes of a valid plate: inference nodes hung anywhere, then agents below every childless one."""
     suffix = st.text("Wi_0", max_size=50)
     inference = ["r" + draw(suffix)]
     nodes = {inference[0]: {"fuse": "product"}}

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def check_text(text: str, name: str) -> CheckedGraph:
-    """Check a graph's text against every law, as a run of it would; raises GraphError."""
+    """Check a graph's text, as a run of it would; raises GraphError."""
     from bayesnet_track.graph.checks.run import check
     from bayesnet_track.graph.text.read import read_graph
 

@@ -1,10 +1,10 @@
-"""Laws of adaptation by evidence: tests that agree with each other, settings that have an effect."""
+"""Checks of adaptation by evidence: tests that agree with each other, settings that have an effect."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bayesnet_track.graph.checks.plates import Law, Plate
+from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.settings.adapt import Concentrated, Information
 from bayesnet_track.graph.text.messages import GraphMessage
 
@@ -73,4 +73,4 @@ def dispensable_by_levels(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, allowed, key=("adapt", "deactivate", "drop"))
 
 
-ADAPT_LAWS: tuple[Law, ...] = (tests_in_order, information_has_effect, dispensable_by_levels)
+ADAPT_CHECKS: tuple[Check, ...] = (tests_in_order, information_has_effect, dispensable_by_levels)

@@ -1,4 +1,4 @@
-"""Laws of the agents: installed cues, and parameters that these cues take."""
+"""Checks of the agents: installed cues, and parameters that these cues take."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from bayesnet_track.graph.checks.plates import Law, Plate
+from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.settings.base import PluginChoice
 from bayesnet_track.graph.spec import AgentChoice
 from bayesnet_track.graph.text.explain import explain
@@ -86,4 +86,4 @@ def plugin_parameters(chosen: PluginChoice, model: type[Parameters]) -> Paramete
     return model.model_validate_json(json.dumps(dict(chosen.parameters)), strict=True)
 
 
-CUE_LAWS: tuple[Law, ...] = (cues_are_installed, parameters_fit_the_cue, cues_have_what_they_need)
+CUE_CHECKS: tuple[Check, ...] = (cues_are_installed, parameters_fit_the_cue, cues_have_what_they_need)

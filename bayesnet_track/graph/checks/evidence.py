@@ -1,4 +1,4 @@
-"""The law that evidence reaches a node by one path only: no pixels are counted twice."""
+"""The check that evidence reaches a node by one path only: no pixels are counted twice."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The laws of the Gaussian belief: which motions `kalman` takes, and which settings have an effect."""
+"""The checks of the Gaussian belief: which motions `kalman` takes, and which settings have an effect."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The laws of the grid belief: which motions its cells can hold, and at which level it is reset."""
+"""The checks of the grid belief: which motions its cells can hold, and at which level it is reset."""
 
 from __future__ import annotations
 

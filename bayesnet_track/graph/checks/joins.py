@@ -1,4 +1,4 @@
-"""Laws of joins: kinds that there are, one join for a pair of kinds, beliefs that can be joined."""
+"""Checks of joins: kinds that there are, one join for a pair of kinds, beliefs that can be joined."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from bayesnet_track.graph.settings.joins import join_of
 from bayesnet_track.graph.spec import GraphSpec, InferenceNode
 from bayesnet_track.graph.text.messages import GraphMessage, Positions
 
-GraphLaw = Callable[[GraphSpec, Positions], Iterator[GraphMessage]]
+GraphCheck = Callable[[GraphSpec, Positions], Iterator[GraphMessage]]
 """One pass over a whole graph: yields every violation."""
 
 
@@ -55,7 +55,7 @@ def joined_beliefs_are_particles(spec: GraphSpec, at: Positions) -> Iterator[Gra
                     yield at.message(("joins", number), found, "kinds whose root has belief: particles")
 
 
-JOIN_LAWS: tuple[GraphLaw, ...] = (
+JOIN_CHECKS: tuple[GraphCheck, ...] = (
     joins_name_kinds,
     one_join_for_a_pair,
     an_attachment_has_two_kinds,

@@ -1,4 +1,4 @@
-"""The laws of latent nodes: beliefs below the root, where they can be held, and parts of a target."""
+"""The checks of latent nodes: beliefs below the root, where they can be held, and parts of a target."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Laws of a plate's life: installed detectors, parameters that these take, rules that can act."""
+"""Checks of a plate's life: installed detectors, parameters that these take, rules that can act."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pydantic import ValidationError
 
 from bayesnet_track.graph.checks.cues import plugin_parameters
-from bayesnet_track.graph.checks.plates import Law, Plate
+from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.text.explain import explain
 from bayesnet_track.graph.text.messages import GraphMessage, Path
 from bayesnet_track.observation.detector import ENTRY_POINT_GROUP, detectors_of_graphs
@@ -73,7 +73,7 @@ def _message(
     return plate.at.message(path, found, allowed, word=word, on_key=on_key or bool(word))
 
 
-LIFE_LAWS: tuple[Law, ...] = (
+LIFE_CHECKS: tuple[Check, ...] = (
     detectors_are_installed,
     parameters_fit_the_detector,
     recall_has_a_detector,

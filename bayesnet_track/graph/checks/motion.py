@@ -1,4 +1,4 @@
-"""The laws of a motion's further settings: beliefs that can hold them, and what each needs to act on."""
+"""The checks of a motion's further settings: beliefs that can hold them, and what each needs to act on."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pydantic import ValidationError
 
 from bayesnet_track.graph.checks.cues import plugin_parameters
-from bayesnet_track.graph.checks.plates import Law, Plate
+from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.settings.motion import Moving
 from bayesnet_track.graph.text.explain import explain
 from bayesnet_track.graph.text.messages import GraphMessage, Path
@@ -121,7 +121,7 @@ def jumps_have_places(plate: Plate) -> Iterator[GraphMessage]:
             yield from explain(error, model, chosen.parameters, plate.at, whole)
 
 
-MOTION_LAWS: tuple[Law, ...] = (
+MOTION_CHECKS: tuple[Check, ...] = (
     size_is_drawn_back_from_somewhere,
     belief_holds_the_motion,
     angle_is_seen,

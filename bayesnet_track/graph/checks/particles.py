@@ -1,4 +1,4 @@
-"""Laws of the particle belief's settings: bounds, errors and resampling that make sense together."""
+"""Checks of the particle belief's settings: bounds, errors and resampling that make sense together."""
 
 from __future__ import annotations
 

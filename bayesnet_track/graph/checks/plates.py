@@ -1,4 +1,4 @@
-"""What every law looks at: one target of a graph, where its parts stand, and the installed cues."""
+"""What every check looks at: one target of a graph, where its parts stand, and the installed cues."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Plate:
 
     @cached_property
     def governor(self) -> dict[str, str | None]:
-        """Agent -> the nearest inference node above it with `adapt` rules (for a lawful tree)."""
+        """Agent -> the nearest inference node above it with `adapt` rules (for a valid tree)."""
         nearest: dict[str | None, str | None] = {None: None}
         for name in self.order:
             node = self.spec.nodes[name]
@@ -90,5 +90,5 @@ class Plate:
         return self.at.message(path, found, allowed, word=word, on_key=on_key)
 
 
-Law = Callable[[Plate], Iterator[GraphMessage]]
+Check = Callable[[Plate], Iterator[GraphMessage]]
 """One pass: yields every violation it finds in a plate."""

@@ -1,10 +1,10 @@
-"""The law of where agents work."""
+"""The check of where agents work."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bayesnet_track.graph.checks.plates import Law, Plate
+from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.text.messages import GraphMessage
 
 
@@ -17,4 +17,4 @@ def what_cannot_be_sent_stays(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, "on: engine, or no such key", key=("on",))
 
 
-PLACE_LAWS: tuple[Law, ...] = (what_cannot_be_sent_stays,)
+PLACE_CHECKS: tuple[Check, ...] = (what_cannot_be_sent_stays,)

@@ -1,4 +1,4 @@
-"""Check a graph against every law of the language: named passes, each of which reports all its errors."""
+"""Check a graph against every check of the language: named passes, each of which reports all its errors."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 from pydantic import ValidationError
 
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
-from bayesnet_track.graph.checks.cues import CUE_LAWS, cue_parameters
+from bayesnet_track.graph.checks.cues import CUE_CHECKS, cue_parameters
 from bayesnet_track.graph.checks.evidence import evidence_counts_once
-from bayesnet_track.graph.checks.joins import JOIN_LAWS
-from bayesnet_track.graph.checks.lifecycle import LIFE_LAWS
-from bayesnet_track.graph.checks.plates import Law, Plate
-from bayesnet_track.graph.checks.trees import TREE_LAWS
-from bayesnet_track.graph.checks.values import RULE_LAWS, VALUE_LAWS
+from bayesnet_track.graph.checks.joins import JOIN_CHECKS
+from bayesnet_track.graph.checks.lifecycle import LIFE_CHECKS
+from bayesnet_track.graph.checks.plates import Check, Plate
+from bayesnet_track.graph.checks.trees import TREE_CHECKS
+from bayesnet_track.graph.checks.values import RULE_CHECKS, VALUE_CHECKS
 from bayesnet_track.graph.spec import AgentNode, GraphSpec
 from bayesnet_track.graph.text.document import MAX_BYTES
 from bayesnet_track.graph.text.explain import explain
@@ -28,7 +28,7 @@ from bayesnet_track.observation.plugins import given
 Cues = Mapping[str, CueDeclaration] | Iterable[GivenCue]
 """All cues that there are, by name; or, beside the installed ones, declarations or files of one's own."""
 
-LAWS_OF_A_SOUND_TREE = (*RULE_LAWS, evidence_counts_once)
+CHECKS_OF_A_SOUND_TREE = (*RULE_CHECKS, evidence_counts_once)
 
 
 def check(spec: GraphSpec, at: Positions | None = None, cues: Cues | None = None) -> CheckedGraph:
@@ -37,7 +37,7 @@ def check(spec: GraphSpec, at: Positions | None = None, cues: Cues | None = None
     `at` says where its parts stand (from `read_graph`); `cues` are the installed ones unless given.
 
     Raises:
-        GraphError: every violation of every law in every target.
+        GraphError: every failure of every check in every target.
         CueError: one of `cues` cannot be used.
     """
     at = Positions() if at is None else at
@@ -46,7 +46,7 @@ def check(spec: GraphSpec, at: Positions | None = None, cues: Cues | None = None
     known = own if isinstance(cues, Mapping) else {**installed_cues(named), **own}
     plates = [Plate(name, target, at, known) for name, target in spec.targets.items()]
     errors = [message for plate in plates for message in _violations(plate)]
-    errors += [message for law in JOIN_LAWS for message in islice(law(spec, at), MAX_MESSAGES + 1)]
+    errors += [message for check in JOIN_CHECKS for message in islice(check(spec, at), MAX_MESSAGES + 1)]
     text = write_graph(spec)
     if len(text.encode()) > MAX_BYTES:
         errors.append(at.message((), f"more than {MAX_BYTES} bytes when written as YAML", "smaller graphs"))
@@ -62,7 +62,7 @@ def check_graph(graph: GraphSpec | Mapping[str, Any], cues: Cues | None = None) 
     Messages name the path of keys, for want of a line.
 
     Raises:
-        GraphError: everything that is wrong with its form; else every violation of every law.
+        GraphError: everything that is wrong with its form; else every failure of every check.
     """
     at = Positions()
     if not isinstance(graph, GraphSpec):
@@ -85,14 +85,14 @@ def cues_named(spec: GraphSpec) -> frozenset[str]:
 
 
 def _violations(plate: Plate) -> list[GraphMessage]:
-    tree = _broken(plate, TREE_LAWS)
-    values = _broken(plate, (*CUE_LAWS, *LIFE_LAWS, *VALUE_LAWS))
-    return tree + values if tree else values + _broken(plate, LAWS_OF_A_SOUND_TREE)
+    tree = _failures(plate, TREE_CHECKS)
+    values = _failures(plate, (*CUE_CHECKS, *LIFE_CHECKS, *VALUE_CHECKS))
+    return tree + values if tree else values + _failures(plate, CHECKS_OF_A_SOUND_TREE)
 
 
-def _broken(plate: Plate, laws: Iterable[Law]) -> list[GraphMessage]:
-    """What breaks these laws; of each no more than a reader is shown."""
-    return [message for law in laws for message in islice(law(plate), MAX_MESSAGES + 1)]
+def _failures(plate: Plate, checks: Iterable[Check]) -> list[GraphMessage]:
+    """What fails these checks; of each no more than a reader is shown."""
+    return [message for check in checks for message in islice(check(plate), MAX_MESSAGES + 1)]
 
 
 def _resolved(plate: Plate) -> CheckedTarget:

@@ -1,10 +1,10 @@
-"""Laws of calibration: levels in order, and settings that have an effect."""
+"""Checks of calibration: levels in order, and settings that have an effect."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bayesnet_track.graph.checks.plates import Law, Plate
+from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.settings.adapt import Lost
 from bayesnet_track.graph.text.messages import GraphMessage
 
@@ -70,7 +70,7 @@ def localization_error_is_larger_when_lost(plate: Plate) -> Iterator[GraphMessag
             yield plate.message(name, found, f"above {error.sd_box:.6g}", key=key)
 
 
-SCORE_LAWS: tuple[Law, ...] = (
+SCORE_CHECKS: tuple[Check, ...] = (
     score_serves_its_users,
     score_levels_in_order,
     rivals_are_noticed,

@@ -1,4 +1,4 @@
-"""Laws of the tree: one root, known parents, no cycles, agents as leaves and below every inference node."""
+"""Checks of the tree: one root, known parents, no cycles, agents as leaves and below every inference node."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bayesnet_track.graph.checks.latent import (
     latent_grids_hold_positions,
     parts_have_a_whole,
 )
-from bayesnet_track.graph.checks.plates import Law, Plate
+from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.text.messages import GraphMessage
 
 MAX_LEVELS = 32
@@ -108,7 +108,7 @@ def root_moves(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, "key 'motion' is missing at the root", motions)
 
 
-TREE_LAWS: tuple[Law, ...] = (
+TREE_CHECKS: tuple[Check, ...] = (
     parents_exist,
     agents_are_leaves,
     one_root,

@@ -1,18 +1,18 @@
-"""Laws of the values: noise, weights, thresholds, delays and rules that make sense together."""
+"""Checks of the values: noise, weights, thresholds, delays and rules that make sense together."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import Any
 
-from bayesnet_track.graph.checks.adapt import ADAPT_LAWS
+from bayesnet_track.graph.checks.adapt import ADAPT_CHECKS
 from bayesnet_track.graph.checks.gaussian import gaussian_settings_have_effect, kalman_moves_linearly
 from bayesnet_track.graph.checks.grid import grid_holds_the_motion, grid_resets_at_one_level
-from bayesnet_track.graph.checks.motion import MOTION_LAWS
+from bayesnet_track.graph.checks.motion import MOTION_CHECKS
 from bayesnet_track.graph.checks.particles import sizes_in_order
-from bayesnet_track.graph.checks.plates import Law, Plate
-from bayesnet_track.graph.checks.positions import PLACE_LAWS
-from bayesnet_track.graph.checks.scores import SCORE_LAWS
+from bayesnet_track.graph.checks.plates import Check, Plate
+from bayesnet_track.graph.checks.positions import PLACE_CHECKS
+from bayesnet_track.graph.checks.scores import SCORE_CHECKS
 from bayesnet_track.graph.spec import Level, Lost, Noise
 from bayesnet_track.graph.text.messages import GraphMessage
 
@@ -136,12 +136,12 @@ def learning_has_a_rule(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, "learn at the root", key=("learn_rate_max",), on_key=True)
 
 
-VALUE_LAWS: tuple[Law, ...] = (
+VALUE_CHECKS: tuple[Check, ...] = (
     noise_is_there,
     weights_name_the_children,
     thresholds_in_order,
-    *ADAPT_LAWS,
-    *SCORE_LAWS,
+    *ADAPT_CHECKS,
+    *SCORE_CHECKS,
     someone_is_active,
     learning_has_a_rule,
     sizes_in_order,
@@ -149,10 +149,10 @@ VALUE_LAWS: tuple[Law, ...] = (
     gaussian_settings_have_effect,
     grid_holds_the_motion,
     grid_resets_at_one_level,
-    *MOTION_LAWS,
-    *PLACE_LAWS,
+    *MOTION_CHECKS,
+    *PLACE_CHECKS,
 )
 """These need no sound tree."""
 
-RULE_LAWS: tuple[Law, ...] = (rules_can_fire,)
+RULE_CHECKS: tuple[Check, ...] = (rules_can_fire,)
 """These need a sound tree."""

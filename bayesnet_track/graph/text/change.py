@@ -31,7 +31,7 @@ def change_graph(text: str, changes: Sequence[str], adaptation: bool = True) -> 
 
     Raises:
         ChangeError: no such path, or one that may mean several; a value that is no YAML.
-        GraphError: what comes out breaks a law; every error, with the path.
+        GraphError: what comes out fails a check; every error, with the path.
     """
     data = yaml.safe_load(text)
     for change in changes:

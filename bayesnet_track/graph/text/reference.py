@@ -1,4 +1,4 @@
-"""The language reference as Markdown, made from the specification, the laws and the installed cues."""
+"""The language reference as Markdown, made from the specification, the checks and the installed cues."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from bayesnet_track.graph.checks.cues import CUE_LAWS
+from bayesnet_track.graph.checks.cues import CUE_CHECKS
 from bayesnet_track.graph.checks.evidence import evidence_counts_once
-from bayesnet_track.graph.checks.joins import JOIN_LAWS
-from bayesnet_track.graph.checks.lifecycle import LIFE_LAWS
-from bayesnet_track.graph.checks.trees import TREE_LAWS
-from bayesnet_track.graph.checks.values import RULE_LAWS, VALUE_LAWS
+from bayesnet_track.graph.checks.joins import JOIN_CHECKS
+from bayesnet_track.graph.checks.lifecycle import LIFE_CHECKS
+from bayesnet_track.graph.checks.trees import TREE_CHECKS
+from bayesnet_track.graph.checks.values import RULE_CHECKS, VALUE_CHECKS
 from bayesnet_track.graph.settings.base import Choice, Model, PluginChoice
 from bayesnet_track.graph.spec import LANGUAGE_VERSION, GraphSpec
 from bayesnet_track.graph.text.document import MAX_BYTES, MAX_DEPTH, MAX_NODES, MAX_SCALAR
@@ -43,7 +43,7 @@ Every error names `file:line:column: node: what was found; what is allowed; near
 def language_reference(cues: Mapping[str, CueDeclaration] | None = None) -> str:
     """The whole reference page; `cues` are the installed ones unless given."""
     cues = installed_cues() if cues is None else cues
-    sections = [_OPENING, *(_section(model) for model in _models_in_order()), *_cues(cues), _laws()]
+    sections = [_OPENING, *(_section(model) for model in _models_in_order()), *_cues(cues), _checks()]
     return "\n".join(sections)
 
 
@@ -147,10 +147,18 @@ def _cues(cues: Mapping[str, CueDeclaration]) -> Iterator[str]:
         yield f"### {name}\n\n{' '.join(facts)}\n\n{_table(cue.parameters)}"
 
 
-def _laws() -> str:
-    laws = (*TREE_LAWS, *CUE_LAWS, *LIFE_LAWS, *VALUE_LAWS, *RULE_LAWS, evidence_counts_once, *JOIN_LAWS)
-    lines = ["## Laws\n", "A graph is accepted when all of these hold:\n"]
-    for law in laws:
-        first = cleandoc(law.__doc__ or "").split("\n\n")[0].replace("\n", " ")
+def _checks() -> str:
+    checks = (
+        *TREE_CHECKS,
+        *CUE_CHECKS,
+        *LIFE_CHECKS,
+        *VALUE_CHECKS,
+        *RULE_CHECKS,
+        evidence_counts_once,
+        *JOIN_CHECKS,
+    )
+    lines = ["## Checks\n", "A graph is accepted when all of these hold:\n"]
+    for check in checks:
+        first = cleandoc(check.__doc__ or "").split("\n\n")[0].replace("\n", " ")
         lines.append(f"- {first}")
     return "\n".join(lines) + "\n"

@@ -1,6 +1,6 @@
 """The JSON Schema (draft-07) of graph files, made from the specification and the installed cues.
 
-Editors complete and check graph files with it. What only the laws know (parents, cycles, thresholds) is not
+Editors complete and check graph files with it. What only the checks know (parents, cycles, thresholds) is not
 in it.
 """
 

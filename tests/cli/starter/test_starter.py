@@ -1,4 +1,4 @@
-"""First graphs: every set of answers gives a lawful file, and each kind works on a scene that is like it."""
+"""First graphs: every set of answers gives a valid file, and each kind works on a scene that is like it."""
 
 import re
 from itertools import pairwise
