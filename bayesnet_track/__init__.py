@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from bayesnet_track.observation.geometry import box_means as box_means
     from bayesnet_track.observation.likelihoods import floored as floored
     from bayesnet_track.runtime.recording.interchange import Detections as Detections
-    from bayesnet_track.runtime.recording.opened import Run as Run
-    from bayesnet_track.runtime.recording.opened import open_run as open_run
+    from bayesnet_track.runtime.recording.run_reader import Run as Run
+    from bayesnet_track.runtime.recording.run_reader import open_run as open_run
     from bayesnet_track.runtime.results import Result as Result
     from bayesnet_track.runtime.run import Start as Start
     from bayesnet_track.runtime.session import track as track
@@ -41,13 +41,13 @@ _HOMES = {
     "GraphSpec": "bayesnet_track.graph.spec",
     "GrayPlane": "bayesnet_track.vision.planes.gray_plane",
     "Result": "bayesnet_track.runtime.run",
-    "Run": "bayesnet_track.runtime.recording.opened",
+    "Run": "bayesnet_track.runtime.recording.run_reader",
     "Start": "bayesnet_track.runtime.run",
     "Tracker": "bayesnet_track.runtime.tracker",
     "box_means": "bayesnet_track.observation.geometry",
     "floored": "bayesnet_track.observation.likelihoods",
     "load_graph": "bayesnet_track.graph.text.load",
-    "open_run": "bayesnet_track.runtime.recording.opened",
+    "open_run": "bayesnet_track.runtime.recording.run_reader",
     "track": "bayesnet_track.runtime.session",
 }
 

@@ -22,8 +22,8 @@ from sequences import find_sequences
 
 from bayesnet_track.cli.commands.fit import calibration_table
 from bayesnet_track.evaluate.calibration import OFF_TARGET, longest_run
+from bayesnet_track.evaluate.calibration_data import CalibrationData, calibration_data, with_features
 from bayesnet_track.evaluate.fitting import USUAL_FEATURES, Fitted, fit, leave_one_out
-from bayesnet_track.evaluate.witness import Witness, with_features, witness
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.load import load_graph
@@ -57,7 +57,7 @@ def with_fitted(graph: CheckedGraph, fitted: Fitted) -> CheckedGraph:
     return check_graph(written)
 
 
-def wrongly_tracked(one: Witness) -> tuple[int, int]:
+def wrongly_tracked(one: CalibrationData) -> tuple[int, int]:
     """Frames called tracking while off target (IoU below 0.1), and the longest stretch of them."""
     wrong = (one.iou < OFF_TARGET) & (np.array(one.status) == "tracking")
     return int(wrong.sum()), longest_run(wrong)
@@ -81,17 +81,17 @@ def main() -> None:
     graph = with_features(load_graph(options.graph))
 
     print(environment() + "\n")
-    witnesses = []
+    data = []
     for sequence in find_sequences(options.data, wanted, options.max_frames):
         for seed in range(options.seeds):
             frames = frames_of(sequence.images())
-            witnesses.append(witness(graph, sequence.name, frames, sequence.truth, seed))
-        sys.stderr.write(f"{sequence.name}: mean IoU {witnesses[-1].iou.mean():.3f}\n")
-    rows, everyone = leave_one_out(witnesses, features)
+            data.append(calibration_data(graph, sequence.name, frames, sequence.truth, seed))
+        sys.stderr.write(f"{sequence.name}: mean IoU {data[-1].iou.mean():.3f}\n")
+    rows, everyone = leave_one_out(data, features)
     print(f"graph {options.graph}, {options.seeds} seeds, score by {', '.join(features)}\n")
     print(calibration_table(rows, everyone) + "\n")
 
-    fitted = fit(witnesses, features)
+    fitted = fit(data, features)
     print(
         f"fitted to all: {dict(fitted.logistic)}, localization error {fitted.localization_error}, "
         f"{fitted.levels}\n"
@@ -100,7 +100,7 @@ def main() -> None:
     for name in SCENES:
         for seed in range(options.seeds):
             scene = make_scene(name, seed=seed)
-            one = witness(ready, name, frames_of(scene.frames), scene.truth, seed)
+            one = calibration_data(ready, name, frames_of(scene.frames), scene.truth, seed)
             total, longest = wrongly_tracked(one)
             print(
                 f"{name}, seed {seed}: mean IoU {one.iou.mean():.3f}, off target in "

@@ -28,10 +28,10 @@ from sequences import find_sequences, track
 from bayesnet_track import Tracker
 from bayesnet_track.cli.commands import fit_tracking, fit_videos
 from bayesnet_track.cli.commands.fit import graph_text
+from bayesnet_track.evaluate.calibration_data import CalibrationData, calibration_data, with_features
 from bayesnet_track.evaluate.cue_sds import fit_sds, residuals_of, shares_inside
 from bayesnet_track.evaluate.fitting import Fitted, fit, mass_below
 from bayesnet_track.evaluate.scores import success_auc
-from bayesnet_track.evaluate.witness import Witness, with_features, witness
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.sources.scenes import make_scene
@@ -117,23 +117,23 @@ def judge_policy(graph: str, learnt: Sequence[Video], unseen: Sequence[Video], o
     print(f"\nAUC, fitted less own: {interval(new - own)}; log of CPU time: {interval(theirs - ours)}\n")
 
 
-def watched(graph: CheckedGraph, videos: Sequence[Video], seeds: Sequence[int]) -> list[Witness]:
+def watched(graph: CheckedGraph, videos: Sequence[Video], seeds: Sequence[int]) -> list[CalibrationData]:
     """Runs of a graph over videos."""
     measuring = with_features(graph)
     return [
-        witness(measuring, video.name, frames_of(video.images()), video.truth, seed)
+        calibration_data(measuring, video.name, frames_of(video.images()), video.truth, seed)
         for video in videos
         for seed in seeds
     ]
 
 
-def per_video(witnesses: Sequence[Witness], what: Callable[[Witness], float]) -> Floats:
+def per_video(data: Sequence[CalibrationData], what: Callable[[CalibrationData], float]) -> Floats:
     """A figure of each video, mean over seeds."""
-    names = dict.fromkeys(one.video for one in witnesses)
-    return np.array([np.mean([what(one) for one in witnesses if one.video == name]) for name in names])
+    names = dict.fromkeys(one.video for one in data)
+    return np.array([np.mean([what(one) for one in data if one.video == name]) for name in names])
 
 
-def held(fitted: Fitted, share: float) -> Callable[[Witness], float]:
+def held(fitted: Fitted, share: float) -> Callable[[CalibrationData], float]:
     """Share of true centres within the central region, mean of x and y."""
     return lambda one: float((np.abs(mass_below(fitted, one) - 0.5) <= share / 2).mean())
 

@@ -20,7 +20,7 @@ from bayesnet_track.evaluate.calibration import (
     fit_logistic,
     reliability,
 )
-from bayesnet_track.evaluate.witness import TEMPERATURES, Witness
+from bayesnet_track.evaluate.calibration_data import TEMPERATURES, CalibrationData
 
 Floats = NDArray[np.float64]
 
@@ -60,25 +60,25 @@ class Fitted:
     temperatures: Mapping[str, float] = field(default_factory=dict)
 
 
-def fit(witnesses: Sequence[Witness], features: Sequence[str] = USUAL_FEATURES) -> Fitted:
+def fit(data: Sequence[CalibrationData], features: Sequence[str] = USUAL_FEATURES) -> Fitted:
     """Estimate from runs over videos; each video counts the same, however long it is.
 
     Raises:
         ValueError: no frame is on target, or every frame is.
     """
-    videos = _by_video(witnesses)
-    hits = np.concatenate([one.iou > ON_TARGET for one in witnesses])
+    videos = _by_video(data)
+    hits = np.concatenate([one.iou > ON_TARGET for one in data])
     if not hits.any():
         raise ValueError("no frame is on target (IoU above 0.5): nothing tells what that looks like")
     if hits.all():
         raise ValueError("every frame is on target (IoU above 0.5): nothing tells what losing it looks like")
-    weights = _weights(witnesses, videos)
-    table = {name: np.concatenate([one.features[name] for one in witnesses]) for name in features}
+    weights = _weights(data, videos)
+    table = {name: np.concatenate([one.features[name] for one in data]) for name in features}
     logistic = fit_logistic(table, hits, weights, SIGNS)
-    scores = [score_of(logistic, one) for one in witnesses]
-    localization_error = fit_localization_error([one.offsets for one in witnesses], scores)
-    iou = np.concatenate([one.iou for one in witnesses])
-    ud = np.concatenate([one.ud_box for one in witnesses])
+    scores = [score_of(logistic, one) for one in data]
+    localization_error = fit_localization_error([one.offsets for one in data], scores)
+    iou = np.concatenate([one.iou for one in data])
+    ud = np.concatenate([one.ud_box for one in data])
     levels = fit_levels(np.concatenate(scores), iou)
     return Fitted(
         logistic,
@@ -87,11 +87,11 @@ def fit(witnesses: Sequence[Witness], features: Sequence[str] = USUAL_FEATURES) 
         _ud_levels(ud, iou),
         len(videos),
         len(iou),
-        _temperatures(witnesses),
+        _temperatures(data),
     )
 
 
-def score_of(logistic: Mapping[str, float], one: Witness) -> Floats:
+def score_of(logistic: Mapping[str, float], one: CalibrationData) -> Floats:
     """(n,) scores by other coefficients than the graph's."""
     odds = np.full(one.frames, logistic["bias"])
     for name, slope in logistic.items():
@@ -129,20 +129,20 @@ class Checked:
 
 
 def leave_one_out(
-    witnesses: Sequence[Witness], features: Sequence[str] = USUAL_FEATURES
+    data: Sequence[CalibrationData], features: Sequence[str] = USUAL_FEATURES
 ) -> tuple[tuple[Checked, ...], Checked]:
     """Each video judged by what is fitted to the others, and all of them together.
 
     Raises:
         ValueError: fewer than two videos, or the others of one cannot be fitted.
     """
-    videos = _by_video(witnesses)
+    videos = _by_video(data)
     if len(videos) < 2:
         raise ValueError("leaving one out needs two videos or more")
     rows, scores, below = [], [], []
     for video, own in videos.items():
         try:
-            fitted = fit([one for one in witnesses if one.video != video], features)
+            fitted = fit([one for one in data if one.video != video], features)
         except ValueError as error:
             raise ValueError(f"without {video}: {error}") from None
         said = np.concatenate([score_of(fitted.logistic, one) for one in own])
@@ -154,7 +154,7 @@ def leave_one_out(
     return tuple(rows), _checked("all", everyone, np.concatenate(scores), np.concatenate(below))
 
 
-def mass_below(fitted: Fitted, one: Witness) -> Floats:
+def mass_below(fitted: Fitted, one: CalibrationData) -> Floats:
     """(n, 2) mass of the widened belief below the true centre, in x and y."""
     from scipy.special import ndtr  # here, because it takes long to import
 
@@ -163,7 +163,7 @@ def mass_below(fitted: Fitted, one: Witness) -> Floats:
     return np.asarray(p * near + (1.0 - p) * far)
 
 
-def _checked(name: str, own: Sequence[Witness], said: Floats, below: Floats) -> Checked:
+def _checked(name: str, own: Sequence[CalibrationData], said: Floats, below: Floats) -> Checked:
     iou = np.concatenate([one.iou for one in own])
     hits, sure = iou > ON_TARGET, (iou > ON_TARGET) | (iou < OFF_TARGET)
     off = np.abs(below - 0.5)
@@ -180,17 +180,17 @@ def _checked(name: str, own: Sequence[Witness], said: Floats, below: Floats) -> 
     )
 
 
-def _by_video(witnesses: Iterable[Witness]) -> dict[str, list[Witness]]:
-    found: dict[str, list[Witness]] = {}
-    for one in witnesses:
+def _by_video(data: Iterable[CalibrationData]) -> dict[str, list[CalibrationData]]:
+    found: dict[str, list[CalibrationData]] = {}
+    for one in data:
         found.setdefault(one.video, []).append(one)
     return found
 
 
-def _weights(witnesses: Sequence[Witness], videos: Mapping[str, Sequence[Witness]]) -> Floats:
+def _weights(data: Sequence[CalibrationData], videos: Mapping[str, Sequence[CalibrationData]]) -> Floats:
     """(frames,) weights: one for all frames of a video together, in all runs."""
     totals = {video: sum(one.frames for one in own) for video, own in videos.items()}
-    return np.concatenate([np.full(one.frames, 1.0 / totals[one.video]) for one in witnesses])
+    return np.concatenate([np.full(one.frames, 1.0 / totals[one.video]) for one in data])
 
 
 def _ud_levels(ud_box: Floats, iou: Floats) -> dict[str, float]:
@@ -205,16 +205,14 @@ def _ud_levels(ud_box: Floats, iou: Floats) -> dict[str, float]:
     return {"activate": activate, "deactivate": deactivate, "learn": learn}
 
 
-def _temperatures(witnesses: Sequence[Witness]) -> dict[str, float]:
+def _temperatures(data: Sequence[CalibrationData]) -> dict[str, float]:
     """Agent -> the factor that surprises it least, averaged over the runs in which it was heard."""
-    agents = dict.fromkeys(agent for one in witnesses for agent in one.surprise)
+    agents = dict.fromkeys(agent for one in data for agent in one.surprise)
     return {
         agent: float(
             TEMPERATURES[
                 int(
-                    np.argmin(
-                        np.mean([one.surprise[agent] for one in witnesses if agent in one.surprise], axis=0)
-                    )
+                    np.argmin(np.mean([one.surprise[agent] for one in data if agent in one.surprise], axis=0))
                 )
             ]
         )

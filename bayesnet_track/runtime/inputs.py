@@ -10,7 +10,7 @@ from queue import Empty, SimpleQueue
 from bayesnet_track.journal.events.inputs import Input, Released, Toggled
 from bayesnet_track.journal.reader import Notice, read_inputs
 
-Asked = Callable[[int], Sequence[Input]]
+InputsAt = Callable[[int], Sequence[Input]]
 """Frame index -> what came from outside for it; asked once, right before the frame."""
 
 
@@ -19,7 +19,7 @@ def nothing(frame: int) -> Sequence[Input]:
     return ()
 
 
-def replayed(path: Path, notice: Notice | None = None) -> Asked:
+def replayed(path: Path, notice: Notice | None = None) -> InputsAt:
     """What came from outside in an earlier run, by its ``inputs.jsonl``.
 
     Raises:
@@ -33,7 +33,7 @@ def replayed(path: Path, notice: Notice | None = None) -> Asked:
     return lambda frame: known.get(frame, ())
 
 
-def as_asked(given: str | PathLike[str] | Asked | None) -> Asked:
+def as_inputs(given: str | PathLike[str] | InputsAt | None) -> InputsAt:
     """A file as `replayed`, a function as it is, nothing for None."""
     if given is None:
         return nothing

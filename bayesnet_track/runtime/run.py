@@ -17,7 +17,7 @@ from bayesnet_track.numerics.compile_watch import WATCH
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.checkpoints.versions import versions
 from bayesnet_track.runtime.deadline import Deadline
-from bayesnet_track.runtime.inputs import Asked, nothing
+from bayesnet_track.runtime.inputs import InputsAt, nothing
 from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary
 from bayesnet_track.sources.frames import SourceItem
 
@@ -25,7 +25,7 @@ __all__ = ["FrameSource", "Result", "Sink", "Start", "StartError", "Summary", "r
 
 
 @dataclass(frozen=True, eq=False)
-class Reached:
+class RunPosition:
     """How far a run is, between two frames.
 
     Attributes:
@@ -53,15 +53,15 @@ class Resumed:
         events: what is told first.
     """
 
-    reached: Reached
+    reached: RunPosition
     items: Iterator[SourceItem]
     events: tuple[Event, ...] = ()
 
 
-class Keeper(Protocol):
+class Checkpointer(Protocol):
     """Who keeps how far a run is, so that it can go on from there."""
 
-    def reached(self, now: Reached) -> None:
+    def reached(self, now: RunPosition) -> None:
         """A frame is done, and every sink was told of it."""
         ...
 
@@ -84,9 +84,9 @@ def run(
     summary: Summary | None = None,
     engine: Engine | None = None,
     inputs: Mapping[str, str] = MappingProxyType({}),
-    outside: Asked = nothing,
+    outside: InputsAt = nothing,
     deadline: Deadline | None = None,
-    keeper: Keeper | None = None,
+    checkpointer: Checkpointer | None = None,
     after: Resumed | None = None,
 ) -> Generator[Result, None, None]:
     """Track through `source`, yielding a result per frame.
@@ -104,7 +104,7 @@ def run(
         outside: asked before each frame for what came from outside, by the frame's index: a
             `runtime.inputs.Switchboard` of a live view, or `runtime.inputs.replayed` of an earlier run.
         deadline: the time that a frame may take: what is late is told to the engine, which sheds load.
-        keeper: told after each frame how far the run is.
+        checkpointer: told after each frame how far the run is.
         after: go on from there: `source` was read so far, and sinks know already what was before.
 
     The journal is closed in order also when the caller stops iterating or an error passes through.
@@ -164,14 +164,14 @@ def run(
             told.lost_frames += any(metrics.status == "lost" for metrics in result.targets)
             for sink in sinks:
                 sink.frame(result)
-            if keeper is not None:
-                now = Reached(item, state, told.frames, told.reconfigurations, told.lost_frames)
-                keeper.reached(now)
+            if checkpointer is not None:
+                now = RunPosition(item, state, told.frames, told.reconfigurations, told.lost_frames)
+                checkpointer.reached(now)
             try:
                 yield result
             except GeneratorExit:
-                if keeper is not None:
-                    keeper.stopped()
+                if checkpointer is not None:
+                    checkpointer.stopped()
                 raise
         told.reason = source.end_reason
         told.complete = told.reason == "end_of_source"
@@ -183,8 +183,8 @@ def run(
         told.compiling_s = WATCH.seconds - compiled_before
         if has_started:
             tell(RunEnded(told.frames, source.expected_frames, told.complete, told.reason))
-    if keeper is not None and has_started:
-        keeper.ended()
+    if checkpointer is not None and has_started:
+        checkpointer.ended()
 
 
 def _result(frame: Frame, outcome: Outcome, spent: float, before: State | None) -> Result:

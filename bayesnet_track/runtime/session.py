@@ -24,7 +24,7 @@ from bayesnet_track.runtime.checkpoints.checkpoint import EVERY_S, Checkpoints
 from bayesnet_track.runtime.checkpoints.recipe import Recipe, file_sha256, make_recipe
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import RETRIES, Executing, make_executor
-from bayesnet_track.runtime.inputs import Asked, as_asked
+from bayesnet_track.runtime.inputs import InputsAt, as_inputs
 from bayesnet_track.runtime.recording.lock import locked
 from bayesnet_track.runtime.recording.manifest import finish
 from bayesnet_track.runtime.recording.record import Recorder
@@ -56,7 +56,7 @@ def track(
     isolate_decoder: bool = False,
     sinks: Sequence[Sink] = (),
     summary: Summary | None = None,
-    inputs: str | PathLike[str] | Asked | None = None,
+    inputs: str | PathLike[str] | InputsAt | None = None,
     budget_ms: float | None = None,
     checkpoint_every: float = EVERY_S,
 ) -> Generator[Result, None, None]:
@@ -112,7 +112,7 @@ def track(
     checked = load_graph(graph, tuple(cues))
     starts = _starts(box)
     read = {} if detections is None else {str(detections): file_sha256(detections)}
-    outside = as_asked(inputs)
+    outside = as_inputs(inputs)
     if budget_ms is not None and inputs is not None and not callable(inputs):
         raise ValueError("a run that is repeated from its inputs has no budget: they say what was late")
     with ExitStack() as stack:
@@ -130,7 +130,7 @@ def track(
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
         engine = placed(stack, executing, engine, None if motion is not None else checked, opened, budget_ms)
         told: list[Sink] = list(sinks)
-        keeper: Checkpoints | None = None
+        checkpointer: Checkpoints | None = None
         recorder: Recorder | None = None
         if out is not None:
             directory = RunDirectory.create(str(out), overwrite)
@@ -158,9 +158,9 @@ def track(
             recorder = Recorder(directory, checked, opened.frame_interval_s, video, before_first=take_place)
             stack.enter_context(recorder)
             told.append(recorder)
-            keeper = kept(directory, engine, recorder, recipe, checkpoint_every)
-            if keeper is not None:
-                stack.enter_context(keeper)
+            checkpointer = kept(directory, engine, recorder, recipe, checkpoint_every)
+            if checkpointer is not None:
+                stack.enter_context(checkpointer)
         yield from run(
             checked,
             opened,
@@ -172,7 +172,7 @@ def track(
             inputs=read,
             outside=outside,
             deadline=None if budget_ms is None else Deadline(budget_ms, executing.processes),
-            keeper=keeper,
+            checkpointer=checkpointer,
         )
         if recorder is not None and told_of.frames:
             finish(directory, recorder.finish())

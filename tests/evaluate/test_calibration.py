@@ -18,8 +18,8 @@ from bayesnet_track.evaluate.calibration import (
     longest_run,
     reliability,
 )
+from bayesnet_track.evaluate.calibration_data import CalibrationData
 from bayesnet_track.evaluate.fitting import fit, leave_one_out
-from bayesnet_track.evaluate.witness import Witness
 
 
 @settings(max_examples=60, deadline=None)
@@ -87,7 +87,7 @@ def test_slack_is_found_from_data_drawn_with_it():
     assert 2.0 / 1.4 < lost_sd < 2.0 * 1.4
 
 
-def witness(video, seed, n=400):
+def calibration_data(video, seed, n=400):
     rng = np.random.default_rng(seed)
     ud = rng.normal(-3, 2, n)
     on = rng.random(n) < 1 / (1 + np.exp(-(-2.0 - 1.0 * ud)))
@@ -96,11 +96,11 @@ def witness(video, seed, n=400):
         size=(n, 16, 2)
     )
     features = {name: np.zeros(n) for name in FEATURES} | {"log_ud_box": ud}
-    return Witness(video, iou, features, np.exp(ud), offsets, np.zeros(n), ("tracking",) * n)
+    return CalibrationData(video, iou, features, np.exp(ud), offsets, np.zeros(n), ("tracking",) * n)
 
 
 def test_left_out_videos_are_calibrated_where_videos_are_alike():
-    videos = [witness(name, k) for k, name in enumerate("abcd")]
+    videos = [calibration_data(name, k) for k, name in enumerate("abcd")]
     rows, everyone = leave_one_out(videos)
     assert [row.name for row in rows] == list("abcd") and everyone.frames == 1600
     # Shares of 1600 frames have an sd below 0.0125; the sds of the fit are of the same size: four of both.
@@ -111,17 +111,19 @@ def test_left_out_videos_are_calibrated_where_videos_are_alike():
 
 
 def test_what_cannot_be_fitted_is_said():
-    one = witness("a", 0)
-    on = Witness("a", np.full(400, 0.9), one.features, one.ud_box, one.offsets, one.scores, one.status)
+    one = calibration_data("a", 0)
+    on = CalibrationData(
+        "a", np.full(400, 0.9), one.features, one.ud_box, one.offsets, one.scores, one.status
+    )
     with pytest.raises(ValueError, match="every frame is on target"):
         fit([on])
-    off = Witness("a", np.zeros(400), one.features, one.ud_box, one.offsets, one.scores, one.status)
+    off = CalibrationData("a", np.zeros(400), one.features, one.ud_box, one.offsets, one.scores, one.status)
     with pytest.raises(ValueError, match="no frame is on target"):
         fit([off])
     with pytest.raises(ValueError, match="two videos"):
         leave_one_out([one])
     with pytest.raises(ValueError, match="without b: no frame"):
-        leave_one_out([off, Witness("b", one.iou, *[getattr(one, k) for k in (
+        leave_one_out([off, CalibrationData("b", one.iou, *[getattr(one, k) for k in (
             "features", "ud_box", "offsets", "scores", "status")])])  # fmt: skip
 
 

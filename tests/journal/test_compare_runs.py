@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from bayesnet_track.cli.main import main
-from bayesnet_track.runtime.recording.opened import open_run
+from bayesnet_track.runtime.recording.run_reader import open_run
 
 
 @pytest.fixture(scope="module")

@@ -21,8 +21,8 @@ WAIT_S = 0.2
 
 
 @dataclass(frozen=True)
-class Told:
-    """What is heard of a job.
+class Progress:
+    """What is reported of a job.
 
     Attributes:
         job: the job.
@@ -40,8 +40,9 @@ class Told:
 class Place(Protocol):
     """Where jobs run."""
 
-    def run(self, jobs: Sequence[Job]) -> Generator[Told | None, None, None]:
-        """Do the jobs; what is heard of them as it comes, each one's row in the end, None when all is quiet.
+    def run(self, jobs: Sequence[Job]) -> Generator[Progress | None, None, None]:
+        """Do the jobs; what is reported of them as it comes, each one's row in the end, None when all is
+        quiet.
 
         A job that fails, or whose process dies, has a row that says so. Closing the iterator ends the jobs
         that run; they can be gone on with.
@@ -59,19 +60,19 @@ class Processes:
 
     at_a_time: int
 
-    def run(self, jobs: Sequence[Job]) -> Generator[Told | None, None, None]:
+    def run(self, jobs: Sequence[Job]) -> Generator[Progress | None, None, None]:
         """As of a `Place`."""
-        heard: SimpleQueue[Told] = SimpleQueue()
+        reports: SimpleQueue[Progress] = SimpleQueue()
         running: set[subprocess.Popen[str]] = set()
         is_over = threading.Event()
         pool = ThreadPoolExecutor(self.at_a_time)
         try:
             for job in jobs:
-                pool.submit(_supervise, job, heard, running, is_over)
+                pool.submit(_supervise, job, reports, running, is_over)
             left = len(jobs)
             while left:
                 try:
-                    told = heard.get(timeout=WAIT_S)
+                    told = reports.get(timeout=WAIT_S)
                 except Empty:
                     yield None
                     continue
@@ -86,7 +87,7 @@ class Processes:
 
 
 def _supervise(
-    job: Job, heard: SimpleQueue[Told], running: set[subprocess.Popen[str]], is_over: threading.Event
+    job: Job, reports: SimpleQueue[Progress], running: set[subprocess.Popen[str]], is_over: threading.Event
 ) -> None:
     if is_over.is_set():
         return
@@ -113,7 +114,7 @@ def _supervise(
                 if "row" in what:
                     row = what["row"]
                 else:
-                    heard.put(Told(job, what["done"], what["expected"]))
+                    reports.put(Progress(job, what["done"], what["expected"]))
             code = process.wait()
             running.discard(process)
             if row is None:
@@ -124,4 +125,4 @@ def _supervise(
         row = failed_row(job, str(error))
     finally:
         cut(held, lifeline)
-    heard.put(Told(job, row=row))
+    reports.put(Progress(job, row=row))

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from bayesnet_track.cli.batch.jobs import Job, allow
-from bayesnet_track.cli.batch.places import WAIT_S, Told
+from bayesnet_track.cli.batch.places import WAIT_S, Progress
 from bayesnet_track.cli.batch.work import Row, failed_row
 from bayesnet_track.runtime.executors.processes import PlacingError
 
@@ -30,7 +30,7 @@ class RayTasks:
 
     address: str | None = None
 
-    def run(self, jobs: Sequence[Job]) -> Generator[Told | None, None, None]:
+    def run(self, jobs: Sequence[Job]) -> Generator[Progress | None, None, None]:
         """As of a `Place`.
 
         Raises:
@@ -52,7 +52,7 @@ class RayTasks:
                         row: Row = ray.get(promised)
                     except ray.exceptions.RayError as error:
                         row = failed_row(job, f"its task was lost ({type(error).__name__})")
-                    yield Told(job, row=row)
+                    yield Progress(job, row=row)
         finally:
             for promised in waiting:
                 with suppress(ray.exceptions.RayError):

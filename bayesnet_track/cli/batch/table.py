@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from typing import TextIO
 
 from bayesnet_track.cli.batch.jobs import Job
-from bayesnet_track.cli.batch.places import Told
+from bayesnet_track.cli.batch.places import Progress
 from bayesnet_track.cli.batch.work import FAILED, ROW, Row
 
 
@@ -17,11 +17,11 @@ class BatchProgress:
 
     def __init__(self, stream: TextIO, jobs: Sequence[Job], is_terminal: bool) -> None:
         self._stream, self._redraws, self._all = stream, is_terminal, len(jobs)
-        self._running: dict[Job, Told] = {}
+        self._running: dict[Job, Progress] = {}
         self._over, self._failed, self._drawn = 0, 0, 0
 
-    def update(self, told: Told) -> None:
-        """Take what is heard of a job, and show it."""
+    def update(self, told: Progress) -> None:
+        """Take what is reported of a job, and show it."""
         lines = []
         if told.row is None:
             self._running[told.job] = told
@@ -64,5 +64,5 @@ def csv_text(rows: Iterable[Row]) -> str:
     return text.getvalue()
 
 
-def _so_far(told: Told) -> str:
+def _so_far(told: Progress) -> str:
     return f"frame {told.done}" + ("" if told.expected is None else f"/{told.expected}")

@@ -19,12 +19,12 @@ from bayesnet_track.cli.commands.answer import (
 
 if TYPE_CHECKING:
     from bayesnet_track.journal.compare import Comparison, Total
-    from bayesnet_track.runtime.recording.opened import Run
+    from bayesnet_track.runtime.recording.run_reader import Run
 
 
 def compare(options: argparse.Namespace) -> int:
     """Tell where two runs part, and why."""
-    from bayesnet_track.runtime.recording.opened import open_run
+    from bayesnet_track.runtime.recording.run_reader import open_run
 
     check_page(options)
     first, second = open_run(options.first, complain), open_run(options.second, complain)

@@ -16,7 +16,7 @@ WITH_LOST = ("csv", "jsonl")
 def export(options: argparse.Namespace) -> int:
     """Write the file."""
     from bayesnet_track.runtime.recording.exports import FORMATS
-    from bayesnet_track.runtime.recording.opened import open_run
+    from bayesnet_track.runtime.recording.run_reader import open_run
 
     run = open_run(options.run, complain)
     lost = options.lost or (options.format in WITH_LOST and not options.no_lost)

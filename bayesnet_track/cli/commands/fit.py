@@ -15,8 +15,8 @@ from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.journal.text.wording import plural
 
 if TYPE_CHECKING:
+    from bayesnet_track.evaluate.calibration_data import CalibrationData
     from bayesnet_track.evaluate.fitting import Checked, Fitted
-    from bayesnet_track.evaluate.witness import Witness
     from bayesnet_track.graph.checked import CheckedGraph
 
 WHAT = ("score", "localization_error", "lost", "ud", "temperature", "sds", "policy")
@@ -53,13 +53,13 @@ def fit(options: argparse.Namespace) -> int:
         graph = check_text(text, str(out or options.graph))
     if set(what) <= set(BEFORE):
         return _put(out, text, f"fitted to {plural(len(videos), 'video')}")
-    witnesses = _witness(graph, videos, options, "temperature" in what)
+    data = _calibration_data(graph, videos, options, "temperature" in what)
     with users_mistake():
         if options.leave_one_out:
-            rows, everyone = leave_one_out(witnesses, features)
+            rows, everyone = leave_one_out(data, features)
             say(calibration_table(rows, everyone))
             return OK
-        fitted = estimate(witnesses, features)
+        fitted = estimate(data, features)
     written = write_fitted(text, graph, fitted, what)
     check_text(written, str(out or options.graph))
     return _put(out, written, f"fitted to {fitted.frames} frames of {plural(fitted.videos, 'video')}")
@@ -176,16 +176,16 @@ def _chosen(option: str, text: str, known: Sequence[str]) -> tuple[str, ...]:
     return names
 
 
-def _witness(
+def _calibration_data(
     graph: CheckedGraph, videos: Sequence[Video], options: argparse.Namespace, temperatures: bool
-) -> list[Witness]:
-    from bayesnet_track.evaluate.witness import with_features, witness
+) -> list[CalibrationData]:
+    from bayesnet_track.evaluate.calibration_data import calibration_data, with_features
 
     measuring, found = with_features(graph), []
     for video in videos:
         for seed in range(options.seeds):
             with frames_of(video, options.end) as frames, users_mistake():
-                one = witness(measuring, video.name, frames, video.truth, seed, temperatures)
+                one = calibration_data(measuring, video.name, frames, video.truth, seed, temperatures)
             complain(f"{video.name}, seed {seed}: {one.frames} frames, mean IoU {one.iou.mean():.3f}")
             found.append(one)
     return found

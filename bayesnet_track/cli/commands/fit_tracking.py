@@ -70,9 +70,9 @@ def fit_policy(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int
     """The graph's text with the activation policy that is chosen on `videos`."""
     import numpy as np
 
+    from bayesnet_track.evaluate.calibration_data import calibration_data, with_features
     from bayesnet_track.evaluate.policies import Trial, candidates, policy_of, search
     from bayesnet_track.evaluate.scores import success_auc
-    from bayesnet_track.evaluate.witness import with_features, witness
 
     plate = next(iter(graph.targets.values()))
     rules = plate.inference(plate.root).adapt
@@ -84,7 +84,7 @@ def fit_policy(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int
         measuring = with_features(check_text(write_policy(text, graph, policy), "a candidate"))
         for seed in range(seeds):
             with frames_of(video, end) as frames, users_mistake():
-                one = witness(measuring, video.name, frames, video.truth, seed)
+                one = calibration_data(measuring, video.name, frames, video.truth, seed)
             trials.append((success_auc(one.iou), one.cost_ms))
         auc, cost = np.mean(trials, axis=0)
         complain(f"{video.name}, {_told(policy)}: AUC {auc:.3f}, {cost:.2f} ms")

@@ -16,7 +16,7 @@ from bayesnet_track.cli.options.plugins import add_plugins
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
     from bayesnet_track.runtime.checkpoints.recipe import Recipe
-    from bayesnet_track.runtime.recording.opened import Run
+    from bayesnet_track.runtime.recording.run_reader import Run
 
 
 def what_if(options: argparse.Namespace) -> int:
@@ -26,7 +26,7 @@ def what_if(options: argparse.Namespace) -> int:
     from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
     from bayesnet_track.runtime.checkpoints.unchanged import check_cues
     from bayesnet_track.runtime.recording.manifest import add_output
-    from bayesnet_track.runtime.recording.opened import open_run
+    from bayesnet_track.runtime.recording.run_reader import open_run
     from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 
     check_page(options)

@@ -28,7 +28,7 @@ from bayesnet_track.runtime.checkpoints.machine import describe_machine
 from bayesnet_track.runtime.checkpoints.state_codec import StateError, encode_state
 from bayesnet_track.runtime.recording.record import Recorder, Written
 from bayesnet_track.runtime.recording.rundir import RunDirectory
-from bayesnet_track.runtime.run import Reached
+from bayesnet_track.runtime.run import RunPosition
 
 __all__ = [
     "EVERY_S",
@@ -48,7 +48,7 @@ EVERY_S = 1.0
 """Seconds between checkpoints: with the time of a frame and of the disk, less than 2 s of work are lost."""
 
 
-def checkpoint_of(now: Reached, written: Written, recipe: str) -> Checkpoint:
+def checkpoint_of(now: RunPosition, written: Written, recipe: str) -> Checkpoint:
     """The checkpoint of a run that is so far.
 
     Raises:
@@ -68,7 +68,7 @@ def checkpoint_of(now: Reached, written: Written, recipe: str) -> Checkpoint:
 
 
 class Checkpoints:
-    """Makes checkpoints of a run as it goes on: a keeper of `run`.
+    """Makes checkpoints of a run as it goes on: a checkpointer of `run`.
 
     The state is taken between two frames; a thread waits for the disk, so that no frame does.
 
@@ -93,12 +93,12 @@ class Checkpoints:
         self._directory, self._recorder, self._recipe = directory, recorder, recipe
         self._every_s, self._notice, self._clock = every_s, notice, clock
         self._due: float | None = clock() + every_s
-        self._last: Reached | None = None
+        self._last: RunPosition | None = None
         describe_machine()  # takes some ms the first time: not between two frames
         self._writer = ThreadPoolExecutor(1, "checkpoints")
         self._writing: Future[None] | None = None
 
-    def reached(self, now: Reached) -> None:
+    def reached(self, now: RunPosition) -> None:
         """Make a checkpoint when one is due.
 
         Raises:
@@ -141,7 +141,7 @@ class Checkpoints:
         if writing is not None:
             writing.result()
 
-    def _make(self, now: Reached) -> None:
+    def _make(self, now: RunPosition) -> None:
         self._written()
         began = self._clock()
         try:

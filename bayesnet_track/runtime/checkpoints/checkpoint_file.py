@@ -22,7 +22,7 @@ from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.checkpoints.state_codec import StateError, decode_state, state_format
 from bayesnet_track.runtime.recording.record import Written
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
-from bayesnet_track.runtime.run import Reached
+from bayesnet_track.runtime.run import RunPosition
 
 CHECKPOINT_FORMAT = 3
 """Raised when older programs cannot read what is written; each program reads its own format only."""
@@ -62,7 +62,7 @@ class Checkpoint:
     machine: Mapping[str, str]
     state: bytes
 
-    def reached(self, engine: Engine, frame: Frame) -> Reached:
+    def reached(self, engine: Engine, frame: Frame) -> RunPosition:
         """What it stands for, given its last frame, read again.
 
         Raises:
@@ -74,7 +74,7 @@ class Checkpoint:
             state: State = decode_state(self.state, engine, frame)
         except StateError as error:
             raise CheckpointError(f"the checkpoint's state: {error}") from error
-        return Reached(frame, state, self.frames, self.reconfigurations, self.lost_frames)
+        return RunPosition(frame, state, self.frames, self.reconfigurations, self.lost_frames)
 
 
 def pixels_of(frame: Frame) -> int:

@@ -19,7 +19,6 @@ from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.checkpoints.ahead import keep_ahead, told_before
 from bayesnet_track.runtime.checkpoints.checkpoint import (
     EVERY_S,
     Checkpoint,
@@ -28,6 +27,7 @@ from bayesnet_track.runtime.checkpoints.checkpoint import (
     newest_checkpoint,
     remove,
 )
+from bayesnet_track.runtime.checkpoints.pending_inputs import keep_pending, told_before
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.standing import standing
 from bayesnet_track.runtime.checkpoints.unchanged import (
@@ -40,7 +40,7 @@ from bayesnet_track.runtime.checkpoints.unchanged import (
 )
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import Executing, make_executor
-from bayesnet_track.runtime.inputs import Asked, as_asked
+from bayesnet_track.runtime.inputs import InputsAt, as_inputs
 from bayesnet_track.runtime.recording.lock import locked
 from bayesnet_track.runtime.recording.manifest import finish, tidy
 from bayesnet_track.runtime.recording.record import Recorder
@@ -60,7 +60,7 @@ def resume(
     motion: Motion | None = None,
     sinks: Sequence[Sink] = (),
     summary: Summary | None = None,
-    inputs: str | PathLike[str] | Asked | None = None,
+    inputs: str | PathLike[str] | InputsAt | None = None,
     checkpoint_every: float = EVERY_S,
     executor: str | Executing = "serial",
     workers: int | None = None,
@@ -128,7 +128,7 @@ def resume(
         engine = placed(stack, executing, engine, None if motion is not None else graph, opened, budget_ms)
         asked = recipe.inputs.place if inputs is None and recipe.inputs is not None else inputs
         before = told_before(directory)
-        outside = _outside(before, as_asked(asked))
+        outside = _outside(before, as_inputs(asked))
         anew = _why_anew(checkpoint, engine)
         if anew:
             say(f"it begins anew: {anew}")
@@ -138,7 +138,7 @@ def resume(
             check_outputs(directory, checkpoint, say)
             after = replace(_skipped(opened, checkpoint, engine, told, say), events=moves)
         # From here on files are changed.
-        keep_ahead(directory, before, -1 if checkpoint is None else checkpoint.frame)
+        keep_pending(directory, before, -1 if checkpoint is None else checkpoint.frame)
         _clear(directory, checkpoint)
         truth = getattr(opened, "truth_text", None)
         if truth is not None and not directory.truth.exists():  # earlier versions wrote it in the end
@@ -155,9 +155,9 @@ def resume(
         if checkpoint is not None and recipe.has_video:
             with recipe.opened() as again:
                 recorder.redraw((item for item in again if isinstance(item, Frame)), checkpoint.frame)
-        keeper = kept(directory, engine, recorder, recipe, checkpoint_every)
-        if keeper is not None:
-            stack.enter_context(keeper)
+        checkpointer = kept(directory, engine, recorder, recipe, checkpoint_every)
+        if checkpointer is not None:
+            stack.enter_context(checkpointer)
         results = run(
             graph,
             opened,
@@ -173,7 +173,7 @@ def resume(
                 if budget_ms is None
                 else Deadline(budget_ms, executing.processes, known_until=max(before, default=-1))
             ),
-            keeper=keeper,
+            checkpointer=checkpointer,
             after=after,
         )
         yield from results if after is None else _first_guarded(results, after.reached.frame.index)
@@ -241,7 +241,7 @@ def _skipped(
     raise ResumeError(f"the source has no frame {checkpoint.frame} any more, after which the run was")
 
 
-def _outside(before: Mapping[int, Sequence[Input]], later: Asked) -> Asked:
+def _outside(before: Mapping[int, Sequence[Input]], later: InputsAt) -> InputsAt:
     """What came from outside for the frames that had it, then what comes `later`."""
     return lambda frame: before[frame] if frame in before else later(frame)
 

@@ -13,7 +13,7 @@ from typing import Any
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.basic import Event, FrameMetrics, RunEnded, RunStarted
-from bayesnet_track.runtime.live_view.spool import Spool
+from bayesnet_track.runtime.live_view.event_buffer import EventBuffer
 from bayesnet_track.runtime.live_view.thumbnails import Thumbnails
 from bayesnet_track.runtime.results import Result
 from bayesnet_track.view.page_data import run_data
@@ -38,7 +38,7 @@ class Feed:
     """
 
     def __init__(self, news: threading.Condition, thumbnails: Thumbnails) -> None:
-        self.lines = Spool()
+        self.lines = EventBuffer()
         self.frames = 0
         self.trouble = ""
         self.graph: CheckedGraph | None = None

@@ -171,15 +171,15 @@ class LiveView:
         self.controls.ask(what)
 
     def _lines(self, first: int, seen: int, began: float) -> list[bytes]:
-        spool, controls = self._feed.lines, self.controls
+        buffer, controls = self._feed.lines, self.controls
         with self._news:
-            self._news.wait_for(lambda: len(spool) > first or controls.version != seen, WAIT_S)
+            self._news.wait_for(lambda: len(buffer) > first or controls.version != seen, WAIT_S)
             if controls.version == seen:
                 # Few answers that say much, not many that say little.
                 self._news.wait_for(
                     lambda: controls.version != seen, max(0.0, began + GATHER_S - time.monotonic())
                 )
-        return spool.read(first, AT_A_TIME)
+        return buffer.read(first, AT_A_TIME)
 
     def _status(self) -> dict[str, Any]:
         with self._news:

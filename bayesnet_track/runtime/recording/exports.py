@@ -13,7 +13,7 @@ from bayesnet_track.journal.codec import JournalError
 from bayesnet_track.runtime.recording.tables import TRACK_COLUMNS, Row, track_rows
 
 if TYPE_CHECKING:
-    from bayesnet_track.runtime.recording.opened import Run
+    from bayesnet_track.runtime.recording.run_reader import Run
 
 
 def as_mot(run: Run, lost: bool = False) -> str:

@@ -231,5 +231,5 @@ class RunDirectory:
 
     @property
     def ahead(self) -> Path:
-        """What came from outside for frames that are to be tracked again; see `runtime.checkpoints.ahead`."""
+        """What came from outside for frames that are to be tracked again; see `pending_inputs`."""
         return self.path / FILES["ahead"]

@@ -6,35 +6,35 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.runtime.live_view.spool import Spool
+from bayesnet_track.runtime.live_view.event_buffer import EventBuffer
 
 
 @given(st.lists(st.binary(max_size=40), max_size=30), st.integers(0, 35), st.integers(0, 200))
 def test_a_read_gives_consecutive_whole_lines_within_the_limit(lines, first, most):
-    spool = Spool()
+    buffer = EventBuffer()
     for line in lines:
-        spool.append(line)
-    found = spool.read(first, most)
+        buffer.append(line)
+    found = buffer.read(first, most)
     assert found == lines[first : first + len(found)]
     assert (len(found) > 0) == (first < len(lines))
     assert len(found) <= 1 or sum(map(len, found)) <= most
     # It gives as many as fit.
     rest = lines[first + len(found) :]
     assert not rest or sum(map(len, [*found, rest[0]])) > most
-    spool.close()
+    buffer.close()
 
 
 def test_readers_see_every_line_once_while_a_run_writes():
-    spool, seen = Spool(), []
+    buffer, seen = EventBuffer(), []
 
     def read():
         while len(seen) < 3000:
-            seen.extend(spool.read(len(seen), 500))
+            seen.extend(buffer.read(len(seen), 500))
 
     reader = threading.Thread(target=read)
     reader.start()
     for number in range(3000):
-        spool.append(b"%d" % number)
+        buffer.append(b"%d" % number)
     reader.join(5)
     assert seen == [b"%d" % number for number in range(3000)]
 
@@ -59,11 +59,11 @@ class FullDisk:
 
 
 def test_a_line_that_a_full_disk_cut_off_is_not_there():
-    spool = Spool()
-    spool.append(b"first")
-    whole, spool._file = spool._file, FullDisk(spool._file)
+    buffer = EventBuffer()
+    buffer.append(b"first")
+    whole, buffer._file = buffer._file, FullDisk(buffer._file)
     with pytest.raises(OSError, match="No space"):
-        spool.append(b"second")
-    spool._file = whole
-    spool.append(b"third")
-    assert spool.read(0, 100) == [b"first", b"third"]
+        buffer.append(b"second")
+    buffer._file = whole
+    buffer.append(b"third")
+    assert buffer.read(0, 100) == [b"first", b"third"]

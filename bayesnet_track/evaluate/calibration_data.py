@@ -32,7 +32,7 @@ ELSEWHERE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Witness:
+class CalibrationData:
     """One run over one video: the frames after the first in which the truth has a box.
 
     Attributes:
@@ -76,14 +76,14 @@ def with_features(graph: CheckedGraph) -> CheckedGraph:
     return check_graph(written)
 
 
-def witness(
+def calibration_data(
     graph: CheckedGraph,
     video: str,
     frames: Iterable[Frame],
     truth: Floats,
     seed: int = 0,
     temperatures: bool = False,
-) -> Witness:
+) -> CalibrationData:
     """Track through `frames` from the first of (n, 4) true corner boxes; needs a graph `with_features`.
 
     Raises:
@@ -122,7 +122,7 @@ def witness(
         raise ValueError(f"{video}: no frame after the first has a true box")
     at = np.array([line.box for line in lines])
     costs = next(iter(engine.machinery.values())).costs_ms
-    return Witness(
+    return CalibrationData(
         video,
         overlap(at, np.array(boxes)),
         {name: np.array([line.features[name] for line in lines]) for name in FEATURES},

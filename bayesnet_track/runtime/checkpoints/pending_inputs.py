@@ -39,7 +39,7 @@ def _by_frame(path: Path) -> dict[int, list[Input]]:
     return found
 
 
-def keep_ahead(directory: RunDirectory, before: Mapping[int, Sequence[Input]], frame: int) -> None:
+def keep_pending(directory: RunDirectory, before: Mapping[int, Sequence[Input]], frame: int) -> None:
     """Write down what came for the frames after `frame`.
 
     Raises:

@@ -7,13 +7,13 @@ import threading
 from array import array
 
 
-class Spool:
+class EventBuffer:
     """Appended to by one thread, read by any. What is read was appended whole; nothing is ever skipped.
 
-    >>> spool = Spool()
+    >>> buffer = EventBuffer()
     >>> for line in (b"a", b"bc", b"d"):
-    ...     spool.append(line)
-    >>> spool.read(1, most=2), spool.read(1, most=3), len(spool)
+    ...     buffer.append(line)
+    >>> buffer.read(1, most=2), buffer.read(1, most=3), len(buffer)
     ([b'bc'], [b'bc', b'd'], 3)
 
     Raises:
