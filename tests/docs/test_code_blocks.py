@@ -28,7 +28,10 @@ PAGES = [page for page in PAGES if not {"_build", "gallery"} & set(page.relative
 
 OURS = "bayesnet-track"
 NOT_CODE = {"toml", "md", "text", "json"}
-ELSEWHERE = {"docs/write_a_cue.md": "test_pages installs the package of this page and runs its commands"}
+ELSEWHERE = {
+    "docs/write_a_cue.md": "test_pages installs the package of this page and runs its commands",
+    "CONTRIBUTING.md": "changes the clone; test_pages tracks with the cue that it adds",
+}
 NOT_RUN = (
     (r"pip install|-m venv", "installs packages; CI does so by the README's commands"),
     (r"^python benchmarks/|^docs/.*benchmarks/", "measures for minutes or hours"),

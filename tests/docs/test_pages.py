@@ -6,6 +6,7 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -14,7 +15,7 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.cli.parser import make_parser
 from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.graphs import graph_names
-from bayesnet_track.observation import plugins
+from bayesnet_track.observation import cue_files, plugins
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs").glob("*/*.md"))]
@@ -149,6 +150,28 @@ def test_the_cues_of_the_page_keep_to_the_contract(two_cues, name):
     assert tried.returncode == 0 and f"[{name}]" not in tried.stdout and "[100%]" in tried.stdout, (
         tried.stdout
     )
+
+
+@pytest.mark.slow
+def test_the_cue_of_the_contributing_page_works_as_a_file_and_as_a_built_in_one(
+    tmp_path, monkeypatch, capsys
+):
+    page = ROOT / "CONTRIBUTING.md"
+    short, whole, own_test = blocks(page, "python")
+    (graph,) = blocks(page, "yaml")
+    (tmp_path / "graphs").mkdir()
+    (tmp_path / "graphs" / "gray_cells.yaml").write_text(graph)
+    monkeypatch.chdir(tmp_path)
+    command = next(commands(page))
+    for code in (short, whole):
+        (tmp_path / "gray_cells.py").write_text(code)
+        assert main([*command, "--quiet"]) == 0
+        assert mean_iou(capsys, "runs/gray_square") > 0.5
+        plugins.forget()
+    declared = cue_files.load_cue_file("gray_cells.py").declaration
+    monkeypatch.setitem(sys.modules, "bayesnet_track.cues.gray_cells", SimpleNamespace(CUE=declared))
+    exec(compile(own_test, "test_gray_cells", "exec"), space := {})
+    assert [name for name in space if name.startswith("test_")] == ["test_a_larger_sd_forgives_more"]
 
 
 def test_the_pages_name_every_graph_of_the_library():
