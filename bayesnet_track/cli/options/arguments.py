@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable
 
 
@@ -17,37 +18,27 @@ def whole_number(least: int) -> Callable[[str], int]:
     return parse
 
 
-def metres(text: str) -> float:
-    """Parser of lengths."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r}: a length above 0 in metres is needed")
-    return value
+def number(needed: str, below: float = math.inf, most: float = math.inf) -> Callable[[str], float]:
+    """Parser of finite numbers above 0, less than `below` and at most `most`; `needed` says so."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = 0.0
+        if not (0.0 < value < below and value <= most):
+            raise argparse.ArgumentTypeError(f"{text!r}: {needed}")
+        return value
+
+    return parse
 
 
-def pixels(text: str) -> float:
-    """Parser of a distance in px."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text!r}: a distance above 0 in px is needed")
-    return value
-
-
-def milliseconds(text: str) -> float:
-    """Parser of a time."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < 1e7:
-        raise argparse.ArgumentTypeError(f"{text!r}: milliseconds above 0 are needed")
-    return value
+metres = number("a length above 0 in metres is needed", below=1e6)
+pixels = number("a distance above 0 in px is needed", below=1e9)
+milliseconds = number("milliseconds above 0 are needed", below=1e7)
+seconds = number("a number of seconds above 0 is needed", below=1e6)
+gradient = number("a number above 0, at most 100 is needed", most=100.0)
+share = number("a number above 0, at most 1 is needed", most=1.0)
 
 
 def cells(text: str) -> int:
@@ -55,25 +46,3 @@ def cells(text: str) -> int:
     if not (text.isascii() and text.isdigit() and 4 <= int(text[:4]) <= 64 and len(text) < 4):
         raise argparse.ArgumentTypeError(f"{text!r}: a whole number from 4 to 64 is needed")
     return int(text)
-
-
-def gradient(text: str) -> float:
-    """Parser of a gradient in gray levels per pixel."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value <= 100.0:
-        raise argparse.ArgumentTypeError(f"{text!r}: a number above 0, at most 100 is needed")
-    return value
-
-
-def share(text: str) -> float:
-    """Parser of a share above 0, at most 1."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value <= 1.0:
-        raise argparse.ArgumentTypeError(f"{text!r}: a number above 0, at most 1 is needed")
-    return value

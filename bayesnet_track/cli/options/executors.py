@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from bayesnet_track.cli.options.arguments import whole_number
+from bayesnet_track.cli.options.arguments import seconds, whole_number
 
 
 def add_executor_options(parser: argparse.ArgumentParser) -> None:
@@ -34,7 +34,7 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--agent-timeout",
-        type=_seconds,
+        type=seconds,
         metavar="S",
         help="seconds after which an agent in a process that does not answer is given up "
         "(default 10, and 30 for its first answers)",
@@ -54,13 +54,3 @@ def _executor(text: str) -> str:
             "`bayesnet-track batch --on ray` for whole videos on a cluster"
         )
     return text
-
-
-def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r}: a number of seconds above 0 is needed")
-    return value
