@@ -113,6 +113,7 @@ def test_opencvs_threads_change_no_byte(recorded, tmp_path, threads):
     assert digests(tmp_path / "run") == digests(recorded[0])
 
 
+@pytest.mark.slow
 def test_another_process_gives_the_same_bytes(recorded, tmp_path):
     """With other hashes of strings and another number of threads."""
     environment = {**os.environ, "NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "123"}

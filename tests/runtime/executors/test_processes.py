@@ -14,6 +14,7 @@ from bayesnet_track.runtime.executors.workers import Limits, Worker
 TWO = {"a": ("placed", {}), "b": ("placed_measurer", {})}
 
 
+@pytest.mark.slow
 def test_the_same_to_the_last_bit_though_workers_are_killed_in_every_frame(placed, told):
     with placed.executing(TWO, "processes", workers=2) as (engine, executor):
 
