@@ -19,7 +19,6 @@ from bayesnet_track.graph.settings.lifecycle import LifeRules, life_rules
 from bayesnet_track.graph.settings.motion import Moving
 from bayesnet_track.graph.spec import Guard, Join, Learn
 from bayesnet_track.graph.text.write import as_plain, flow_text
-from bayesnet_track.inference.absent import Absent
 from bayesnet_track.inference.executor import Crew, Executor, Serial
 from bayesnet_track.inference.parts import part_of_agents
 from bayesnet_track.numerics.compile_watch import working_clock
@@ -96,7 +95,6 @@ class Engine:
         clock: seconds, for timings only.
         joins: how targets depend on each other.
         executor: how the agents of a frame are asked; changes no result.
-        absent: agents that give no answer in the frame that is worked on.
         crew: who advances whole nets elsewhere, which changes no result; None for nobody.
     """
 
@@ -106,7 +104,6 @@ class Engine:
     detectors: Mapping[str, Detector] = field(default_factory=dict)
     joins: tuple[Join, ...] = ()
     executor: Executor = field(default_factory=Serial)
-    absent: Absent = field(default_factory=Absent)
     crew: Crew | None = None
 
 

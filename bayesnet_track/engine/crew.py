@@ -7,14 +7,13 @@ keeps every state; who works for it is told those that it does not hold already.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from bayesnet_track.engine.compiled import Engine
-from bayesnet_track.engine.outside import Outside
+from bayesnet_track.engine.filtering import filter_target
+from bayesnet_track.engine.findings import TargetResult
+from bayesnet_track.engine.finishing import finish_target
+from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.state import TargetState
-from bayesnet_track.engine.target import Concluded, conclude, weigh
-from bayesnet_track.journal.net.net import Net
-from bayesnet_track.observation.planes import FramePair, PlaneCache
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +25,7 @@ class Advanced:
         seconds: agent (or planes, belief, measure, learn) -> seconds.
     """
 
-    done: Concluded
+    done: TargetResult
     seconds: Mapping[str, float]
 
 
@@ -43,25 +42,35 @@ class Elsewhere:
     awaited: Callable[[], Mapping[str, Advanced]] = dict
 
 
-def send_off(
-    engine: Engine, net: Net, targets: Mapping[str, TargetState], frames: FramePair, given: Outside
-) -> Elsewhere:
+def send_off(work: FrameWork, targets: Mapping[str, TargetState]) -> Elsewhere:
     """Hand over the targets that the engine's crew takes: those for which nothing came from outside."""
-    crew = engine.crew
+    crew, net = work.engine.crew, work.net
     if crew is None:
         return Elsewhere()
-    concerned = given.by_hand.keys() | {target for target, _, _ in given.absent.known}
+    concerned = work.by_hand.keys() | {target for target, _, _ in work.absent.known}
     own = {
         target: state
         for target, state in targets.items()
         if net.targets[target].template in crew.plates and target not in concerned
     }
-    return Elsewhere(frozenset(own), crew.start(net, own, frames)) if own else Elsewhere()
+    return Elsewhere(frozenset(own), crew.start(net, own, work.cache.frames)) if own else Elsewhere()
 
 
-def advance(engine: Engine, net: Net, target: str, before: TargetState, cache: PlaneCache) -> Advanced:
+def advance(work: FrameWork, target: str, before: TargetState) -> Advanced:
     """One frame of a target that depends on no other, and for which nothing came from outside."""
-    seconds: dict[str, float] = {}
-    frame = cache.frames.current
-    weighed = weigh(engine, net, before, target, frame, cache, seconds)
-    return Advanced(conclude(engine, net, weighed, frame, cache, seconds), seconds)
+    own = replace(work, seconds={})
+    return Advanced(finish_target(own, filter_target(own, target, before)), own.seconds)
+
+
+def awaited(
+    work: FrameWork, elsewhere: Elsewhere, before: Mapping[str, TargetState]
+) -> dict[str, TargetResult]:
+    """What the frame gave for the targets at work elsewhere; those that nobody advanced are advanced here."""
+    advanced = elsewhere.awaited()
+    results: dict[str, TargetResult] = {}
+    for target in sorted(elsewhere.targets):
+        one = advanced.get(target) or advance(work, target, before[target])
+        results[target] = one.done
+        for part, spent in one.seconds.items():
+            work.seconds[part] = work.seconds.get(part, 0.0) + spent
+    return results

@@ -1,4 +1,4 @@
-"""What is written down of one target in one frame: from a step and its measures to `FrameMetrics`."""
+"""What is written down of one target in one frame: as `FrameMetrics`."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.measures import Measures
-from bayesnet_track.belief.contract import Posterior, Step, Stream
+from bayesnet_track.engine.filtering import Filtered
+from bayesnet_track.engine.findings import Decided, Learnt, Measured
+from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.score import widened
-from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.journal.events.basic import FrameMetrics
-from bayesnet_track.journal.events.join_events import JoinMetrics
 from bayesnet_track.journal.events.part_metrics import PartMetrics
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.observation.planes import Frame
@@ -29,32 +29,26 @@ def index(measures: Measures, root: str) -> float:
 
 
 def frame_metrics(
-    frame: Frame,
-    target: str,
-    plate: CheckedTarget,
-    status: str,
-    stepped: Step[Posterior],
-    measures: Measures,
-    box: Floats,
+    work: FrameWork,
+    filtered: Filtered,
+    measured: Measured,
+    decided: Decided,
+    learnt: Learnt,
     covariance: Floats,
-    quiet_px2: float | None,
-    rate: float,
-    stream: Stream,
-    join: JoinMetrics | None = None,
-    scored: tuple[float, Mapping[str, float]] | None = None,
-    angle: float = 0.0,
 ) -> FrameMetrics:
-    """The measurements of a step: `box` and `covariance` of its belief, `status` the one it ran with.
+    """What is written down of a target: `covariance` (D, D) of its belief, the status that it ran with.
 
-    `angle` is the estimate's.
-    `scored` is a calibrated score with the features that it comes from; without it the score is `index`.
+    Without a calibrated score the score is `index`.
     """
+    target, stepped, measures = filtered.target, filtered.step, measured.measures
+    plate = work.plate_of(target).plate
     posterior, weights = stepped.posterior, stepped.support.weights
-    cloud = posterior.draw(CLOUD_SIZE, stream("cloud"))
+    cloud = posterior.draw(CLOUD_SIZE, work.stream(target, plate.root)("cloud"))
     variances = np.clip(np.diag(covariance)[:4], 0.0, None)
-    root = plate.root
-    score, features = (index(measures, root), {}) if scored is None else scored
-    localization_error = plate.inference(root).localization_error
+    score, features = index(measures, plate.root), {}
+    if measured.score is not None:
+        score, features = measured.score, {**measured.scored.smooth, "most": measured.bound}
+    localization_error = plate.inference(plate.root).localization_error
     if localization_error is None:
         region50, region90 = posterior.region(0.5), posterior.region(0.9)
     else:
@@ -63,16 +57,16 @@ def frame_metrics(
         region50, region90 = wide.region50, wide.region90
         variances[:2] += wide.variance
     return FrameMetrics(
-        frame=frame.index,
-        time_s=frame.time_s,
+        frame=work.frame.index,
+        time_s=work.frame.time_s,
         target=target,
-        box=_floats(box),
+        box=_floats(measured.box),
         map=_floats(stepped.map_state[:4]),
         sd=_floats(np.sqrt(variances)),
-        ud_px2=measures.ud_px2[root],
+        ud_px2=measures.ud_px2[plate.root],
         ud_nodes=measures.ud_px2,
-        quiet_px2=quiet_px2,
-        status=status,
+        quiet_px2=decided.quiet_px2,
+        status=work.net.targets[target].status,
         score=score,
         log_evidence=stepped.log_evidence,
         surprise=kl(weights.log, stepped.prior.log),
@@ -83,13 +77,13 @@ def frame_metrics(
         contribution=measures.contribution,
         agent_ud_px2=measures.agent_ud_px2,
         strength=measures.strength,
-        learn_rate=rate,
+        learn_rate=learnt.rate,
         region50=_floats(region50),
         region90=_floats(region90),
         cloud=tuple(map(tuple, np.rint(cloud).astype(np.int64).tolist())),
         silent=measures.silent,
-        angle=angle,
-        join=join,
+        angle=learnt.angle,
+        join=filtered.join,
         features=features,
         parts={
             name: PartMetrics(_floats(part.box), _floats(part.sd), part.ud_px2, part.status)

@@ -1,15 +1,13 @@
-"""One frame of joined targets: carriers before what they carry, then the joint belief of all that are near.
+"""The joint belief of joined targets, between the two halves of their frame.
 
-Between the two halves of a target's frame (`target.weigh`, `target.conclude`) the hypotheses of joined
-targets are weighed together. Each target keeps its own hypotheses; they get the weights of the joint belief's
-marginal, so that all that follows sees it.
+The hypotheses of joined targets are weighed together. Each target keeps its own hypotheses; they get the
+weights of the joint belief's marginal, so that all that follows sees it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,27 +22,18 @@ from bayesnet_track.adapt.joins import (
     spanning_tree,
 )
 from bayesnet_track.belief.contract import Posterior, Step
-from bayesnet_track.belief.motion.attached import Attached, with_carried, without_carried
 from bayesnet_track.belief.particles.belief import reweighted
-from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.states import hypotheses_of
-from bayesnet_track.engine.compiled import Engine
-from bayesnet_track.engine.state import TargetState
-from bayesnet_track.engine.target import Weighed, weigh
-from bayesnet_track.graph.settings.joins import Attachment, Join
+from bayesnet_track.engine.attachment import Carriers, carriers_of, particles, tell_carried, without_ride
+from bayesnet_track.engine.filtering import Filtered
+from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.graph.settings.joins import Join
 from bayesnet_track.inference.joint import Edge, Marginal, Member, Pair, joint_marginals
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.journal.events.basic import Event
-from bayesnet_track.journal.events.join_events import (
-    AttachmentChanged,
-    JoinMetrics,
-    OcclusionChanged,
-    RingChanged,
-)
-from bayesnet_track.journal.net.net import Net
+from bayesnet_track.journal.events.join_events import JoinMetrics, OcclusionChanged, RingChanged
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import resample
-from bayesnet_track.observation.planes import Frame, PlaneCache
 
 Floats = NDArray[np.float64]
 
@@ -57,140 +46,60 @@ DEEPEST = 20.0
 ON_SIZE = 8
 """Boxes at which a target's agents are asked what they say of the one in front."""
 
-CARRIED, FREE = 0.5, 0.3
-"""Probability above which a target is told to be carried, and at or below which no longer."""
+Steps = dict[str, Step[Posterior]]
 
 
 @dataclass(frozen=True, eq=False)
-class Together:
+class JointBelief:
     """What the joint beliefs of one frame gave.
 
     Attributes:
-        weighed: every target's first half, joined ones with the weights of the joint belief.
-        metrics: joined target -> what is written down of it.
-        told: what else is written down.
+        filtered: target -> the first half of its frame, with the weights of the joint belief.
         memory: what is remembered.
+        told: what is written down.
     """
 
-    weighed: tuple[Weighed, ...]
-    metrics: Mapping[str, JoinMetrics]
-    told: tuple[Event, ...]
+    filtered: Mapping[str, Filtered]
     memory: JoinMemory
+    told: tuple[Event, ...] = ()
 
 
-def weigh_all(
-    engine: Engine,
-    net: Net,
-    targets: Mapping[str, TargetState],
-    memory: JoinMemory,
-    frame: Frame,
-    cache: PlaneCache,
-    seconds: dict[str, float],
-) -> tuple[Weighed, ...]:
-    """Every target weighed, in their order; one that may be carried comes after its carrier."""
-    carriers = _carriers(engine, net, memory)
-    done: dict[str, Weighed] = {}
+@dataclass(frozen=True, eq=False)
+class _Tree:
+    """Along which pairs the joint belief is computed.
 
-    def weighed(target: str) -> Weighed:
-        if target not in done:
-            before = targets[target]
-            if target not in carriers:
-                done[target] = weigh(engine, net, before, target, frame, cache, seconds)
-            else:
-                carrier, settings = carriers[target]
-                moved = _displacement(weighed(carrier), memory.centres.get(carrier))
-                motion = Attached(
-                    engine.machinery[net.targets[target].template].motion,
-                    moved,
-                    settings.start,
-                    settings.stay,
-                    settings.sd_px,
-                )
-                known = memory.carried.get(target)
-                column = known.hypotheses if known is not None and known.belief is before.belief else None
-                glued = replace(before, belief=with_carried(_particles(before.belief), column))
-                own = weigh(engine, net, glued, target, frame, cache, seconds, motion)
-                done[target] = replace(own, before=before)
-        return done[target]
+    Attributes:
+        pairs: joined pair -> what was remembered of it, predicted to this frame.
+        left_out: pair that would close a ring -> the targets of that ring.
+        edges: the tree's.
+        closing: those that are left out.
+    """
 
-    return tuple(weighed(target) for target in targets)
+    pairs: Mapping[Pair, PairMemory]
+    left_out: Mapping[Pair, tuple[str, ...]]
+    edges: tuple[Edge, ...]
+    closing: tuple[Edge, ...]
 
 
-def join_all(
-    engine: Engine,
-    net: Net,
-    memory: JoinMemory,
-    weighed: Sequence[Weighed],
-    frame: Frame,
-    cache: PlaneCache,
-) -> Together:
+def join_targets(work: FrameWork, memory: JoinMemory, filtered: Mapping[str, Filtered]) -> JointBelief:
     """The joint belief of all joined targets, and what follows from it for each."""
-    of = {one.target: one for one in weighed}
-    levels = {name: _level(memory.levels.get(name), one) for name, one in of.items()}
-    pairs = {pair: memory.pairs.get(pair, PairMemory()) for pair in net.joins}
-    rules = {pair: engine.joins[join.rule] for pair, join in net.joins.items()}
-    pairs = {pair: replace(one, first_in_front=_carried_on(one, rules[pair])) for pair, one in pairs.items()}
-    sharing = {pair: one.overlap for pair, one in pairs.items() if rules[pair].shares_pixels}
-    tree, left_out = spanning_tree(sharing)
-
-    edges, closing = (
-        [
-            Edge(pair, pairs[pair].first_in_front, rules[pair].nats, rules[pair].pairings)
-            for pair in chosen
-            if pairs[pair].overlap > 0 and all(of[name].step.degenerate is None for name in pair)
-        ]
-        for chosen in (tree, left_out)
-    )
-    members = {
-        name: Member(
-            np.ascontiguousarray(one.step.support.boxes),
-            one.step.prior,
-            one.step.evidence.log_likelihood,
-            levels[name].log,
-            _logs_on(engine, net, one, [of[other] for other in others], frame, cache),
-            max(len(one.plan.observations), 1),
-            levels[name].best,
-        )
-        for name, others in _neighbours((*edges, *closing)).items()
-        for one in (of[name],)
-    }
-    marginals, orders = joint_marginals(
-        members,
-        edges,
-        lambda speaker, hearer: engine.streams.of(speaker, hearer, frame.index, "partners"),
-        closing,
-    )
-    told: list[Event] = []
-    for pair, one in pairs.items():
-        if one.left_out != (pair in left_out):
-            group = left_out.get(pair, pair)
-            told.append(RingChanged(frame.index, *pair, pair in left_out, one.overlap, group))
-        front = orders.get(pair, one.first_in_front)
-        pairs[pair] = replace(one, first_in_front=front, left_out=pair in left_out)
-
-    steps = {name: _reweighted(one.step, marginals.get(name)) for name, one in of.items()}
-    carriers = _carriers(engine, net, memory)
-    carried: dict[str, Carried] = {}
-    metrics: dict[str, JoinMetrics] = {}
-    for name in dict.fromkeys(name for pair in pairs for name in pair):
-        probability = None
-        if name in carriers:
-            steps[name], carried[name] = _split(steps[name])
-            probability = float(steps[name].support.weights.weights @ carried[name].hypotheses)
-        hidden = marginals[name].hidden if name in marginals else {}
-        metrics[name] = _metrics(name, pairs, hidden, probability, of[name].step.support.weights.ess)
-    after = replace(
-        memory,
-        pairs=pairs,
-        levels=_levels_after(memory.levels, levels, metrics, of),
-        carried=carried,
-        centres={carrier: of[carrier].step.posterior.mean[:2] for carrier, _ in carriers.values()},
-    )
-    after = _tell_hidden(frame.index, metrics, after, told)
-    after = _tell_carried(frame.index, metrics, carriers, after, told)
-    return Together(
-        tuple(replace(one, step=steps[one.target]) for one in weighed), metrics, tuple(told), after
-    )
+    if not work.engine.joins:
+        return JointBelief(filtered, memory)
+    started = work.engine.clock()
+    levels = {name: _level(memory.levels.get(name), one) for name, one in filtered.items()}
+    tree = _tree(work, memory, filtered)
+    marginals, orders = _marginals(work, tree, levels, filtered)
+    pairs, told = _after(work.frame.index, tree, orders)
+    carriers = carriers_of(work, memory)
+    steps, metrics, carried = _parted(carriers, marginals, pairs, filtered)
+    centres = {carrier: filtered[carrier].step.posterior.mean[:2] for carrier, _ in carriers.values()}
+    levels = _levels_after(memory.levels, levels, metrics, filtered)
+    after = replace(memory, pairs=pairs, levels=levels, carried=carried, centres=centres)
+    after = _tell_hidden(work.frame.index, metrics, after, told)
+    after = tell_carried(work.frame.index, metrics, carriers, after, told)
+    work.charge("joins", started)
+    joined = {name: replace(one, step=steps[name], join=metrics.get(name)) for name, one in filtered.items()}
+    return JointBelief(joined, after, tuple(told))
 
 
 def reach_of(posterior: Posterior, covariance: Floats | None) -> Reach:
@@ -199,47 +108,85 @@ def reach_of(posterior: Posterior, covariance: Floats | None) -> Reach:
     return Reach(posterior.mean[:4], np.sqrt(np.clip(np.diag(covariance)[:2], 0.0, None)))
 
 
-# ------------------------------------------------------------------------------------ being carried
-
-
-def _carriers(engine: Engine, net: Net, memory: JoinMemory) -> dict[str, tuple[str, Attachment]]:
-    """Target that may be carried -> by whom: the one that carries it, else the one that overlaps it most."""
-    found: dict[str, tuple[tuple[bool, float], str, Attachment]] = {}
-    for (carrier, target), join in net.joins.items():
-        settings = engine.joins[join.rule].attachment
-        if settings is None:
-            continue
-        known = memory.pairs.get((carrier, target), PairMemory())
-        rank = (memory.carriers.get(target, ("", 0))[0] == carrier, known.overlap)
-        if target not in found or rank > found[target][0]:
-            found[target] = (rank, carrier, settings)
-    return {target: (carrier, settings) for target, (_, carrier, settings) in found.items()}
-
-
-def _displacement(carrier: Weighed, before: Floats | None) -> Floats:
-    """(2,) how far the carrier's centre went, by its own evidence in both frames: so errors cancel out."""
-    start = carrier.before.belief.mean[:2] if before is None else before
-    return np.asarray(carrier.step.posterior.mean[:2] - start)
-
-
-def _particles(belief: Posterior) -> ParticleSet:
-    if not isinstance(belief, ParticleSet):
-        raise TypeError(f"only particles can be joined, not {type(belief).__name__}")
-    return belief
-
-
-def _split(step: Step[Posterior]) -> tuple[Step[Posterior], Carried]:
-    """The step of the target's own state, and which of its hypotheses are carried."""
-    posterior, column = without_carried(_particles(step.posterior))
-    find = partial(_without_last, step)
-    return replace(step, posterior=posterior, support=posterior, find_map=find), Carried(posterior, column)
-
-
-def _without_last(step: Step[Posterior]) -> Floats:
-    return step.map_state[:-1]
-
-
 # ------------------------------------------------------------------------------------ the joint belief
+
+
+def _tree(work: FrameWork, memory: JoinMemory, of: Mapping[str, Filtered]) -> _Tree:
+    """The pairs of this frame, and along which of them evidence is shared."""
+    rules = {pair: work.engine.joins[join.rule] for pair, join in work.net.joins.items()}
+    pairs: dict[Pair, PairMemory] = {}
+    for pair in work.net.joins:
+        known = memory.pairs.get(pair, PairMemory())
+        pairs[pair] = replace(known, first_in_front=_carried_on(known, rules[pair]))
+    sharing = {pair: one.overlap for pair, one in pairs.items() if rules[pair].shares_pixels}
+    tree, left_out = spanning_tree(sharing)
+    edges, closing = (
+        tuple(
+            Edge(pair, pairs[pair].first_in_front, rules[pair].nats, rules[pair].pairings)
+            for pair in chosen
+            if pairs[pair].overlap > 0 and all(of[name].step.degenerate is None for name in pair)
+        )
+        for chosen in (tree, left_out)
+    )
+    return _Tree(pairs, left_out, edges, closing)
+
+
+def _marginals(
+    work: FrameWork, tree: _Tree, levels: Mapping[str, Level], of: Mapping[str, Filtered]
+) -> tuple[dict[str, Marginal], dict[Pair, float]]:
+    """The joint belief's marginals, and of each edge the probability that its first target is in front."""
+    members = {
+        name: Member(
+            np.ascontiguousarray(of[name].step.support.boxes),
+            of[name].step.prior,
+            of[name].step.evidence.log_likelihood,
+            levels[name].log,
+            _logs_on(work, of[name], [of[other] for other in others]),
+            max(len(of[name].plan.observations), 1),
+            levels[name].best,
+        )
+        for name, others in _neighbours((*tree.edges, *tree.closing)).items()
+    }
+    return joint_marginals(
+        members,
+        tree.edges,
+        lambda speaker, hearer: work.stream(speaker, hearer)("partners"),
+        tree.closing,
+    )
+
+
+def _after(
+    frame: int, tree: _Tree, orders: Mapping[Pair, float]
+) -> tuple[dict[Pair, PairMemory], list[Event]]:
+    """What is remembered of each pair, and which are left out of a ring now, or no longer."""
+    pairs: dict[Pair, PairMemory] = {}
+    told: list[Event] = []
+    for pair, one in tree.pairs.items():
+        is_out = pair in tree.left_out
+        if one.left_out != is_out:
+            told.append(RingChanged(frame, *pair, is_out, one.overlap, tree.left_out.get(pair, pair)))
+        pairs[pair] = replace(one, first_in_front=orders.get(pair, one.first_in_front), left_out=is_out)
+    return pairs, told
+
+
+def _parted(
+    carriers: Carriers,
+    marginals: Mapping[str, Marginal],
+    pairs: Mapping[Pair, PairMemory],
+    of: Mapping[str, Filtered],
+) -> tuple[Steps, dict[str, JoinMetrics], dict[str, Carried]]:
+    """Each target's own step of the joint belief, what is written down, and which hypotheses are carried."""
+    steps = {name: _reweighted(one.step, marginals.get(name)) for name, one in of.items()}
+    carried: dict[str, Carried] = {}
+    metrics: dict[str, JoinMetrics] = {}
+    for name in dict.fromkeys(name for pair in pairs for name in pair):
+        probability = None
+        if name in carriers:
+            steps[name], carried[name] = without_ride(steps[name])
+            probability = float(steps[name].support.weights.weights @ carried[name].hypotheses)
+        hidden = marginals[name].hidden if name in marginals else {}
+        metrics[name] = _metrics(name, pairs, hidden, probability, of[name].step.support.weights.ess)
+    return steps, metrics, carried
 
 
 def _neighbours(edges: Sequence[Edge]) -> dict[str, list[str]]:
@@ -250,15 +197,13 @@ def _neighbours(edges: Sequence[Edge]) -> dict[str, list[str]]:
     return found
 
 
-def _logs_on(
-    engine: Engine, net: Net, one: Weighed, others: Sequence[Weighed], frame: Frame, cache: PlaneCache
-) -> dict[str, float]:
+def _logs_on(work: FrameWork, one: Filtered, others: Sequence[Filtered]) -> dict[str, float]:
     """Other -> mean log-likelihood, by a target's own agents, of boxes of it that lie wholly on the other's.
 
     Where its box is the larger one, in the middle of the other's.
     """
-    machine = engine.machinery[net.targets[one.target].template]
-    stream = partial(engine.streams.of, one.target, "on", frame.index)
+    machine = work.plate_of(one.target)
+    stream = work.stream(one.target, "on")
     rng = stream("places")
     size = ON_SIZE * len(others)
     own = one.step.support
@@ -271,15 +216,15 @@ def _logs_on(
     room = np.clip(boxes[:, 2:] - states[:, 2:4], 0.0, None)
     states[:, :2] = boxes[:, :2] + room * (rng.random((size, 2)) - 0.5)
     observer = Observer(
-        cache,
+        work.cache,
         machine.cues,
         one.before.references,
         stream,
-        engine.clock,
+        work.engine.clock,
         {},
-        roll=engine.absent.roll(one.target, "joining"),
+        roll=work.roll(one.target, "joining"),
     )
-    seen = hypotheses_of(states, _particles(one.step.posterior).fields)
+    seen = hypotheses_of(states, particles(one.step.posterior).fields)
     log = evaluate(one.plan, observer, seen, LogWeights.uniform(size).log).log_likelihood
     means = np.maximum(log, -1e3).reshape(len(others), ON_SIZE).mean(axis=1)
     return {other.target: float(mean) for other, mean in zip(others, means, strict=True)}
@@ -294,14 +239,14 @@ def _reweighted(step: Step[Posterior], marginal: Marginal | None) -> Step[Poster
     """The step with the weights of the joint belief; as it was where this leaves no hypothesis."""
     if marginal is None:
         return step
-    _particles(step.posterior)
+    particles(step.posterior)
     try:
         return reweighted(step, marginal.log_likelihood)  # type: ignore[arg-type]
     except DegenerateWeights:
         return step
 
 
-def _level(known: Level | None, one: Weighed) -> Level:
+def _level(known: Level | None, one: Filtered) -> Level:
     """The level with the agents that are active: as measured, else that of this very frame."""
     if known is not None and known.active == one.plan.active:
         return known
@@ -319,7 +264,7 @@ def _levels_after(
     before: Mapping[str, Level],
     levels: Mapping[str, Level],
     metrics: Mapping[str, JoinMetrics],
-    of: Mapping[str, Weighed],
+    of: Mapping[str, Filtered],
 ) -> dict[str, Level]:
     """The levels of all targets, those measured in this frame that were seen."""
     after = dict(before)
@@ -365,22 +310,3 @@ def _tell_hidden(
             front = 1.0 - one.in_front.get(other, 1.0)
             told.append(OcclusionChanged(frame, name, other, False, one.hidden, SEEN, front, frame - since))
     return replace(memory, hidden=hidden)
-
-
-def _tell_carried(
-    frame: int,
-    metrics: Mapping[str, JoinMetrics],
-    carriers: Mapping[str, tuple[str, Attachment]],
-    memory: JoinMemory,
-    told: list[Event],
-) -> JoinMemory:
-    known = dict(memory.carriers)
-    for name, (carrier, _) in carriers.items():
-        probability = metrics[name].attached or 0.0
-        if name not in known and probability > CARRIED:
-            known[name] = (carrier, frame)
-            told.append(AttachmentChanged(frame, name, carrier, True, probability, 0))
-        elif name in known and probability <= FREE:
-            before, since = known.pop(name)
-            told.append(AttachmentChanged(frame, name, before, False, probability, frame - since))
-    return replace(memory, carriers=known)

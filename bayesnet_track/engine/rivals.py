@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Set
 
 import numpy as np
 
@@ -10,25 +10,22 @@ from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.graph.settings.scores import Distractors
 from bayesnet_track.journal.events.distractor_events import DistractorSeen
-from bayesnet_track.journal.net.net import TargetNet
 
 
 def rival_seen(
     rule: Distractors,
     frame: int,
     target: str,
-    live: TargetNet,
-    agents: Mapping[str, object],
+    able: Set[str],
     step: Step[Posterior],
     measures: Measures,
 ) -> DistractorSeen | None:
     """The best hypothesis that is not the target's own, where it is nearly as likely; else None.
 
-    Asked only in frames at which all `agents` look, since it takes all of them to tell things apart, and
-    where something fits: what nothing fits, nothing resembles.
+    Asked only in frames at which all agents look that are `able` to, since it takes all of them to tell
+    things apart, and where something fits: what nothing fits, nothing resembles.
     """
-    able = set(agents) - live.quarantined
-    if not able <= set(measures.kl) or measures.fit < rule.fit:
+    if not able <= measures.kl.keys() or measures.fit < rule.fit:
         return None
     boxes, log = step.support.boxes, step.evidence.log_likelihood
     own = int(np.argmax(step.support.weights.log))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -13,19 +12,21 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.backoff import next_try, quarantined
 from bayesnet_track.adapt.memory import Memory, Streak
 from bayesnet_track.adapt.situation import Situation
+from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.belief.motion.bounds import Confined
-from bayesnet_track.engine.compiled import Engine, Machinery
+from bayesnet_track.engine.compiled import Machinery
 from bayesnet_track.engine.frame_metrics import first_frame_metrics
+from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.predicting import outlook
 from bayesnet_track.engine.state import TargetState, inside_frame
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.guard import watch
-from bayesnet_track.inference.learn import learn_first
+from bayesnet_track.inference.learn import Lesson, learn_first
 from bayesnet_track.inference.parts import nominal_boxes
 from bayesnet_track.journal.events.basic import FrameMetrics
 from bayesnet_track.journal.net.net import Decision, Quarantined, Readmitted, TargetNet, TargetStarted
-from bayesnet_track.observation.cue import Reference
-from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.observation.cue import Hypotheses, Reference
+from bayesnet_track.observation.planes import Frame, PlaneCache
 
 Floats = NDArray[np.float64]
 
@@ -40,29 +41,24 @@ class Born:
 
 
 def start(
-    engine: Engine,
-    frame: Frame,
-    previous: Frame | None,
+    work: FrameWork,
     target: str,
     template: str,
     box: Floats,
     known: Mapping[str, Reference] = MappingProxyType({}),
 ) -> Born:
-    """A net for the target inside the centre box (4,) of `frame`: references learnt, belief placed.
+    """A net for the target inside the centre box (4,) of the frame: references learnt, belief placed.
 
     The belief of the first frame is the box itself; hypotheses spread with the first prediction. An agent
     that cannot learn its reference, or that needs colour where the frame has none, is out for the whole run;
     one that gives no answer for a reason outside of it is out for a while, and learns it then.
     `known` are references that agents have already and need not learn.
     """
-    machine = engine.machinery[template]
+    machine, frame = work.engine.machinery[template], work.frame
     active = tuple(agent for agent in machine.plate.agents if machine.plate.agent(agent).active)
-    stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
-    parts = {part: inside_frame(at, frame) for part, at in nominal_boxes(machine.plate, box).items()}
-    own = {agent: parts[part] for agent, part in machine.part_of.items()}
-    unknown = {agent: cue for agent, cue in machine.cues.items() if agent not in known}
-    cache, roll = PlaneCache(FramePair(frame, previous)), engine.absent.roll(target, "starting")
-    learnt, faults = learn_first(unknown, cache, box, own, engine.executor, roll)
+    parts = _parts(machine, box, frame)
+    lesson, roll = _first_lesson(work, machine, target, box, parts), work.roll(target, "starting")
+    learnt, faults = learn_first(lesson, [agent for agent in machine.cues if agent not in known])
     references = {**learnt, **known}
     if not frame.has_color:
         faults |= dict.fromkeys(sorted(machine.color_agents), "needs colour, and the source is gray")
@@ -79,32 +75,25 @@ def start(
     ]
     working = tuple(agent for agent in active if agent not in faults and agent not in roll.missed)
     born = TargetState(
-        belief=machine.belief.start(box, Confined(machine.motion, frame.width, frame.height), stream),
+        belief=_placed(work, machine, target, box),
         references=references,
         memory=Memory(),
         plan=compile_plan(machine.plate, working, machine.cues),
         time=frame.time,
         watched=watch(references, machine.looks, machine.guard),
-        outlook=outlook(machine, box, FramePair(frame, previous)),
+        outlook=outlook(machine, box, work.cache.frames),
     )
     metrics = first_frame_metrics(frame, target, len(born.belief), working, box, parts)
     return Born(born, tuple(decisions), metrics)
 
 
 def start_late(
-    engine: Engine,
-    now: Situation,
-    machine: Machinery,
-    cache: PlaneCache,
-    box: Floats,
-    own: Mapping[str, Floats],
-    references: Mapping[str, Reference],
-    decisions: Iterable[Decision],
+    lesson: Lesson, now: Situation, references: Mapping[str, Reference], decisions: Iterable[Decision]
 ) -> tuple[dict[str, Reference], tuple[Quarantined, ...]]:
     """First references of the agents that are admitted now and gave none when the target started.
 
-    They learn at the estimate `box` (4,), those that look at a part in its box in `own`, and only while the
-    target is tracked by others. Those that still have none are out again.
+    They learn at the estimate, those that look at a part in its box, and only while the target is tracked by
+    others. Those that still have none are out again.
     """
     back = [one.node for one in decisions if isinstance(one, Readmitted) and one.node not in references]
     if not back:
@@ -113,12 +102,12 @@ def start_late(
     if net.status != "tracking" or not net.active:
         why = "gave no first reference, and the target is not tracked, which it could learn from"
         return {}, tuple(quarantined(net, frame, target, agent, why) for agent in back)
-    roll = engine.absent.roll(target, "starting")
-    cues = {agent: machine.cues[agent] for agent in back}
-    learnt, faults = learn_first(cues, cache, box, own, engine.executor, roll)
+    upright = replace(lesson, at=Hypotheses(lesson.at.boxes))
+    learnt, faults = learn_first(upright, back)
+    missed = lesson.roll("starting").missed
     return learnt, (
         *(Quarantined(frame, target, agent, reason) for agent, reason in faults.items()),
-        *(_later(frame, target, agent, why, net) for agent, why in roll.missed.items() if agent in cues),
+        *(_later(frame, target, agent, why, net) for agent, why in missed.items() if agent in back),
     )
 
 
@@ -128,26 +117,14 @@ def _later(frame: int, target: str, agent: str, why: str, net: TargetNet | None 
     return Quarantined(frame, target, agent, f"gave no first reference: {why}", until, times)
 
 
-def restart(
-    engine: Engine,
-    frame: Frame,
-    previous: Frame | None,
-    target: str,
-    template: str,
-    box: Floats,
-    before: TargetState,
-) -> TargetState:
+def restart(work: FrameWork, target: str, template: str, box: Floats, before: TargetState) -> TargetState:
     """The target as it was, its belief in the centre box (4,): agents that know its looks remember them."""
-    machine = engine.machinery[template]
-    stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
-    placed = {agent: cue for agent, cue in machine.cues.items() if agent not in machine.looks}
-    parts = {part: inside_frame(at, frame) for part, at in nominal_boxes(machine.plate, box).items()}
-    own = {agent: parts[part] for agent, part in machine.part_of.items()}
-    cache, roll = PlaneCache(FramePair(frame, previous)), engine.absent.roll(target, "starting")
-    learnt, _ = learn_first(placed, cache, box, own, engine.executor, roll)
+    machine = work.engine.machinery[template]
+    lesson = _first_lesson(work, machine, target, box, _parts(machine, box, work.frame))
+    learnt, _ = learn_first(lesson, [agent for agent in machine.cues if agent not in machine.looks])
     return replace(
         before,
-        belief=machine.belief.start(box, Confined(machine.motion, frame.width, frame.height), stream),
+        belief=_placed(work, machine, target, box),
         references={**before.references, **learnt},
         memory=replace(
             before.memory,
@@ -159,5 +136,26 @@ def restart(
             unsure=Streak(),
         ),
         scored=replace(before.scored, smooth={}),
-        time=frame.time,
+        time=work.frame.time,
     )
+
+
+def _parts(machine: Machinery, box: Floats, frame: Frame) -> dict[str, Floats]:
+    """Part -> its centre box (4,) in a target that fills `box`."""
+    return {part: inside_frame(at, frame) for part, at in nominal_boxes(machine.plate, box).items()}
+
+
+def _first_lesson(
+    work: FrameWork, machine: Machinery, target: str, box: Floats, parts: Mapping[str, Floats]
+) -> Lesson:
+    """What agents learn their first references from: planes of its own, on this target's region."""
+    own = {agent: parts[part] for agent, part in machine.part_of.items()}
+    cache = PlaneCache(work.cache.frames)
+    return Lesson(machine.cues, cache, Hypotheses(box[None]), own, work.engine.executor, work.absent, target)
+
+
+def _placed(work: FrameWork, machine: Machinery, target: str, box: Floats) -> Posterior:
+    """The belief of a target that fills `box`."""
+    motion = Confined(machine.motion, work.frame.width, work.frame.height)
+    belief: Posterior = machine.belief.start(box, motion, work.stream(target, machine.plate.root))
+    return belief

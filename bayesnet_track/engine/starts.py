@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.outcome import Outcome, State, with_outside
 from bayesnet_track.engine.outside import sorted_out
-from bayesnet_track.engine.step import Engine, Outcome, State, first_look, start_target, with_outside
+from bayesnet_track.engine.step import Engine, finish_first, start_all
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.text.messages import nearest
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.net.net import Quarantined
 from bayesnet_track.numerics.boxes import centre_from_corner
-from bayesnet_track.observation.planes import Frame
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.stereo_source import WAYS
 
@@ -103,14 +105,13 @@ def start_targets(
 ) -> Outcome:
     """The first frame: one net per start, ids "1", "2", ... in their order; then what detectors find."""
     given = sorted_out(engine, State().net, frame.index, outside)
-    engine = replace(engine, absent=given.absent)
-    outcome = Outcome(State(), (), ())
-    for number, start in enumerate(starts, 1):
-        plate = start.plate or next(iter(graph.targets))
-        box = centre_from_corner(start.box)
-        born = start_target(engine, outcome.state, frame, str(number), plate, box)
-        outcome = Outcome(born.state, outcome.metrics + born.metrics, outcome.events + born.events)
-    return with_outside(first_look(engine, outcome, frame), given)
+    cache = PlaneCache(FramePair(frame, None))
+    work = FrameWork(engine, State().net, cache, given.absent, given.by_hand)
+    boxes = {
+        str(number): (start.plate or next(iter(graph.targets)), centre_from_corner(start.box))
+        for number, start in enumerate(starts, 1)
+    }
+    return with_outside(finish_first(work, start_all(work, State(), boxes)), given)
 
 
 def check_started(graph: CheckedGraph, first: Outcome) -> None:

@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.engine.filtering import filter_target
+from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.score import FEATURES, marginal_points
 from bayesnet_track.engine.starts import Start, check_started, check_starts, start_targets
 from bayesnet_track.engine.step import Engine, State, make_engine, step
-from bayesnet_track.engine.target import weigh
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.write import as_plain
@@ -146,9 +147,9 @@ class _Curves:
     def add(self, engine: Engine, state: State, frame: Frame, true: Floats, side: float) -> None:
         """One frame more, weighed once again."""
         cache = PlaneCache(FramePair(frame, state.previous))
-        weighed = weigh(engine, state.net, state.targets["1"], "1", frame, cache, {})
-        evidence, prior = weighed.step.evidence, weighed.step.prior.log
-        away = (weighed.step.support.boxes[:, :2] - true[:2]) / (TEMPERATURE_SLACK * side)
+        filtered = filter_target(FrameWork(engine, state.net, cache), "1", state.targets["1"])
+        evidence, prior = filtered.step.evidence, filtered.step.prior.log
+        away = (filtered.step.support.boxes[:, :2] - true[:2]) / (TEMPERATURE_SLACK * side)
         near = np.exp(-0.5 * (away**2).sum(axis=1)) / (2.0 * np.pi * TEMPERATURE_SLACK**2)
         for observation in state.targets["1"].plan.observations:
             agent = observation.agent

@@ -7,7 +7,9 @@ is never split: an agent sees all its hypotheses at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
+from operator import call
 from typing import Any, Protocol, TypeVar
 
 from bayesnet_track.journal.net.net import Net
@@ -15,9 +17,8 @@ from bayesnet_track.observation.planes import FramePair
 
 Piece = TypeVar("Piece")
 Made = TypeVar("Made")
-
-Halves = Generator[bool, None, Made]
-"""Work on one piece in two halves: it yields once, whether what it needs comes from elsewhere."""
+Wait = Callable[[], Made]
+"""Waits for an answer that was asked for, and returns it."""
 
 
 class AgentUnavailable(Exception):
@@ -31,21 +32,21 @@ class AgentUnavailable(Exception):
 class Executor(Protocol):
     """Carries out independent pieces of work."""
 
-    def each(self, work: Callable[[Piece], Made], pieces: Sequence[Piece]) -> list[Made]:
-        """`work` done for every piece; the results in the order of the pieces."""
+    def each(self, work: Callable[[Piece], Made], pieces: Sequence[Piece]) -> Iterable[Made]:
+        """`work` done for every piece, at the latest when it is collected; in the order of the pieces."""
         ...
 
 
 class Serial:
     """One piece after the other, in the caller's thread."""
 
-    def each(self, work: Callable[[Piece], Made], pieces: Sequence[Piece]) -> list[Made]:
-        """`work` done for every piece, in order.
+    def each(self, work: Callable[[Piece], Made], pieces: Sequence[Piece]) -> Iterable[Made]:
+        """`work` done for every piece, in order, each when it is collected.
 
-        >>> Serial().each(abs, [-1, 2])
+        >>> list(Serial().each(abs, [1, -2]))
         [1, 2]
         """
-        return [work(piece) for piece in pieces]
+        return map(work, pieces)
 
 
 def is_elsewhere(cue: Any) -> bool:
@@ -53,49 +54,46 @@ def is_elsewhere(cue: Any) -> bool:
     return hasattr(cue, "ask_ahead")
 
 
-def asked(cue: Any, method: str, *arguments: Any) -> Halves[Any]:
-    """What a method of a cue returns; one elsewhere is asked, and heard in the second half."""
-    if not is_elsewhere(cue):
-        return getattr(cue, method)(*arguments)
-    hear = cue.ask_ahead(method, *arguments)
-    yield True
-    return hear()
-
-
 def each_at_once(
-    executor: Executor, work: Callable[[Piece], Halves[Made]], pieces: Sequence[Piece]
-) -> list[Made]:
-    """`work` done for every piece, the results in the order of the pieces.
+    executor: Executor,
+    ask_ahead: Callable[[Piece], Wait[Made] | None],
+    work: Callable[[Piece], Made],
+    pieces: Iterable[Piece],
+) -> Iterator[tuple[Piece, Made]]:
+    """Every piece with what was made of it: first those that `work` makes here, then those from elsewhere.
 
-    All that are elsewhere are asked before the executor does what is done here, and heard after it.
+    `ask_ahead` asks who is elsewhere and returns what waits for the answer; None for a piece to be done here.
+    All are asked before anything is done here, and heard after it. The work is done as pairs are collected,
+    in the caller's frame, so that a stack shows who asks and who answers, and nothing between.
 
-    >>> def work(number):
-    ...     yield number > 1
-    ...     return -number
-    >>> each_at_once(Serial(), work, [1, 2, 0])
-    [-1, -2, 0]
+    >>> dict(each_at_once(Serial(), lambda n: (lambda: -n) if n > 1 else None, lambda n: n, [1, 2, 0]))
+    {1: 1, 0: 0, 2: -2}
     """
-    begun = [work(piece) for piece in pieces]
-    made: dict[int, Made] = {}
-    here: list[int] = []
-    elsewhere: list[int] = []
-    for index, one in enumerate(begun):
-        try:
-            (elsewhere if next(one) else here).append(index)
-        except StopIteration as stop:  # there was nothing to wait for
-            made[index] = stop.value
-    made.update(zip(here, executor.each(_second_half, [begun[index] for index in here]), strict=True))
-    made.update((index, _second_half(begun[index])) for index in elsewhere)
-    return [made[index] for index in range(len(begun))]
+    waits: dict[Piece, Wait[Made]] = {}
+    here: list[Piece] = []
+    for piece in pieces:
+        wait = ask_ahead(piece)
+        if wait is None:
+            here.append(piece)
+        else:
+            waits[piece] = wait
+    return chain(
+        zip(here, executor.each(work, here), strict=True),
+        zip(waits, map(call, waits.values()), strict=True),
+    )
 
 
-def _second_half(begun: Halves[Made]) -> Made:
+def heard_or_raised(ask: Callable[[], Wait[Made]], faults: tuple[type[BaseException], ...]) -> Wait[Made]:
+    """What `ask` returns; where it raises one of `faults`, what raises it when it is waited for."""
     try:
-        next(begun)
-    except StopIteration as stop:
-        made: Made = stop.value
-        return made
-    raise RuntimeError("work in two halves has a third")
+        return ask()
+    except faults as error:
+        found = error
+
+    def raised() -> Made:
+        raise found
+
+    return raised
 
 
 class Crew(Protocol):

@@ -12,14 +12,14 @@ from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 
 from bayesnet_track.graph.spec import Guard
-from bayesnet_track.inference.absent import Missing, Roll
+from bayesnet_track.inference.absent import Missing
 from bayesnet_track.inference.executor import AgentUnavailable
-from bayesnet_track.inference.learn import NO_PARTS, blended
+from bayesnet_track.inference.learn import Lesson, blended
 from bayesnet_track.journal.events.basic import Event
 from bayesnet_track.journal.events.belief_events import ReferenceGuarded
-from bayesnet_track.observation.cue import AnyCue, Cue, Floats, Hypotheses, Reference, context_of
+from bayesnet_track.observation.cue import Cue, Hypotheses, Reference, context_of
 from bayesnet_track.observation.guests import FAULTS, text_of
-from bayesnet_track.observation.planes import PlaneCache, region_of_boxes
+from bayesnet_track.observation.planes import region_of_boxes
 from bayesnet_track.observation.shared import shown
 
 
@@ -65,36 +65,32 @@ class Judged:
 
 
 def judge(
+    lesson: Lesson,
     watched: Watched,
     references: Mapping[str, Reference],
-    cues: Mapping[str, AnyCue],
     rates: Mapping[str, float],
-    cache: PlaneCache,
-    estimate: Hypotheses,
     rule: Guard | None,
-    own_boxes: Mapping[str, Floats] = NO_PARTS,
-    roll: Roll | None = None,
 ) -> Judged:
     """In every `rule.every`-th learning frame, compare what both references of an agent say of the estimate.
 
     They have parted where the slow one gives it a likelihood lower by more than `rule.apart_nats`; that holds
-    until they are compared again. An agent that looks at a part is asked about the box (4,) in `own_boxes`.
-    One that gives no answer for a reason outside of it is not compared; `roll` has it.
+    until they are compared again. An agent that looks at a part is asked about the part's box.
+    One that gives no answer for a reason outside of it is not compared; the lesson's roll has it.
     """
-    roll = roll or Roll()
+    roll = lesson.roll("guarding")
     learning = any(rate > 0.0 for rate in rates.values())
     if rule is None or not learning or (watched.frames + 1) % rule.every:
         return Judged(held=frozenset(watched.parted))
     gaps: dict[str, tuple[float, float]] = {}
     faults: dict[str, str] = {}
     for agent, slow in watched.slow.items():
-        cue = cues[agent]
+        cue = lesson.cues[agent]
         if rates.get(agent, 0.0) <= 0.0 or not isinstance(cue, Cue) or roll.misses(agent) is not None:
             continue
-        box = own_boxes[agent][None] if agent in own_boxes else estimate.boxes
-        at = Hypotheses(box.copy(), {name: values.copy() for name, values in estimate.fields.items()})
+        further = {name: values.copy() for name, values in lesson.at.fields.items()}
+        at = Hypotheses(lesson.box_of(agent)[None].copy(), further)
         try:
-            planes = cache.planes(cue.needs, region_of_boxes(at.boxes, grow=context_of(cue)))
+            planes = lesson.cache.planes(cue.needs, region_of_boxes(at.boxes, grow=context_of(cue)))
             both = shown(references[agent]), shown(slow)
             own, other = (float(cue.log_likelihood(planes, at, one)[0]) for one in both)
             gaps[agent] = own, other
@@ -108,21 +104,20 @@ def judge(
 
 
 def guard(
+    lesson: Lesson,
     watched: Watched,
     judged: Judged,
     references: Mapping[str, Reference],
-    cues: Mapping[str, AnyCue],
     rates: Mapping[str, float],
     rule: Guard | None,
-    roll: Roll | None = None,
 ) -> tuple[dict[str, Reference], Watched, dict[str, str]]:
     """Pull back what has parted; let the slow references follow the others.
 
     `references` are those after learning, in which agents that were held are as before. Rates per frame are
     made up for the frames since the last comparison. The last mapping says what was wrong with agents that
-    failed. The references of one that gives no answer stay; `roll` has it.
+    failed. The references of one that gives no answer stay; the lesson's roll has it.
     """
-    roll = roll or Roll()
+    roll = lesson.roll("blending")
     guarded, slow, faults = dict(references), dict(watched.slow), dict(judged.faults)
     if rule is None or not any(rate > 0.0 for rate in rates.values()):
         return guarded, watched, faults
@@ -134,7 +129,7 @@ def guard(
         else:
             parted.pop(agent, None)
             share, old, new = 1.0 - (1.0 - rule.rate) ** rule.every, slow[agent], references[agent]
-        mixed = roll.misses(agent) or blended(cues[agent], old, new, share)
+        mixed = roll.misses(agent) or blended(lesson.cues[agent], old, new, share)
         if isinstance(mixed, Missing):
             roll.note(agent, mixed)
         elif isinstance(mixed, str):

@@ -3,29 +3,75 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from bayesnet_track.adapt.conditions import read_level
 from bayesnet_track.graph.spec import Learn
-from bayesnet_track.inference.absent import Missing, Roll
+from bayesnet_track.inference.absent import Absent, Missing, Roll
 from bayesnet_track.inference.executor import (
     AgentUnavailable,
     Executor,
-    Halves,
     Serial,
-    asked,
+    Wait,
     each_at_once,
+    heard_or_raised,
     is_elsewhere,
 )
-from bayesnet_track.observation.cue import AnyCue, Floats, LocallyAdaptable, Reference, Turnable, context_of
+from bayesnet_track.observation.cue import (
+    ANGLE,
+    AnyCue,
+    Floats,
+    Hypotheses,
+    LocallyAdaptable,
+    Reference,
+    Turnable,
+    context_of,
+)
 from bayesnet_track.observation.guests import FAULTS, text_of
 from bayesnet_track.observation.planes import PlaneCache, region_of_boxes
 from bayesnet_track.observation.shared import sealed, shown
 
-NO_PARTS: Mapping[str, Floats] = {}
-SERIAL = Serial()
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """What the agents of one target can learn from in one frame.
+
+    Attributes:
+        cues: agent -> implementation.
+        cache: the planes of the frame.
+        at: the estimate, one hypothesis.
+        own_boxes: agent that looks at a part -> the centre box (4,) of that part.
+        executor: how the agents are asked.
+        absent: agents that give no answer for a reason outside of them.
+        target: target id.
+    """
+
+    cues: Mapping[str, AnyCue]
+    cache: PlaneCache
+    at: Hypotheses
+    own_boxes: Mapping[str, Floats] = field(default_factory=dict)
+    executor: Executor = field(default_factory=Serial)
+    absent: Absent = field(default_factory=Absent)
+    target: str = ""
+
+    def box_of(self, agent: str) -> Floats:
+        """(4,) the centre box that the agent looks at."""
+        box: Floats = self.own_boxes[agent] if agent in self.own_boxes else self.at.boxes[0]
+        return box
+
+    @property
+    def angle(self) -> float:
+        """The estimate's rotation, degrees; 0 for a motion without one."""
+        return float(self.at.fields[ANGLE][0]) if ANGLE in self.at.fields else 0.0
+
+    def roll(self, during: str) -> Roll:
+        """Who gives no answer when asked for one thing."""
+        return self.absent.roll(self.target, during)
 
 
 def learning_rate(rule: Learn | None, ud_px2: float, area_px2: float, quiet_px2: float | None) -> float:
@@ -54,57 +100,28 @@ def over_frames(rate: float, frames: int) -> float:
     return rate if frames == 1 else 1.0 - (1.0 - rate) ** frames
 
 
-def learn_first(
-    cues: Mapping[str, AnyCue],
-    cache: PlaneCache,
-    box: Floats,
-    own: Mapping[str, Floats] = NO_PARTS,
-    executor: Executor = SERIAL,
-    roll: Roll | None = None,
-) -> tuple[dict[str, Reference], dict[str, str]]:
-    """Every agent's first reference, and what was wrong with those that failed.
+def learn_first(lesson: Lesson, agents: Iterable[str]) -> tuple[dict[str, Reference], dict[str, str]]:
+    """The first references of some agents, and what was wrong with those that failed.
 
-    Agents that give no answer for a reason outside of them are in neither; `roll` has them. A reference is
-    learnt from the centre box (4,) in `own`, of the part that the agent looks at, else from `box`.
+    Agents that give no answer for a reason outside of them are in neither; the lesson's roll has them.
     """
-    roll = roll or Roll()
-    learning = [agent for agent in cues if roll.misses(agent) is None]
-    outcomes = each_at_once(
-        executor, lambda agent: _learnt(cues[agent], cache, own.get(agent, box)), learning
-    )
-    return _sorted_out(dict(zip(learning, outcomes, strict=True)), roll)
+    roll = lesson.roll("starting")
+    learning = [agent for agent in agents if roll.misses(agent) is None]
+    return _all_learnt(lesson, learning, {}, {}, roll)
 
 
 def learn_references(
-    references: Mapping[str, Reference],
-    cues: Mapping[str, AnyCue],
-    rates: Mapping[str, float],
-    cache: PlaneCache,
-    box: Floats,
-    own: Mapping[str, Floats] = NO_PARTS,
-    angle: float = 0.0,
-    executor: Executor = SERIAL,
-    roll: Roll | None = None,
+    lesson: Lesson, references: Mapping[str, Reference], rates: Mapping[str, float]
 ) -> tuple[dict[str, Reference], dict[str, str]]:
     """The references of all agents, active or not, each moved by its rate toward what its box holds now.
 
-    The box is that in `own`, of the part that the agent looks at, else `box`; the target in it is turned by
-    `angle` degrees.
-
     Planes are computed on the estimate and as much around it as the agent asks for, unless the hypotheses'
     own region holds that. An agent that fails keeps its reference; the second mapping says what was wrong. So
-    does one that gives no answer for a reason outside of it, which `roll` has.
+    does one that gives no answer for a reason outside of it, which the lesson's roll has.
     """
-    roll = roll or Roll()
+    roll = lesson.roll("learning")
     learning = [agent for agent, rate in rates.items() if rate > 0.0 and roll.misses(agent) is None]
-    outcomes = each_at_once(
-        executor,
-        lambda agent: _learnt(
-            cues[agent], cache, own.get(agent, box), references[agent], rates[agent], angle
-        ),
-        learning,
-    )
-    moved, faults = _sorted_out(dict(zip(learning, outcomes, strict=True)), roll)
+    moved, faults = _all_learnt(lesson, learning, references, rates, roll)
     return {**references, **moved}, faults
 
 
@@ -118,14 +135,13 @@ def blended(cue: AnyCue, old: Reference, new: Reference, rate: float) -> Referen
         return f"raised {type(error).__name__} while blending: {text_of(error)}"
 
 
-def adapt_reference(
-    cue: LocallyAdaptable, reference: Reference, attempt: int, agent: str = "", roll: Roll | None = None
-) -> Reference | str | None:
+def adapt_reference(lesson: Lesson, agent: str, reference: Reference, attempt: int) -> Reference | str | None:
     """The reference as an agent tunes it itself, or what went wrong.
 
-    None when nothing is left to try, or the agent gives no answer, which `roll` has then.
+    None when nothing is left to try, or the agent gives no answer, which the lesson's roll has then.
     """
-    roll = roll or Roll()
+    cue, roll = lesson.cues[agent], lesson.roll("adapting")
+    assert isinstance(cue, LocallyAdaptable)
     if roll.misses(agent) is not None:
         return None
     try:
@@ -138,30 +154,72 @@ def adapt_reference(
         return f"raised {type(error).__name__} while adapting: {text_of(error)}"
 
 
+def _all_learnt(
+    lesson: Lesson,
+    agents: Iterable[str],
+    old: Mapping[str, Reference],
+    rates: Mapping[str, float],
+    roll: Roll,
+) -> tuple[dict[str, Reference], dict[str, str]]:
+    """What the agents learn, blended into their old references where they have one; and what went wrong."""
+    ahead, here = partial(_learn_ahead, lesson, old, rates), partial(_learnt, lesson, old, rates)
+    outcomes = dict(each_at_once(lesson.executor, ahead, here, agents))
+    return _sorted_out({agent: outcomes[agent] for agent in agents}, roll)
+
+
 def _learnt(
-    cue: AnyCue,
-    cache: PlaneCache,
-    box: Floats,
-    old: Reference | None = None,
-    rate: float = 1.0,
-    angle: float = 0.0,
-) -> Halves[Reference | str | Missing]:
-    """What the cue sees in the box, blended into the old reference; or what went wrong."""
-    if not is_elsewhere(cue):
-        yield False
+    lesson: Lesson, old: Mapping[str, Reference], rates: Mapping[str, float], agent: str
+) -> Reference | str | Missing:
+    """What the cue sees in its box, blended into the old reference; or what went wrong."""
+    cue: Any = lesson.cues[agent]
     try:
-        region = region_of_boxes(box[None, :], grow=context_of(cue))
-        planes = cache.planes(cue.needs, region)
-        is_turned = angle != 0.0 and isinstance(cue, Turnable)
-        learn, turned = ("learn_turned", (angle,)) if is_turned else ("learn", ())
-        if old is None:
-            return _checked((yield from asked(cue, learn, planes, box.copy(), *turned)))
-        seen = getattr(cue, learn)(planes, box.copy(), *turned)
-        return _checked((yield from asked(cue, "blend", shown(old), seen, rate)))
-    except AgentUnavailable as error:
-        return Missing(str(error))
+        method, arguments = _to_learn(lesson, agent)
+        seen = getattr(cue, method)(*arguments)
+        return _checked(cue.blend(shown(old[agent]), seen, rates[agent]) if agent in old else seen)
     except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
-        return f"raised {type(error).__name__} while learning: {text_of(error)}"
+        return _failure(error)
+
+
+def _learn_ahead(
+    lesson: Lesson, old: Mapping[str, Reference], rates: Mapping[str, float], agent: str
+) -> Wait[Reference | str | Missing] | None:
+    """Ask a cue elsewhere to learn: what waits for the outcome, as `_learnt` has it; None for one here."""
+    cue: Any = lesson.cues[agent]
+    if not is_elsewhere(cue):
+        return None
+
+    def ask() -> Wait[Reference]:
+        method, arguments = _to_learn(lesson, agent)
+        if agent in old:
+            seen = getattr(cue, method)(*arguments)
+            wait: Wait[Reference] = cue.ask_ahead("blend", shown(old[agent]), seen, rates[agent])
+        else:
+            wait = cue.ask_ahead(method, *arguments)
+        return wait
+
+    return partial(_heard, heard_or_raised(ask, FAULTS))
+
+
+def _to_learn(lesson: Lesson, agent: str) -> tuple[str, tuple[Any, ...]]:
+    """Which method of the cue learns, and its arguments."""
+    cue, box, angle = lesson.cues[agent], lesson.box_of(agent), lesson.angle
+    planes = lesson.cache.planes(cue.needs, region_of_boxes(box[None, :], grow=context_of(cue)))
+    if angle != 0.0 and isinstance(cue, Turnable):
+        return "learn_turned", (planes, box.copy(), angle)
+    return "learn", (planes, box.copy())
+
+
+def _heard(wait: Wait[Reference]) -> Reference | str | Missing:
+    try:
+        return _checked(wait())
+    except FAULTS as error:
+        return _failure(error)
+
+
+def _failure(error: BaseException) -> str | Missing:
+    if isinstance(error, AgentUnavailable):
+        return Missing(str(error))
+    return f"raised {type(error).__name__} while learning: {text_of(error)}"
 
 
 def _checked(reference: Reference) -> Reference | str:

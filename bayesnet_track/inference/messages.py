@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,14 @@ from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.executor import each_at_once
 from bayesnet_track.inference.gaussian_messages import latent_gaussian, measurement_message, to_power
 from bayesnet_track.inference.latent_messages import grid_message, kernel_message
-from bayesnet_track.inference.observe import Observer, observe, remember
+from bayesnet_track.inference.observe import (
+    Observer,
+    Question,
+    ask_ahead,
+    known_answer,
+    observe,
+    remember,
+)
 from bayesnet_track.inference.parts import part_boxes
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import Region, region_of_boxes
@@ -48,13 +56,13 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
     messages: dict[str, Floats] = {}
     measured: dict[str, Measurement | None] = {}
     faults: dict[str, str] = {}
-    region = _region(at)
-    answers = each_at_once(
-        observer.executor,
-        lambda step: observe(step, at[step.at], prior_log, region, observer),
-        plan.observations,
-    )
-    for step, answer in zip(plan.observations, answers, strict=True):
+    question = Question(at, prior_log, _region(at))
+    answers = {step: known[0] for step in plan.observations if (known := known_answer(step, observer))}
+    unasked = [step for step in plan.observations if step not in answers]
+    ahead, here = partial(ask_ahead, question, observer), partial(observe, question, observer)
+    answers.update(each_at_once(observer.executor, ahead, here, unasked))
+    for step in plan.observations:
+        answer = answers[step]
         remember(step, answer, observer)
         if isinstance(answer, str | Missing):
             if step.agent in observer.broke_off:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import count
 from threading import Lock
 from typing import Any
@@ -14,7 +15,14 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import BOX_FIELDS, Stream
 from bayesnet_track.inference.absent import Missing, Roll
 from bayesnet_track.inference.compile import Observe
-from bayesnet_track.inference.executor import AgentUnavailable, Executor, Halves, Serial, asked, is_elsewhere
+from bayesnet_track.inference.executor import (
+    AgentUnavailable,
+    Executor,
+    Serial,
+    Wait,
+    heard_or_raised,
+    is_elsewhere,
+)
 from bayesnet_track.observation.cue import AnyCue, Hypotheses, Measurement, Reference
 from bayesnet_track.observation.guests import FAULTS, foreign_part, real_numbers, said
 from bayesnet_track.observation.planes import PlaneCache, Region
@@ -75,24 +83,93 @@ class Observer:
     broke_off: set[str] = field(default_factory=set)
 
 
-def observe(
-    step: Observe, hypotheses: Hypotheses, prior_log: Floats, region: Region, observer: Observer
-) -> Halves[Answer]:
-    """What an agent answers about (N,) hypotheses with normalised prior log-weights; see `each_at_once`.
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What all agents are asked in one evaluation.
 
-    A message to the caller instead of an exception: the cue raised, or returned anything but N
-    log-likelihoods of at most 0, one of them above -inf, or a Gaussian over fields of the hypotheses.
-    `Missing` when it cannot be asked.
+    Attributes:
+        at: the root and every latent node -> its hypotheses.
+        prior_log: (N,) normalised prior log-weights.
+        region: the smallest region that holds every hypothesis of every node.
     """
+
+    at: Mapping[str, Hypotheses]
+    prior_log: Floats
+    region: Region
+
+
+def known_answer(step: Observe, observer: Observer) -> tuple[Answer] | None:
+    """The answer of an agent that is not asked (again), in a tuple; None when it has to be asked."""
     key = (step.agent, step.at)
     if step.agent in observer.faults:
-        return observer.faults[step.agent]
+        return (observer.faults[step.agent],)
     if step.agent in observer.missed:
-        return Missing(observer.missed[step.agent])
+        return (Missing(observer.missed[step.agent]),)
     if key in observer.measured:
-        return observer.measured[key]
-    answer = yield from _asked(step, hypotheses, prior_log, region, observer)
-    return answer
+        return (observer.measured[key],)
+    missing = observer.roll.misses(step.agent)
+    return None if missing is None else (missing,)
+
+
+def observe(question: Question, observer: Observer, step: Observe) -> Answer:
+    """What an agent that is at work here answers.
+
+    A text instead of an exception: the cue raised, or returned anything but N log-likelihoods of at most 0,
+    one of them above -inf, or a Gaussian over fields of the hypotheses. `Missing` when it gives no answer.
+    """
+    agent, part = step.agent, "planes"
+    cue: Any = observer.cues[agent]
+    given = question.at[step.at]
+    # A copy of its own: what it writes there reaches no other agent.
+    own = Hypotheses(given.boxes.copy(), {name: v.copy() for name, v in given.fields.items()})
+    started = observer.clock()
+    try:
+        planes = observer.cache.planes(cue.needs, question.region)
+        started, part = _charge(observer, part, started), agent
+        reference = shown(observer.references[agent])
+        if step.measures:
+            return _checked_measurement(cue.measure(planes, own, np.exp(question.prior_log), reference), own)
+        return _checked(real_numbers(cue.log_likelihood(planes, own, reference)), len(own))
+    except FAULTS as error:  # a cue is a guest's code: whatever it raises must not end the run
+        return _failure(error)
+    finally:
+        _charge(observer, part, started)
+
+
+def ask_ahead(question: Question, observer: Observer, step: Observe) -> Wait[Answer] | None:
+    """Ask an agent that is at work elsewhere: what waits for its answer, as `observe` has it; else None."""
+    cue: Any = observer.cues[step.agent]
+    if not is_elsewhere(cue):
+        return None
+    started, own = observer.clock(), question.at[step.at]
+
+    def ask() -> Wait[Any]:
+        planes = observer.cache.planes(cue.needs, question.region)
+        reference = shown(observer.references[step.agent])
+        if step.measures:
+            weights = np.exp(question.prior_log)
+            wait: Wait[Any] = cue.ask_ahead("measure", planes, own, weights, reference)
+        else:
+            wait = cue.ask_ahead("log_likelihood", planes, own, reference)
+        return wait
+
+    return partial(_heard, step, observer, own, heard_or_raised(ask, FAULTS), started)
+
+
+def _heard(step: Observe, observer: Observer, own: Hypotheses, wait: Wait[Any], started: float) -> Answer:
+    try:
+        answer = wait()
+        if step.measures:
+            return _checked_measurement(answer, own)
+        return _checked(real_numbers(answer), len(own))
+    except FAULTS as error:
+        return _failure(error)
+    finally:
+        _charge(observer, step.agent, started)
+
+
+def _failure(error: BaseException) -> str | Missing:
+    return Missing(str(error)) if isinstance(error, AgentUnavailable) else f"raised {said(error)}"
 
 
 def remember(step: Observe, answer: Answer, observer: Observer) -> None:
@@ -109,37 +186,6 @@ def remember(step: Observe, answer: Answer, observer: Observer) -> None:
     observer.answered.add(step.agent)
     if step.measures:
         observer.measured.setdefault((step.agent, step.at), answer)
-
-
-def _asked(
-    step: Observe, hypotheses: Hypotheses, prior_log: Floats, region: Region, observer: Observer
-) -> Halves[Answer]:
-    agent, part = step.agent, "planes"
-    missing = observer.roll.misses(agent)
-    if missing is not None:
-        return missing
-    cue: Any = observer.cues[agent]
-    own = hypotheses
-    if not is_elsewhere(cue):
-        yield False
-        # A copy of its own: what it writes there reaches no other agent.
-        own = Hypotheses(hypotheses.boxes.copy(), {name: v.copy() for name, v in hypotheses.fields.items()})
-    started = observer.clock()
-    try:
-        planes = observer.cache.planes(cue.needs, region)
-        started, part = _charge(observer, part, started), agent
-        reference = shown(observer.references[agent])
-        if step.measures:
-            measured = yield from asked(cue, "measure", planes, own, np.exp(prior_log), reference)
-            return _checked_measurement(measured, own)
-        result = yield from asked(cue, "log_likelihood", planes, own, reference)
-        return _checked(real_numbers(result), len(own))
-    except AgentUnavailable as error:
-        return Missing(str(error))
-    except FAULTS as error:  # a cue is a guest's code: whatever it raises must not end the run
-        return f"raised {said(error)}"
-    finally:
-        _charge(observer, part, started)
 
 
 def _charge(observer: Observer, part: str, started: float) -> float:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.starting import start
 from bayesnet_track.engine.step import step
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.journal.events.inputs import AgentMissed
-from bayesnet_track.journal.net.net import Quarantined, Readmitted, Toggled
+from bayesnet_track.journal.net.net import Net, Quarantined, Readmitted, Toggled
+from bayesnet_track.observation.planes import FramePair, PlaneCache
 
 BELIEFS = {
     "particles": {"particles": {"size": 80}},
@@ -124,9 +127,10 @@ def test_one_that_gives_no_first_reference_is_out(fakes):
     engine = fakes.engine(
         nodes_of("particles"), {"a": fakes.flat(), "b": fakes.Oracle(fakes.flat(), reference=learn)}
     )[0]
-    (start,) = fakes.play(engine, 0)
-    assert start.events[1] == Quarantined(0, "1", "b", "gave no first reference: its process died", 10)
-    assert engine.absent.events == (AgentMissed(0, "1", "b", "its process died", "starting"),)
+    work = FrameWork(engine, Net(), PlaneCache(FramePair(fakes.frame(0), None)))
+    born = start(work, "1", "plate", np.array(fakes.START))
+    assert born.decisions[1] == Quarantined(0, "1", "b", "gave no first reference: its process died", 10)
+    assert work.absent.events == (AgentMissed(0, "1", "b", "its process died", "starting"),)
 
 
 def test_one_that_gave_no_first_reference_learns_it_later(fakes):

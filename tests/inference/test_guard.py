@@ -9,6 +9,7 @@ import pytest
 
 from bayesnet_track.graph.spec import Guard
 from bayesnet_track.inference.guard import Watched, changes, guard, judge, watch
+from bayesnet_track.inference.learn import Lesson
 from bayesnet_track.observation.cue import Hypotheses, blend_arrays
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 
@@ -41,11 +42,12 @@ class Follower(SimpleNamespace):
         cues, references, rates = {"a": self.cue}, {"a": {"level": self.level}}, {"a": rate}
         image = np.zeros((80, 100, 3), np.uint8)
         cache = PlaneCache(FramePair(Frame(self.frame, float(self.frame), image), None))
-        judged = judge(self.watched, references, cues, rates, cache, AT, self.rule)
+        lesson = Lesson(cues, cache, AT)
+        judged = judge(lesson, self.watched, references, rates, self.rule)
         assert not judged.faults
         if "a" not in judged.held and rate > 0:
             references = {"a": self.cue.blend(references["a"], self.cue.learn(None, None), rate)}
-        moved, after, faults = guard(self.watched, judged, references, cues, rates, self.rule)
+        moved, after, faults = guard(lesson, self.watched, judged, references, rates, self.rule)
         assert not faults
         self.events += changes(self.frame, "1", self.watched, after, judged, self.rule)
         self.level, self.watched, self.frame = moved["a"]["level"], after, self.frame + 1
@@ -119,7 +121,7 @@ def test_between_comparisons_a_parted_reference_stays_held():
 def test_without_a_guard_nothing_is_watched():
     references = {"a": {"level": np.zeros(1)}}
     assert watch(references, {"a"}, None).slow == {}
-    judged = judge(Watched(), references, {"a": Level()}, {"a": 0.1}, None, AT, None)
+    judged = judge(Lesson({"a": Level()}, None, AT), Watched(), references, {"a": 0.1}, None)
     assert judged.gaps == {} and judged.held == frozenset()
 
 
@@ -136,7 +138,7 @@ def test_a_cue_that_raises_is_named():
     cache = PlaneCache(FramePair(Frame(1, 1.0, np.zeros((80, 100, 3), np.uint8)), None))
     references, rule = {"a": {"level": np.zeros(1)}}, Guard(every=1)
     watched = watch(references, {"a"}, rule)
-    judged = judge(watched, references, {"a": Broken()}, {"a": 0.1}, cache, AT, rule)
+    judged = judge(Lesson({"a": Broken()}, cache, AT), watched, references, {"a": 0.1}, rule)
     assert judged.faults == {"a": "raised ArithmeticError while guarded: no"}
 
 
@@ -148,7 +150,8 @@ def test_a_blend_that_is_not_finite_is_named_and_not_taken():
     cues, references, rule = {"a": Broken(2.0)}, {"a": {"level": np.full(1, 2.0)}}, Guard(every=1)
     cache = PlaneCache(FramePair(Frame(1, 1.0, np.zeros((80, 100, 3), np.uint8)), None))
     watched = watch({"a": {"level": np.zeros(1)}}, {"a"}, rule)
-    judged = judge(watched, references, cues, {"a": 0.1}, cache, AT, rule)
-    moved, after, faults = guard(watched, judged, references, cues, {"a": 0.1}, rule)
+    lesson = Lesson(cues, cache, AT)
+    judged = judge(lesson, watched, references, {"a": 0.1}, rule)
+    moved, after, faults = guard(lesson, watched, judged, references, {"a": 0.1}, rule)
     assert judged.held == {"a"} and moved == references and after.slow == watched.slow
     assert faults == {"a": "made a reference whose 'level' is not finite"}

@@ -9,6 +9,7 @@ import pytest
 
 from bayesnet_track.graph.spec import Guard
 from bayesnet_track.inference.guard import Watched, judge
+from bayesnet_track.inference.learn import Lesson
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.net.rule_decisions import Activated, StatusChanged
 from bayesnet_track.observation.cue import Hypotheses
@@ -178,5 +179,5 @@ def test_the_drift_guard_asks_about_the_part(fakes):
     slow, rule = Watched({agent: {} for agent in cues}), Guard(every=1)
     cache, whole = fakes.observer(cues).cache, Hypotheses(np.array([WHOLE]))
     rates = dict.fromkeys(cues, 0.1)
-    judge(slow, slow.slow, cues, rates, cache, whole, rule, {"b": np.array(TORSO)})
+    judge(Lesson(cues, cache, whole, {"b": np.array(TORSO)}), slow, slow.slow, rates, rule)
     assert asked == {"a": [list(WHOLE)] * 2, "b": [list(TORSO)] * 2}

@@ -20,16 +20,14 @@ from bayesnet_track.adapt.claims import NOBODY
 from bayesnet_track.adapt.lifecycle import Life
 from bayesnet_track.belief.gaussian.predict import predict
 from bayesnet_track.belief.motion.bounds import Confined
-from bayesnet_track.engine.compiled import Engine
+from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.detecting import Found, look
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.journal.events.life_events import DetectorFailed
-from bayesnet_track.journal.net.net import Net
 from bayesnet_track.observation.cue import CLAIM, ClaimRule, Hypotheses
-from bayesnet_track.observation.planes import Frame, PlaneCache
 
 Floats = NDArray[np.float64]
 
@@ -56,35 +54,24 @@ class Looked:
     told: tuple[DetectorFailed, ...]
 
 
-def look_first(
-    engine: Engine,
-    net: Net,
-    targets: Mapping[str, TargetState],
-    life: Life,
-    frame: Frame,
-    previous: Frame | None,
-    cache: PlaneCache,
-) -> Looked | None:
+def look_first(work: FrameWork, targets: Mapping[str, TargetState], life: Life) -> Looked | None:
     """What the detectors find, shared out among the targets; None where no plate has agents that claim."""
-    if not any(machine.claimers for machine in engine.machinery.values()):
+    net, machinery = work.net, work.engine.machinery
+    if not any(machine.claimers for machine in machinery.values()):
         return None
-    expected = {target: _predicted(engine, net, targets, target, frame) for target in targets}
+    started = work.engine.clock()
+    expected = {target: _predicted(work, target, before) for target, before in targets.items()}
 
     def held(plate: str) -> list[str]:
         of_plate = (target for target in targets if net.targets[target].template == plate)
         return [target for target in of_plate if net.targets[target].status != "lost"]
 
     found, life, told = look(
-        engine,
-        life,
-        lambda names: np.array([expected[name][0] for name in names]).reshape(-1, 4),
-        held,
-        frame,
-        previous,
+        work, life, lambda names: np.array([expected[name][0] for name in names]).reshape(-1, 4), held
     )
     given = dict(targets)
     owners: dict[str, tuple[str | None, ...]] = {}
-    for plate, machine in engine.machinery.items():
+    for plate, machine in machinery.items():
         if not machine.claimers:
             continue
         names = [target for target in targets if net.targets[target].template == plate]
@@ -92,7 +79,7 @@ def look_first(
         rule = next(iter(machine.claimers.values()))
         gain = np.full((len(names), len(seen.boxes)), -np.inf)
         for row, target in enumerate(names):
-            looks = partial(_looks, engine, plate, targets[target], target, frame, cache)
+            looks = partial(_looks, work, target, targets[target])
             gain[row] = gains(*expected[target], seen.boxes, rule, looks)
         owner = assign(gain)
         whose: list[str | None] = [None] * len(seen.boxes)
@@ -104,46 +91,37 @@ def look_first(
             given[target] = _with_claim(targets[target], machine.claimers, claim)
         if plate in found:
             owners[plate] = tuple(whose)
+    work.charge("life", started)
     return Looked(found, owners, given, life, told)
 
 
-def _predicted(
-    engine: Engine, net: Net, targets: Mapping[str, TargetState], target: str, frame: Frame
-) -> tuple[Floats, Floats]:
+def _predicted(work: FrameWork, target: str, before: TargetState) -> tuple[Floats, Floats]:
     """(4,) mean and (4, 4) covariance of the box that the target is expected to have in this frame.
 
     Exact of a Gaussian belief under linear motion, else by moments and the motion's derivative.
     """
-    before = targets[target]
-    motion = Confined(engine.machinery[net.targets[target].template].motion, frame.width, frame.height)
+    frame = work.frame
+    motion = Confined(work.plate_of(target).motion, frame.width, frame.height)
     belief, elapsed = before.belief, frame.time - before.time
     mean, covariance = predict(belief.mean, belief.covariance, motion, elapsed, Gaussian())
     return mean[:4], covariance[:4, :4]
 
 
-def _looks(
-    engine: Engine,
-    plate: str,
-    state: TargetState,
-    target: str,
-    frame: Frame,
-    cache: PlaneCache,
-    boxes: Floats,
-) -> Floats:
+def _looks(work: FrameWork, target: str, state: TargetState, boxes: Floats) -> Floats:
     """(N,) log-likelihood of boxes (N, 4) by all agents that know the target's looks, switched on or not."""
-    machine = engine.machinery[plate]
+    machine = work.plate_of(target)
     agents = [a for a in machine.plate.agents if a in machine.looks and a in state.references]
-    if not frame.has_color:
+    if not work.frame.has_color:
         agents = [agent for agent in agents if agent not in machine.color_agents]
     if not agents:
         return np.zeros(len(boxes))
-    stream = partial(engine.streams.of, target, machine.plate.root, frame.index)
+    stream = work.stream(target, machine.plate.root)
     observer = Observer(
-        cache,
+        work.cache,
         machine.cues,
         state.references,
         lambda what: stream(f"claim {what}"),
-        roll=engine.absent.roll(target, "claiming"),
+        roll=work.roll(target, "claiming"),
     )
     prior = np.full(len(boxes), -np.log(len(boxes)))
     plan = compile_plan(machine.plate, agents, machine.cues)

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.backoff import next_try
 from bayesnet_track.adapt.lifecycle import Life
 from bayesnet_track.engine.compiled import Engine
+from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.journal.events.life_events import DetectorFailed
 from bayesnet_track.journal.net.net import Fault
 from bayesnet_track.observation.detector import Detections, Detector, DetectorState, LearningDetector, checked
 from bayesnet_track.observation.guests import FAULTS, said
-from bayesnet_track.observation.planes import Frame, FramePair
+from bayesnet_track.observation.planes import FramePair
 
 Floats = NDArray[np.float64]
 
@@ -41,12 +42,10 @@ class Found:
 
 
 def look(
-    engine: Engine,
+    work: FrameWork,
     life: Life,
     boxes: Callable[[Sequence[str]], Floats],
     held: Callable[[str], Sequence[str]],
-    frame: Frame,
-    previous: Frame | None,
 ) -> tuple[dict[str, Found], Life, tuple[DetectorFailed, ...]]:
     """What each plate that looks in this frame is given, the detectors' states, and those that failed.
 
@@ -54,6 +53,7 @@ def look(
     raises, or returns anything but boxes of finite numbers with as many scores and labels, is out for a
     while, as an agent is.
     """
+    engine, frame, pair = work.engine, work.frame, work.cache.frames
     due: dict[str, str] = {}
     for plate, machine in engine.machinery.items():
         birth = None if machine.life is None else machine.life.birth
@@ -63,7 +63,8 @@ def look(
             and _is_in(life, machine.detector, frame.index)
         ):
             due[plate] = machine.detector
-    pair, found, failed = FramePair(frame, previous), {}, []
+    found: dict[str, Detections] = {}
+    failed: list[DetectorFailed] = []
     states = dict(life.detectors)
     for name in dict.fromkeys(due.values()):
         plates = [plate for plate in due if due[plate] == name]

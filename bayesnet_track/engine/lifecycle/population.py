@@ -1,8 +1,8 @@
 """The life of targets in one frame: detections become targets, lost ones are found, nets end.
 
-`live` comes after every live target is concluded. Detectors look; live targets claim what they hold; what is
-left is compared with the lost, gathers looks, and becomes a target, an old one when it is recognised. Then
-the younger of two nets that hold one object ends, and those that were lost for too long. All of it is a
+`manage_tracks` comes after every live target is finished. Detectors look; live targets claim what they hold;
+what is left is compared with the lost, gathers looks, and becomes a target, an old one when it is recognised.
+Then the younger of two nets that hold one object ends, and those that were lost for too long. All of it is a
 function of the engine, what is remembered and the frame.
 """
 
@@ -27,18 +27,19 @@ from bayesnet_track.adapt.lifecycle import (
     refusals_to_tell,
     time_to_die,
 )
-from bayesnet_track.engine.compiled import Engine
+from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.claiming import Looked
 from bayesnet_track.engine.lifecycle.detecting import Found, look
 from bayesnet_track.engine.lifecycle.people import Population
 from bayesnet_track.engine.lifecycle.recalling import compare
 from bayesnet_track.engine.lifecycle.recognise import Match, match
+from bayesnet_track.engine.outcome import Outcome
 from bayesnet_track.engine.starting import restart, start
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.lifecycle import Birth, LifeRules
 from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed
 from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
-from bayesnet_track.observation.planes import Frame, PlaneCache
+from bayesnet_track.observation.planes import Frame
 
 Floats = NDArray[np.float64]
 
@@ -49,34 +50,38 @@ REMEMBERED = 4
 """Dead targets that are remembered, in multiples of `birth.max_targets`."""
 
 
-def live(
-    engine: Engine,
-    people: Population,
-    frame: Frame,
-    previous: Frame | None,
-    cache: PlaneCache,
-    looked: Looked | None = None,
-) -> None:
-    """Let the frame's births, returns and deaths happen to `people`, which is changed.
+def manage_tracks(work: FrameWork, outcome: Outcome, looked: Looked | None = None) -> Outcome:
+    """The outcome after the frame's births, returns and deaths; as it is where no plate has any.
 
     `looked` holds what the detectors found, and whose it is, where they looked before targets were weighed.
     """
-    rules = {plate: machine.life for plate, machine in engine.machinery.items() if machine.life is not None}
+    frame, machinery, started = work.frame, work.engine.machinery, work.engine.clock()
+    rules = {plate: machine.life for plate, machine in machinery.items() if machine.life is not None}
     if not rules:
-        return
+        return outcome
+    state = outcome.state
+    people = Population(state.net, dict(state.targets), list(outcome.metrics), state.life)
     _count(people, rules, frame)
     if looked is None:
-        found, people.life, told = look(engine, people.life, people.boxes, people.held, frame, previous)
+        found, people.life, told = look(work, people.life, people.boxes, people.held)
     else:
         found, told = looked.found, looked.told
     people.events += told
     for plate, rule in rules.items():
         if plate in found and rule.birth is not None:
-            now = _Nursery(engine, people, frame, previous, cache, plate, rule, rule.birth)
+            now = _Nursery(work, people, plate, rule, rule.birth)
             _give_birth(now, found[plate], None if looked is None else looked.owners.get(plate))
     for plate, rule in rules.items():
         _end_duplicates(people, plate, rule, frame)
-        _end_lost(engine, people, plate, rule, frame)
+        _end_lost(people, plate, rule, frame)
+    work.charge("life", started)
+    return Outcome(
+        replace(state, net=people.net, targets=people.targets, previous=frame, life=people.life),
+        tuple(people.metrics),
+        (*outcome.events, *people.events),
+        outcome.covariances,
+        work.seconds,
+    )
 
 
 def _count(people: Population, rules: Mapping[str, LifeRules], frame: Frame) -> None:
@@ -105,14 +110,16 @@ def _count(people: Population, rules: Mapping[str, LifeRules], frame: Frame) -> 
 class _Nursery:
     """What one plate's births need of the frame."""
 
-    engine: Engine
+    work: FrameWork
     people: Population
-    frame: Frame
-    previous: Frame | None
-    cache: PlaneCache
     plate: str
     rule: LifeRules
     birth: Birth
+
+    @property
+    def frame(self) -> Frame:
+        """The frame."""
+        return self.work.frame
 
 
 def _give_birth(now: _Nursery, found: Found, owners: tuple[str | None, ...] | None) -> None:
@@ -158,7 +165,7 @@ def _find_lost(now: _Nursery, found: Found, seen: Sequence[str]) -> Floats:
         target, box = one.recognition.target, boxes[one.detection]
         if not one.is_sure:
             continue
-        state = restart(now.engine, now.frame, now.previous, target, now.plate, box, people.targets[target])
+        state = restart(now.work, target, now.plate, box, people.targets[target])
         people.decide(Reacquired(now.frame.index, target, _box(box), one.recognition))
         people.targets[target] = state
         people.life = replace(
@@ -196,9 +203,9 @@ def _start(now: _Nursery, candidate: Candidate, nearest: Match | None) -> None:
     if nearest is not None and nearest.is_sure:
         target = nearest.recognition.target
         old = next(one for one in people.life.dead if one.target == target)
-        looks = now.engine.machinery[now.plate].looks
+        looks = now.work.engine.machinery[now.plate].looks
         known = {agent: one for agent, one in old.references.items() if agent in looks}
-        born = start(now.engine, frame, now.previous, target, now.plate, box, known)
+        born = start(now.work, target, now.plate, box, known)
         first = born.decisions[0]
         active = getattr(first, "active", ())
         back = Returned(frame.index, target, now.plate, _box(box), active, nearest.recognition)
@@ -220,7 +227,7 @@ def _start(now: _Nursery, candidate: Candidate, nearest: Match | None) -> None:
                 nearest=None if nearest is None else nearest.recognition,
             )
         )
-        born = start(now.engine, frame, now.previous, target, now.plate, box)
+        born = start(now.work, target, now.plate, box)
         people.decide(*born.decisions)
     people.targets[target] = born.state
     people.metrics.append(born.metrics)
@@ -257,7 +264,7 @@ def _matches(
     if reidentify is None or not known or not len(boxes):
         return ()
     others = np.concatenate([now.people.boxes(now.people.held(now.plate)), detections[:TESTED]])
-    asked = partial(compare, now.engine, now.plate, reidentify, now.frame, now.cache, boxes, others)
+    asked = partial(compare, now.work, now.plate, reidentify, boxes, others)
     return match([asked(one) for one in known], len(boxes), reidentify)
 
 
@@ -293,7 +300,7 @@ def _end_duplicates(people: Population, plate: str, rule: LifeRules, frame: Fram
     people.life = replace(people.life, overlaps={**others, **left})
 
 
-def _end_lost(engine: Engine, people: Population, plate: str, rule: LifeRules, frame: Frame) -> None:
+def _end_lost(people: Population, plate: str, rule: LifeRules, frame: Frame) -> None:
     """Nets of targets that were lost for too long end; what they knew is kept for a while."""
     for target in people.of_plate(plate) if rule.death is not None else []:
         why = time_to_die(people.life.lifelines[target], rule.death) if rule.death is not None else None

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.lifecycle import Identity
 from bayesnet_track.belief.motion.bounds import Confined
-from bayesnet_track.engine.compiled import Engine
+from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.recognise import Compared, elsewhere, looks, placed
 from bayesnet_track.graph.settings.lifecycle import Reidentify
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.observation.cue import Hypotheses
-from bayesnet_track.observation.planes import Frame, PlaneCache
 
 Floats = NDArray[np.float64]
 
@@ -24,32 +21,25 @@ LEAST_LOG = -700.0
 
 
 def compare(
-    engine: Engine,
-    plate: str,
-    rule: Reidentify,
-    frame: Frame,
-    cache: PlaneCache,
-    boxes: Floats,
-    others: Floats,
-    known: Identity,
+    work: FrameWork, plate: str, rule: Reidentify, boxes: Floats, others: Floats, known: Identity
 ) -> Compared:
     """One remembered target against detections (M, 4); `others` (K, 4) are boxes of objects in this frame."""
-    machine = engine.machinery[plate]
+    machine, frame = work.engine.machinery[plate], work.frame
     motion = Confined(machine.motion, frame.width, frame.height)
     area = float(frame.width * frame.height)
     fading, place, distance = placed(known, motion, boxes, frame.time, area, rule)
     agents = tuple(agent for agent in machine.plate.agents if agent in machine.looks & set(known.references))
     if not frame.has_color:
         agents = tuple(agent for agent in agents if agent not in machine.color_agents)
-    stream = partial(engine.streams.of, known.target, machine.plate.root, frame.index)
+    stream = work.stream(known.target, machine.plate.root)
     random = elsewhere(boxes, frame.width, frame.height, stream("elsewhere"))
     if agents:
         observer = Observer(
-            cache,
+            work.cache,
             machine.cues,
             known.references,
             lambda what: stream(f"recall {what}"),
-            roll=engine.absent.roll(known.target, "recalling"),
+            roll=work.roll(known.target, "recalling"),
         )
         states = np.concatenate([boxes, random, others])
         prior = np.full(len(states), -np.log(len(states)))

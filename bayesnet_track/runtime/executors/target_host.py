@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.engine.crew import Advanced, advance
+from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.graph.checked import CheckedGraph
@@ -74,15 +75,16 @@ class NetHost:
         if any(one.state is None and target not in self._held for target, one in given.items()):
             return b""
         net = Net({target: one.net for target, one in given.items()})
-        made = {target: self._advanced(net, target, one, cache) for target, one in given.items()}
+        work = FrameWork(self._engine, net, cache)
+        made = {target: self._advanced(work, target, one) for target, one in given.items()}
         self._held = {target: one.done.state for target, one in made.items()}
         return pickle.dumps(
             {target: _without_plan(one) for target, one in made.items()}, protocol=pickle.HIGHEST_PROTOCOL
         )
 
-    def _advanced(self, net: Net, target: str, asked: TargetRequest, cache: PlaneCache) -> Advanced:
+    def _advanced(self, work: FrameWork, target: str, asked: TargetRequest) -> Advanced:
         state = self._held[target] if asked.state is None else asked.state
-        return advance(self._engine, net, target, replace(state, plan=self._plan(asked.net)), cache)
+        return advance(work, target, replace(state, plan=self._plan(asked.net)))
 
     def _plan(self, net: TargetNet) -> Plan:
         key = net.template, net.active

@@ -46,7 +46,8 @@ class Threads:
         """
         if len(pieces) < 2 or not self._helpers:
             return [work(piece) for piece in pieces]
-        kind = getattr(pieces[0], "gi_code", getattr(work, "__code__", work)), len(pieces)
+        function = getattr(work, "func", work)  # of a partial one
+        kind = getattr(function, "__code__", function), len(pieces)
         gain = self._gains.get(kind)
         batch = _Batch(work, pieces)
         if gain is None or gain > HAND_OFF_S:

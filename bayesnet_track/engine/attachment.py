@@ -1,0 +1,133 @@
+"""Targets that others may carry: by whom, in which order they are filtered, and what is told of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.joins import Carried, JoinMemory, PairMemory
+from bayesnet_track.belief.contract import Posterior, Step
+from bayesnet_track.belief.motion.attached import Attached, with_carried, without_carried
+from bayesnet_track.belief.particles.particle_set import ParticleSet
+from bayesnet_track.engine.filtering import Filtered, Ride
+from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.state import TargetState
+from bayesnet_track.graph.settings.joins import Attachment
+from bayesnet_track.journal.events.basic import Event
+from bayesnet_track.journal.events.join_events import AttachmentChanged, JoinMetrics
+
+Floats = NDArray[np.float64]
+
+CARRIED, FREE = 0.5, 0.3
+"""Probability above which a target is told to be carried, and at or below which no longer."""
+
+Carriers = Mapping[str, tuple[str, Attachment]]
+"""Target that may be carried -> by whom, and how."""
+
+
+def carriers_of(work: FrameWork, memory: JoinMemory) -> Carriers:
+    """By whom each target may be carried: the one that carries it, else the one that overlaps it most."""
+    found: dict[str, tuple[tuple[bool, float], str, Attachment]] = {}
+    for (carrier, target), join in work.net.joins.items():
+        settings = work.engine.joins[join.rule].attachment
+        if settings is None:
+            continue
+        known = memory.pairs.get((carrier, target), PairMemory())
+        rank = (memory.carriers.get(target, ("", 0))[0] == carrier, known.overlap)
+        if target not in found or rank > found[target][0]:
+            found[target] = (rank, carrier, settings)
+    return {target: (carrier, settings) for target, (_, carrier, settings) in found.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Rides:
+    """Who may be carried by whom in one frame.
+
+    Attributes:
+        work: the frame's.
+        memory: what is remembered of joins.
+        carriers: by whom each target may be carried.
+    """
+
+    work: FrameWork
+    memory: JoinMemory
+    carriers: Carriers
+
+    @staticmethod
+    def of(work: FrameWork, memory: JoinMemory) -> Rides:
+        """Those of the frame."""
+        return Rides(work, memory, carriers_of(work, memory))
+
+    def carriers_first(self, targets: Iterable[str]) -> list[str]:
+        """The targets in their order, but one that may be carried comes after its carrier."""
+        order: list[str] = []
+        for target in targets:
+            chain = [target]
+            while chain[-1] in self.carriers:
+                chain.append(self.carriers[chain[-1]][0])
+            order += [name for name in reversed(chain) if name not in order]
+        return order
+
+    def ride(self, target: str, before: TargetState, filtered: Mapping[str, Filtered]) -> Ride | None:
+        """How the target moves with its carrier, which was `filtered` before; None for one without."""
+        if target not in self.carriers:
+            return None
+        carrier, settings = self.carriers[target]
+        motion = Attached(
+            self.work.plate_of(target).motion,
+            _displacement(filtered[carrier], self.memory.centres.get(carrier)),
+            settings.start,
+            settings.stay,
+            settings.sd_px,
+        )
+        known = self.memory.carried.get(target)
+        column = known.hypotheses if known is not None and known.belief is before.belief else None
+        return Ride(motion, with_carried(particles(before.belief), column))
+
+
+def _displacement(carrier: Filtered, before: Floats | None) -> Floats:
+    """(2,) how far the carrier's centre went, by its own evidence in both frames: so errors cancel out."""
+    start = carrier.before.belief.mean[:2] if before is None else before
+    return np.asarray(carrier.step.posterior.mean[:2] - start)
+
+
+def particles(belief: Posterior) -> ParticleSet:
+    """The belief, which must be of particles."""
+    if not isinstance(belief, ParticleSet):
+        raise TypeError(f"only particles can be joined, not {type(belief).__name__}")
+    return belief
+
+
+def without_ride(step: Step[Posterior]) -> tuple[Step[Posterior], Carried]:
+    """The step of the target's own state, and which of its hypotheses are carried."""
+    posterior, column = without_carried(particles(step.posterior))
+    find = partial(_without_last, step)
+    return replace(step, posterior=posterior, support=posterior, find_map=find), Carried(posterior, column)
+
+
+def tell_carried(
+    frame: int,
+    metrics: Mapping[str, JoinMetrics],
+    carriers: Carriers,
+    memory: JoinMemory,
+    told: list[Event],
+) -> JoinMemory:
+    """Add to `told` who is carried now, and who no longer is."""
+    known = dict(memory.carriers)
+    for name, (carrier, _) in carriers.items():
+        probability = metrics[name].attached or 0.0
+        if name not in known and probability > CARRIED:
+            known[name] = (carrier, frame)
+            told.append(AttachmentChanged(frame, name, carrier, True, probability, 0))
+        elif name in known and probability <= FREE:
+            before, since = known.pop(name)
+            told.append(AttachmentChanged(frame, name, before, False, probability, frame - since))
+    return replace(memory, carriers=known)
+
+
+def _without_last(step: Step[Posterior]) -> Floats:
+    return step.map_state[:-1]

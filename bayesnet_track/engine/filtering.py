@@ -1,0 +1,106 @@
+"""The first half of a target's frame: predict its belief and weigh it by what its active agents see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
+
+from bayesnet_track.adapt.backoff import quarantined
+from bayesnet_track.belief.contract import Motion, Posterior, Step
+from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.predicting import Predicted, predicted
+from bayesnet_track.engine.shedding import within
+from bayesnet_track.engine.state import TargetState, with_agents
+from bayesnet_track.inference.compile import Plan, compile_plan
+from bayesnet_track.inference.messages import Observer, evaluate
+from bayesnet_track.journal.events.join_events import JoinMetrics
+from bayesnet_track.journal.net.net import Quarantined
+
+
+@dataclass(frozen=True, eq=False)
+class Ride:
+    """How a target that may be carried moves: with its carrier, or as its plate does.
+
+    Attributes:
+        motion: both, in place of the plate's motion.
+        belief: the target's, each hypothesis with whether it is carried.
+    """
+
+    motion: Motion
+    belief: Posterior
+
+
+@dataclass(frozen=True, eq=False)
+class Filtered:
+    """The first half of a target's frame: its belief, weighed by its own agents.
+
+    Attributes:
+        target: target id.
+        before: its state after the last frame.
+        step: the belief's step.
+        faults: agents that failed while they observed.
+        predicted: how it was to move.
+        plan: the compiled net of this frame, without those that failed or gave no answer.
+        missed: agents that gave no answer for a reason outside of them -> that reason.
+        join: what a joint belief says of it, once there is one; None for a target that is in none.
+    """
+
+    target: str
+    before: TargetState
+    step: Step[Posterior]
+    faults: tuple[Quarantined, ...]
+    predicted: Predicted
+    plan: Plan
+    missed: Mapping[str, str] = field(default_factory=dict)
+    join: JoinMetrics | None = None
+
+    @property
+    def hidden(self) -> float:
+        """Expected share of the target that another one hides."""
+        return 0.0 if self.join is None else self.join.hidden
+
+
+def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride | None = None) -> Filtered:
+    """Predict the target's belief and weigh it by what its active agents see.
+
+    It is weighed anew, without them, when agents fail that have answered before in the same frame.
+    """
+    live, machine, frame = work.net.targets[target], work.plate_of(target), work.frame
+    before = with_agents(machine, before, live.looking(frame.index))
+    stream = work.stream(target, machine.plate.root)
+    started = work.engine.clock()
+    dt = frame.time - before.time
+    given, prior = (None, before.belief) if ride is None else (ride.motion, ride.belief)
+    moves = predicted(machine, given, before.outlook, live.status == "lost", dt, work.cache)
+    belief = within(machine.belief, live.most_particles)
+    failed: dict[str, str] = {}
+    while True:
+        observer = Observer(
+            work.cache,
+            machine.cues,
+            before.references,
+            stream,
+            work.engine.clock,
+            work.seconds,
+            faults=failed,
+            executor=work.engine.executor,
+            roll=work.roll(target, "observing"),
+        )
+        stepped = belief.step(
+            prior,
+            Confined(moves.motion, frame.width, frame.height),
+            dt,
+            partial(evaluate, before.plan, observer),
+            stream,
+        )
+        # With the answers of one that later gave none the belief would be neither with it nor without it.
+        if not observer.broke_off:
+            break
+    work.charge("belief", started)
+    faults = tuple(quarantined(live, frame.index, target, agent, reason) for agent, reason in failed.items())
+    plan, out = before.plan, failed.keys() | observer.missed.keys()
+    if out:
+        plan = compile_plan(machine.plate, plan.active - out, machine.cues)
+    return Filtered(target, before, stepped, faults, moves, plan, dict(observer.missed))

@@ -1,0 +1,104 @@
+"""What is found out of one target in the second half of its frame, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.measures import Measures
+from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.situation import Situation
+from bayesnet_track.engine.score import Scored
+from bayesnet_track.engine.state import TargetState
+from bayesnet_track.inference.guard import Judged, Watched
+from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.events.distractor_events import DistractorSeen
+from bayesnet_track.journal.net.net import Decision, TargetNet
+from bayesnet_track.observation.cue import Reference
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What was measured.
+
+    Attributes:
+        state: (D,) the estimate.
+        box: (4,) its centre box, inside the frame.
+        net: the live net as a person switched it, without agents that failed or gave no answer.
+        measures: UD, KL, contributions, ...
+        scored: what the score remembers.
+        score: probability of being on target; None where the graph does not say how it comes about.
+        bound: the most that the score may be.
+        rival: what looks like the target beside it.
+    """
+
+    state: Floats
+    box: Floats
+    net: TargetNet
+    measures: Measures
+    scored: Scored
+    score: float | None = None
+    bound: float = 1.0
+    rival: DistractorSeen | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Decided:
+    """What the rules make of it.
+
+    Attributes:
+        now: what they saw.
+        chosen: decisions, in order.
+        memory: what they remember.
+        quiet_px2: quiet level of the root's UD; None while unknown.
+    """
+
+    now: Situation
+    chosen: tuple[Decision, ...]
+    memory: Memory
+    quiet_px2: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Learnt:
+    """What the agents learnt.
+
+    Attributes:
+        references: agent -> what it remembers.
+        watched: the slow references that guard the others against drift.
+        judged: what these say.
+        decisions: those that stand, in order.
+        angle: the estimate's rotation, degrees.
+        rate: share of the largest learning rate.
+    """
+
+    references: Mapping[str, Reference]
+    watched: Watched
+    judged: Judged
+    decisions: tuple[Decision, ...]
+    angle: float
+    rate: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class TargetResult:
+    """What one frame gave for one target.
+
+    Attributes:
+        state: its state after the frame, still with the plan that the frame began with.
+        metrics: what was measured.
+        decisions: in order; they take effect on the next frame.
+        told: what is written down besides.
+        covariance: (D, D) of its belief.
+    """
+
+    state: TargetState
+    metrics: FrameMetrics
+    decisions: tuple[Decision, ...]
+    told: tuple[Event, ...]
+    covariance: Floats

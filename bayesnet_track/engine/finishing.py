@@ -1,0 +1,177 @@
+"""The second half of a target's frame: its belief is measured, decided on, learnt from and described.
+
+Between the two halves (`filtering.filter_target`, `finish_target`) the beliefs of several targets can be
+joined. Both are functions of the target's state and the frame; time is read for the timings only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.rules import decide
+from bayesnet_track.adapt.situation import Situation, quiet_level
+from bayesnet_track.belief.estimate import estimate
+from bayesnet_track.belief.states import hypotheses_of
+from bayesnet_track.engine.filtering import Filtered
+from bayesnet_track.engine.findings import Decided, Learnt, Measured, TargetResult
+from bayesnet_track.engine.frame_metrics import frame_metrics
+from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.learning import learn
+from bayesnet_track.engine.rivals import rival_seen
+from bayesnet_track.engine.score import most, probability, with_rival
+from bayesnet_track.engine.starting import start_late
+from bayesnet_track.engine.state import TargetState, applied, inside_frame
+from bayesnet_track.inference.guard import changes, watch
+from bayesnet_track.inference.learn import Lesson, learning_rate, over_frames
+from bayesnet_track.inference.measure import measure
+from bayesnet_track.inference.part_measures import part_rates
+from bayesnet_track.journal.events.basic import Event
+from bayesnet_track.journal.events.belief_events import DegenerateBelief
+
+Floats = NDArray[np.float64]
+
+
+def finish_target(work: FrameWork, filtered: Filtered) -> TargetResult:
+    """Measure the belief, decide what changes, let the agents learn, and describe it."""
+    machine = work.plate_of(filtered.target)
+    started = work.engine.clock()
+    state = estimate(machine.plate.inference(machine.plate.root).estimate, filtered.step)
+    started = work.charge("belief", started)
+    measured = measure_target(work, filtered, state)
+    decided = decide_target(work, filtered, measured)
+    started = work.charge("measure", started)
+    learnt = learn_target(work, filtered, measured, decided)
+    work.charge("learn", started)
+    return describe_target(work, filtered, measured, decided, learnt)
+
+
+def measure_target(work: FrameWork, filtered: Filtered, state: Floats) -> Measured:
+    """UD, KL, ... of the belief with the estimate `state` (D,), and how sure it is to hold the target."""
+    machine, live = work.plate_of(filtered.target), work.net.targets[filtered.target]
+    root = machine.plate.inference(machine.plate.root)
+    box = inside_frame(state[:4], work.frame)
+    by_hand = work.by_hand.get(filtered.target, ())
+    net = applied(work.net, (*filtered.faults, *by_hand)).targets[filtered.target]
+    net = replace(net, active=net.active - filtered.missed.keys())
+    measures = measure(machine.plate, filtered.plan, filtered.step, float(box[2] * box[3]))
+    scored = filtered.before.scored
+    if root.score is None:
+        return Measured(state, box, net, measures, scored)
+    rule, rival = root.score.settings, None
+    scored = scored.after(rule, measures, filtered.step, measures.ud_px2[machine.plate.root])
+    if root.distractors is not None:
+        able = machine.cues.keys() - live.quarantined
+        rival = rival_seen(root.distractors, work.frame.index, filtered.target, able, filtered.step, measures)
+        scored = with_rival(scored, rival, root.distractors.frames)
+    bound = most(rule, measures.fit, scored.doubt)
+    score = min(probability(rule, scored.smooth), bound)
+    return Measured(state, box, net, measures, scored, score, bound, rival)
+
+
+def decide_target(work: FrameWork, filtered: Filtered, measured: Measured) -> Decided:
+    """What the rules choose."""
+    machine = work.plate_of(filtered.target)
+    now = Situation(
+        work.frame.index,
+        filtered.target,
+        machine.plate,
+        measured.net,
+        measured.measures,
+        machine.costs_ms,
+        machine.adaptable,
+        filtered.hidden,
+        measured.score,
+        filtered.missed,
+    )
+    chosen, memory = decide(now, filtered.before.memory)
+    return Decided(now, chosen, memory, quiet_level(machine.plate, measured.net, memory, machine.plate.root))
+
+
+def learn_target(work: FrameWork, filtered: Filtered, measured: Measured, decided: Decided) -> Learnt:
+    """References move toward the estimate; agents that gave none at the start learn theirs."""
+    machine, box = work.plate_of(filtered.target), measured.box
+    rate, rates = _learning_rates(work, filtered, measured, decided)
+    parts = measured.measures.parts
+    lesson = Lesson(
+        machine.cues,
+        work.cache,
+        hypotheses_of(np.concatenate([box, measured.state[4:]])[None], filtered.step.posterior.fields),
+        {agent: inside_frame(parts[part].box, work.frame) for agent, part in machine.part_of.items()},
+        work.engine.executor,
+        work.absent,
+        filtered.target,
+    )
+    learnt = learn(lesson, machine, filtered.before, decided, rates)
+    first, still_out = start_late(lesson, decided.now, learnt.references, decided.chosen)
+    slow = {**learnt.watched.slow, **watch(first, machine.looks, machine.guard).slow}
+    return replace(
+        learnt,
+        references={**learnt.references, **first},
+        watched=replace(learnt.watched, slow=slow),
+        decisions=(*learnt.decisions, *still_out),
+        rate=rate,
+    )
+
+
+def _learning_rates(
+    work: FrameWork, filtered: Filtered, measured: Measured, decided: Decided
+) -> tuple[float, Mapping[str, float]]:
+    """The share of the largest rate that the belief allows, and agent -> its rate.
+
+    The less of the target is visible the less is learnt, and nothing when half of it is hidden, since the box
+    shows what hides it.
+    """
+    machine, measures, net = work.plate_of(filtered.target), measured.measures, measured.net
+    rule = machine.plate.inference(machine.plate.root).learn
+    ud_px2 = measures.ud_px2[machine.plate.root]
+    rate = learning_rate(rule, ud_px2, measures.area_px2, decided.quiet_px2)
+    at_parts = part_rates(rule, measures.parts, partial(quiet_level, machine.plate, net, decided.memory))
+    seen = max(1.0 - 2.0 * filtered.hidden, 0.0)
+    rate, at_parts = rate * seen, {part: own * seen for part, own in at_parts.items()}
+    held = net.status == "tracking" or (net.status == "uncertain" and measured.scored.doubt > 0)
+    every = min(work.net.targets[filtered.target].sampled.values(), default=1)
+    # Between samples the others are less sure alone: what is learnt then would be their errors.
+    if not held or not net.active or filtered.step.degenerate is not None or work.frame.index % every:
+        rate, at_parts = 0.0, {}
+    return rate, {
+        agent: over_frames(at_parts.get(machine.part_of.get(agent, ""), rate) * largest, every)
+        for agent, largest in machine.rate_max.items()
+        if agent not in net.quarantined and agent not in filtered.missed
+    }
+
+
+def describe_target(
+    work: FrameWork, filtered: Filtered, measured: Measured, decided: Decided, learnt: Learnt
+) -> TargetResult:
+    """The state for the next frame, and all that is written down of this one."""
+    machine, frame, target = work.plate_of(filtered.target), work.frame, filtered.target
+    before, stepped, measures = filtered.before, filtered.step, measured.measures
+    ud_px2 = measures.ud_px2[machine.plate.root]
+    after = TargetState(
+        stepped.posterior,
+        learnt.references,
+        decided.memory,
+        before.plan,
+        frame.time,
+        learnt.watched,
+        filtered.predicted.after(ud_px2, measures.area_px2, decided.quiet_px2),
+        measured.scored,
+    )
+    told: list[Event] = [
+        *filtered.predicted.told,
+        *(report(frame.index, target) for report in stepped.reports),
+    ]
+    if stepped.degenerate is not None:
+        told.append(DegenerateBelief(frame.index, target, stepped.degenerate))
+    if measured.rival is not None and measured.scored.doubt > 0 and not before.scored.doubt:
+        told.append(measured.rival)
+    told += changes(frame.index, target, before.watched, learnt.watched, learnt.judged, machine.guard)
+    spread = stepped.posterior.covariance
+    metrics = frame_metrics(work, filtered, measured, decided, learnt, spread)
+    decisions = (*filtered.faults, *work.by_hand.get(target, ()), *learnt.decisions)
+    return TargetResult(after, metrics, decisions, tuple(told), spread)

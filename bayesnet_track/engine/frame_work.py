@@ -1,0 +1,58 @@
+"""One frame's work: what every part of it shares, made once per frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
+
+from bayesnet_track.belief.contract import Stream
+from bayesnet_track.engine.compiled import Engine, Machinery
+from bayesnet_track.engine.outside import ByHand
+from bayesnet_track.inference.absent import Absent, Roll
+from bayesnet_track.journal.net.net import Net
+from bayesnet_track.observation.planes import Frame, PlaneCache
+
+
+@dataclass(frozen=True, eq=False)
+class FrameWork:
+    """What is shared by all that is done in one frame. What lasts longer is in `engine` or in a state.
+
+    Attributes:
+        engine: the graph ready to run, made once for all frames.
+        net: the live nets that the frame begins with.
+        cache: the frame, the one before it, and their planes.
+        absent: agents that give no answer.
+        by_hand: target -> what a person switched.
+        seconds: agent (or planes, belief, measure, learn, life, joins) -> seconds, added up here.
+    """
+
+    engine: Engine
+    net: Net
+    cache: PlaneCache
+    absent: Absent = field(default_factory=Absent)
+    by_hand: Mapping[str, tuple[ByHand, ...]] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def frame(self) -> Frame:
+        """The frame."""
+        return self.cache.frames.current
+
+    def plate_of(self, target: str) -> Machinery:
+        """What the target's plate needs to run."""
+        return self.engine.machinery[self.net.targets[target].template]
+
+    def stream(self, target: str, node: str) -> Stream:
+        """The random streams of a target's node in this frame, by purpose."""
+        return partial(self.engine.streams.of, target, node, self.frame.index)
+
+    def roll(self, target: str, during: str) -> Roll:
+        """Which of the target's agents give no answer when asked for one thing."""
+        return self.absent.roll(target, during)
+
+    def charge(self, part: str, started: float) -> float:
+        """Add the seconds since `started` to a part's; the moment."""
+        now = self.engine.clock()
+        self.seconds[part] = self.seconds.get(part, 0.0) + now - started
+        return now

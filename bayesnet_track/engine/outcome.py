@@ -1,0 +1,120 @@
+"""What the engine knows between frames, and what one frame gave."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.joins import JoinMemory, decide_joins
+from bayesnet_track.adapt.lifecycle import Life
+from bayesnet_track.adapt.shedding import Load
+from bayesnet_track.engine.findings import TargetResult
+from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.joining import JointBelief, reach_of
+from bayesnet_track.engine.outside import Outside
+from bayesnet_track.engine.shedding import balanced
+from bayesnet_track.engine.state import TargetState, applied, recompiled
+from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.events.inputs import Input, LateFrame, SpareTime
+from bayesnet_track.journal.net.net import Net
+from bayesnet_track.observation.planes import Frame
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """The engine's state between frames.
+
+    Attributes:
+        net: the live nets.
+        targets: target id -> its state.
+        previous: the last frame.
+        life: what is remembered of births and deaths.
+        joins: what is remembered of targets that depend on each other.
+        load: what is remembered of late frames.
+    """
+
+    net: Net = field(default_factory=Net)
+    targets: Mapping[str, TargetState] = field(default_factory=dict)
+    previous: Frame | None = None
+    life: Life = field(default_factory=Life)
+    joins: JoinMemory = field(default_factory=JoinMemory)
+    load: Load = field(default_factory=Load)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What one frame gave.
+
+    Attributes:
+        state: the state after it.
+        metrics: one entry per live target.
+        events: decisions and faults, in order.
+        covariances: target id -> covariance (D, D) of its belief.
+        seconds: agent (or planes, belief, measure, learn) -> seconds, summed over targets.
+        outside: what came from outside: given again with this frame, it repeats.
+    """
+
+    state: State
+    metrics: tuple[FrameMetrics, ...]
+    events: tuple[Event, ...]
+    covariances: Mapping[str, Floats] = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    outside: tuple[Input, ...] = ()
+
+
+def carried_out(
+    work: FrameWork, state: State, results: Mapping[str, TargetResult], joint: JointBelief
+) -> Outcome:
+    """The outcome of the targets' frames, in the order of `results`: decisions are carried out."""
+    net, targets = work.net, {}
+    events: list[Event] = [*joint.told]
+    for target, result in results.items():
+        net = applied(net, result.decisions)
+        targets[target] = recompiled(work.engine, net, target, result.state)
+        events += [*result.told, *result.decisions]
+    return Outcome(
+        replace(state, net=net, targets=targets, previous=work.frame, joins=joint.memory),
+        tuple(result.metrics for result in results.values()),
+        tuple(events),
+        {target: result.covariance for target, result in results.items()},
+        work.seconds,
+    )
+
+
+def with_joins(work: FrameWork, outcome: Outcome) -> Outcome:
+    """The outcome after the frame's joins and partings; as it is where the graph has no joins."""
+    joins = work.engine.joins
+    if not joins:
+        return outcome
+    state, started = outcome.state, work.engine.clock()
+    reaches = {
+        target: reach_of(one.belief, outcome.covariances.get(target)) for target, one in state.targets.items()
+    }
+    decisions, memory = decide_joins(work.frame.index, joins, state.net, reaches, state.joins)
+    work.charge("joins", started)
+    after = replace(state, net=applied(state.net, decisions), joins=memory)
+    return replace(outcome, state=after, events=(*outcome.events, *decisions), seconds=work.seconds)
+
+
+def with_load(work: FrameWork, outcome: Outcome, timing: Iterable[LateFrame | SpareTime]) -> Outcome:
+    """The outcome after what is shed or taken back, where a frame was late or early."""
+    timing = tuple(timing)
+    if not timing:
+        return outcome
+    state, engine = outcome.state, work.engine
+    decisions, load = balanced(engine, state.net, state.targets, timing, state.load, work.frame.index)
+    net = applied(state.net, decisions)
+    targets = {target: recompiled(engine, net, target, one) for target, one in state.targets.items()}
+    after = replace(state, net=net, targets=targets, load=load)
+    return replace(outcome, state=after, events=(*outcome.events, *decisions))
+
+
+def with_outside(outcome: Outcome, given: Outside) -> Outcome:
+    """The outcome with what came from outside, its notices first."""
+    told: tuple[Event, ...] = (*given.absent.events, *given.refused)
+    return replace(outcome, events=(*told, *outcome.events), outside=given.taken)
