@@ -165,11 +165,17 @@ def test_a_part_of_a_pass_has_its_part_of_all_evidence():
 
 # ------------------------------------------------------------------------------------ a sample of the prior
 
+
+def both_of(inputs, first, draws, weights):
+    second = evaluated(inputs, draws.states, LogWeights.normalise(draws.log_alone)[0].log, draws.ancestors)
+    return taken(first, second, draws, weights)
+
+
 METHODS = {
     "auxiliary": lambda inputs, first: auxiliary_pass(inputs, SIZE, Auxiliary()),
     "mixture": lambda inputs, first: mixture_pass(inputs, SIZE, LikelihoodMixture(share=0.5)),
     "parents": lambda inputs, first: (
-        taken(
+        both_of(
             inputs,
             first,
             parent_draws(inputs, first, SecondPassProposal(by="parents", neighbours=1)),
@@ -177,7 +183,7 @@ METHODS = {
         ).whole
     ),
     "groups": lambda inputs, first: (
-        taken(
+        both_of(
             inputs,
             first,
             parent_draws(inputs, first, SecondPassProposal(by="parents", neighbours=4)),
@@ -185,7 +191,7 @@ METHODS = {
         ).whole
     ),
     "fitted": lambda inputs, first: (
-        taken(inputs, first, fitted_draws(inputs, first, SecondPassProposal()), "second_only").whole
+        both_of(inputs, first, fitted_draws(inputs, first, SecondPassProposal()), "second_only").whole
     ),
 }
 
@@ -225,7 +231,7 @@ def test_two_passes_weigh_by_what_could_have_drawn_them(weights, inputs_of, firs
     inputs = inputs_of()
     first = first_of(inputs)
     draws = Draws(inputs.prior.states[:20] + 0.5, np.arange(20), rng.normal(size=20), rng.normal(size=SIZE))
-    both = taken(inputs, first, draws, weights)
+    both = both_of(inputs, first, draws, weights)
     n, m, r, r_first = SIZE, 20, np.exp(draws.log_ratio), np.exp(draws.log_ratio_first)
     likelihood = np.exp(look(draws.states))
     assert both.log_second == pytest.approx(np.log((likelihood / r).sum() / m))

@@ -8,6 +8,7 @@ of Gaussians.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,7 +124,7 @@ class GridFilter:
             asked.belief,
             limits,
             log_evidence,
-            lambda states: asked_again(evaluate, evidence, states, asked.belief.fields),
+            partial(asked_again, evaluate, evidence, fields=asked.belief.fields),
         )
 
     def _reset(

@@ -11,15 +11,14 @@ evaluation is needed while frames ask for the same.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Report
 from bayesnet_track.belief.motion.jumps import Jumping, jumped, jumping_of, reappeared
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
-from bayesnet_track.belief.particles.passes import Pass, joined
+from bayesnet_track.belief.particles.passes import Drawn, Pass, joined
 from bayesnet_track.belief.particles.resized import Sizing, begin_with, halved, report_of
 from bayesnet_track.belief.particles.sample_size import Need, Sized, need_of
 from bayesnet_track.belief.states import hypotheses_of
@@ -31,21 +30,6 @@ Floats = NDArray[np.float64]
 Ancestors = NDArray[np.intp]
 
 
-@dataclass(frozen=True, eq=False)
-class First:
-    """The first pass of a frame.
-
-    Attributes:
-        one: its hypotheses and their evidence.
-        sized: what an adaptive size remembers of it.
-        reports: what is to be told of their number.
-    """
-
-    one: Pass
-    sized: Sized | None = None
-    reports: tuple[Report, ...] = ()
-
-
 def start_size(settings: spec.Particles) -> int:
     """How many hypotheses a target starts with."""
     return settings.size if isinstance(settings.size, int) else settings.least
@@ -55,20 +39,13 @@ WillRepeat = Callable[[Floats, Floats], bool]
 """(prior log-weights, log-likelihoods) of a half -> whether it calls for a second pass of the frame."""
 
 
-def first_pass(
-    settings: spec.Particles, inputs: Inputs, will_repeat: WillRepeat = lambda prior_log, likelihood: False
-) -> First:
-    """Hypotheses drawn from the motion model, with their evidence.
-
-    An adaptive size is not enlarged on account of a half that calls for a second pass, whose hypotheses are
-    better placed (`resized_by` looks at both).
-    """
-    if isinstance(settings.size, int):
-        jumping = jumping_of(inputs.motion)
-        if jumping is not None:
-            return _with_jumps(settings, inputs, settings.size, jumping)
-        return First(_fixed(settings, inputs, settings.size))
-    return _adaptive(settings, settings.size, inputs, will_repeat)
+def fixed_size(settings: spec.Particles, size: int, inputs: Inputs) -> Drawn:
+    """So many hypotheses drawn from the motion model, with their evidence."""
+    jumping = jumping_of(inputs.motion)
+    if jumping is not None:
+        return _with_jumps(settings, inputs, size, jumping)
+    ancestors, beta = _of_last(settings, inputs, size)
+    return Drawn(evaluated(inputs, moved(inputs, ancestors, "propagate"), beta.log, ancestors))
 
 
 def resized_by(settings: spec.Particles, inputs: Inputs, whole: Pass, sized: Sized | None) -> Sized | None:
@@ -78,12 +55,7 @@ def resized_by(settings: spec.Particles, inputs: Inputs, whole: Pass, sized: Siz
     return replace(sized, need=_need(settings.size, inputs, whole, slice(None)))
 
 
-def _fixed(settings: spec.Particles, inputs: Inputs, size: int) -> Pass:
-    ancestors, beta = _of_last(settings, inputs, size)
-    return evaluated(inputs, moved(inputs, ancestors, "propagate"), beta.log, ancestors)
-
-
-def _with_jumps(settings: spec.Particles, inputs: Inputs, size: int, jumping: Jumping) -> First:
+def _with_jumps(settings: spec.Particles, inputs: Inputs, size: int, jumping: Jumping) -> Drawn:
     """The same where some jump, and what is told when they hold the belief."""
     ancestors, beta = _of_last(settings, inputs, size)
     jumps = jumped(inputs, jumping, ancestors, beta.log)
@@ -92,11 +64,11 @@ def _with_jumps(settings: spec.Particles, inputs: Inputs, size: int, jumping: Ju
     try:
         weights, _ = LogWeights.normalise(jumps.prior_log + one.evidence.log_likelihood)
     except DegenerateWeights:
-        return First(one)
+        return Drawn(one)
     told = reappeared(jumping, jumps, weights, inputs.prior.mean)
     if told is None:
-        return First(one)
-    return First(one, reports=(lambda frame, target: replace(told, frame=frame, target=target),))
+        return Drawn(one)
+    return Drawn(one, reports=(lambda frame, target: replace(told, frame=frame, target=target),))
 
 
 def _of_last(settings: spec.Particles, inputs: Inputs, size: int) -> tuple[Ancestors, LogWeights]:
@@ -107,9 +79,14 @@ def _of_last(settings: spec.Particles, inputs: Inputs, size: int) -> tuple[Ances
     return np.arange(len(prior)), prior.weights
 
 
-def _adaptive(
-    settings: spec.Particles, size: spec.AdaptiveSize, inputs: Inputs, will_repeat: WillRepeat
-) -> First:
+def adaptive_size(
+    settings: spec.Particles, size: spec.AdaptiveSize, will_repeat: WillRepeat, inputs: Inputs
+) -> Drawn:
+    """As many hypotheses drawn from the motion model as the frame asks for, with their evidence.
+
+    The number is not enlarged on account of a half that calls for a second pass, whose hypotheses are better
+    placed (`resized_by` looks at both).
+    """
     low, high = settings.least, settings.most
     before = inputs.prior.sized or Sized(low, low, Need(low, 0.0))
     halves = halved(begin_with(before, low, high))
@@ -123,8 +100,8 @@ def _adaptive(
         one = _enlarged(one, _drawn(settings, inputs, sizing.more, " more"), halves, sizing.more)
     need = _need(size, inputs, one, slice(None))
     if not sizing.is_notable or len(one) != sizing.particles:  # the second look may not have joined the first
-        return First(one, Sized(len(one), before.told, need))
-    return First(one, Sized(len(one), sizing.particles, need), (report_of(sizing),))
+        return Drawn(one, Sized(len(one), before.told, need))
+    return Drawn(one, Sized(len(one), sizing.particles, need), (report_of(sizing),))
 
 
 def _need(size: spec.AdaptiveSize, inputs: Inputs, one: Pass, part: slice) -> Need:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, Motion, Report, Step, Stream
 from bayesnet_track.belief.particles.adaptive_size import start_size
-from bayesnet_track.belief.particles.importance import drawn
+from bayesnet_track.belief.particles.importance import proposal_of
 from bayesnet_track.belief.particles.map import map_index
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet, weighted_quantiles
 from bayesnet_track.belief.particles.passes import Pass, prior_of
@@ -22,11 +22,12 @@ Floats = NDArray[np.float64]
 __all__ = ["Inputs", "ParticleFilter", "ParticleSet", "weighted_quantiles"]
 
 
-@dataclass(frozen=True)
 class ParticleFilter:
     """The particle filter, as `settings` say: by default the bootstrap filter."""
 
-    settings: spec.Particles
+    def __init__(self, settings: spec.Particles) -> None:
+        self.settings = settings
+        self._draw, self._refine = proposal_of(settings)
 
     def start(self, box: Floats, motion: Motion, stream: Stream) -> ParticleSet:
         """Equal hypotheses for a target first seen in the centre box (4,)."""
@@ -42,7 +43,9 @@ class ParticleFilter:
         that leaves no positive, finite weight is not used: the posterior is the predicted prior.
         """
         inputs = Inputs(prior, motion, dt, evaluate, stream)
-        frame = drawn(self.settings, inputs)
+        frame = self._draw(inputs)
+        if self._refine is not None:
+            frame = self._refine(inputs, frame)
         step = concluded(inputs, frame.whole, frame.sized, frame.reports)
         if frame.log_evidence is None or step.degenerate is not None:
             return step

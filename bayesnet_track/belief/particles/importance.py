@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evidence, Report
-from bayesnet_track.belief.particles.adaptive_size import First, first_pass, resized_by, start_size
+from bayesnet_track.belief.particles.adaptive_size import (
+    WillRepeat,
+    adaptive_size,
+    evaluated,
+    fixed_size,
+    resized_by,
+    start_size,
+)
 from bayesnet_track.belief.particles.alternatives import auxiliary_pass, edited, mixture_pass, refined
 from bayesnet_track.belief.particles.particle_set import Inputs
-from bayesnet_track.belief.particles.passes import Pass
+from bayesnet_track.belief.particles.passes import Drawn, Pass
 from bayesnet_track.belief.particles.proposals import Both, fitted_draws, log_sum, parent_draws, taken
-from bayesnet_track.belief.particles.sample_size import Sized
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.settings.proposals import (
     Auxiliary,
@@ -30,41 +37,46 @@ from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class Drawn:
-    """All hypotheses of a frame.
+Draw = Callable[[Inputs], Drawn]
+"""Draws the hypotheses of a frame."""
 
-    Attributes:
-        whole: the hypotheses, weighted as a sample of the prior, and their evidence.
-        sized: what an adaptive size remembers.
-        reports: what is to be told.
-        log_evidence: the frame's, where it is not to be taken from the weights of `whole`.
-    """
-
-    whole: Pass
-    sized: Sized | None = None
-    reports: tuple[Report, ...] = ()
-    log_evidence: float | None = None
+Refine = Callable[[Inputs, Drawn], Drawn]
+"""Edits them, or adds others."""
 
 
-def drawn(settings: spec.Particles, inputs: Inputs) -> Drawn:
-    """The hypotheses of a frame, by the importance function that the settings choose."""
-    chosen = settings.proposal.settings
+def proposal_of(settings: spec.Particles) -> tuple[Draw, Refine | None]:
+    """How the settings draw the hypotheses of a frame, and what they do with them then; None for nothing."""
+    chosen, size = settings.proposal.settings, start_size(settings)
     match chosen:
         case Auxiliary():
-            return Drawn(auxiliary_pass(inputs, start_size(settings), chosen))
+            return partial(_alone, partial(auxiliary_pass, size=size, settings=chosen)), None
         case LikelihoodMixture():
-            return Drawn(mixture_pass(inputs, start_size(settings), chosen))
-        case SecondPassProposal() | IteratedProposal():
-            first = first_pass(settings, inputs, partial(_is_surprise, chosen.above_kl))
-            twice = _twice(inputs, first, chosen)
-            if len(twice.whole) == len(first.one):
-                return twice
-            return replace(twice, sized=resized_by(settings, inputs, twice.whole, first.sized))
-    first = first_pass(settings, inputs)
-    if isinstance(chosen, PriorEditing):
-        return Drawn(edited(inputs, first.one, chosen), first.sized, first.reports)
-    return Drawn(first.one, first.sized, first.reports)
+            return partial(_alone, partial(mixture_pass, size=size, settings=chosen)), None
+        case PriorEditing():
+            return _first_pass(settings, _never), partial(_edited, chosen)
+        case IteratedProposal():
+            again: Again = partial(refined, settings=chosen)
+        case SecondPassProposal():
+            again = partial(_second_pass, settings=chosen)
+        case _:
+            return _first_pass(settings, _never), None
+    first = _first_pass(settings, partial(_is_surprise, chosen.above_kl))
+    return first, partial(_twice, settings, chosen, again)
+
+
+def _first_pass(settings: spec.Particles, will_repeat: WillRepeat) -> Draw:
+    """Draws from the motion model."""
+    if isinstance(settings.size, int):
+        return partial(fixed_size, settings, settings.size)
+    return partial(adaptive_size, settings, settings.size, will_repeat)
+
+
+def _alone(draw: Callable[[Inputs], Pass], inputs: Inputs) -> Drawn:
+    return Drawn(draw(inputs))
+
+
+def _edited(settings: PriorEditing, inputs: Inputs, first: Drawn) -> Drawn:
+    return replace(first, whole=edited(inputs, first.whole, settings))
 
 
 def surprise(prior_log: Floats, log_likelihood: Floats) -> float:
@@ -85,43 +97,58 @@ def _is_surprise(above_kl: float, prior_log: Floats, log_likelihood: Floats) -> 
     return above_kl == 0 or surprise(prior_log, log_likelihood) > above_kl
 
 
-def _twice(inputs: Inputs, first: First, settings: SecondPassProposal | IteratedProposal) -> Drawn:
+def _never(prior_log: Floats, log_likelihood: Floats) -> bool:
+    return False
+
+
+Again = Callable[[Inputs, Pass], Both | None]
+"""A second pass after the first; None when the two cannot be joined."""
+
+
+def _twice(
+    settings: spec.Particles,
+    chosen: SecondPassProposal | IteratedProposal,
+    again: Again,
+    inputs: Inputs,
+    first: Drawn,
+) -> Drawn:
     """The first pass, and a second one where the first is a surprise.
 
     The frame's evidence is unbiased although the first pass decides on the second: each half of the first
     keeps or shares its weight by what the *other* half says, as halves know nothing of each other beyond the
     drawing of their parents.
     """
-    once = Drawn(first.one, first.sized, first.reports)
-    halves = tuple(_half(first.one, start) for start in (0, 1))
+    halves = tuple(_half(first.whole, start) for start in (0, 1))
     found = tuple(surprise(half.prior_log, half.evidence.log_likelihood) for half in halves)
-    if max(found) <= settings.above_kl and settings.above_kl > 0:
-        return once
+    if max(found) <= chosen.above_kl and chosen.above_kl > 0:
+        return first
     try:
-        both = _second(inputs, first.one, settings)
+        both = again(inputs, first.whole)
     except DegenerateWeights:  # the first pass says nothing of where to look
-        return once
+        return first
     if both is None:
-        return once
-    share = len(first.one) / len(both.whole) if len(both.whole) > len(first.one) else 0.0
+        return first
+    share = len(first.whole) / len(both.whole) if len(both.whole) > len(first.whole) else 0.0
     parts = []
     for half, other in zip(halves, reversed(found), strict=True):
         own = log_sum(half.prior_log + half.evidence.log_likelihood)
-        both_count = other > settings.above_kl or settings.above_kl == 0
+        both_count = other > chosen.above_kl or chosen.above_kl == 0
         parts.append(_weighted(own, both.log_second, share) if both_count else own)
     log_evidence = float(np.logaddexp(parts[0], parts[1]) - np.log(2.0))
     reports = first.reports
-    if settings.above_kl > 0:
-        reports = (*reports, _report(first.one, both, settings, max(found)))
-    return Drawn(both.whole, first.sized, reports, log_evidence)
+    if chosen.above_kl > 0:
+        reports = (*reports, _report(first.whole, both, chosen, max(found)))
+    sized = first.sized
+    if len(both.whole) != len(first.whole):
+        sized = resized_by(settings, inputs, both.whole, sized)
+    return Drawn(both.whole, sized, reports, log_evidence)
 
 
-def _second(inputs: Inputs, first: Pass, settings: SecondPassProposal | IteratedProposal) -> Both | None:
-    if isinstance(settings, IteratedProposal):
-        return refined(inputs, first, settings)
+def _second_pass(inputs: Inputs, first: Pass, settings: SecondPassProposal) -> Both | None:
     draws = fitted_draws(inputs, first, settings) if settings.by == "fitted" else None
     draws = parent_draws(inputs, first, settings) if draws is None else draws
-    return taken(inputs, first, draws, settings.weights)
+    second = evaluated(inputs, draws.states, LogWeights.normalise(draws.log_alone)[0].log, draws.ancestors)
+    return taken(first, second, draws, settings.weights)
 
 
 def _half(one: Pass, start: int) -> Pass:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Evidence
+from bayesnet_track.belief.contract import Evidence, Report
+from bayesnet_track.belief.particles.sample_size import Sized
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Hypotheses
 
@@ -36,6 +37,23 @@ class Pass:
 
     def __len__(self) -> int:
         return len(self.states)
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """The hypotheses of a frame so far.
+
+    Attributes:
+        whole: the hypotheses, weighted as a sample of the prior, and their evidence.
+        sized: what an adaptive size remembers.
+        reports: what is to be told.
+        log_evidence: the frame's, where it is not to be taken from the weights of `whole`.
+    """
+
+    whole: Pass
+    sized: Sized | None = None
+    reports: tuple[Report, ...] = ()
+    log_evidence: float | None = None
 
 
 def joined(first: Pass, second: Pass, share: float) -> Pass:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Motion
 from bayesnet_track.belief.motion.bounds import Confined
-from bayesnet_track.belief.particles.adaptive_size import evaluated
 from bayesnet_track.belief.particles.fitted import (
     EFFECTIVE,
     fitted_message,
@@ -47,6 +46,11 @@ class Draws:
     log_ratio: Floats
     log_ratio_first: Floats
 
+    @property
+    def log_alone(self) -> Floats:
+        """(M,) log-weights that make them a sample of the prior by themselves."""
+        return np.asarray(-np.log(len(self.states)) - self.log_ratio)
+
 
 @dataclass(frozen=True, eq=False)
 class Both:
@@ -62,21 +66,19 @@ class Both:
     log_second: float
 
 
-def taken(inputs: Inputs, first: Pass, draws: Draws, weights: str) -> Both | None:
-    """The evidence of the draws, and both passes as one; None when they cannot be joined.
+def taken(first: Pass, second: Pass, draws: Draws, weights: str) -> Both | None:
+    """Both passes as one; None when they cannot be joined.
 
     Args:
-        inputs: the frame.
         first: draws from the prior, which may be weighted.
-        draws: the second pass.
+        second: the draws of a second pass with their evidence.
+        draws: how they were drawn.
         weights: `balance`, each hypothesis by what both passes could have drawn it with (at most twice its
             weight in the first alone, for equal sizes); `separate`, each pass by itself; or `second_only`.
             Balanced weights depend on the first pass's likelihoods, and so their evidence falls short by a
             share of the order of one over its effective size; the others' does not.
     """
-    n, m = len(first), len(draws.states)
-    alone = -np.log(m) - draws.log_ratio
-    second = evaluated(inputs, draws.states, LogWeights.normalise(alone)[0].log, draws.ancestors)
+    n, m, alone = len(first), len(draws.states), draws.log_alone
     if second.evidence.faults.keys() != first.evidence.faults.keys():
         return None
     log_second = log_sum(alone + second.evidence.log_likelihood)

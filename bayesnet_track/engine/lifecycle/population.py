@@ -265,7 +265,7 @@ def _matches(
         return ()
     others = np.concatenate([now.people.boxes(now.people.held(now.plate)), detections[:TESTED]])
     asked = partial(compare, now.work, now.plate, reidentify, boxes, others)
-    return match([asked(one) for one in known], len(boxes), reidentify)
+    return match(list(map(asked, known)), len(boxes), reidentify)
 
 
 # ------------------------------------------------------------------------------------ ends
