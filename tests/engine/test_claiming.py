@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.engine.step import Outcome, State, first_look, make_engine, step
+from bayesnet_track.engine.outcome import Outcome, State
+from bayesnet_track.engine.step import first_look, make_engine, step
 from bayesnet_track.graph.checks.run import check, check_graph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError

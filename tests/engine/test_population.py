@@ -8,7 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from bayesnet_track.engine.step import Outcome, State, first_look, make_engine, start_target, step
+from bayesnet_track.engine.outcome import Outcome, State
+from bayesnet_track.engine.step import first_look, make_engine, start_target, step
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
 from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
