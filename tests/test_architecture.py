@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 PACKAGE = "bayesnet_track"
 MAPPED = ("cues", "graphs")  # top-level folders that are installed inside the package
@@ -120,6 +122,39 @@ def test_tests_stand_in_the_folder_of_a_room():
     others = {"browser", "docs", "reliability", "stories", "typing"}
     folders = {path.name for path in (ROOT / "tests").iterdir() if any(path.glob("**/test_*.py"))}
     assert {name for name in folders if not name.startswith("test_")} - others <= set(MAY_IMPORT)
+
+
+def parameters(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """How many parameters a function has besides `self`."""
+    every = [
+        *node.args.posonlyargs,
+        *node.args.args,
+        *node.args.kwonlyargs,
+        node.args.vararg,
+        node.args.kwarg,
+    ]
+    return sum(one is not None and one.arg not in ("self", "cls") for one in every)
+
+
+def lines(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """How many lines a function has without its docstring."""
+    text = node.body[0] if ast.get_docstring(node) is not None else None
+    of_text = 0 if text is None else (text.end_lineno or 0) - text.lineno + 1
+    return (node.end_lineno or 0) - node.lineno + 1 - of_text
+
+
+@pytest.mark.parametrize("name", ["engine", "inference", "adapt", "belief"])
+def test_functions_of_the_step_are_short_and_take_at_most_six_parameters(name):
+    """What travels together through these rooms is one object, such as `FrameWork`."""
+    wrong = [
+        f"{module}.{node.name}: {parameters(node)} parameters, {lines(node)} lines"
+        for module, path in sorted(FILES.items())
+        if room(module) == name
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and (parameters(node) > 6 or lines(node) > 60)
+    ]
+    assert wrong == []
 
 
 def names_in(path: Path) -> set[str]:

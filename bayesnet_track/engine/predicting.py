@@ -126,7 +126,7 @@ def predicted(
         motion = replace(machine.motion, motion=motion)
     found = Predicted(motion, known)
     if settings.relocalize is not None:
-        found = _recovering(motion, settings.relocalize, machine.finder, known, is_lost, dt, cache)
+        found = _recovering(machine.finder, settings.relocalize, found, is_lost, dt, cache)
     if isinstance(given, Attached):
         return replace(found, motion=replace(given, motion=found.motion))
     return found
@@ -142,20 +142,21 @@ def _with_camera(motion: Motion, cache: PlaneCache, dt: float) -> Motion:
 
 
 def _recovering(
-    motion: Motion,
-    settings: Relocalize,
     finder: Detector | None,
-    known: Outlook,
+    settings: Relocalize,
+    usual: Predicted,
     is_lost: bool,
     dt: float,
     cache: PlaneCache,
 ) -> Predicted:
-    frame = cache.frames.current
+    """The `usual` motion, or with some probability a jump to where the target may reappear."""
+    known, frame = usual.outlook, cache.frames.current
+    assert known is not None
     now = known.reading(settings.above)
     unsure = is_lost or (now is not None and now.above)
     per_frame = max(settings.share, settings.usual) if unsure else settings.usual
     if per_frame == 0.0 or min(frame.width, frame.height) < 3:
-        return Predicted(motion, known)
+        return usual
     state, fault, found, told = known.finder, known.fault, NOTHING, tuple[DetectorFailed, ...]()
     is_in = fault is None or fault.until is None or fault.until <= frame.index
     if finder is not None and state is not None and is_in:
@@ -178,5 +179,5 @@ def _recovering(
         above_px2=0.0 if now is None else now.level * now.scale_px2,
     )
     share = 1.0 - (1.0 - per_frame) ** dt
-    jumping = Jumping(motion, share, frame.width, frame.height, search)
+    jumping = Jumping(usual.motion, share, frame.width, frame.height, search)
     return Predicted(jumping, replace(known, finder=state, fault=fault), told)

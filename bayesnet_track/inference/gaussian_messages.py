@@ -7,7 +7,7 @@ products add the inverse covariances (information form), noise in between adds t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +91,23 @@ def latent_gaussian(
     floor = 0.0
     if sampled is None:  # what remains far from all of them
         floor = float(np.prod([message.floor**power for message, power in gaussians.values()]))
-    return _in_fields(given, beta @ above.boxes, centre, shape, unshape, precision, shift, floor)
+    directions = _Directions(centre, shape, unshape)
+    return _in_fields(given, beta @ above.boxes, directions, precision, shift, floor)
+
+
+@dataclass(frozen=True, eq=False)
+class _Directions:
+    """Coordinates u of a box c in which draws have the mean 0 and the covariance 1: c = centre + shape u.
+
+    Attributes:
+        centre: (4,) mean of the draws.
+        shape: (4, K) with the K directions in which they spread.
+        unshape: (4, K) with u = unshape' (c - centre).
+    """
+
+    centre: Floats
+    shape: Floats
+    unshape: Floats
 
 
 def _matched(places: Floats, prior_log: Floats, sampled: Floats | None) -> tuple[Floats, Floats]:
@@ -117,14 +133,13 @@ def _matched(places: Floats, prior_log: Floats, sampled: Floats | None) -> tuple
 def _in_fields(
     given: Given,
     parent: Floats,
-    centre: Floats,
-    shape: Floats,
-    unshape: Floats,
+    directions: _Directions,
     precision: Floats,
     shift: Floats,
     floor: float,
 ) -> Measurement | None:
     """The Gaussian in u as one over the fields of a box that it says something of, widened by `given`."""
+    centre, shape, unshape = directions.centre, directions.shape, directions.unshape
     known, axes = np.linalg.eigh(precision)
     usable = known > KNOWN
     mean = centre + shape @ (axes[:, usable] @ ((axes[:, usable].T @ shift) / known[usable]))

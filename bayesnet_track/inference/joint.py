@@ -180,13 +180,14 @@ def joint_marginals(
     def say(speaker: str, hearer: str, others: Sequence[str]) -> None:
         said = _together(members[speaker], others, speaker, messages)
         edge = around[speaker][hearer]
+        if edge.pair[0] != hearer:
+            edge = replace(edge, pair=(hearer, speaker), first_in_front=1.0 - edge.first_in_front)
         messages[speaker, hearer] = _message(
             members[speaker],
             members[hearer],
             (members[speaker].hidden_by(hearer), members[hearer].hidden_by(speaker)),
             said,
             edge,
-            edge.first_in_front if edge.pair[0] == hearer else 1.0 - edge.first_in_front,
             stream(speaker, hearer),
         )
 
@@ -282,10 +283,12 @@ def _message(
     hidden: tuple[Hidden, Hidden],
     said: _Said,
     edge: Edge,
-    in_front: float,
     rng: np.random.Generator,
 ) -> _Message:
-    """What pairs with `speaker` say of the hypotheses of `hearer`, in units of the speaker's evidence."""
+    """What pairs with `speaker` say of the hypotheses of `hearer`, in units of the speaker's evidence.
+
+    The first of the `edge` is the hearer.
+    """
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.kernels.joint_kernels import pair_sums
 
@@ -310,7 +313,7 @@ def _message(
             log_importance,
             said.free,
             said.taken,
-            in_front,
+            edge.first_in_front,
             edge.nats,
         )
     )

@@ -141,7 +141,7 @@ def test_a_spread_is_that_of_anywhere_in_the_image_at_most(belief, motion_of):
     patch = Patch(belief.mass[0], 3, -4)
     change = _change(steps[0], VELOCITIES)
     for limits in (Limits((0, 20), (-10, 10), 64), Limits(None, None, 16)):
-        step = _bounded(0, patch, steps[0], shares, change, LATTICE, limits)
+        step = _bounded(0, patch, steps[0], (shares, change), LATTICE, limits)
         known = patch.mass.sum(axis=(0, 2))  # (V, columns)
         joint = change * known.sum(axis=1)
         old, new = VELOCITIES[None, :], VELOCITIES[:, None]
@@ -155,7 +155,7 @@ def test_a_spread_is_that_of_anywhere_in_the_image_at_most(belief, motion_of):
         assert spread == pytest.approx(most)
         assert step.second / step.first == pytest.approx(steps[0].second / steps[0].first)
     near = axis_steps(motion, belief.mean, 1.0)[0][1]
-    assert _bounded(1, patch, near, shares, change, LATTICE, Limits((0, 20), (-10, 10), 64)) is near
+    assert _bounded(1, patch, near, (shares, change), LATTICE, Limits((0, 20), (-10, 10), 64)) is near
 
 
 # ------------------------------------------------------------------------------------ gaps

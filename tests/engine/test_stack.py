@@ -21,11 +21,11 @@ IMAGE = np.full((60, 80, 3), 120, np.uint8)
 BELIEFS = {
     "fixed size": {"particles": {"size": 40}},
     "adaptive size": {"particles": {"size": {"kld": {"bin_px": 2.0, "error": 0.1}}, "min": 100, "max": 200}},
-    "auxiliary": {"particles": {"size": 40, "importance": {"auxiliary": {}}}},
-    "rejection": {"particles": {"size": 40, "importance": {"rejection": {"rounds": 2}}}},
-    "second pass": {"particles": {"size": 40, "importance": {"adaptive": {"above_kl": 0}}}},
-    "west": {"particles": {"size": 40, "importance": {"west": {"above_kl": 0}}}},
-    "likelihood mixture": {"particles": {"size": 40, "importance": {"likelihood_mixture": {}}}},
+    "auxiliary": {"particles": {"size": 40, "proposal": {"auxiliary": {}}}},
+    "prior editing": {"particles": {"size": 40, "proposal": {"prior_editing": {"rounds": 2}}}},
+    "second pass": {"particles": {"size": 40, "proposal": {"second_pass": {"above_kl": 0}}}},
+    "iterated": {"particles": {"size": 40, "proposal": {"iterated": {"above_kl": 0}}}},
+    "likelihood mixture": {"particles": {"size": 40, "proposal": {"likelihood_mixture": {}}}},
     "gaussian": {"gaussian": {}},
     "grid": {"grid": {"reset": {"region": "image"}}},
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from statistics import NormalDist
 
@@ -109,7 +109,7 @@ class GaussianFilter:
             mean, covariance, log_evidence = update(mean, covariance, asked, sampled)
         except DegenerateWeights as fault:
             posterior = _posterior(mean, covariance, prior.fields, len(asked.states))
-            return _step(posterior, -np.inf, asked, asked.beta, evidence, degenerate=str(fault))
+            return replace(_step(posterior, -np.inf, asked, asked.beta, evidence), degenerate=str(fault))
         after = take(mean, covariance, prior.fields, evidence.gaussians, self.settings.gate)
         return _step(
             _posterior(after.mean, after.covariance, prior.fields, len(asked.states)),
@@ -160,7 +160,6 @@ def _step(
     weights: LogWeights,
     evidence: Evidence,
     reports: tuple[Report, ...] = (),
-    degenerate: str | None = None,
 ) -> Step[GaussianPosterior]:
     return Step(
         posterior=posterior,
@@ -169,7 +168,6 @@ def _step(
         prior=asked.beta,
         evidence=evidence,
         find_map=lambda: posterior.mean,
-        degenerate=degenerate,
         reports=reports,
     )
 

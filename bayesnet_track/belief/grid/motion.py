@@ -122,7 +122,7 @@ def _moved(
     """One scale's masses after the motion. The wide part of the noise takes all axes together."""
     velocities, cell = lattice.velocities, lattice.cell_px
     changes = [_change(step, velocities) for step in steps]
-    across, down = (_bounded(k, patch, steps[k], shares, changes[k], lattice, limits) for k in (0, 1))
+    across, down = (_bounded(k, patch, steps[k], (shares, changes[k]), lattice, limits) for k in (0, 1))
     leaps = [
         [
             Leap((step.first * velocities + step.offset) / cell, step.second * velocities / cell, change, sd)
@@ -159,12 +159,19 @@ def _change(step: AxisStep, velocities: Floats) -> Floats:
 
 
 def _bounded(
-    axis: int, patch: Patch, step: AxisStep, shares: Floats, change: Floats, lattice: Lattice, limits: Limits
+    axis: int,
+    patch: Patch,
+    step: AxisStep,
+    noise: tuple[Floats, Floats],
+    lattice: Lattice,
+    limits: Limits,
 ) -> AxisStep:
     """The step, with a spread of at most that of a target which may be anywhere in the image.
 
     As for Gaussians, the mean then goes to its place in the image. Without an image the window is its stead.
+    `noise` holds the shares of the noise's parts and p(new velocity | old velocity) along the axis.
     """
+    shares, change = noise
     mass = patch.mass.sum(axis=(0, 2) if axis == 0 else (1, 3))  # (V, cells)
     known = mass.sum(axis=1) / mass.sum()
     shifts = step.first * lattice.velocities[None, :] + step.second * lattice.velocities[:, None]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,13 +124,7 @@ def _level(rule: spec.Reset, prior: Floats, likelihood: Floats) -> float:
 def _report(rule: spec.Reset, gamma: float, level: float, area: float) -> Report | None:
     if not gamma < level:
         return None
-    return partial(_event, gamma=gamma, below=level, region=rule.region, region_px2=area, action=rule.then)
-
-
-def _event(
-    frame: int, target: str, *, gamma: float, below: float, region: str, region_px2: float, action: str
-) -> BeliefReset:
-    return BeliefReset(frame, target, gamma, below, region, region_px2, action)
+    return lambda frame, target: BeliefReset(frame, target, gamma, level, rule.region, area, rule.then)
 
 
 def _nearest(places: Ints, coarse: Ints) -> Ints:
