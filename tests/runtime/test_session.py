@@ -148,7 +148,7 @@ def test_a_source_opened_here_is_closed_here(video, monkeypatch):
 
 
 def test_the_package_offers_these_names():
-    assert dir(bayesnet_track) == sorted(bayesnet_track.__all__)
+    assert dir(bayesnet_track) == sorted([*bayesnet_track.__all__, "__version__"])
     for name in bayesnet_track.__all__:
         assert getattr(bayesnet_track, name).__name__ == name
     with pytest.raises(AttributeError, match="has no attribute 'Traker'"):
