@@ -16,9 +16,11 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli.batch import places
-from bayesnet_track.cli.batch.jobs import BatchError, Job, Video, read_list, videos_of
+from bayesnet_track.cli.batch.jobs import BatchError, Job, Video, allow, read_list, videos_of
 from bayesnet_track.cli.batch.work import ROW, do
 from bayesnet_track.cli.main import main
+from bayesnet_track.observation import plugins
+from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.runtime.recording.lock import locked
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.session import track
@@ -173,3 +175,13 @@ def test_a_batch_without_start_boxes_is_a_mistake(
     assert main(f"batch two_squares --source {data}/*/img --out {tmp_path}/out".split()) == 2
     assert "bad: no start box" in capsys.readouterr().err
     assert main(f"batch two_squares --out {tmp_path}/out".split()) == 2
+
+
+def test_a_job_takes_its_cue_files_to_its_process(tmp_path):
+    file = tmp_path / "plain.py"
+    file.write_text("from bayesnet_track import CueDeclaration\nCUE = CueDeclaration('plain', make=object)\n")
+    job = Job("general", Video("a.mkv", "a"), 0, "out", cue_files=(str(file),))
+    assert Job.from_json(job.to_json()) == job
+    allow(job)
+    assert "plain" in installed_cues()
+    plugins.forget()
