@@ -87,7 +87,7 @@ class SizedCueParameters(CueParameters):
 
 
 NAME = re.compile(r"[^\W\d][\w.-]*")
-"""What the name of a cue looks like: a key of YAML that needs no quotes."""
+"""The names that a cue may have are keys of YAML that need no quotes."""
 
 
 def _not_given(parameters: Any) -> AnyCue:

@@ -150,6 +150,8 @@ def test_a_large_image_is_judged_at_every_third_place_from_its_middle():
     assert sorted(set(states[:, 0])) == list(range(0, 200, 3))
     assert sorted(set(states[:, 1])) == list(range(0, 100, 3))
     assert verdict.report(1, "1").region_px2 == 20000
+    _, (states,) = coarse(BELOW, np.array([60.0, 30.0]), Limits((0, 198), (0, 99), 32), -9.0)
+    assert max(states[:, 0]) == 198 and max(states[:, 1]) == 99  # the last ones belong to the image
     _, (states,) = coarse(BELOW, np.array([60.0, 30.0]), Limits((0, 200), (1, 99), 32), -9.0)
     assert min(states[:, 0]) == 1 and max(states[:, 0]) == 199  # 200 = 66 * 3 + 2: one left out on each side
     assert min(states[:, 1]) == 2 and max(states[:, 1]) == 98
