@@ -1,4 +1,4 @@
-"""Policies of adaptation side by side: the thesis' rule, its quiet level, and those that go by evidence.
+"""Policies of adaptation side by side: the thesis' rule, its baseline, and those that go by evidence.
 
     python benchmarks/policies.py [DATA_FOLDER] [--graph general] [--seeds 1] [--max-frames 200]
                                   [--sequences Car1,Crossing] [--policies "always on;UD, information per ms"]
@@ -112,7 +112,7 @@ POLICIES: Mapping[str, tuple[Callable[[Rules], Rules | None], bool]] = {
     "the graph's own": (as_it_is, False),
     "always on": (always_on, False),
     "UD, all / largest KL (thesis)": (thesis, False),
-    "quiet level, all / largest KL": (quiet_level, False),
+    "baseline, all / largest KL": (quiet_level, False),
     "concentration test, all / largest KL": (concentration, False),
     "UD, information per ms": (information, False),
     "concentration test, information per ms": (evidence, False),

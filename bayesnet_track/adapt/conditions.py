@@ -43,7 +43,7 @@ class Reading:
 
 
 def read_level(level: Level, ud_px2: float, area_px2: float, quiet_px2: float | None) -> Reading | None:
-    """`ud_px2` in the level's unit; None while the quiet level that it needs is unknown."""
+    """`ud_px2` in the level's unit; None while the baseline that it needs is unknown."""
     scale = {"ud_px2": 1.0, "ud_box": area_px2, "ud_baseline": quiet_px2}[level.kind]
     if scale is None or scale <= 0:
         return None

@@ -1,4 +1,4 @@
-"""What the rules remember between frames: streaks, quiet levels, helpfulness. All immutable."""
+"""What the rules remember between frames: streaks, baselines, helpfulness. All immutable."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Streak:
 
 @dataclass(frozen=True)
 class Quiet:
-    """The measured quiet level of a node's UD.
+    """The measured baseline of a node's UD.
 
     It is the median of the last 50 values seen with the smallest set of active agents below the node that has
     at least 10 of them: the level of the agents that stay on. Fewer agents are less sure, so sets larger than
@@ -51,7 +51,7 @@ class Quiet:
         return Quiet({**self.values, active: (*self.values.get(active, ()), ud_px2)[-QUIET_WINDOW:]})
 
     def level_px2(self, active: frozenset[str]) -> float | None:
-        """The quiet level with `active` switched on, or None while it is unknown."""
+        """The baseline with `active` switched on, or None while it is unknown."""
         if len(self.values) == 1:  # the usual case, told apart from the others because it is asked often
             ((agents, seen),) = self.values.items()
             applies = len(seen) >= QUIET_MINIMUM and (len(agents) <= len(active) or not active)
@@ -83,7 +83,7 @@ class Memory:
         found: streak of frames that look found.
         seen: streak of frames that do not look lost, where the score says so.
         unsure: streak of frames that look uncertain or lost, where the score says so.
-        quiet: governor (and root) -> quiet level.
+        quiet: governor (and root) -> baseline.
         helpful: agent -> (sum of contributions while active, frames).
         missed: agent -> frames in a row in which it gave no answer.
         worth: governor whose rules go by it -> what its agents contributed, the past fading.

@@ -58,7 +58,7 @@ def _goes_by_worth(rules: Adapt) -> bool:
 
 
 def _note_quiet(now: Situation, memory: Memory) -> Memory:
-    """Count this frame's UD toward the quiet level, where it is a quiet one."""
+    """Count this frame's UD toward the baseline, where it is a quiet one."""
     if now.net.status != "tracking":
         return memory
     quiet = dict(memory.quiet)

@@ -43,7 +43,7 @@ class Situation:
 
 
 def quiet_level(plate: CheckedTarget, net: TargetNet, memory: Memory, node: str) -> float | None:
-    """The measured quiet level of a node's UD in px^2 with the agents now active; None while unknown."""
+    """The measured baseline of a node's UD in px^2 with the agents now active; None while unknown."""
     return memory.quiet.get(node, Quiet()).level_px2(active_below(plate, net, node))
 
 
@@ -54,9 +54,9 @@ def read_ud(now: Situation, memory: Memory, node: str, level: Level) -> Reading 
 
 
 def read_ud_beside_more(now: Situation, memory: Memory, node: str, level: Level) -> Reading | None:
-    """As `read_ud`, by the quiet level of more agents than are on where that of so few is unknown.
+    """As `read_ud`, by the baseline of more agents than are on where that of so few is unknown.
 
-    It is the lower one, so that help is called early; for a target that is lost, of which no quiet level is
+    It is the lower one, so that help is called early; for a target that is lost, of which no baseline is
     measured.
     """
     quiet = memory.quiet.get(node, Quiet()).level_px2(frozenset())

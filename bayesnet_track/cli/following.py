@@ -38,7 +38,7 @@ STOPPED = 130
 ENDINGS = {
     "source_truncated": "the source is truncated",
     "source_damaged": "the source is damaged",
-    "frame_size_changed": "stopped where the pictures change size",
+    "frame_size_changed": "stopped where the frames change size",
     "interrupted": "interrupted",
 }
 

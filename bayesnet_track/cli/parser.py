@@ -68,9 +68,11 @@ def make_parser() -> argparse.ArgumentParser:
     add_plugins(commands.add_parser("schema", help="print the JSON Schema of graph files, for editors"))
     add_plugins(commands.add_parser("list", help="list the installed graphs, cues, detectors and scenes"))
 
-    log = commands.add_parser("log", help="tell a run's reconfigurations as sentences")
+    log = commands.add_parser(
+        "log", help="print every reconfiguration of a run as a sentence, with its reason"
+    )
     log.add_argument("run", metavar="RUN", help="run directory")
-    log.add_argument("--target", metavar="ID", help="tell the life of one target")
+    log.add_argument("--target", metavar="ID", help="only the history of one target")
     log.add_argument("--node", help="only this node")
     log.add_argument("--kind", help="only this kind of event: activated, deactivated, self_stopped, ...")
     log.add_argument("--frames", metavar="A:B", help="only frames A to B, B excluded")
@@ -85,7 +87,7 @@ def make_parser() -> argparse.ArgumentParser:
         "(default: the run's own truth.txt)",
     )
     score.add_argument(
-        "--target", metavar="ID", help="which target, where the run has several and the truth one"
+        "--target", metavar="ID", help="which target, if the run has several and the ground truth one"
     )
     score.add_argument(
         "--cutoff",

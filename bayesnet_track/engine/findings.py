@@ -55,7 +55,7 @@ class Decided:
         now: what they saw.
         chosen: decisions, in order.
         memory: what they remember.
-        quiet_px2: quiet level of the root's UD; None while unknown.
+        quiet_px2: baseline of the root's UD; None while unknown.
     """
 
     now: Situation

@@ -36,7 +36,7 @@ class Outlook:
         size: (2,) width and height of the first box, px.
         ud_px2: UD of the last frame; 0 at the start.
         area_px2: area of its estimate.
-        quiet_px2: quiet level of UD, None while unknown.
+        quiet_px2: baseline of UD, None while unknown.
         finder: what the detector remembers that looks for it; None when there is none, or it knows no target.
         fault: its last failure.
     """

@@ -46,7 +46,7 @@ def part_rates(
 ) -> dict[str, float]:
     """Part -> share of the largest learning rate: the root's rule at the part's own UD, 0 unless it is seen.
 
-    `quiet_of` gives the measured quiet level of a node's UD, px^2.
+    `quiet_of` gives the measured baseline of a node's UD, px^2.
     """
     return {
         name: learning_rate(rule, part.ud_px2, part.area_px2, quiet_of(name))

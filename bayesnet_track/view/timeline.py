@@ -45,7 +45,7 @@ class Axes:
 def draw_timeline(events: Iterable[Event], metrics: Iterable[FrameMetrics], target: str | None = None) -> str:
     """The picture of one target's run (the first target when None) as an SVG file.
 
-    Shows UD at the root, each threshold that a decision of the journal names, the measured quiet level, the
+    Shows UD at the root, each threshold that a decision of the journal names, the measured baseline, the
     frames in which the target counted as lost (shaded), a bar for every agent while it was active, and the
     frame number at each switch. Hovering over a mark shows the decision's sentence.
 

@@ -32,11 +32,11 @@ results = list(track(load_graph(graph), SceneSource(scene, "two_squares"), [Star
 ud = np.array([result.targets[0].ud_px2 for result in results])
 
 # %%
-# The squares meet in frames 25 to 34 and 174 to 183. Before, UD has its quiet level; the upper
+# The squares meet in frames 25 to 34 and 174 to 183. Before, UD has its baseline; the upper
 # level goes at about one and a half times the quiet one, the lower one in between.
 
 quiet = float(np.median(ud[5:20]))
-print(f"quiet level {quiet:.0f} px²: activate above {1.5 * quiet:.0f}, deactivate below {1.2 * quiet:.0f}")
+print(f"baseline {quiet:.0f} px²: activate above {1.5 * quiet:.0f}, deactivate below {1.2 * quiet:.0f}")
 figure, axis = plt.subplots(figsize=(9, 3), layout="constrained")
 axis.semilogy(ud, color="tab:blue")
 axis.axhline(1.5 * quiet, color="tab:red", label="activate")

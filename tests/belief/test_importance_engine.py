@@ -64,7 +64,7 @@ def test_a_leap_brings_a_second_pass_into_the_journal():
         fired += len(at_leap)
         for event in at_leap:
             assert results[6].targets[0].particles == event.first + event.particles == 200
-            assert "would have been spared at above_kl ≥" in explain(event)
+            assert "no second pass at above_kl ≥" in explain(event)
             again = from_json(to_json(event))
             assert (again.kl, again.particles) == (pytest.approx(event.kl), event.particles)
         assert not [event for event in passes if 2 <= event.frame < 6]

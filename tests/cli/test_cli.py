@@ -335,8 +335,8 @@ def test_a_change_of_size_stops_or_is_rescaled(cli, images, tmp_path, option, co
     found, said, err = cli(f"run general --source {folder} --init {BOX} --quiet{option} --out", out)
     assert found == code and len(column(out, "frame")) == frames
     action = "the run stops" if code else "they are scaled to the first frame's size"
-    assert err == f"frame 4: the pictures change to 144x112; {action}\n"
-    assert ("stopped where the pictures change size" in said) == bool(code)
+    assert err == f"frame 4: the frame size changes to 144x112; {action}\n"
+    assert ("stopped where the frames change size" in said) == bool(code)
 
 
 TELL_OF_COMPILING = commands.tell_of_compiling

@@ -123,7 +123,10 @@ CASES = [
         ("--source", "DATA/one/img", "--truth", "DATA/none.txt"),
         "DATA/none.txt: No such file or directory",
     ),
-    (("--source", "DATA/one/img", "--truth", "DATA/short.txt"), "one: 16 frames, and 3 true boxes"),
+    (
+        ("--source", "DATA/one/img", "--truth", "DATA/short.txt"),
+        "one: 16 frames, and 3 boxes of ground truth",
+    ),
     (
         ("--source", "DATA/one/img", "--truth", "DATA/absent.txt"),
         "one: the truth has no box in the first frame",

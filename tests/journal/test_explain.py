@@ -170,7 +170,7 @@ GOLDEN = [
     ),
     (
         FramesDropped(117, 12),
-        "frame 117: 12 pictures dropped, since newer ones were there",
+        "frame 117: 12 frames dropped, because newer ones had arrived",
     ),
     (
         SourceStalled(118, 2.04, "no picture for 2 s", 1),
@@ -186,7 +186,7 @@ GOLDEN = [
     ),
     (
         InputRefused(113, "1", "hue", "there is no target 1"),
-        "frame 113: what was asked of hue is refused: there is no target 1",
+        "frame 113: the request for hue is refused: there is no target 1",
     ),
     (
         AgentMissed(114, "1", "hue", "its process died", "learning"),
@@ -237,12 +237,12 @@ GOLDEN = [
     (
         SecondPass(41, "1", "second_pass", 4.6123, 2.0, 500, 500, 6.2, 310.4),
         "frame 41: KL(posterior, prior) 4.61 nats > 2 → second pass of 500 hypotheses, 6 effective before, "
-        "310 after; would have been spared at above_kl ≥ 4.62",
+        "310 after; no second pass at above_kl ≥ 4.62",
     ),
     (
         SecondPass(42, "1", "iterated", 2.0004, 2.0, 500, 1000, 40.0, 700.0),
         "frame 42: KL(posterior, prior) 2.0004 nats > 2 → second pass of 1000 hypotheses, by iterated, 40 "
-        "effective before, 700 after; would have been spared at above_kl ≥ 2.01",
+        "effective before, 700 after; no second pass at above_kl ≥ 2.01",
     ),
     (
         Reappeared(*(41, "1", "agents", 200, 0.9312, 0.5, 0.1, 0.008141, 210.4, 84.25, 95.2, 5120.0, 1024.0)),
@@ -294,11 +294,11 @@ GOLDEN = [
     ),
     (
         FrameSizeChanged(60, 640, 480, "stop"),
-        "frame 60: the pictures change to 640x480; the run stops",
+        "frame 60: the frame size changes to 640x480; the run stops",
     ),
     (
         FrameSizeChanged(60, 640, 480, "rescale"),
-        "frame 60: the pictures change to 640x480; they are scaled to the first frame's size",
+        "frame 60: the frame size changes to 640x480; they are scaled to the first frame's size",
     ),
     (SourceDamaged(61, "invalid NAL unit"), "frame 61: the source is damaged: invalid NAL unit"),
     (RunEnded(200, 200, True, "end_of_source"), "run ended after 200 frames: end of source"),
@@ -330,16 +330,16 @@ GOLDEN = [
     ),
     (
         TargetDied(80, "3", "lost", 30, 30, True),
-        "frame 80: lost for 30 frames → target 3 ends, remembered; would have lived on at lost_frames ≥ 31",
+        "frame 80: lost for 30 frames → target 3 ends, remembered; would have continued at lost_frames ≥ 31",
     ),
     (
         TargetDied(80, "3", "unseen", 9, 9, False),
-        "frame 80: not detected for 9 frames → target 3 ends; would have lived on at unseen_frames ≥ 10",
+        "frame 80: not detected for 9 frames → target 3 ends; would have continued at unseen_frames ≥ 10",
     ),
     (
         DuplicateEnded(9, "3", "1", 0.8349, 0.7, 5),
         "frame 9: its belief overlaps that of target 1 by 0.834 ≥ 0.7 for 5 frames → target 3, the younger, "
-        "ends; would have lived on at overlap > 0.835 or frames > 5",
+        "ends; would have continued at overlap > 0.835 or frames > 5",
     ),
     (
         BirthsRefused(9, "square", "motion", 20, 20, 31, 12),
@@ -391,7 +391,7 @@ GOLDEN = [
     (
         RingChanged(12, "1", "3", True, 0.0823, ("1", "2", "3")),
         "frame 12: targets 1, 2, 3 are joined in a ring → target 1 and target 3, with an overlap of 0.082 "
-        "the least, are left out: each hears only what the other believes by itself",
+        "the least, are left out: each receives only the other's own belief",
     ),
     (
         RingChanged(15, "1", "3", False, 0.07, ("1", "2", "3")),
@@ -509,7 +509,7 @@ def test_why():
         "frame 29 at 1.160 s, target 1: tracking, score 0.62 (uncalibrated)\n"
         "  estimate   centre 154.2, 110.5, 40.0 x 40.0 px; sd 3.1, 2.9, 0.4, 0.4 px\n"
         "  hypotheses 500, of which 212 effective; log evidence -3.21\n"
-        "  UD         square 212 px², color 98 px²; quiet level 94 px²; learning at 0 % of the full rate\n"
+        "  UD         square 212 px², color 98 px²; baseline 94 px²; learning at 0 % of the full rate\n"
         "  hue        on   KL 0.31, contribution 1.20 nats, its own UD 98 px², strength 2.10 nats\n"
         "             on since frame 0, the start\n"
         "  motion     off  gave no evidence\n"

@@ -506,7 +506,7 @@ def check_interrupted(process, out, number):
     if process.returncode == 99:
         assert is_complete or not out.exists()
     if process.returncode == 0:
-        assert is_complete and "against the true boxes" in said
+        assert is_complete and "against the ground truth" in said
 
 
 @pytest.mark.slow

@@ -123,7 +123,7 @@ def add_batch(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
     batch = commands.add_parser(
         "batch",
-        help="track in many videos with a graph, side by side",
+        help="track targets in many videos in parallel",
         description="Every video with every seed is a run below DIR, in a process of its own. Given "
         "again, the same command skips what is finished and goes on with what was broken off. A video that "
         "fails is reported and stops no other; the exit code is 5 then.",
@@ -171,7 +171,7 @@ def add_batch(commands: argparse._SubParsersAction[Any]) -> None:
     )
     batch.add_argument("--end", type=whole_number(1), metavar="N", help="frame of each video to stop before")
     batch.add_argument(
-        "--on-resize", choices=["stop", "rescale"], default="stop", help="when pictures change size"
+        "--on-resize", choices=["stop", "rescale"], default="stop", help="what to do when frames change size"
     )
     batch.add_argument("--quiet", action="store_true", help="no progress")
     add_plugins(batch)

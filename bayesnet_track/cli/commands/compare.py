@@ -32,7 +32,7 @@ def compare(options: argparse.Namespace) -> int:
     if apart and not options.force:
         raise UsageError(
             f"{first.name} and {second.name} are runs of different sources: {'; '.join(apart)}; frames of "
-            "the same number do not show the same picture (--force compares them all the same)"
+            "the same number do not show the same image (--force compares them all the same)"
         )
     return tell_comparison(first, second, options)
 
@@ -175,7 +175,7 @@ def _as_json(first: Run, second: Run, compared: Comparison, settings: list[str])
 def add_compare(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
     compare = commands.add_parser(
-        "compare", help="where the decisions of two runs part, why, and what it cost or saved"
+        "compare", help="show where the decisions of two runs differ, why, and what that cost or saved"
     )
     compare.add_argument("first", metavar="RUN", help="run directory, called A")
     compare.add_argument("second", metavar="RUN", help="run directory over the same source, called B")
@@ -190,5 +190,5 @@ def add_comparison_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--truth", metavar="FILE", help="ground truth to score both with (default: truth.txt of the first)"
     )
-    parser.add_argument("--all", action="store_true", help="tell of every parting, not of the first 20")
+    parser.add_argument("--all", action="store_true", help="list every difference, not only the first 20")
     parser.add_argument("--json", action="store_true", help="print it as JSON")

@@ -100,7 +100,7 @@ def add_completion(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
     completion = commands.add_parser(
         "completion",
-        help="print what lets a shell complete commands, graphs, scenes and files",
+        help="print the script that completes commands, graphs, scenes and files in a shell",
         description="Print the completion script of a shell. It knows the graphs, scenes and detectors that "
         "are installed now: make it again after installing others.",
         epilog="bash:  bayesnet-track completion bash > "

@@ -77,7 +77,7 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     for event in events:
         say(explain(event, name_target))
     if starts:
-        say(f"\nagainst the true boxes{' of target 1' if name_target else ''}:")
+        say(f"\nagainst the ground truth{' of target 1' if name_target else ''}:")
         say(score_run(out, directory.truth, target="1").text(explained=True))
     told = min(29, source.expected_frames - 1)
     say(
@@ -89,7 +89,9 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
 
 def add_demo(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
-    demo = commands.add_parser("demo", help="track in a built-in synthetic scene; nothing to download")
+    demo = commands.add_parser(
+        "demo", help="track a target in a built-in synthetic scene; nothing to download"
+    )
     demo.add_argument(
         "scene", nargs="?", default="two_squares", metavar="SCENE", help="default two_squares; see `list`"
     )

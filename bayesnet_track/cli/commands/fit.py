@@ -98,7 +98,9 @@ def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[
         for agent, factor in fitted.temperatures.items():
             value = _short(plate.agent(agent).temperature * factor)
             where = ("targets", name, "nodes", agent, "temperature")
-            text = set_value(text, where, value, f"temperature: least surprised by the truth; {from_what}")
+            text = set_value(
+                text, where, value, f"temperature: maximum likelihood of the ground truth; {from_what}"
+            )
     if "ud" in what and spec.adapt is not None:
         for rule, side in (("activate", "above"), ("deactivate", "below")):
             chosen = getattr(getattr(spec.adapt, rule), side, None)
@@ -205,7 +207,7 @@ def _write(path: Path, text: str) -> None:
 
 def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
-    fit = commands.add_parser("fit", help="calibrate a graph's score and regions on videos with truth")
+    fit = commands.add_parser("fit", help="fit a graph's score and regions to videos with ground truth")
     fit.add_argument("graph", metavar="GRAPH", help="path of a YAML file, or name of an installed graph")
     fit.add_argument(
         "--source", action="append", default=[], help="video, folder of images, or glob; may be repeated"
@@ -231,7 +233,7 @@ def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
         "--features",
         default="log_ud_box,evidence",
         metavar="LIST",
-        help="what the score goes by (default log_ud_box,evidence)",
+        help="features of the score (default log_ud_box,evidence)",
     )
     fit.add_argument("--out", metavar="FILE", help="graph file to write (default: print it)")
     fit.add_argument("--overwrite", action="store_true", help="replace the file if it is there")

@@ -59,7 +59,7 @@ def frames_of(video: Video, end: int | None) -> Iterator[Iterator[Frame]]:
     with open_source(video.source, 0, end) as source:
         expected = source.expected_frames
         if expected is not None and end is None and expected != len(video.truth):
-            raise UsageError(f"{video.name}: {expected} frames, and {len(video.truth)} true boxes")
+            raise UsageError(f"{video.name}: {expected} frames, and {len(video.truth)} boxes of ground truth")
         yield (item for item in source if isinstance(item, Frame))
 
 

@@ -83,7 +83,7 @@ def add_init(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
     init = commands.add_parser(
         "init",
-        help="write a commented graph for a task, by a few answers",
+        help="write a commented graph from a few answers about the task",
         description="Write a graph for a task. In a terminal it asks what no option answers; elsewhere, or "
         "with --yes, the default stands for what is not given.",
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -155,7 +155,7 @@ def add_report(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
     report = commands.add_parser(
         "report",
-        help="make a page of a run, to look through in a browser",
+        help="write a page of a run for the browser",
         description="Write one HTML file that shows a run: its frames, what was believed, the net, its "
         "uncertainty, and every reconfiguration with its reason. The file needs no network.",
     )

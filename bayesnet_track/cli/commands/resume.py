@@ -68,7 +68,7 @@ def add_resume(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
     resume = commands.add_parser(
         "resume",
-        help="go on with a run that was broken off",
+        help="continue a run that was interrupted",
         description="Go on after the last checkpoint of a run that was killed, interrupted or out of disk "
         "space. In the end the run directory is that of an unbroken run, byte for byte (but for the times).",
     )

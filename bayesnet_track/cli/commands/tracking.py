@@ -182,7 +182,7 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
     run = commands.add_parser(
         "run",
-        help="track in a video with a graph",
+        help="track targets in a video with a graph",
         epilog="`run --what-if RUN ...` is `what-if RUN ...`: an earlier run again with something changed.",
     )
     run.add_argument("graph", metavar="GRAPH", help="path of a YAML file, or name of an installed graph")
@@ -203,7 +203,9 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
         "--init-from", metavar="FILE", help="ground-truth file; its box of the first frame is the start box"
     )
     run.add_argument(
-        "--detections", metavar="FILE", help="detections (MOT, JSON Lines) for a graph with births by them"
+        "--detections",
+        metavar="FILE",
+        help="file of detections (MOT, JSON Lines) for a graph whose births use `detections`",
     )
     run.add_argument("--video", action="store_true", help="write the annotated video too (video.mkv)")
     add_outside_options(run)

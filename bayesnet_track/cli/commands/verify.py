@@ -54,7 +54,7 @@ def add_verify(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
     verify = commands.add_parser(
         "verify",
-        help="check that the files of a finished run are what it wrote",
+        help="check that the files of a finished run are unchanged",
         description="Compare every file of a run with the size and SHA-256 in its manifest.json. Exit code "
         "0: all are as they were written; 4: a file was changed, truncated, removed or added, or this is no "
         "run; 5: the run is unfinished (`resume` finishes it), still being written, or has no manifest.",

@@ -114,9 +114,9 @@ def add_what_if(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
     what_if = commands.add_parser(
         "what-if",
-        help="run an earlier run again with other thresholds or seed, and compare",
+        help="repeat a run with other thresholds or another seed, and compare",
         description="Run an earlier run again over the same source and start boxes, with something changed, "
-        "and tell where the two part.",
+        "and report where the two differ.",
         epilog="bayesnet-track what-if runs/mine --set target.adapt.activate.above.ud_box=0.5",
     )
     what_if.add_argument("run", metavar="RUN", help="run directory")

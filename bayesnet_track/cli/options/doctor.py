@@ -10,7 +10,7 @@ def add_doctor(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
     doctor = commands.add_parser(
         "doctor",
-        help="check the installation, and say what cures it",
+        help="check the installation, and print how to repair it",
         description="Check the installation: versions, OpenCV's wheels, codecs, caches, plug-ins, and ten "
         "frames of tracking. The exit code is 1 when something is broken. It works where nothing else does: "
         "python -m bayesnet_track doctor",

@@ -11,9 +11,9 @@ from bayesnet_track.cli.options.sources import add_depth_options, add_window_opt
 
 def add_calibrate(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
-    calibrate = commands.add_parser("calibrate", help="calibrate a pair of cameras from chessboard pictures")
-    calibrate.add_argument("left", metavar="LEFT", help="pictures of the left eye: folder, glob or video")
-    calibrate.add_argument("right", metavar="RIGHT", help="those of the right eye, in the same order")
+    calibrate = commands.add_parser("calibrate", help="calibrate a stereo pair from images of a chessboard")
+    calibrate.add_argument("left", metavar="LEFT", help="images of the left camera: folder, glob or video")
+    calibrate.add_argument("right", metavar="RIGHT", help="those of the right camera, in the same order")
     calibrate.add_argument("--board", required=True, metavar="CxR", help="inner corners across and down: 9x6")
     calibrate.add_argument(
         "--square", dest="square_m", required=True, type=metres, metavar="M", help="side of a square, m"

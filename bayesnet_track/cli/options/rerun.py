@@ -12,6 +12,6 @@ def add_rerun_option(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const="",
         metavar="FILE.rrd",
-        help="log pictures, boxes, UD, KL and events to a Rerun recording, or without a file to its viewer "
+        help="log frames, boxes, UD, KL and events to a Rerun recording, or without a file to its viewer "
         "(needs the extra `rerun`)",
     )

@@ -10,12 +10,14 @@ from bayesnet_track.cli.options.arguments import whole_number
 def add_depth_options(parser: argparse.ArgumentParser) -> None:
     """`--right`, `--stereo`, `--depth`, `--calibration`."""
     second = parser.add_mutually_exclusive_group()
-    second.add_argument("--right", metavar="SOURCE", help="the right eye; --source is then the left one")
+    second.add_argument("--right", metavar="SOURCE", help="the right camera; --source is then the left one")
     second.add_argument(
-        "--stereo", choices=["side_by_side"], help="both eyes are in one picture, the left one on the left"
+        "--stereo",
+        choices=["side_by_side"],
+        help="both images side by side in one frame, the left camera on the left",
     )
     second.add_argument(
-        "--depth", metavar="FOLDER", help="depth of another sensor, a file per picture (16-bit images, .npy)"
+        "--depth", metavar="FOLDER", help="depth of another sensor, a file per frame (16-bit images, .npy)"
     )
     parser.add_argument("--calibration", metavar="FILE", help="of the pair, OpenCV YAML; see `calibrate`")
 
@@ -27,9 +29,9 @@ def add_window_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--end", type=whole_number(1), metavar="N", help="frame to stop before")
     parser.add_argument(
-        "--on-resize", choices=["stop", "rescale"], default="stop", help="when pictures change size"
+        "--on-resize", choices=["stop", "rescale"], default="stop", help="what to do when frames change size"
     )
     parser.add_argument("--allow-network", action="store_true", help="let the source be a URL")
     parser.add_argument(
-        "--isolate-decoder", action="store_true", help="decode in a process of its own, held down by limits"
+        "--isolate-decoder", action="store_true", help="decode in a separate process with resource limits"
     )

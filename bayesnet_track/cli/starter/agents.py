@@ -73,7 +73,7 @@ def _edges(task: Task) -> Lines:
     comment = (
         "Does this place look like the middle of the target? A filter that is learnt while it works: "
         "precise, and it "
-        "follows slow changes. Take `texture` if it is too dear."
+        "follows slow changes. Take `texture` if it is too expensive."
     )
     return _agent("edges", "correlation_filter", comment)
 
@@ -84,7 +84,7 @@ def _motion(task: Task) -> Lines:
         "whose vectors "
         "differ by more, since it holds two things. `sd_x_px`, `sd_y_px`: how exactly the flow has to fit; "
         "raise them "
-        "for blurred pictures."
+        "for blurred frames."
     )
     return _agent("motion", "{motion: {sd_x_px: 1.5, sd_y_px: 1.5, coherent_px: 1}}", comment)
 
@@ -112,10 +112,8 @@ def _shape(task: Task) -> Lines:
 def _detections(task: Task) -> Lines:
     comment = (
         "Measures by the detection that is the target's own. `sd_place`, `sd_size`: how exact the "
-        "detector's boxes "
-        "are, as a share of the box; raise them for a shaky detector. `looks`: how much the agents beside "
-        "it say in "
-        "whose a detection is."
+        "detector's boxes are, as a share of the box; raise them for a shaky detector. `appearance`: how "
+        "much the other agents count when detections are assigned."
     )
     looks = 0.5 if len(task.apart) > 1 else 0
     return _agent("seen", f"{{detection: {{sd_place: 0.06, sd_size: 0.06, appearance: {looks}}}}}", comment)
@@ -141,7 +139,7 @@ def birth_of(task: Task) -> Lines:
         *key(f"detector: {detector}", comment),
         *key(
             "confirm: {hits: 3, of: 4}",
-            "Seen in so many of the last looks it becomes a target; raise both "
+            "After so many hits in the detector's last runs it becomes a target; raise both "
             "against false ones, lower both for things that pass quickly.",
         ),
         *key(f"max_targets: {most}", "Targets at the same time, at most."),
@@ -166,10 +164,10 @@ def _detector(task: Task) -> tuple[str, str]:
         return "stereo_blobs", "Smooth regions of depth of a target's height; see `list` for others."
     least = "`min_area_px`: smaller ones are noise; set it to a third of the smallest target's area."
     if "camera" in task.hard:
-        return "{motion: {min_area_px: 100}}", f"What moves against the rest of the picture. {least}"
+        return "{motion: {min_area_px: 100}}", f"What moves against the rest of the image. {least}"
     return (
         "{background: {min_area_px: 100}}",
-        f"What differs from the usual picture, which a camera that stands still has. {least}",
+        f"What differs from the background of a camera that does not move. {least}",
     )
 
 

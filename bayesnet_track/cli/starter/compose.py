@@ -85,8 +85,7 @@ def _belief(task: Task) -> Lines:
     elif task.belief == "grid":
         text = "{grid: {cell_px: 2, window: 128}}"
         comment = (
-            "A distribution over cells. `cell_px`: smaller is finer and dearer; `window`: cells that are "
-            "looked at "
+            "A distribution over cells. `cell_px`: smaller is finer and more expensive; `window`: cells "
             "across and down, for targets that leap further."
         )
     else:
@@ -123,14 +122,14 @@ def _motion(task: Task) -> Lines:
             "cannot shrink away: how far, in logarithms, it may be in the long run.",
         )
     if "rotation" in task.hard and _turns(task):
-        inside += key("sd_angle_deg: 5", "It turns in the picture by about so many degrees per frame.")
+        inside += key("sd_angle_deg: 5", "It rotates in the image by about so many degrees per frame.")
     if "camera" in task.hard:
         inside += _CAMERA
     if task.belief == "particles" and "occlusion" in task.hard:
         inside += key(
             "relocalize: {share: 0.1, above: {ud_box: 0.5}}",
             "While it is unsure, some hypotheses look all over "
-            "the picture, where the agents see something alike. Leave it out where others look the same.",
+            "the frame, where the agents find something similar. Leave it out where others look the same.",
         )
     return key("motion:", "Where it may be in the next frame.", ("random_walk:", *indented(inside)))
 
@@ -175,10 +174,10 @@ def _fuse(task: Task) -> Lines:
 def _estimate(task: Task) -> Lines:
     ud = key("ud_fields: [x, y]", "UD counts the position; add w and h if the size matters as much.")
     if task.belief != "particles":
-        return (*key("estimate: mean", "The box that is told: the mean of the belief."), *ud)
+        return (*key("estimate: mean", "The box that is reported: the mean of the belief."), *ud)
     lines = key(
         "estimate: {robust_mean: {box: 0.25}}",
-        "The box that is told: the mean of what lies this near to the "
+        "The box that is reported: the mean of what lies this near to the "
         "best hypothesis. `map` is the single most probable one, and shakes more.",
     )
     return (*lines, *ud)

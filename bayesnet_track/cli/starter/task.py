@@ -23,7 +23,7 @@ HARD: Mapping[str, str] = {
     "light": "the light changes",
     "camera": "the camera moves",
     "size": "it comes nearer or goes away",
-    "rotation": "it turns in the picture",
+    "rotation": "it rotates in the image",
 }
 SPEED: Mapping[str, str] = {
     "slow": "less than a tenth of its size from one frame to the next",
@@ -33,7 +33,7 @@ SPEED: Mapping[str, str] = {
 BELIEF: Mapping[str, str] = {
     "particles": "hypotheses; whatever it looks like (the right one if unsure)",
     "gaussian": "one mean and covariance, the Kalman family; cheap, never two places at once",
-    "grid": "cells of the picture; exact, for small targets of a constant size",
+    "grid": "cells of the image; exact, for small targets of a constant size",
 }
 BUDGET: Mapping[str, str] = {
     "little": "a slow machine, or many targets",
@@ -77,7 +77,7 @@ class Task:
             raise TaskError("a grid follows no camera and no rotation: take particles")
         if self.belief == "grid" and "depth" in self.apart:
             raise TaskError(
-                "depth goes with a size that changes, for which a grid is too dear: take particles"
+                "depth goes with a size that changes, for which a grid is too expensive: take particles"
             )
         if self.detected and self.belief == "grid":
             raise TaskError("a grid is no match for a detector's boxes: take gaussian, or particles")

@@ -159,7 +159,7 @@ class Lost(Model):
 
     With `score_below` the score alone says so, which then has to be a probability (`score`): lost below it,
     uncertain below `uncertain_below`, else tracked, each from the last of `frames` consecutive frames on.
-    While a target is uncertain, references do not learn and quiet levels are not measured.
+    While a target is uncertain, references do not learn and baselines are not measured.
     """
 
     above: Level = Field(default=Level(ud_box=1.0), description="level of UD")

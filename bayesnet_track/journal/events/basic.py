@@ -136,7 +136,7 @@ class FrameMetrics:
         sd: posterior sd of x, y, w, h in px, that of x and y with the graph's localization_error.
         ud_px2: uncertainty deviation at the root.
         ud_nodes: inference node -> its UD in px^2.
-        quiet_px2: measured quiet level of UD at the root, or None.
+        quiet_px2: measured baseline of UD at the root, or None.
         status: tracking, uncertain or lost.
         score: probability of being on target, an overlap (IoU) above 0.5, where the graph has coefficients
             for it; else an uncalibrated index in 0..1 from UD and evidence; high is sure.

@@ -16,7 +16,7 @@ class Cause:
         frames: how many consecutive frames it had to hold.
         turning: the level, in that unit, at which the rule would not have fired.
         ud_px2: UD at this frame in px^2.
-        scale_px2: px^2 per unit (1, the estimate's area, or the quiet level).
+        scale_px2: px^2 per unit (1, the estimate's area, or the baseline).
     """
 
     unit: str

@@ -80,5 +80,5 @@ def second_pass(event: SecondPass) -> str:
     return (
         f"KL(posterior, prior) {found} nats > {level} → second pass of {event.particles} hypotheses{how}, "
         f"{event.ess_first:.0f} effective before, {event.ess:.0f} after; "
-        f"would have been spared at above_kl ≥ {turning}"
+        f"no second pass at above_kl ≥ {turning}"
     )

@@ -97,7 +97,7 @@ def _account(events: Sequence[Event], line: FrameMetrics) -> str:
         f"sd {', '.join(f'{value:.1f}' for value in line.sd)} px",
         f"  hypotheses {sample}; log evidence {line.log_evidence:.2f}",
         f"  UD         {', '.join(f'{node} {_ud(ud)} px²' for node, ud in line.ud_nodes.items())}; "
-        f"quiet level {quiet}; learning at {100 * line.learn_rate:.0f} % of the full rate",
+        f"baseline {quiet}; learning at {100 * line.learn_rate:.0f} % of the full rate",
     ]
     if line.features:
         shown = (f"{name} {value:.2f}" for name, value in sorted(line.features.items()))

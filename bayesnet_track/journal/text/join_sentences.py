@@ -69,5 +69,5 @@ def ring_changed(event: RingChanged) -> str:
     group = ", ".join(event.group)
     return (
         f"targets {group} are joined in a ring → {pair}, with an overlap of {event.overlap:.2g} the least, "
-        "are left out: each hears only what the other believes by itself"
+        "are left out: each receives only the other's own belief"
     )

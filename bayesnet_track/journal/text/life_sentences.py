@@ -51,7 +51,7 @@ def died(event: TargetDied) -> str:
     kept = ", remembered" if event.remembered else ""
     return (
         f"{how} for {plural(event.frames, 'frame')} → target {event.target} ends{kept}; "
-        f"would have lived on at {key} ≥ {event.frames + 1}"
+        f"would have continued at {key} ≥ {event.frames + 1}"
     )
 
 
@@ -62,8 +62,8 @@ def duplicate_ended(event: DuplicateEnded) -> str:
     value = rounded(event.overlap, digits, up=False)
     return (
         f"its belief overlaps that of target {event.kept} by {value} ≥ {event.level:g} for "
-        f"{plural(event.frames, 'frame')} → target {event.target}, the younger, ends; would have lived on at "
-        f"overlap > {turning:g} or frames > {event.frames}"
+        f"{plural(event.frames, 'frame')} → target {event.target}, the younger, ends; would have continued "
+        f"at overlap > {turning:g} or frames > {event.frames}"
     )
 
 

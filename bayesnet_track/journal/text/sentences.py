@@ -100,7 +100,7 @@ def explain(event: Event, name_target: bool = False) -> str:
             return f"frame {event.frame}: {gap} missing before it; the belief is predicted over the gap"
         case FrameSizeChanged():
             then = "the run stops" if event.action == "stop" else "they are scaled to the first frame's size"
-            return f"frame {event.frame}: the pictures change to {event.width}x{event.height}; {then}"
+            return f"frame {event.frame}: the frame size changes to {event.width}x{event.height}; {then}"
         case SourceDamaged():
             return f"frame {event.frame}: the source is damaged: {event.reason}"
         case MachineChanged():
@@ -108,13 +108,13 @@ def explain(event: Event, name_target: bool = False) -> str:
             where = "the run continues on another machine or with other libraries"
             return f"frame {event.frame}: {where}: {changes}"
         case FramesDropped():
-            pictures = plural(event.dropped, "picture")
-            return f"frame {event.frame}: {pictures} dropped, since newer ones were there"
+            dropped = plural(event.dropped, "frame")
+            return f"frame {event.frame}: {dropped} dropped, because newer ones had arrived"
         case SourceStalled():
             silent = f"frame {event.frame}: no picture for {event.seconds:.1f} s: {event.reason}"
             return f"{silent}; connecting again, attempt {event.attempt}"
         case InputRefused():
-            return f"frame {event.frame}: what was asked of {event.node} is refused: {event.reason}"
+            return f"frame {event.frame}: the request for {event.node} is refused: {event.reason}"
         case BirthsRefused():
             return f"frame {event.frame}: {births_refused(event)}"
         case DetectorFailed():

@@ -112,4 +112,4 @@ def _ending(mine: Sequence[Event], lines: Sequence[FrameMetrics]) -> str:
     left = "ended" if isinstance(chapters[-1], TargetDied | DuplicateEnded) else "alive at the end of the run"
     if left != "ended" and lines and lines[-1].status == "lost":
         left = "lost at the end of the run"
-    return f"in all: {plural(len(lines), 'frame')}, lost in {lost}; {left}"
+    return f"summary: {plural(len(lines), 'frame')}, lost in {lost}; {left}"

@@ -120,7 +120,7 @@ function Help({ state }: { state: State }) {
             </div>
           ))}
         </dl>
-        <h2>On the picture</h2>
+        <h2>On the frame</h2>
         <p>
           The box is the estimate: a solid line while it is tracked, dashed while uncertain, dotted while lost. Dots are
           hypotheses drawn from the belief; the two rounded frames hold its centre with 50&nbsp;% and 90&nbsp;%; the cross is the

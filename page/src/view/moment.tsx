@@ -136,7 +136,7 @@ function Numbers({ state, track, row }: { state: State; track: Track; row: numbe
   const overlap = state.run.overlap(track, row);
   const items: [string, string, string][] = [
     ["UD", `${value("ud_px2")} px²`, "uncertainty deviation"],
-    ["quiet level", `${value("quiet_px2")} px²`, "UD where nothing is wrong, as measured"],
+    ["baseline", `${value("quiet_px2")} px²`, "UD where nothing is wrong, as measured"],
     ["sd of centre", `${value("sd", 0)}, ${value("sd", 1)} px`, "posterior standard deviation of x and y"],
     ["box", `${value("box", 2)} × ${value("box", 3)} px`, "size of the estimate"],
     ["log evidence", value("log_evidence"), "how well the frame was foreseen"],

@@ -90,7 +90,7 @@ function uncertainty(run: RunData, track: Track): Panel {
   }
   const quiet = column(track, "quiet_px2");
   if (quiet.some((value) => value !== null)) {
-    lines.push({ name: "quiet level", title: "measured where nothing is wrong", colour: colour("quiet"), width: 1.2, dash: [2, 3], values: quiet });
+    lines.push({ name: "baseline", title: "measured where nothing is wrong", colour: colour("quiet"), width: 1.2, dash: [2, 3], values: quiet });
   }
   const sorted = lines[0]!.values.filter((v): v is number => v !== null && v > 1e-6).sort((a, b) => a - b);
   // The first frames start from certainty: a few of them must not stretch the scale. Levels beyond it are cut.
@@ -145,7 +145,7 @@ function evidence(track: Track): Panel {
   const high = sorted.at(-1) ?? 0;
   const room = Math.max((high - low) * 0.08, 0.1);
   const line = { name: "log evidence", colour: colour("ink-soft"), width: 1.4, values };
-  const about = "How well the frame was foreseen: falls where nothing looks like the target.";
+  const about = "Predictive log-likelihood: falls where nothing looks like the target.";
   return { key: "evidence", name: "Evidence", unit: "log, nats", about, height: 90, lines: [line], range: [low - room, high + room] };
 }
 

@@ -59,7 +59,7 @@ export function TotalsTable({ state }: { state: State }) {
   const measured = [...found.costs].map(([agent, cost]) => `${agent} ${short(cost.ms)} ms${cost.measured ? "" : " (declared)"}`);
   return (
     <section class="totals" aria-label="Totals">
-      <h2>In all</h2>
+      <h2>Summary</h2>
       <div class="wide">
         <table>
           <thead>
@@ -75,7 +75,7 @@ export function TotalsTable({ state }: { state: State }) {
               <th scope="col">agents' time</th>
               <th scope="col">saved</th>
               {hasTruth && (
-                <th scope="col" title="mean IoU with the true box">
+                <th scope="col" title="mean IoU with the ground-truth box">
                   overlap
                 </th>
               )}
