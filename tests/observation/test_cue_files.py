@@ -167,6 +167,9 @@ def test_a_flag_without_a_method_is_told_before_a_frame_is_tracked(folder, capsy
         "write it, or remove the flag\n"
     )
     assert not (folder / "run").exists()
+    plugins.forget()
+    assert main(["graph", "glanced.yaml", "--cue-file", "glance.py"]) == 2
+    assert capsys.readouterr().err.startswith("bayesnet-track graph: cue 'glance' declares adapts=True")
 
 
 WRONG_ANSWERS = {

@@ -84,11 +84,12 @@ def _density(plate: CheckedTarget, active: frozenset[str], as_latex: bool) -> st
 
 def _plan(plate: CheckedTarget, active: frozenset[str], as_latex: bool) -> str:
     from bayesnet_track.inference.compile import compile_plan, describe_plan
+    from bayesnet_track.observation.capabilities import make_cue
     from bayesnet_track.observation.cue import installed_cues
 
     agents = {agent: plate.agent(agent) for agent in plate.agents}
     cues = installed_cues(agent.agent.cue for agent in agents.values())
-    made = {name: cues[agent.agent.cue].make(plate.parameters[name]) for name, agent in agents.items()}
+    made = {name: make_cue(cues[one.agent.cue], plate.parameters[name]) for name, one in agents.items()}
     return describe_plan(compile_plan(plate, active, made), agents)
 
 
