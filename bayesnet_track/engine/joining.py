@@ -27,18 +27,16 @@ from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.engine.attachment import Carriers, carriers_of, particles, tell_carried, without_ride
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.occlusion import tell_hidden
 from bayesnet_track.graph.settings.joins import Join
 from bayesnet_track.inference.joint import Edge, Marginal, Member, Pair, joint_marginals
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.journal.events.basic import Event
-from bayesnet_track.journal.events.join_events import JoinMetrics, OcclusionChanged, RingChanged
+from bayesnet_track.journal.events.join_events import JoinMetrics, RingChanged
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import resample
 
 Floats = NDArray[np.float64]
-
-HIDDEN, SEEN = 0.5, 0.3
-"""Hidden share above which a target is told to be hidden, and at or below which to be seen again."""
 
 DEEPEST = 20.0
 """Nats below the best hypothesis at which the worst one counts at most."""
@@ -95,7 +93,7 @@ def join_targets(work: FrameWork, memory: JoinMemory, filtered: Mapping[str, Fil
     centres = {carrier: filtered[carrier].step.posterior.mean[:2] for carrier, _ in carriers.values()}
     levels = _levels_after(memory.levels, levels, metrics, filtered)
     after = replace(memory, pairs=pairs, levels=levels, carried=carried, centres=centres)
-    after = _tell_hidden(work.frame.index, metrics, after, told)
+    after = tell_hidden(work.frame.index, metrics, after, told)
     after = tell_carried(work.frame.index, metrics, carriers, after, told)
     work.charge("joins", started)
     joined = {name: replace(one, step=steps[name], join=metrics.get(name)) for name, one in filtered.items()}
@@ -291,22 +289,3 @@ def _metrics(
     share = min(sum(hidden.values()), 1.0)
     behind = max(hidden, key=lambda other: hidden[other]) if share > 0.01 else ""
     return JoinMetrics(tuple(in_front), share, behind, in_front, attached, ess_own)
-
-
-# ------------------------------------------------------------------------------------ what is told
-
-
-def _tell_hidden(
-    frame: int, metrics: Mapping[str, JoinMetrics], memory: JoinMemory, told: list[Event]
-) -> JoinMemory:
-    hidden = dict(memory.hidden)
-    for name, one in metrics.items():
-        if name not in hidden and one.hidden > HIDDEN:
-            hidden[name] = (one.behind, frame)
-            front = 1.0 - one.in_front[one.behind]
-            told.append(OcclusionChanged(frame, name, one.behind, True, one.hidden, HIDDEN, front, 0))
-        elif name in hidden and one.hidden <= SEEN:
-            other, since = hidden.pop(name)
-            front = 1.0 - one.in_front.get(other, 1.0)
-            told.append(OcclusionChanged(frame, name, other, False, one.hidden, SEEN, front, frame - since))
-    return replace(memory, hidden=hidden)
