@@ -17,7 +17,7 @@ from bayesnet_track.belief.particles.fitted import (
     flattened,
     paired_log_density,
 )
-from bayesnet_track.belief.particles.importance import drawn
+from bayesnet_track.belief.particles.importance import proposal_of
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
 from bayesnet_track.belief.particles.passes import Pass, joined, prior_of
 from bayesnet_track.belief.particles.proposals import Draws, fitted_draws, mixed, parent_draws, taken
@@ -388,6 +388,13 @@ def test_a_sharp_likelihood_is_flattened_until_enough_count_and_sharpened_twice_
 
 def particles(importance, size=SIZE, **more):
     return spec.Particles.model_validate({"size": size, "proposal": importance, **more})
+
+
+def drawn(settings, inputs):
+    """What a filter with these settings draws, and edits or adds."""
+    draw, refine = proposal_of(settings)
+    first = draw(inputs)
+    return first if refine is None else refine(inputs, first)
 
 
 KLD = {"kld": {"bin_px": 2.0, "fields": ["x"]}}
