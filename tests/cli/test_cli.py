@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from types import SimpleNamespace
@@ -30,6 +31,7 @@ from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.numerics.compile_watch import WATCH, CompileWatch
 from bayesnet_track.observation.cue import installed_cues
+from bayesnet_track.runtime.checkpoints.standing import standing
 from bayesnet_track.runtime.stop import Terminated
 from bayesnet_track.sources.scenes import make_scene, scene_names
 
@@ -200,6 +202,21 @@ def test_a_demo_takes_another_graph_and_seed(cli, tmp_path):
 
 
 # ------------------------------------------------------------------------------------ run
+
+
+def test_a_run_that_ends_before_resume_has_its_lock_needs_nothing(cli, tmp_path, monkeypatch):
+    out = tmp_path / "run"
+    assert cli("demo gray_square --end 2 --quiet --out", out)[0] == 0
+    before = (out / "journal.jsonl").read_bytes()
+    assert "it is finished" in cli("resume", out)[1]
+    # Before it has the lock, the command sees a run that goes on.
+    finished = standing(out)
+    monkeypatch.setattr(
+        "bayesnet_track.runtime.checkpoints.standing.standing",
+        lambda folder: replace(finished, is_finished=False),
+    )
+    assert cli("resume", out)[0] == 0
+    assert (out / "journal.jsonl").read_bytes() == before
 
 
 def test_what_resume_cannot_store_is_told_at_the_start(cli, images, tmp_path):

@@ -111,6 +111,7 @@ def resume(
         told = summary if summary is not None else Summary()
         if standing(path).is_finished:
             tidy(directory)
+            told.complete, told.reason = True, "end_of_source"
             return
         check_plain(directory)
         cues = tuple(cues)
