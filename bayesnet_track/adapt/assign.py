@@ -22,9 +22,9 @@ def gains(
 
     m (4,) and P (4, 4) are the prediction of its centre box, R the detection's own error, log L(z) what
     `log_looks` gives for boxes (M, 4), at most 0, asked only of those near enough. Constants are left
-    out. Unlike the distance alone, the density makes it dear for an unsure target to take what a sure one
-    expects. It is -inf beyond the gates: d^2 - 2 appearance log L above the chi-square quantile of `gate`, or
-    too small an overlap.
+    out. Unlike the distance alone, the density makes it expensive for an unsure target to take what a
+    sure one expects. It is -inf beyond the gates: d^2 - 2 appearance log L above the chi-square quantile of
+    `gate`, or too small an overlap.
     """
     away = boxes - mean
     spread = covariance + rule.variances(boxes)[:, :, None] * np.eye(4)
@@ -53,9 +53,9 @@ def assign(gain: Floats) -> Owners:
 
     costs, possible = -gain[np.ix_(rows, columns)], allowed[np.ix_(rows, columns)]
     low, high = float(costs[possible].min()), float(costs[possible].max())
-    # Dearer than any pairs that could be had instead.
-    dear = (high - low + 1.0) * (min(costs.shape) + 1)
-    costs = np.where(possible, costs - low, dear)
+    # More expensive than any pairs that could be had instead.
+    forbidden = (high - low + 1.0) * (min(costs.shape) + 1)
+    costs = np.where(possible, costs - low, forbidden)
     for row, column in zip(*linear_sum_assignment(costs), strict=True):
         if possible[row, column]:
             owner[rows[row]] = columns[column]
