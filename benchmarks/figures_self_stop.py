@@ -127,7 +127,7 @@ def _likelihood(
 
     In nats above the floor.
     """
-    cue = run.engine.machinery["gray"].cues["intensity"]
+    cue = run.engine.plates["gray"].cues["intensity"]
     x, y = np.arange(window[0], window[1], 2.0), np.arange(window[2], window[3], 2.0)
     columns, rows = np.meshgrid(x, y)
     tried = np.column_stack([columns.ravel(), rows.ravel(), np.tile(moment.box[2:4], (columns.size, 1))])

@@ -119,8 +119,8 @@ def _spread_px() -> float:
 def likelihood() -> Figure:
     """Thesis Figure 2.4: likelihood against distance."""
     _, run = color_only()
-    (machine,) = run.engine.machinery.values()
-    cue, reference = machine.cues["color"], run.last.state.targets["1"].references["color"]
+    (compiled,) = run.engine.plates.values()
+    cue, reference = compiled.cues["color"], run.last.state.targets["1"].references["color"]
     true = centre_from_corner(stated().truth[1])
     spread = np.random.default_rng(0).normal(0.0, 16.0, (300, 2))
     tried = np.column_stack([true[:2] + spread, np.tile(true[2:], (len(spread), 1))])

@@ -40,7 +40,7 @@ from bayesnet_track.vision.detectors.selection import Selected
 
 
 @dataclass(frozen=True, eq=False)
-class Machinery:
+class CompiledPlate:
     """What one plate needs to run, made once: cues, belief, motion model and prices.
 
     Attributes:
@@ -53,13 +53,13 @@ class Machinery:
         adaptable: agents that can act locally.
         color_agents: agents that are blind on a gray source.
         guard: what keeps references from drifting, or None.
-        life: how its targets are born, recognised and end; None when they live as long as the run.
+        lifecycle: how its targets are born, recognised and end; None when they live as long as the run.
         detector: the detector of its births in `Engine.detectors`; empty without births.
         looks: agents that tell one target from another by its looks.
         part_of: agent that looks at a part of the target -> the part.
         moving: what a frame's motion depends on besides its states; None when on nothing.
         finder: the detector that looks for a target which may reappear.
-        claimers: agent that measures by the detection that the target is given -> which one that is.
+        association_rules: agent that measures by the detection that the target is given -> which one that is.
         opaque: agents that keep something which cannot be stored.
         declared: agent -> the declaration of its cue.
     """
@@ -72,14 +72,14 @@ class Machinery:
     rate_max: Mapping[str, float]
     adaptable: frozenset[str]
     color_agents: frozenset[str] = frozenset()
-    life: LifeRules | None = None
+    lifecycle: LifeRules | None = None
     detector: str = ""
     looks: frozenset[str] = frozenset()
     guard: Guard | None = None
     part_of: Mapping[str, str] = field(default_factory=dict)
     moving: Moving | None = None
     finder: Detector | None = None
-    claimers: Mapping[str, ClaimRule] = field(default_factory=dict)
+    association_rules: Mapping[str, ClaimRule] = field(default_factory=dict)
     opaque: frozenset[str] = frozenset()
     declared: Mapping[str, CueDeclaration] = field(default_factory=dict)
 
@@ -89,7 +89,7 @@ class Engine:
     """A graph ready to run.
 
     Attributes:
-        machinery: plate name -> what it needs.
+        plates: plate name -> what it needs.
         streams: all randomness.
         detectors: what finds targets, by name and parameters; plates that want the same share it.
         clock: seconds, for timings only.
@@ -98,7 +98,7 @@ class Engine:
         crew: who advances whole nets elsewhere, which changes no result; None for nobody.
     """
 
-    machinery: Mapping[str, Machinery]
+    plates: Mapping[str, CompiledPlate]
     streams: Streams
     clock: Callable[[], float] = working_clock
     detectors: Mapping[str, Detector] = field(default_factory=dict)
@@ -131,37 +131,37 @@ def make_engine(
     unknown = [name for name in own if name not in graph.targets]
     if unknown:
         raise ValueError(f"motion for {unknown[0]!r}; the graph has {', '.join(graph.targets)}")
-    machinery = {
-        name: _make_machinery(plate, declarations, own.get(name)) for name, plate in graph.targets.items()
+    plates = {
+        name: _compile_plate(plate, declarations, own.get(name)) for name, plate in graph.targets.items()
     }
-    made = _make_detectors([one for one in machinery.values() if one.detector], detectors or {})
-    return Engine(machinery, Streams(seed), detectors=made, joins=graph.spec.joins)
+    made = _make_detectors([one for one in plates.values() if one.detector], detectors or {})
+    return Engine(plates, Streams(seed), detectors=made, joins=graph.spec.joins)
 
 
-def _make_detectors(machinery: Sequence[Machinery], given: Mapping[str, Detector]) -> dict[str, Detector]:
+def _make_detectors(plates: Sequence[CompiledPlate], given: Mapping[str, Detector]) -> dict[str, Detector]:
     made: dict[str, Detector] = {}
     asked = set()
-    for machine in machinery:
-        assert machine.life is not None and machine.life.birth is not None
-        chosen = machine.life.birth.detector
+    for compiled in plates:
+        assert compiled.lifecycle is not None and compiled.lifecycle.birth is not None
+        chosen = compiled.lifecycle.birth.detector
         asked.add(chosen.detector)
-        if machine.detector in made:
+        if compiled.detector in made:
             continue
         declaration = detectors_of_graphs([chosen.detector])[chosen.detector]
         parameters = plugin_parameters(chosen, declaration.parameters)
         if chosen.detector in given:
-            made[machine.detector] = Selected(given[chosen.detector], parameters)
+            made[compiled.detector] = Selected(given[chosen.detector], parameters)
         else:
-            made[machine.detector] = declaration.make(parameters)
+            made[compiled.detector] = declaration.make(parameters)
     idle = [name for name in given if name not in asked]
     if idle:
         raise DetectorError(f"{idle[0]} are given, and no plate of the graph has births by them")
     return made
 
 
-def _make_machinery(
+def _compile_plate(
     plate: CheckedTarget, declarations: Mapping[str, CueDeclaration], own: Motion | None
-) -> Machinery:
+) -> CompiledPlate:
     root = plate.inference(plate.root)
     of = {agent: declarations[plate.agent(agent).agent.cue] for agent in plate.agents}
     made = {agent: make_cue(of[agent], plate.parameters[agent]) for agent in plate.agents}
@@ -170,7 +170,7 @@ def _make_machinery(
     moving = None if own is not None or settings.is_plain else settings
     kind = plate.spec
     life = life_rules(kind.birth, kind.merge_duplicates, kind.death, kind.reidentify)
-    return Machinery(
+    return CompiledPlate(
         plate=plate,
         cues=made,
         belief=make_belief(root.belief),
@@ -180,7 +180,7 @@ def _make_machinery(
         adaptable=frozenset(agent for agent in plate.agents if of[agent].adapts),
         color_agents=frozenset(agent for agent in plate.agents if of[agent].needs_color),
         guard=None if root.learn is None else root.learn.guard,
-        life=life,
+        lifecycle=life,
         detector="" if life is None or life.birth is None else flow_text(as_plain(life.birth.detector)),
         looks=frozenset(
             agent for agent in plate.agents if of[agent].is_appearance and not of[agent].measures
@@ -188,7 +188,7 @@ def _make_machinery(
         part_of=part_of_agents(plate),
         moving=moving,
         finder=None if moving is None else _finder(moving),
-        claimers={agent: rule_of(cue) for agent, cue in made.items() if of[agent].reads_claim},
+        association_rules={agent: rule_of(cue) for agent, cue in made.items() if of[agent].reads_claim},
         opaque=frozenset(agent for agent in plate.agents if of[agent].opaque),
         declared=of,
     )

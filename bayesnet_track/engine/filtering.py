@@ -67,19 +67,19 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
 
     It is weighed anew, without them, when agents fail that have answered before in the same frame.
     """
-    live, machine, frame = work.net.targets[target], work.plate_of(target), work.frame
-    before = with_agents(machine, before, live.looking(frame.index))
-    stream = work.stream(target, machine.plate.root)
+    live, compiled, frame = work.net.targets[target], work.plate_of(target), work.frame
+    before = with_agents(compiled, before, live.looking(frame.index))
+    stream = work.stream(target, compiled.plate.root)
     started = work.engine.clock()
     dt = frame.time - before.time
     given, prior = (None, before.belief) if ride is None else (ride.motion, ride.belief)
-    moves = predicted(machine, given, before.outlook, live.status == "lost", dt, work.cache)
-    belief = within(machine.belief, live.most_particles)
+    moves = predicted(compiled, given, before.outlook, live.status == "lost", dt, work.cache)
+    belief = within(compiled.belief, live.most_particles)
     failed: dict[str, str] = {}
     while True:
         observer = Observer(
             work.cache,
-            machine.cues,
+            compiled.cues,
             before.references,
             stream,
             work.engine.clock,
@@ -102,5 +102,5 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
     faults = tuple(quarantined(live, frame.index, target, agent, reason) for agent, reason in failed.items())
     plan, out = before.plan, failed.keys() | observer.missed.keys()
     if out:
-        plan = compile_plan(machine.plate, plan.active - out, machine.cues)
+        plan = compile_plan(compiled.plate, plan.active - out, compiled.cues)
     return Filtered(target, before, stepped, faults, moves, plan, dict(observer.missed))

@@ -38,9 +38,9 @@ Floats = NDArray[np.float64]
 
 def finish_target(work: FrameWork, filtered: Filtered) -> TargetResult:
     """Measure the belief, decide what changes, let the agents learn, and describe it."""
-    machine = work.plate_of(filtered.target)
+    compiled = work.plate_of(filtered.target)
     started = work.engine.clock()
-    state = estimate(machine.plate.inference(machine.plate.root).estimate, filtered.step)
+    state = estimate(compiled.plate.inference(compiled.plate.root).estimate, filtered.step)
     started = work.charge("belief", started)
     measured = measure_target(work, filtered, state)
     decided = decide_target(work, filtered, measured)
@@ -52,20 +52,20 @@ def finish_target(work: FrameWork, filtered: Filtered) -> TargetResult:
 
 def measure_target(work: FrameWork, filtered: Filtered, state: Floats) -> Measured:
     """UD, KL, ... of the belief with the estimate `state` (D,), and how sure it is to hold the target."""
-    machine, live = work.plate_of(filtered.target), work.net.targets[filtered.target]
-    root = machine.plate.inference(machine.plate.root)
+    compiled, live = work.plate_of(filtered.target), work.net.targets[filtered.target]
+    root = compiled.plate.inference(compiled.plate.root)
     box = inside_frame(state[:4], work.frame)
     by_hand = work.by_hand.get(filtered.target, ())
     net = applied(work.net, (*filtered.faults, *by_hand)).targets[filtered.target]
     net = replace(net, active=net.active - filtered.missed.keys())
-    measures = measure(machine.plate, filtered.plan, filtered.step, float(box[2] * box[3]))
+    measures = measure(compiled.plate, filtered.plan, filtered.step, float(box[2] * box[3]))
     scored = filtered.before.scored
     if root.score is None:
         return Measured(state, box, net, measures, scored)
     rule, rival = root.score.settings, None
-    scored = scored.after(rule, measures, filtered.step, measures.ud_px2[machine.plate.root])
+    scored = scored.after(rule, measures, filtered.step, measures.ud_px2[compiled.plate.root])
     if root.distractors is not None:
-        able = machine.cues.keys() - live.quarantined
+        able = compiled.cues.keys() - live.quarantined
         rival = rival_seen(root.distractors, work.frame.index, filtered.target, able, filtered.step, measures)
         scored = with_rival(scored, rival, root.distractors.frames)
     bound = most(rule, measures.fit, scored.doubt)
@@ -75,40 +75,42 @@ def measure_target(work: FrameWork, filtered: Filtered, state: Floats) -> Measur
 
 def decide_target(work: FrameWork, filtered: Filtered, measured: Measured) -> Decided:
     """What the rules choose."""
-    machine = work.plate_of(filtered.target)
+    compiled = work.plate_of(filtered.target)
     now = Situation(
         work.frame.index,
         filtered.target,
-        machine.plate,
+        compiled.plate,
         measured.net,
         measured.measures,
-        machine.costs_ms,
-        machine.adaptable,
+        compiled.costs_ms,
+        compiled.adaptable,
         filtered.hidden,
         measured.score,
         filtered.missed,
     )
     chosen, memory = decide(now, filtered.before.memory)
-    return Decided(now, chosen, memory, quiet_level(machine.plate, measured.net, memory, machine.plate.root))
+    return Decided(
+        now, chosen, memory, quiet_level(compiled.plate, measured.net, memory, compiled.plate.root)
+    )
 
 
 def learn_target(work: FrameWork, filtered: Filtered, measured: Measured, decided: Decided) -> Learnt:
     """References move toward the estimate; agents that gave none at the start learn theirs."""
-    machine, box = work.plate_of(filtered.target), measured.box
+    compiled, box = work.plate_of(filtered.target), measured.box
     rate, rates = _learning_rates(work, filtered, measured, decided)
     parts = measured.measures.parts
     lesson = Lesson(
-        machine.cues,
+        compiled.cues,
         work.cache,
         hypotheses_of(np.concatenate([box, measured.state[4:]])[None], filtered.step.posterior.fields),
-        {agent: inside_frame(parts[part].box, work.frame) for agent, part in machine.part_of.items()},
+        {agent: inside_frame(parts[part].box, work.frame) for agent, part in compiled.part_of.items()},
         work.engine.executor,
         work.absent,
         filtered.target,
     )
-    learnt = learn(lesson, machine, filtered.before, decided, rates)
+    learnt = learn(lesson, compiled, filtered.before, decided, rates)
     first, still_out = start_late(lesson, decided.now, learnt.references, decided.chosen)
-    slow = {**learnt.watched.slow, **watch(first, machine.looks, machine.guard).slow}
+    slow = {**learnt.watched.slow, **watch(first, compiled.looks, compiled.guard).slow}
     return replace(
         learnt,
         references={**learnt.references, **first},
@@ -126,11 +128,11 @@ def _learning_rates(
     The less of the target is visible the less is learnt, and nothing when half of it is hidden, since the box
     shows what hides it.
     """
-    machine, measures, net = work.plate_of(filtered.target), measured.measures, measured.net
-    rule = machine.plate.inference(machine.plate.root).learn
-    ud_px2 = measures.ud_px2[machine.plate.root]
+    compiled, measures, net = work.plate_of(filtered.target), measured.measures, measured.net
+    rule = compiled.plate.inference(compiled.plate.root).learn
+    ud_px2 = measures.ud_px2[compiled.plate.root]
     rate = learning_rate(rule, ud_px2, measures.area_px2, decided.quiet_px2)
-    at_parts = part_rates(rule, measures.parts, partial(quiet_level, machine.plate, net, decided.memory))
+    at_parts = part_rates(rule, measures.parts, partial(quiet_level, compiled.plate, net, decided.memory))
     seen = max(1.0 - 2.0 * filtered.hidden, 0.0)
     rate, at_parts = rate * seen, {part: own * seen for part, own in at_parts.items()}
     held = net.status == "tracking" or (net.status == "uncertain" and measured.scored.doubt > 0)
@@ -139,8 +141,8 @@ def _learning_rates(
     if not held or not net.active or filtered.step.degenerate is not None or work.frame.index % every:
         rate, at_parts = 0.0, {}
     return rate, {
-        agent: over_frames(at_parts.get(machine.part_of.get(agent, ""), rate) * largest, every)
-        for agent, largest in machine.rate_max.items()
+        agent: over_frames(at_parts.get(compiled.part_of.get(agent, ""), rate) * largest, every)
+        for agent, largest in compiled.rate_max.items()
         if agent not in net.quarantined and agent not in filtered.missed
     }
 
@@ -149,9 +151,9 @@ def describe_target(
     work: FrameWork, filtered: Filtered, measured: Measured, decided: Decided, learnt: Learnt
 ) -> TargetResult:
     """The state for the next frame, and all that is written down of this one."""
-    machine, frame, target = work.plate_of(filtered.target), work.frame, filtered.target
+    compiled, frame, target = work.plate_of(filtered.target), work.frame, filtered.target
     before, stepped, measures = filtered.before, filtered.step, measured.measures
-    ud_px2 = measures.ud_px2[machine.plate.root]
+    ud_px2 = measures.ud_px2[compiled.plate.root]
     after = TargetState(
         stepped.posterior,
         learnt.references,
@@ -170,7 +172,7 @@ def describe_target(
         told.append(DegenerateBelief(frame.index, target, stepped.degenerate))
     if measured.rival is not None and measured.scored.doubt > 0 and not before.scored.doubt:
         told.append(measured.rival)
-    told += changes(frame.index, target, before.watched, learnt.watched, learnt.judged, machine.guard)
+    told += changes(frame.index, target, before.watched, learnt.watched, learnt.judged, compiled.guard)
     spread = stepped.posterior.covariance
     metrics = frame_metrics(work, filtered, measured, decided, learnt, spread)
     decisions = (*filtered.faults, *work.by_hand.get(target, ()), *learnt.decisions)

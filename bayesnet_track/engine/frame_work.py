@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from bayesnet_track.belief.contract import Stream
-from bayesnet_track.engine.compiled import Engine, Machinery
+from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.outside import ByHand
 from bayesnet_track.inference.absent import Absent, Roll
 from bayesnet_track.journal.net.net import Net
@@ -39,9 +39,9 @@ class FrameWork:
         """The frame."""
         return self.cache.frames.current
 
-    def plate_of(self, target: str) -> Machinery:
+    def plate_of(self, target: str) -> CompiledPlate:
         """What the target's plate needs to run."""
-        return self.engine.machinery[self.net.targets[target].template]
+        return self.engine.plates[self.net.targets[target].template]
 
     def stream(self, target: str, node: str) -> Stream:
         """The random streams of a target's node in this frame, by purpose."""

@@ -200,7 +200,7 @@ def _logs_on(work: FrameWork, one: Filtered, others: Sequence[Filtered]) -> dict
 
     Where its box is the larger one, in the middle of the other's.
     """
-    machine = work.plate_of(one.target)
+    compiled = work.plate_of(one.target)
     stream = work.stream(one.target, "on")
     rng = stream("places")
     size = ON_SIZE * len(others)
@@ -215,7 +215,7 @@ def _logs_on(work: FrameWork, one: Filtered, others: Sequence[Filtered]) -> dict
     states[:, :2] = boxes[:, :2] + room * (rng.random((size, 2)) - 0.5)
     observer = Observer(
         work.cache,
-        machine.cues,
+        compiled.cues,
         one.before.references,
         stream,
         work.engine.clock,

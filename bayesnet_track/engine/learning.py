@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from bayesnet_track.adapt.backoff import quarantined
 from bayesnet_track.adapt.situation import Situation
-from bayesnet_track.engine.compiled import Machinery
+from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.findings import Decided, Learnt
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.inference.guard import guard, judge
@@ -15,17 +15,17 @@ from bayesnet_track.journal.net.net import Decision, LocallyAdapted, Quarantined
 
 
 def learn(
-    lesson: Lesson, machine: Machinery, before: TargetState, decided: Decided, rates: Mapping[str, float]
+    lesson: Lesson, compiled: CompiledPlate, before: TargetState, decided: Decided, rates: Mapping[str, float]
 ) -> Learnt:
     """Move all references that are guarded by none or agree with their guard, then carry out local actions.
 
     The decisions that stand are those chosen, without actions that found nothing left to try, and the
     quarantine of agents that failed here.
     """
-    judged = judge(lesson, before.watched, before.references, rates, machine.guard)
+    judged = judge(lesson, before.watched, before.references, rates, compiled.guard)
     free = {agent: rate for agent, rate in rates.items() if agent not in judged.held}
     moved, faults = learn_references(lesson, before.references, free)
-    moved, watched, failed = guard(lesson, before.watched, judged, moved, rates, machine.guard)
+    moved, watched, failed = guard(lesson, before.watched, judged, moved, rates, compiled.guard)
     faults |= failed
     kept: list[Decision] = []
     for decision in decided.chosen:

@@ -72,7 +72,7 @@ def _impossible(engine: Engine, net: Net, asked: ByHand) -> str:
     if asked.target not in net.targets:
         return f"there is no target {asked.target}"
     live = net.targets[asked.target]
-    if asked.node not in engine.machinery[live.template].plate.agents:
+    if asked.node not in engine.plates[live.template].plate.agents:
         return f"{live.template} has no agent {asked.node}"
     if isinstance(asked, Toggled) and asked.on and asked.node in live.quarantined:
         until = live.faults[asked.node].until

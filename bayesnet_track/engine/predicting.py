@@ -16,7 +16,7 @@ from bayesnet_track.belief.motion.jumps import Jumping, Search
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.rotating import Rotating
 from bayesnet_track.belief.motion.widened import widened, widening
-from bayesnet_track.engine.compiled import Machinery
+from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.graph.settings.adapt import Level
 from bayesnet_track.graph.settings.motion import Relocalize
 from bayesnet_track.journal.events.life_events import DetectorFailed
@@ -74,26 +74,26 @@ class Predicted:
         return replace(self.outlook, ud_px2=ud_px2, area_px2=area_px2, quiet_px2=quiet_px2)
 
 
-def outlook(machine: Machinery, box: Floats, frames: FramePair) -> Outlook | None:
+def outlook(compiled: CompiledPlate, box: Floats, frames: FramePair) -> Outlook | None:
     """The outlook of a target that starts in the centre box (4,), which its detector is shown.
 
     A detector that cannot learn it has nothing to look for and finds nothing. None for a plain motion.
     """
-    if machine.moving is None:
+    if compiled.moving is None:
         return None
     state: DetectorState | None = None
-    if machine.finder is not None:
+    if compiled.finder is not None:
         try:
-            state = machine.finder.start()
-            if isinstance(machine.finder, LearningDetector):
-                state = machine.finder.learn(frames, box, state)
+            state = compiled.finder.start()
+            if isinstance(compiled.finder, LearningDetector):
+                state = compiled.finder.learn(frames, box, state)
         except FAULTS:
             state = None
     return Outlook(np.array(box[2:4]), 0.0, float(box[2] * box[3]), None, state)
 
 
 def predicted(
-    machine: Machinery,
+    compiled: CompiledPlate,
     given: Motion | None,
     known: Outlook | None,
     is_lost: bool,
@@ -106,11 +106,11 @@ def predicted(
     unsure, and with some probability the position is anywhere instead. `given` stands in for the plate's
     motion; where that is of a target which may be carried, all this is how it moves on its own.
     """
-    settings, plain = machine.moving, machine.motion
+    settings, plain = compiled.moving, compiled.motion
     if isinstance(plain, Rotating):
         plain = plain.motion
     if settings is None or known is None or not isinstance(plain, KinematicMotion):
-        return Predicted(machine.motion if given is None else given, known)
+        return Predicted(compiled.motion if given is None else given, known)
     own = plain
     if settings.inflate is not None:
         now = known.reading(settings.inflate.above)
@@ -122,11 +122,11 @@ def predicted(
         motion = size_kept(own, settings.size_reversion, known.size, dt)
     if settings.camera is not None:
         motion = _with_camera(motion, cache, dt)
-    if isinstance(machine.motion, Rotating):
-        motion = replace(machine.motion, motion=motion)
+    if isinstance(compiled.motion, Rotating):
+        motion = replace(compiled.motion, motion=motion)
     found = Predicted(motion, known)
     if settings.relocalize is not None:
-        found = _recovering(machine.finder, settings.relocalize, found, is_lost, dt, cache)
+        found = _recovering(compiled.finder, settings.relocalize, found, is_lost, dt, cache)
     if isinstance(given, Attached):
         return replace(found, motion=replace(given, motion=found.motion))
     return found

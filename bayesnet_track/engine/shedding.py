@@ -44,11 +44,11 @@ def within(belief: Belief[Any], most: int | None) -> Belief[Any]:
 
 def _running(engine: Engine, net: Net, target: str, state: TargetState) -> Running:
     live = net.targets[target]
-    machine = engine.machinery[live.template]
-    one = (machine.plate, live, state.memory, machine.costs_ms)
-    if not isinstance(machine.belief, ParticleFilter):
+    compiled = engine.plates[live.template]
+    one = (compiled.plate, live, state.memory, compiled.costs_ms)
+    if not isinstance(compiled.belief, ParticleFilter):
         return Running(*one)
-    least, most = _bounds(machine.belief.settings)
+    least, most = _bounds(compiled.belief.settings)
     return Running(*one, len(state.belief), least, most)
 
 

@@ -14,7 +14,7 @@ from bayesnet_track.adapt.memory import Memory, Streak
 from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.belief.motion.bounds import Confined
-from bayesnet_track.engine.compiled import Machinery
+from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_metrics import first_frame_metrics
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.predicting import outlook
@@ -54,14 +54,14 @@ def start(
     one that gives no answer for a reason outside of it is out for a while, and learns it then.
     `known` are references that agents have already and need not learn.
     """
-    machine, frame = work.engine.machinery[template], work.frame
-    active = tuple(agent for agent in machine.plate.agents if machine.plate.agent(agent).active)
-    parts = _parts(machine, box, frame)
-    lesson, roll = _first_lesson(work, machine, target, box, parts), work.roll(target, "starting")
-    learnt, faults = learn_first(lesson, [agent for agent in machine.cues if agent not in known])
+    compiled, frame = work.engine.plates[template], work.frame
+    active = tuple(agent for agent in compiled.plate.agents if compiled.plate.agent(agent).active)
+    parts = _parts(compiled, box, frame)
+    lesson, roll = _first_lesson(work, compiled, target, box, parts), work.roll(target, "starting")
+    learnt, faults = learn_first(lesson, [agent for agent in compiled.cues if agent not in known])
     references = {**learnt, **known}
     if not frame.has_color:
-        faults |= dict.fromkeys(sorted(machine.color_agents), "needs colour, and the source is gray")
+        faults |= dict.fromkeys(sorted(compiled.color_agents), "needs colour, and the source is gray")
     x, y, w, h = (float(v) for v in box)
     decisions: list[Decision] = [
         TargetStarted(frame.index, target, template, (x, y, w, h), active),
@@ -75,13 +75,13 @@ def start(
     ]
     working = tuple(agent for agent in active if agent not in faults and agent not in roll.missed)
     born = TargetState(
-        belief=_placed(work, machine, target, box),
+        belief=_placed(work, compiled, target, box),
         references=references,
         memory=Memory(),
-        plan=compile_plan(machine.plate, working, machine.cues),
+        plan=compile_plan(compiled.plate, working, compiled.cues),
         time=frame.time,
-        watched=watch(references, machine.looks, machine.guard),
-        outlook=outlook(machine, box, work.cache.frames),
+        watched=watch(references, compiled.looks, compiled.guard),
+        outlook=outlook(compiled, box, work.cache.frames),
     )
     metrics = first_frame_metrics(frame, target, len(born.belief), working, box, parts)
     return Born(born, tuple(decisions), metrics)
@@ -119,12 +119,12 @@ def _later(frame: int, target: str, agent: str, why: str, net: TargetNet | None 
 
 def restart(work: FrameWork, target: str, template: str, box: Floats, before: TargetState) -> TargetState:
     """The target as it was, its belief in the centre box (4,): agents that know its looks remember them."""
-    machine = work.engine.machinery[template]
-    lesson = _first_lesson(work, machine, target, box, _parts(machine, box, work.frame))
-    learnt, _ = learn_first(lesson, [agent for agent in machine.cues if agent not in machine.looks])
+    compiled = work.engine.plates[template]
+    lesson = _first_lesson(work, compiled, target, box, _parts(compiled, box, work.frame))
+    learnt, _ = learn_first(lesson, [agent for agent in compiled.cues if agent not in compiled.looks])
     return replace(
         before,
-        belief=_placed(work, machine, target, box),
+        belief=_placed(work, compiled, target, box),
         references={**before.references, **learnt},
         memory=replace(
             before.memory,
@@ -140,22 +140,22 @@ def restart(work: FrameWork, target: str, template: str, box: Floats, before: Ta
     )
 
 
-def _parts(machine: Machinery, box: Floats, frame: Frame) -> dict[str, Floats]:
+def _parts(compiled: CompiledPlate, box: Floats, frame: Frame) -> dict[str, Floats]:
     """Part -> its centre box (4,) in a target that fills `box`."""
-    return {part: inside_frame(at, frame) for part, at in nominal_boxes(machine.plate, box).items()}
+    return {part: inside_frame(at, frame) for part, at in nominal_boxes(compiled.plate, box).items()}
 
 
 def _first_lesson(
-    work: FrameWork, machine: Machinery, target: str, box: Floats, parts: Mapping[str, Floats]
+    work: FrameWork, compiled: CompiledPlate, target: str, box: Floats, parts: Mapping[str, Floats]
 ) -> Lesson:
     """What agents learn their first references from: planes of its own, on this target's region."""
-    own = {agent: parts[part] for agent, part in machine.part_of.items()}
+    own = {agent: parts[part] for agent, part in compiled.part_of.items()}
     cache = PlaneCache(work.cache.frames)
-    return Lesson(machine.cues, cache, Hypotheses(box[None]), own, work.engine.executor, work.absent, target)
+    return Lesson(compiled.cues, cache, Hypotheses(box[None]), own, work.engine.executor, work.absent, target)
 
 
-def _placed(work: FrameWork, machine: Machinery, target: str, box: Floats) -> Posterior:
+def _placed(work: FrameWork, compiled: CompiledPlate, target: str, box: Floats) -> Posterior:
     """The belief of a target that fills `box`."""
-    motion = Confined(machine.motion, work.frame.width, work.frame.height)
-    belief: Posterior = machine.belief.start(box, motion, work.stream(target, machine.plate.root))
+    motion = Confined(compiled.motion, work.frame.width, work.frame.height)
+    belief: Posterior = compiled.belief.start(box, motion, work.stream(target, compiled.plate.root))
     return belief

@@ -153,8 +153,8 @@ def check_depth(engine: Engine, source: object) -> None:
         return
     agents = [
         agent
-        for machine in engine.machinery.values()
-        for agent, cue in machine.cues.items()
+        for compiled in engine.plates.values()
+        for agent, cue in compiled.cues.items()
         if any(getattr(plane, "needs_depth", False) for plane in cue.needs)
     ]
     if agents:

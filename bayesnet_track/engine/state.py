@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.belief.contract import Posterior
-from bayesnet_track.engine.compiled import Engine, Machinery
+from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.predicting import Outlook
 from bayesnet_track.engine.score import Scored
 from bayesnet_track.inference.compile import Plan, compile_plan
@@ -57,14 +57,14 @@ def applied(net: Net, decisions: Iterable[Decision]) -> Net:
 def recompiled(engine: Engine, net: Net, target: str, state: TargetState) -> TargetState:
     """The state with its plan compiled again when its active agents changed."""
     live = net.targets[target]
-    return with_agents(engine.machinery[live.template], state, live.active)
+    return with_agents(engine.plates[live.template], state, live.active)
 
 
-def with_agents(machine: Machinery, state: TargetState, agents: frozenset[str]) -> TargetState:
+def with_agents(compiled: CompiledPlate, state: TargetState, agents: frozenset[str]) -> TargetState:
     """The state with a plan for exactly these agents."""
     if agents == state.plan.active:
         return state
-    return replace(state, plan=compile_plan(machine.plate, agents, machine.cues))
+    return replace(state, plan=compile_plan(compiled.plate, agents, compiled.cues))
 
 
 def inside_frame(box: Floats, frame: Frame) -> Floats:

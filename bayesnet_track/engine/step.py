@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.engine.attachment import Rides
-from bayesnet_track.engine.compiled import Engine, Machinery, make_engine
+from bayesnet_track.engine.compiled import CompiledPlate, Engine, make_engine
 from bayesnet_track.engine.crew import awaited, send_off
 from bayesnet_track.engine.filtering import Filtered, filter_target
 from bayesnet_track.engine.finishing import finish_target
@@ -30,8 +30,8 @@ from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 
 __all__ = [
+    "CompiledPlate",
     "Engine",
-    "Machinery",
     "Outcome",
     "State",
     "TargetState",

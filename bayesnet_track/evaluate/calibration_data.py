@@ -122,7 +122,7 @@ def calibration_data(
     if not lines:
         raise ValueError(f"{video}: no frame after the first has a true box")
     at = np.array([line.box for line in lines])
-    costs = next(iter(engine.machinery.values())).costs_ms
+    costs = next(iter(engine.plates.values())).costs_ms
     return CalibrationData(
         video,
         overlap(at, np.array(boxes)),

@@ -56,11 +56,11 @@ def residuals_of(graph: CheckedGraph, frames: Iterable[Frame], truth: Floats) ->
     Raises:
         ValueError: the truth has fewer boxes than there are frames.
     """
-    machine = next(iter(make_engine(graph).machinery.values()))
+    compiled = next(iter(make_engine(graph).plates.values()))
     cues = {
         agent: cue
-        for agent, cue in machine.cues.items()
-        if agent not in machine.part_of and isinstance(cue, Residual) and isinstance(cue, Cue)
+        for agent, cue in compiled.cues.items()
+        if agent not in compiled.part_of and isinstance(cue, Residual) and isinstance(cue, Cue)
     }
     references: dict[str, Mapping[str, NDArray[np.generic]]] = {}
     found: dict[tuple[str, str], list[Floats]] = {}
@@ -83,7 +83,7 @@ def residuals_of(graph: CheckedGraph, frames: Iterable[Frame], truth: Floats) ->
                 assert isinstance(cue, Residual)
                 for name, values in cue.residuals(planes, box, old).items():
                     found.setdefault((agent, name), []).append(np.asarray(values, dtype=np.float64))
-            rate = machine.rate_max[agent]
+            rate = compiled.rate_max[agent]
             references[agent] = new if old is None else cue.blend(old, new, rate) if rate else old
     return {key: np.concatenate(values) for key, values in found.items()}
 

@@ -214,9 +214,9 @@ def _run_started(
     from bayesnet_track.graph.text.write import graph_sha256
 
     costs = {
-        machine.plate.agent(agent).agent.cue: cost
-        for machine in engine.machinery.values()
-        for agent, cost in machine.costs_ms.items()
+        compiled.plate.agent(agent).agent.cue: cost
+        for compiled in engine.plates.values()
+        for agent, cost in compiled.costs_ms.items()
     }
     return RunStarted(
         journal=JOURNAL_VERSION,

@@ -235,7 +235,7 @@ def kept(
 
 def opaque_agents(engine: Engine) -> tuple[str, ...]:
     """Agents that keep something which cannot be stored."""
-    return tuple(agent for machine in engine.machinery.values() for agent in sorted(machine.opaque))
+    return tuple(agent for compiled in engine.plates.values() for agent in sorted(compiled.opaque))
 
 
 def _options(engine: Engine, budget_ms: float | None) -> dict[str, bool | int | float | str]:
@@ -244,10 +244,10 @@ def _options(engine: Engine, budget_ms: float | None) -> dict[str, bool | int | 
     if budget_ms is not None:
         options["budget_ms"] = budget_ms
     named: set[str] = set()
-    for machine in engine.machinery.values():
-        named |= {machine.plate.agent(agent).agent.cue for agent in machine.plate.agents}
-        if machine.life is not None and machine.life.birth is not None:
-            named.add(machine.life.birth.detector.detector)
+    for compiled in engine.plates.values():
+        named |= {compiled.plate.agent(agent).agent.cue for agent in compiled.plate.agents}
+        if compiled.lifecycle is not None and compiled.lifecycle.birth is not None:
+            named.add(compiled.lifecycle.birth.detector.detector)
     theirs = sorted(named & plugins.allowed())
     if theirs:
         options["allow_plugins"] = ",".join(theirs)

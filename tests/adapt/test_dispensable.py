@@ -25,8 +25,8 @@ def played(fakes, sds, costs, frames=12):
     """Decisions of agents that see the target at its place with these sds (px), and cost this much (ms)."""
     sees = {name: fakes.gaussian(50.0, 40.0, sd) for name, sd in sds.items()}
     engine, _ = fakes.engine(NODES, sees)
-    (machine,) = engine.machinery.values()
-    machine.costs_ms.update(costs)
+    (compiled,) = engine.plates.values()
+    compiled.costs_ms.update(costs)
     return [event for one in fakes.play(engine, frames) for event in one.events]
 
 

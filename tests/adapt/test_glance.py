@@ -29,8 +29,8 @@ NODES = {
 def played(fakes, cheap_sd, frames=14):
     sees = {"cheap": fakes.gaussian(50.0, 40.0, cheap_sd), "dear": fakes.gaussian(50.0, 40.0, 2.0)}
     engine, _ = fakes.engine(NODES, sees)
-    (machine,) = engine.machinery.values()
-    machine.costs_ms.update({"cheap": 1.0, "dear": 9.0})
+    (compiled,) = engine.plates.values()
+    compiled.costs_ms.update({"cheap": 1.0, "dear": 9.0})
     return fakes.play(engine, frames)
 
 

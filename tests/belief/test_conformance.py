@@ -47,8 +47,8 @@ def make(fakes):
     def made(asked, kind):
         declared = {"agent": fakes.declare(fakes.Oracle(fakes.flat()))}
         nodes = {"root": {"belief": asked.says, "motion": MOTIONS[kind]}, "agent": "root"}
-        machine = make_engine(fakes.graph(nodes, declared), 0, declared).machinery["plate"]
-        return machine.belief, machine.motion
+        compiled = make_engine(fakes.graph(nodes, declared), 0, declared).plates["plate"]
+        return compiled.belief, compiled.motion
 
     return made
 

@@ -29,7 +29,7 @@ def nodes_of(**settings):
 
 
 def machine_of(fakes, **settings):
-    return fakes.engine(nodes_of(**settings), {"eye": fakes.flat()})[0].machinery["plate"]
+    return fakes.engine(nodes_of(**settings), {"eye": fakes.flat()})[0].plates["plate"]
 
 
 def orange_at(x, y):
@@ -40,16 +40,16 @@ def orange_at(x, y):
 
 
 def test_a_plain_motion_is_the_plates_own(fakes):
-    machine = machine_of(fakes)
+    compiled = machine_of(fakes)
     cache = PlaneCache(FramePair(fakes.frame(1), fakes.frame(0)))
-    assert machine.moving is None
-    assert outlook(machine, BOX, cache.frames) is None
-    assert predicted(machine, None, None, False, 1.0, cache).motion is machine.motion
+    assert compiled.moving is None
+    assert outlook(compiled, BOX, cache.frames) is None
+    assert predicted(compiled, None, None, False, 1.0, cache).motion is compiled.motion
 
 
 def test_what_depends_on_the_last_frame_is_arrays_and_numbers(fakes):
-    machine = machine_of(fakes, relocalize={"by": {"detector": "color_backprojection"}})
-    found = outlook(machine, BOX, FramePair(Frame(0, 0.0, orange_at(60, 50)), None))
+    compiled = machine_of(fakes, relocalize={"by": {"detector": "color_backprojection"}})
+    found = outlook(compiled, BOX, FramePair(Frame(0, 0.0, orange_at(60, 50)), None))
     for item in fields(Outlook):
         value = getattr(found, item.name)
         held = value.values() if item.name == "finder" else [value]
@@ -60,17 +60,17 @@ def test_what_depends_on_the_last_frame_is_arrays_and_numbers(fakes):
     ("ud", "is_lost", "share"), [(0.0, False, 0.0), (150.0, False, 0.1), (0.0, True, 0.1)]
 )
 def test_it_jumps_while_unsure_or_lost(fakes, ud, is_lost, share):
-    machine = machine_of(fakes, relocalize={"by": "uniform", "above": {"ud_box": 0.5}})
+    compiled = machine_of(fakes, relocalize={"by": "uniform", "above": {"ud_box": 0.5}})
     cache = PlaneCache(FramePair(fakes.frame(2), fakes.frame(0)))
-    known = replace(outlook(machine, BOX, cache.frames), ud_px2=ud)
-    motion = predicted(machine, None, known, is_lost, 2.0, cache).motion
+    known = replace(outlook(compiled, BOX, cache.frames), ud_px2=ud)
+    motion = predicted(compiled, None, known, is_lost, 2.0, cache).motion
     if share == 0.0:
-        assert motion is machine.motion
+        assert motion is compiled.motion
     else:
         assert isinstance(motion, Jumping)
         assert motion.share == pytest.approx(1 - (1 - share) ** 2)
-        carried = Attached(machine.motion, np.zeros(2), 0.1, 0.9, 1.0)
-        own = predicted(machine, carried, known, is_lost, 2.0, cache).motion
+        carried = Attached(compiled.motion, np.zeros(2), 0.1, 0.9, 1.0)
+        own = predicted(compiled, carried, known, is_lost, 2.0, cache).motion
         assert isinstance(own, Attached)
         assert isinstance(own.motion, Jumping)
 
@@ -81,9 +81,9 @@ def test_the_camera_carries_the_states(fakes):
     views = [
         Frame(n, float(n), np.dstack([ground[20:220, 20 + at : 260 + at]] * 3)) for n, at in ((0, 0), (1, 4))
     ]
-    machine = machine_of(fakes, camera="compensate")
-    known = outlook(machine, BOX, FramePair(views[0], None))
-    motion = predicted(machine, None, known, False, 1.0, PlaneCache(FramePair(views[1], views[0]))).motion
+    compiled = machine_of(fakes, camera="compensate")
+    known = outlook(compiled, BOX, FramePair(views[0], None))
+    motion = predicted(compiled, None, known, False, 1.0, PlaneCache(FramePair(views[1], views[0]))).motion
     assert isinstance(motion, Carried)
     np.testing.assert_allclose(motion.drift(BOX[None], 1.0)[0], BOX - [4, 0, 0, 0], atol=0.1)
 
@@ -98,21 +98,21 @@ def test_an_angle_is_beside_all_of_it(fakes):
     plain = machine_of(
         fakes, camera="compensate", size_reversion={"sd_scale": 0.3}, inflate={}, relocalize={"by": "uniform"}
     )
-    machine = replace(plain, motion=Rotating(plain.motion, 6.0))
-    known = outlook(machine, BOX, FramePair(views[0], None))
-    motion = predicted(machine, None, known, True, 1.0, PlaneCache(FramePair(views[1], views[0]))).motion
-    assert motion.fields == machine.motion.fields
+    compiled = replace(plain, motion=Rotating(plain.motion, 6.0))
+    known = outlook(compiled, BOX, FramePair(views[0], None))
+    motion = predicted(compiled, None, known, True, 1.0, PlaneCache(FramePair(views[1], views[0]))).motion
+    assert motion.fields == compiled.motion.fields
     assert isinstance(motion, Jumping) and isinstance(motion.motion, Rotating)
     old = np.append(BOX, 40.0)[None]
     np.testing.assert_allclose(motion.drift(old, 1.0)[0], [*(BOX - [4, 0, 0, 0]), 40.0], atol=0.1)
 
 
 def test_the_detector_is_shown_the_target_and_looks_for_it(fakes):
-    machine = machine_of(fakes, relocalize={"by": {"detector": "color_backprojection"}})
+    compiled = machine_of(fakes, relocalize={"by": {"detector": "color_backprojection"}})
     start = Frame(0, 0.0, orange_at(60, 50))
-    known = outlook(machine, np.array([60.0, 50.0, 20.0, 20.0]), FramePair(start, None))
+    known = outlook(compiled, np.array([60.0, 50.0, 20.0, 20.0]), FramePair(start, None))
     now = PlaneCache(FramePair(Frame(1, 1.0, orange_at(100, 30)), start))
-    found = predicted(machine, None, known, True, 1.0, now)
+    found = predicted(compiled, None, known, True, 1.0, now)
     np.testing.assert_allclose(found.motion.search.boxes, [[99.5, 29.5, 20, 20]], atol=2.0)
     assert found.told == ()
 
@@ -138,9 +138,9 @@ def test_a_detector_that_fails_is_out_and_told(fakes, error, reason):
         def detect(self, frames, state):
             raise error
 
-    machine = replace(machine_of(fakes, relocalize={"by": "uniform"}), finder=Broken())
+    compiled = replace(machine_of(fakes, relocalize={"by": "uniform"}), finder=Broken())
     cache = PlaneCache(FramePair(fakes.frame(1), fakes.frame(0)))
-    found = predicted(machine, None, outlook(machine, BOX, cache.frames), True, 1.0, cache)
+    found = predicted(compiled, None, outlook(compiled, BOX, cache.frames), True, 1.0, cache)
     assert isinstance(found.motion, Jumping)
     assert found.outlook.finder is not None and found.outlook.fault.until == found.told[0].until
     assert [event.reason for event in found.told] == [reason]
@@ -166,9 +166,9 @@ def test_the_answer_of_a_detector_is_checked_as_where_targets_are_born(fakes, an
         def detect(self, frames, state):
             return answer, state
 
-    machine = replace(machine_of(fakes, relocalize={"by": "uniform"}), finder=Wrong())
+    compiled = replace(machine_of(fakes, relocalize={"by": "uniform"}), finder=Wrong())
     cache = PlaneCache(FramePair(fakes.frame(1), fakes.frame(0)))
-    found = predicted(machine, None, outlook(machine, BOX, cache.frames), True, 1.0, cache)
+    found = predicted(compiled, None, outlook(compiled, BOX, cache.frames), True, 1.0, cache)
     assert [reason in event.reason for event in found.told] == [True]
 
 

@@ -62,8 +62,8 @@ def test_what_a_graph_is_for_is_escaped():
 def test_a_plan_is_a_table_of_its_steps():
     graph = load_graph("color_fusion")
     (plate,) = graph.targets.values()
-    (machine,) = make_engine(graph, 0).machinery.values()
-    text = parsed(compile_plan(plate, plate.agents[:1], machine.cues)._repr_html_())
+    (compiled,) = make_engine(graph, 0).plates.values()
+    text = parsed(compile_plan(plate, plate.agents[:1], compiled.cues)._repr_html_())
     assert plate.agents[0] in text and plate.root in text and "off" in text
 
 

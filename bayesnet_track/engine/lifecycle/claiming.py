@@ -56,8 +56,8 @@ class Looked:
 
 def look_first(work: FrameWork, targets: Mapping[str, TargetState], life: Life) -> Looked | None:
     """What the detectors find, shared out among the targets; None where no plate has agents that claim."""
-    net, machinery = work.net, work.engine.machinery
-    if not any(machine.claimers for machine in machinery.values()):
+    net, plates = work.net, work.engine.plates
+    if not any(compiled.association_rules for compiled in plates.values()):
         return None
     started = work.engine.clock()
     expected = {target: _predicted(work, target, before) for target, before in targets.items()}
@@ -71,12 +71,12 @@ def look_first(work: FrameWork, targets: Mapping[str, TargetState], life: Life) 
     )
     given = dict(targets)
     owners: dict[str, tuple[str | None, ...]] = {}
-    for plate, machine in machinery.items():
-        if not machine.claimers:
+    for plate, compiled in plates.items():
+        if not compiled.association_rules:
             continue
         names = [target for target in targets if net.targets[target].template == plate]
         seen = found.get(plate, Found(np.empty((0, 4)), np.empty(0)))
-        rule = next(iter(machine.claimers.values()))
+        rule = next(iter(compiled.association_rules.values()))
         gain = np.full((len(names), len(seen.boxes)), -np.inf)
         for row, target in enumerate(names):
             looks = partial(_looks, work, target, targets[target])
@@ -88,7 +88,7 @@ def look_first(work: FrameWork, targets: Mapping[str, TargetState], life: Life) 
             if number != NOBODY:
                 whose[number] = target
                 claim = np.append(seen.boxes[number], seen.scores[number])[None]
-            given[target] = _with_claim(targets[target], machine.claimers, claim)
+            given[target] = _with_claim(targets[target], compiled.association_rules, claim)
         if plate in found:
             owners[plate] = tuple(whose)
     work.charge("life", started)
@@ -109,22 +109,22 @@ def _predicted(work: FrameWork, target: str, before: TargetState) -> tuple[Float
 
 def _looks(work: FrameWork, target: str, state: TargetState, boxes: Floats) -> Floats:
     """(N,) log-likelihood of boxes (N, 4) by all agents that know the target's looks, switched on or not."""
-    machine = work.plate_of(target)
-    agents = [a for a in machine.plate.agents if a in machine.looks and a in state.references]
+    compiled = work.plate_of(target)
+    agents = [a for a in compiled.plate.agents if a in compiled.looks and a in state.references]
     if not work.frame.has_color:
-        agents = [agent for agent in agents if agent not in machine.color_agents]
+        agents = [agent for agent in agents if agent not in compiled.color_agents]
     if not agents:
         return np.zeros(len(boxes))
-    stream = work.stream(target, machine.plate.root)
+    stream = work.stream(target, compiled.plate.root)
     observer = Observer(
         work.cache,
-        machine.cues,
+        compiled.cues,
         state.references,
         lambda what: stream(f"claim {what}"),
         roll=work.roll(target, "claiming"),
     )
     prior = np.full(len(boxes), -np.log(len(boxes)))
-    plan = compile_plan(machine.plate, agents, machine.cues)
+    plan = compile_plan(compiled.plate, agents, compiled.cues)
     return np.clip(evaluate(plan, observer, Hypotheses(boxes), prior).log_likelihood, LEAST_LOG, 0.0)
 
 

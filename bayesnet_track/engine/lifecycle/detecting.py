@@ -55,14 +55,14 @@ def look(
     """
     engine, frame, pair = work.engine, work.frame, work.cache.frames
     due: dict[str, str] = {}
-    for plate, machine in engine.machinery.items():
-        birth = None if machine.life is None else machine.life.birth
+    for plate, compiled in engine.plates.items():
+        birth = None if compiled.lifecycle is None else compiled.lifecycle.birth
         if (
             birth is not None
             and frame.index % birth.every == 0
-            and _is_in(life, machine.detector, frame.index)
+            and _is_in(life, compiled.detector, frame.index)
         ):
-            due[plate] = machine.detector
+            due[plate] = compiled.detector
     found: dict[str, Detections] = {}
     failed: list[DetectorFailed] = []
     states = dict(life.detectors)
@@ -101,13 +101,13 @@ def _asked(
 
 
 def _of_plate(engine: Engine, plate: str, found: Detections) -> Found:
-    life = engine.machinery[plate].life
-    labels = () if life is None or life.birth is None else life.birth.labels
+    rules = engine.plates[plate].lifecycle
+    labels = () if rules is None or rules.birth is None else rules.birth.labels
     keep = np.array([not labels or label in labels for label in found.labels], dtype=bool)
     return Found(found.boxes[keep], found.scores[keep])
 
 
 def _word(engine: Engine, plate: str) -> str:
-    life = engine.machinery[plate].life
-    assert life is not None and life.birth is not None
-    return life.birth.detector.detector
+    rules = engine.plates[plate].lifecycle
+    assert rules is not None and rules.birth is not None
+    return rules.birth.detector.detector

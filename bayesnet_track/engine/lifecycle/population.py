@@ -55,8 +55,10 @@ def manage_tracks(work: FrameWork, outcome: Outcome, looked: Looked | None = Non
 
     `looked` holds what the detectors found, and whose it is, where they looked before targets were weighed.
     """
-    frame, machinery, started = work.frame, work.engine.machinery, work.engine.clock()
-    rules = {plate: machine.life for plate, machine in machinery.items() if machine.life is not None}
+    frame, plates, started = work.frame, work.engine.plates, work.engine.clock()
+    rules = {
+        plate: compiled.lifecycle for plate, compiled in plates.items() if compiled.lifecycle is not None
+    }
     if not rules:
         return outcome
     state = outcome.state
@@ -203,7 +205,7 @@ def _start(now: _Nursery, candidate: Candidate, nearest: Match | None) -> None:
     if nearest is not None and nearest.is_sure:
         target = nearest.recognition.target
         old = next(one for one in people.life.dead if one.target == target)
-        looks = now.work.engine.machinery[now.plate].looks
+        looks = now.work.engine.plates[now.plate].looks
         known = {agent: one for agent, one in old.references.items() if agent in looks}
         born = start(now.work, target, now.plate, box, known)
         first = born.decisions[0]

@@ -24,19 +24,21 @@ def compare(
     work: FrameWork, plate: str, rule: Reidentify, boxes: Floats, others: Floats, known: Identity
 ) -> Compared:
     """One remembered target against detections (M, 4); `others` (K, 4) are boxes of objects in this frame."""
-    machine, frame = work.engine.machinery[plate], work.frame
-    motion = Confined(machine.motion, frame.width, frame.height)
+    compiled, frame = work.engine.plates[plate], work.frame
+    motion = Confined(compiled.motion, frame.width, frame.height)
     area = float(frame.width * frame.height)
     fading, place, distance = placed(known, motion, boxes, frame.time, area, rule)
-    agents = tuple(agent for agent in machine.plate.agents if agent in machine.looks & set(known.references))
+    agents = tuple(
+        agent for agent in compiled.plate.agents if agent in compiled.looks & set(known.references)
+    )
     if not frame.has_color:
-        agents = tuple(agent for agent in agents if agent not in machine.color_agents)
-    stream = work.stream(known.target, machine.plate.root)
+        agents = tuple(agent for agent in agents if agent not in compiled.color_agents)
+    stream = work.stream(known.target, compiled.plate.root)
     random = elsewhere(boxes, frame.width, frame.height, stream("elsewhere"))
     if agents:
         observer = Observer(
             work.cache,
-            machine.cues,
+            compiled.cues,
             known.references,
             lambda what: stream(f"recall {what}"),
             roll=work.roll(known.target, "recalling"),
@@ -44,7 +46,7 @@ def compare(
         states = np.concatenate([boxes, random, others])
         prior = np.full(len(states), -np.log(len(states)))
         evidence = evaluate(
-            compile_plan(machine.plate, agents, machine.cues), observer, Hypotheses(states), prior
+            compile_plan(compiled.plate, agents, compiled.cues), observer, Hypotheses(states), prior
         )
         values = np.clip(evidence.log_likelihood, LEAST_LOG, None)
         agents = tuple(agent for agent in agents if agent in observer.answered)

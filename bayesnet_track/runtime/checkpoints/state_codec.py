@@ -243,8 +243,8 @@ class _Decoder:
         if letter == "p":
             return self._frame
         if letter == "c":
-            machine = self._engine.machinery[node[1]]
-            return compile_plan(machine.plate, node[2], machine.cues)
+            compiled = self._engine.plates[node[1]]
+            return compile_plan(compiled.plate, node[2], compiled.cues)
         if letter == "o":
             kind = _known()[node[1]]
             names = _names(kind)

@@ -57,9 +57,9 @@ def places_of(
     declarations = _declarations(engine, cues)
     found: dict[tuple[str, str], Place] = {}
     unused = set(wanted) - nets
-    for plate, machine in engine.machinery.items():
-        for agent in machine.cues:
-            node = machine.plate.agent(agent)
+    for plate, compiled in engine.plates.items():
+        for agent in compiled.cues:
+            node = compiled.plate.agent(agent)
             own = next((name for name in (f"{plate}.{agent}", agent) if name in wanted), None)
             unused -= {f"{plate}.{agent}", agent}
             place = node.on if own is None else wanted[own]
@@ -74,7 +74,7 @@ def places_of(
         agents = dict.fromkeys(agent for _, agent in found)
         raise PlacingError(
             f"no agent {sorted(unused)[0]!r}; the graph has {', '.join(agents)}, and the plates "
-            f"{', '.join(engine.machinery)}"
+            f"{', '.join(engine.plates)}"
         )
     return found
 
@@ -90,19 +90,19 @@ def plates_elsewhere(
     Raises:
         PlacingError: one of them cannot be there.
     """
-    agents = {agent for machine in engine.machinery.values() for agent in machine.cues}
-    nets = {name for name in engine.machinery if name not in agents and wanted.get(name) == "process"}
+    agents = {agent for compiled in engine.plates.values() for agent in compiled.cues}
+    nets = {name for name in engine.plates if name not in agents and wanted.get(name) == "process"}
     declarations = _declarations(engine, cues)
     for name in sorted(nets):
-        machine = engine.machinery[name]
-        opaque = [a for a in machine.cues if declarations[machine.plate.agent(a).agent.cue].opaque]
+        compiled = engine.plates[name]
+        opaque = [a for a in compiled.cues if declarations[compiled.plate.agent(a).agent.cue].opaque]
         reason = (
             "the graph has `joins`: what one net sees depends on the others"
             if engine.joins
             else f"agent {opaque[0]} keeps what cannot be sent"
             if opaque
             else "its motion is a function of your own, which cannot be sent"
-            if graph is None or isinstance(machine.motion, FunctionMotion)
+            if graph is None or isinstance(compiled.motion, FunctionMotion)
             else ""
         )
         if reason:
@@ -127,26 +127,26 @@ def agent_specs(
     found = {}
     for (plate, agent), place in places.items():
         if place == "process":
-            machine = engine.machinery[plate]
-            make = declarations[machine.plate.agent(agent).agent.cue].make
-            parameters = machine.plate.parameters[agent]
-            found[_name(plate, agent)] = AgentSpec(make, parameters, machine.costs_ms[agent] * 1e-3)
+            compiled = engine.plates[plate]
+            make = declarations[compiled.plate.agent(agent).agent.cue].make
+            parameters = compiled.plate.parameters[agent]
+            found[_name(plate, agent)] = AgentSpec(make, parameters, compiled.costs_ms[agent] * 1e-3)
     return found
 
 
 def with_proxies(engine: Engine, places: Mapping[tuple[str, str], Place], transport: Transport) -> Engine:
     """The engine with a proxy in place of the cue of every agent that works in a process."""
     sent = SentFrames(transport)
-    machinery = {}
-    for plate, machine in engine.machinery.items():
+    plates = {}
+    for plate, compiled in engine.plates.items():
         cues = {
             agent: placed(_name(plate, agent), cue, transport, sent)
             if places[plate, agent] == "process"
             else cue
-            for agent, cue in machine.cues.items()
+            for agent, cue in compiled.cues.items()
         }
-        machinery[plate] = replace(machine, cues=cues)
-    return replace(engine, machinery=machinery)
+        plates[plate] = replace(compiled, cues=cues)
+    return replace(engine, plates=plates)
 
 
 def _name(plate: str, agent: str) -> str:
@@ -156,4 +156,4 @@ def _name(plate: str, agent: str) -> str:
 def _declarations(engine: Engine, cues: Mapping[str, CueDeclaration] | None) -> Mapping[str, CueDeclaration]:
     if cues is not None:
         return cues
-    return {one.name: one for machine in engine.machinery.values() for one in machine.declared.values()}
+    return {one.name: one for compiled in engine.plates.values() for one in compiled.declared.values()}

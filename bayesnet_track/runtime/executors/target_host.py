@@ -89,8 +89,8 @@ class NetHost:
     def _plan(self, net: TargetNet) -> Plan:
         key = net.template, net.active
         if key not in self._plans:
-            machine = self._engine.machinery[net.template]
-            self._plans[key] = compile_plan(machine.plate, net.active, machine.cues)
+            compiled = self._engine.plates[net.template]
+            self._plans[key] = compile_plan(compiled.plate, net.active, compiled.cues)
         return self._plans[key]
 
 

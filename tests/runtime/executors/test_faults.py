@@ -61,7 +61,7 @@ def test_a_killed_worker_is_seen_within_50_ms_and_back_within_a_second(placed):
     agents = {"c": ("placed", {"how": "hang", "at": 0})}
     seen, back = [], []
     with placed.executing(agents, "processes", retries=0) as (engine, executor):
-        cue, cache = next(iter(engine.machinery["plate"].cues.values())), placed.cache()
+        cue, cache = next(iter(engine.plates["plate"].cues.values())), placed.cache()
         planes = cache.planes(cue.needs, placed.region)
         learnt = dict(cue.learn(planes, placed.box))
         for _ in range(10):

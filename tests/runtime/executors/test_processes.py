@@ -89,7 +89,7 @@ def test_what_cannot_be_had_is_told_with_the_reason(placed, monkeypatch, how):
     monkeypatch.setattr(Worker, "_send", sent_late)
     with placed.executing({"a": ("placed", {"how": how, "at": 0})}, "processes", **settings) as made:
         engine, _ = made
-        cue, cache = next(iter(engine.machinery["plate"].cues.values())), placed.cache()
+        cue, cache = next(iter(engine.plates["plate"].cues.values())), placed.cache()
         planes = cache.planes(cue.needs, placed.region)
         learnt = cue.learn(planes, placed.box)
         assert learnt["big"].size == 1000
