@@ -56,7 +56,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Identity:
+class AppearanceMemory:
     """A target as it is remembered, lost or dead.
 
     Attributes:
@@ -77,7 +77,7 @@ class Identity:
 
 
 @dataclass(frozen=True, eq=False)
-class Lifeline:
+class TrackRecord:
     """What is counted of a live target.
 
     Attributes:
@@ -98,14 +98,14 @@ class Lifeline:
 
 
 @dataclass(frozen=True, eq=False)
-class Life:
+class TrackHistory:
     """What the engine remembers of births and deaths between frames.
 
     Attributes:
         detectors: detector -> its state.
         failed: detector -> its last failure.
         candidates: plate -> what was detected and is no target yet.
-        lifelines: live target -> what is counted of it.
+        records: live target -> what is counted of it.
         dead: targets whose nets ended and that can return, in the order of their deaths.
         overlaps: (younger, older) target -> overlaps of their beliefs in the last consecutive frames.
         refused: plate -> births refused so far.
@@ -115,8 +115,8 @@ class Life:
     detectors: Mapping[str, DetectorState] = field(default_factory=dict)
     failed: Mapping[str, Fault] = field(default_factory=dict)
     candidates: Mapping[str, tuple[Candidate, ...]] = field(default_factory=dict)
-    lifelines: Mapping[str, Lifeline] = field(default_factory=dict)
-    dead: tuple[Identity, ...] = ()
+    records: Mapping[str, TrackRecord] = field(default_factory=dict)
+    dead: tuple[AppearanceMemory, ...] = ()
     overlaps: Mapping[tuple[str, str], tuple[float, ...]] = field(default_factory=dict)
     refused: Mapping[str, int] = field(default_factory=dict)
     last_id: int = 0
@@ -181,7 +181,7 @@ def _is_hopeless(candidate: Candidate, confirm: Confirm) -> bool:
     return misses > confirm.of - confirm.hits
 
 
-def refusals_to_tell(before: int, after: int) -> bool:
+def is_refusal_notable(before: int, after: int) -> bool:
     """True when the number of refused births has reached 1, 10, 100, ... since it was `before`."""
     level = 1
     while level <= before:
@@ -192,12 +192,12 @@ def refusals_to_tell(before: int, after: int) -> bool:
 # ------------------------------------------------------------------------------------ ends
 
 
-def time_to_die(line: Lifeline, rule: Death) -> tuple[str, int, int] | None:
+def find_end_cause(record: TrackRecord, rule: Death) -> tuple[str, int, int] | None:
     """Why a net ends: (lost or unseen, for how many frames, the rule's number); None when it lives on."""
-    if line.lost_frames >= rule.lost_frames:
-        return "lost", line.lost_frames, rule.lost_frames
-    if rule.unseen_frames is not None and line.unseen_frames >= rule.unseen_frames:
-        return "unseen", line.unseen_frames, rule.unseen_frames
+    if record.lost_frames >= rule.lost_frames:
+        return "lost", record.lost_frames, rule.lost_frames
+    if rule.unseen_frames is not None and record.unseen_frames >= rule.unseen_frames:
+        return "unseen", record.unseen_frames, rule.unseen_frames
     return None
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.joins import JoinMemory, decide_joins
-from bayesnet_track.adapt.lifecycle import Life
+from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.adapt.shedding import Load
 from bayesnet_track.engine.findings import TargetResult
 from bayesnet_track.engine.frame_work import FrameWork
@@ -33,7 +33,7 @@ class State:
         net: the live nets.
         targets: target id -> its state.
         previous: the last frame.
-        life: what is remembered of births and deaths.
+        history: what is remembered of births and deaths.
         joins: what is remembered of targets that depend on each other.
         load: what is remembered of late frames.
     """
@@ -41,7 +41,7 @@ class State:
     net: Net = field(default_factory=Net)
     targets: Mapping[str, TargetState] = field(default_factory=dict)
     previous: Frame | None = None
-    life: Life = field(default_factory=Life)
+    history: TrackHistory = field(default_factory=TrackHistory)
     joins: JoinMemory = field(default_factory=JoinMemory)
     load: Load = field(default_factory=Load)
 

@@ -20,7 +20,7 @@ from bayesnet_track.engine.finishing import finish_target
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.joining import join_targets
 from bayesnet_track.engine.lifecycle.claiming import look_first
-from bayesnet_track.engine.lifecycle.population import manage_tracks
+from bayesnet_track.engine.lifecycle.track_management import manage_tracks
 from bayesnet_track.engine.outcome import Outcome, State, carried_out, with_joins, with_load, with_outside
 from bayesnet_track.engine.outside import sorted_out
 from bayesnet_track.engine.starting import start
@@ -59,7 +59,7 @@ def step(engine: Engine, state: State, frame: Frame, outside: Iterable[Input] = 
     work = FrameWork(engine, state.net, cache, given.absent, given.by_hand)
 
     # Which detections are whose, where agents measure by them
-    looked = look_first(work, state.targets, state.life)
+    looked = look_first(work, state.targets, state.history)
     before = state.targets if looked is None else looked.targets
 
     # Predict and update: by each target's own agents, then together where targets are joined

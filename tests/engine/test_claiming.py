@@ -173,7 +173,7 @@ def test_a_thousand_boxes_a_frame_fill_the_plate_and_no_more():
     }
     outcomes = play(plain(max_targets=6), FileDetector(says), 8)
     assert max(len(outcome.metrics) for outcome in outcomes) == 6
-    assert all(len(one) <= 12 for outcome in outcomes for one in outcome.state.life.candidates.values())
+    assert all(len(one) <= 12 for outcome in outcomes for one in outcome.state.history.candidates.values())
     told = [
         event.refused for outcome in outcomes for event in outcome.events if isinstance(event, BirthsRefused)
     ]

@@ -6,13 +6,19 @@ import numpy as np
 import pytest
 
 from bayesnet_track.adapt.claims import NOBODY, alike, claim, distances, pair_up
-from bayesnet_track.adapt.lifecycle import Identity, belief_overlap, refusals_to_tell
+from bayesnet_track.adapt.lifecycle import AppearanceMemory, belief_overlap, is_refusal_notable
 from bayesnet_track.belief.motion.models import make_motion
-from bayesnet_track.engine.lifecycle.recognise import LOOKALIKE, Compared, looks, match, placed
+from bayesnet_track.engine.lifecycle.recognise import (
+    LOOKALIKE,
+    Compared,
+    match,
+    weigh_appearance,
+    weigh_place,
+)
 from bayesnet_track.graph.settings.lifecycle import Reidentify
 from bayesnet_track.graph.spec import Motion
 
-NOWHERE = Identity("1", "t", np.zeros(4), np.zeros((4, 4)), 0.0, {})
+NOWHERE = AppearanceMemory("1", "t", np.zeros(4), np.zeros((4, 4)), 0.0, {})
 
 
 def test_the_cheapest_pairs_come_first_one_to_one():
@@ -90,8 +96,8 @@ def test_place_is_a_density_over_the_frame():
     motion = make_motion(Motion(random_walk={"sd_px": {"x": 2, "y": 3}}))
     x, y = (g.ravel() for g in np.meshgrid(np.arange(0.5, 200), np.arange(0.5, 160)))
     boxes = np.column_stack([x, y, np.full_like(x, 8.0), np.full_like(x, 8.0)])
-    known = Identity("1", "t", np.array([100.0, 80, 8, 8]), np.diag([4.0, 1, 0, 0]), 10.0, {})
-    fading, place, distance = placed(known, motion, boxes, 20.0, 200.0 * 160, Reidentify(frames=50))
+    known = AppearanceMemory("1", "t", np.array([100.0, 80, 8, 8]), np.diag([4.0, 1, 0, 0]), 10.0, {})
+    fading, place, distance = weigh_place(known, motion, boxes, 20.0, 200.0 * 160, Reidentify(frames=50))
     assert fading == pytest.approx(-0.2)
     assert np.mean(np.exp(place)) == pytest.approx(1.0, abs=1e-6)
     # var 4 + 10 steps of 2^2 + (8 / 4)^2, and 1 + 10 of 3^2 + 4; at the mean itself
@@ -105,13 +111,13 @@ def test_looks_are_compared_with_what_is_elsewhere():
     log_l, random = np.log([0.8]), np.array([[50.0, 50, 4, 4], [60, 60, 4, 4], [10, 10, 4, 4]])
     groups = [(random, np.log([0.1, 0.3, 0.9])), (np.array([[30.0, 30, 4, 4]]), np.log([0.6]))]
     expected = 0.8 / ((1 - LOOKALIKE) * (0.2 + 0.6) / 2 + LOOKALIKE)
-    assert looks(boxes, log_l, groups)[0] == pytest.approx(np.log(expected))
-    assert looks(boxes, log_l, [])[0] == pytest.approx(np.log(0.8))
+    assert weigh_appearance(boxes, log_l, groups)[0] == pytest.approx(np.log(expected))
+    assert weigh_appearance(boxes, log_l, [])[0] == pytest.approx(np.log(0.8))
 
 
 def compared(name, odds):
     log = np.log(odds)
-    one = Identity(name, "t", NOWHERE.mean, NOWHERE.covariance, 0.0, {})
+    one = AppearanceMemory(name, "t", NOWHERE.mean, NOWHERE.covariance, 0.0, {})
     return Compared(one, 1.0, np.zeros(len(log)), 0.0, log, np.zeros(len(log)), ())
 
 
@@ -126,5 +132,5 @@ def test_a_target_is_taken_once_and_what_is_left_is_new():
 
 
 def test_refusals_are_told_at_powers_of_ten():
-    told = [n for n in range(1, 2000) if refusals_to_tell(n - 1, n)]
-    assert told == [1, 10, 100, 1000] and refusals_to_tell(7, 400) and not refusals_to_tell(100, 999)
+    told = [n for n in range(1, 2000) if is_refusal_notable(n - 1, n)]
+    assert told == [1, 10, 100, 1000] and is_refusal_notable(7, 400) and not is_refusal_notable(100, 999)

@@ -3,7 +3,7 @@
 The detectors look, every target's belief is predicted, and the targets of a plate share its detections out:
 as many as can be, the best for all together by where each target is expected and, where the agent's
 `appearance` asks for it, by what the target looks like. What nobody gets is left to the life of targets
-(`population`).
+(`track_management`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.assign import assign, gains
 from bayesnet_track.adapt.claims import NOBODY
-from bayesnet_track.adapt.lifecycle import Life
+from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.belief.gaussian.predict import predict
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.engine.frame_work import FrameWork
@@ -43,18 +43,18 @@ class Looked:
         found: plate that looked -> its detections, the best first.
         owners: plate whose agents claim -> (N,) for each of its detections the target that it was given to.
         targets: every live target, the references of agents that claim with what they were given.
-        life: as it was, with the detectors' states after the look.
+        history: as it was, with the detectors' states after the look.
         told: detectors that failed.
     """
 
     found: dict[str, Found]
     owners: Mapping[str, tuple[str | None, ...]]
     targets: Mapping[str, TargetState]
-    life: Life
+    history: TrackHistory
     told: tuple[DetectorFailed, ...]
 
 
-def look_first(work: FrameWork, targets: Mapping[str, TargetState], life: Life) -> Looked | None:
+def look_first(work: FrameWork, targets: Mapping[str, TargetState], history: TrackHistory) -> Looked | None:
     """What the detectors find, shared out among the targets; None where no plate has agents that claim."""
     net, plates = work.net, work.engine.plates
     if not any(compiled.association_rules for compiled in plates.values()):
@@ -66,8 +66,8 @@ def look_first(work: FrameWork, targets: Mapping[str, TargetState], life: Life) 
         of_plate = (target for target in targets if net.targets[target].template == plate)
         return [target for target in of_plate if net.targets[target].status != "lost"]
 
-    found, life, told = look(
-        work, life, lambda names: np.array([expected[name][0] for name in names]).reshape(-1, 4), held
+    found, history, told = look(
+        work, history, lambda names: np.array([expected[name][0] for name in names]).reshape(-1, 4), held
     )
     given = dict(targets)
     owners: dict[str, tuple[str | None, ...]] = {}
@@ -92,7 +92,7 @@ def look_first(work: FrameWork, targets: Mapping[str, TargetState], life: Life) 
         if plate in found:
             owners[plate] = tuple(whose)
     work.charge("life", started)
-    return Looked(found, owners, given, life, told)
+    return Looked(found, owners, given, history, told)
 
 
 def _predicted(work: FrameWork, target: str, before: TargetState) -> tuple[Floats, Floats]:

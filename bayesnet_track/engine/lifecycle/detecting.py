@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.backoff import next_try
-from bayesnet_track.adapt.lifecycle import Life
+from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.journal.events.life_events import DetectorFailed
@@ -43,10 +43,10 @@ class Found:
 
 def look(
     work: FrameWork,
-    life: Life,
+    history: TrackHistory,
     boxes: Callable[[Sequence[str]], Floats],
     held: Callable[[str], Sequence[str]],
-) -> tuple[dict[str, Found], Life, tuple[DetectorFailed, ...]]:
+) -> tuple[dict[str, Found], TrackHistory, tuple[DetectorFailed, ...]]:
     """What each plate that looks in this frame is given, the detectors' states, and those that failed.
 
     A detector that has to be shown its target learns the first one of the plate that is held. One that
@@ -60,12 +60,12 @@ def look(
         if (
             birth is not None
             and frame.index % birth.every == 0
-            and _is_in(life, compiled.detector, frame.index)
+            and _is_in(history, compiled.detector, frame.index)
         ):
             due[plate] = compiled.detector
     found: dict[str, Detections] = {}
     failed: list[DetectorFailed] = []
-    states = dict(life.detectors)
+    states = dict(history.detectors)
     for name in dict.fromkeys(due.values()):
         plates = [plate for plate in due if due[plate] == name]
         shown = next((targets[0] for plate in plates if (targets := held(plate))), None)
@@ -73,18 +73,18 @@ def look(
         try:
             found[name], states[name] = _asked(engine.detectors[name], states.get(name), pair, at)
         except FAULTS as error:  # a detector is a guest's code: whatever it raises must not end the run
-            until, times = next_try(frame.index, life.failed.get(name))
+            until, times = next_try(frame.index, history.failed.get(name))
             word = _word(engine, plates[0])
             failed.append(DetectorFailed(frame.index, word, said(error), until, times))
             fault = Fault(times, frame.index, until, True)
-            life = replace(life, failed={**life.failed, name: fault})
+            history = replace(history, failed={**history.failed, name: fault})
     given = {plate: _of_plate(engine, plate, found[name]) for plate, name in due.items() if name in found}
-    return given, replace(life, detectors=states), tuple(failed)
+    return given, replace(history, detectors=states), tuple(failed)
 
 
-def _is_in(life: Life, detector: str, frame: int) -> bool:
+def _is_in(history: TrackHistory, detector: str, frame: int) -> bool:
     """Whether the detector is asked: it has not failed, or it is tried again."""
-    fault = life.failed.get(detector)
+    fault = history.failed.get(detector)
     return fault is None or fault.until is None or fault.until <= frame
 
 

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.lifecycle import Identity
+from bayesnet_track.adapt.lifecycle import AppearanceMemory
 from bayesnet_track.belief.contract import Motion
 from bayesnet_track.graph.settings.lifecycle import Reidentify
 from bayesnet_track.journal.net.life_decisions import Recognition
@@ -52,7 +52,7 @@ class Compared:
     """One remembered target against M detections: the summands of its log-odds.
 
     Attributes:
-        identity: the target.
+        known: the target.
         away: frame intervals since it was last well seen.
         distance_px: (M,) distances from where its motion leads it.
         fading: log g.
@@ -61,7 +61,7 @@ class Compared:
         agents: those that were asked.
     """
 
-    identity: Identity
+    known: AppearanceMemory
     away: float
     distance_px: Floats
     fading: float
@@ -88,14 +88,14 @@ class Match:
         return self.recognition.probability >= self.recognition.min_probability
 
 
-def placed(
-    identity: Identity, motion: Motion, boxes: Floats, time: float, area_px2: float, rule: Reidentify
+def weigh_place(
+    known: AppearanceMemory, motion: Motion, boxes: Floats, time: float, area_px2: float, rule: Reidentify
 ) -> tuple[float, Floats, Floats]:
     """log g, (M,) log(A p_k) and (M,) distances in px of centre boxes (M, 4) for a target at `time`."""
-    dt = max(time - identity.time, 1e-9)
-    transition, noise = motion.linearise(identity.mean, dt)
-    mean = motion.drift(identity.mean[None], dt)[0, :2]
-    spread = (transition @ identity.covariance @ transition.T + noise)[:2, :2]
+    dt = max(time - known.time, 1e-9)
+    transition, noise = motion.linearise(known.mean, dt)
+    mean = motion.drift(known.mean[None], dt)[0, :2]
+    spread = (transition @ known.covariance @ transition.T + noise)[:2, :2]
     d = boxes[:, :2] - mean
     variances = DETECTOR_SD**2 * boxes[:, 2] * boxes[:, 3]
     covariance = spread[None] + variances[:, None, None] * np.eye(2)
@@ -107,13 +107,13 @@ def placed(
     return fading, np.asarray(place), np.hypot(d[:, 0], d[:, 1])
 
 
-def elsewhere(boxes: Floats, width: int, height: int, rng: np.random.Generator) -> Floats:
+def draw_elsewhere(boxes: Floats, width: int, height: int, rng: np.random.Generator) -> Floats:
     """(ELSEWHERE, 4) centre boxes at random places of the frame, with the sizes of `boxes` (M, 4) in turn."""
     centres = rng.uniform([0.0, 0.0], [width - 1.0, height - 1.0], (ELSEWHERE, 2))
     return np.concatenate([centres, boxes[np.arange(ELSEWHERE) % len(boxes), 2:]], axis=1)
 
 
-def looks(boxes: Floats, log_l: Floats, groups: Sequence[tuple[Floats, Floats]]) -> Floats:
+def weigh_appearance(boxes: Floats, log_l: Floats, groups: Sequence[tuple[Floats, Floats]]) -> Floats:
     """(M,) log r_k of boxes (M, 4) with log-likelihoods (M,), against groups of boxes with theirs.
 
     What touches a box is not elsewhere. With nothing elsewhere every new target is a lookalike.
@@ -160,11 +160,11 @@ def _recognition(
     compared: Sequence[Compared], rows: Sequence[int], shares: Floats, best: int, m: int, rule: Reidentify
 ) -> Recognition:
     one = compared[rows[best]]
-    rivals = {compared[row].identity.target: float(shares[i]) for i, row in enumerate(rows) if i != best}
-    rivals["new"] = max(0.0, 1.0 - float(shares.sum()))
-    rival = max(rivals, key=lambda name: rivals[name])
+    others = {compared[row].known.target: float(shares[i]) for i, row in enumerate(rows) if i != best}
+    others["new"] = max(0.0, 1.0 - float(shares.sum()))
+    rival = max(others, key=lambda name: others[name])
     return Recognition(
-        target=one.identity.target,
+        target=one.known.target,
         probability=float(shares[best]),
         min_probability=rule.min_probability,
         away=one.away,
@@ -174,7 +174,7 @@ def _recognition(
         appearance=float(one.appearance[m]),
         agents=one.agents,
         rival=rival,
-        rival_probability=rivals[rival],
+        rival_probability=others[rival],
     )
 
 

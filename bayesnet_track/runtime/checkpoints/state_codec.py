@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.information import Worth
 from bayesnet_track.adapt.joins import Carried, JoinMemory, Level, PairMemory
-from bayesnet_track.adapt.lifecycle import Candidate, Identity, Life, Lifeline
+from bayesnet_track.adapt.lifecycle import AppearanceMemory, Candidate, TrackHistory, TrackRecord
 from bayesnet_track.adapt.memory import Memory, Quiet, Streak
 from bayesnet_track.adapt.shedding import Load
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
@@ -61,10 +61,10 @@ CLASSES: tuple[type, ...] = (
     Watched,
     Outlook,
     Scored,
-    Life,
+    TrackHistory,
     Candidate,
-    Identity,
-    Lifeline,
+    AppearanceMemory,
+    TrackRecord,
     JoinMemory,
     PairMemory,
     Level,

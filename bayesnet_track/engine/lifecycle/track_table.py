@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.lifecycle import Life
+from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.engine.state import TargetState, applied
 from bayesnet_track.journal.events.basic import Event, FrameMetrics
 from bayesnet_track.journal.net.net import Decision, Net
@@ -17,21 +17,21 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(eq=False)
-class Population:
+class TrackTable:
     """The targets while one frame changes them.
 
     Attributes:
         net: the live nets.
         targets: live target -> its state.
         metrics: one entry per target that was live in this frame, the new ones included.
-        life: what is remembered.
+        history: what is remembered.
         events: decisions and what is told besides, in order.
     """
 
     net: Net
     targets: dict[str, TargetState]
     metrics: list[FrameMetrics]
-    life: Life
+    history: TrackHistory
     events: list[Event] = field(default_factory=list)
 
     def decide(self, *decisions: Decision) -> None:

@@ -18,21 +18,21 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.claims import NOBODY, alike, claim
 from bayesnet_track.adapt.lifecycle import (
+    AppearanceMemory,
     Candidate,
-    Identity,
-    Lifeline,
+    TrackRecord,
     feed,
+    find_end_cause,
     is_confirmed,
+    is_refusal_notable,
     overlapping,
-    refusals_to_tell,
-    time_to_die,
 )
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.claiming import Looked
 from bayesnet_track.engine.lifecycle.detecting import Found, look
-from bayesnet_track.engine.lifecycle.people import Population
-from bayesnet_track.engine.lifecycle.recalling import compare
 from bayesnet_track.engine.lifecycle.recognise import Match, match
+from bayesnet_track.engine.lifecycle.reidentifying import compare
+from bayesnet_track.engine.lifecycle.track_table import TrackTable
 from bayesnet_track.engine.outcome import Outcome
 from bayesnet_track.engine.starting import restart, start
 from bayesnet_track.engine.state import TargetState
@@ -62,58 +62,58 @@ def manage_tracks(work: FrameWork, outcome: Outcome, looked: Looked | None = Non
     if not rules:
         return outcome
     state = outcome.state
-    people = Population(state.net, dict(state.targets), list(outcome.metrics), state.life)
-    _count(people, rules, frame)
+    tracks = TrackTable(state.net, dict(state.targets), list(outcome.metrics), state.history)
+    _count(tracks, rules, frame)
     if looked is None:
-        found, people.life, told = look(work, people.life, people.boxes, people.held)
+        found, tracks.history, told = look(work, tracks.history, tracks.boxes, tracks.held)
     else:
         found, told = looked.found, looked.told
-    people.events += told
+    tracks.events += told
     for plate, rule in rules.items():
         if plate in found and rule.birth is not None:
-            now = _Nursery(work, people, plate, rule, rule.birth)
+            now = _Births(work, tracks, plate, rule, rule.birth)
             _give_birth(now, found[plate], None if looked is None else looked.owners.get(plate))
     for plate, rule in rules.items():
-        _end_duplicates(people, plate, rule, frame)
-        _end_lost(people, plate, rule, frame)
+        _end_duplicates(tracks, plate, rule, frame)
+        _end_lost(tracks, plate, rule, frame)
     work.charge("life", started)
     return Outcome(
-        replace(state, net=people.net, targets=people.targets, previous=frame, life=people.life),
-        tuple(people.metrics),
-        (*outcome.events, *people.events),
+        replace(state, net=tracks.net, targets=tracks.targets, previous=frame, history=tracks.history),
+        tuple(tracks.metrics),
+        (*outcome.events, *tracks.events),
         outcome.covariances,
         work.seconds,
     )
 
 
-def _count(people: Population, rules: Mapping[str, LifeRules], frame: Frame) -> None:
+def _count(tracks: TrackTable, rules: Mapping[str, LifeRules], frame: Frame) -> None:
     """One more frame for every live target."""
-    lines = {}
-    for target, state in people.targets.items():
-        if people.net.targets[target].template not in rules:
+    records = {}
+    for target, state in tracks.targets.items():
+        if tracks.net.targets[target].template not in rules:
             continue
-        lost = people.net.targets[target].status == "lost"
-        line = people.life.lifelines.get(target)
-        if line is None or not (lost or state.memory.lost.count):
-            since = frame.index if line is None else line.since
-            unseen = 0 if line is None else line.unseen_frames
-            line = Lifeline(since, state.belief.mean, state.belief.covariance, frame.time, 0, unseen)
-        lines[target] = replace(
-            line, lost_frames=line.lost_frames + 1 if lost else 0, unseen_frames=line.unseen_frames + 1
+        lost = tracks.net.targets[target].status == "lost"
+        record = tracks.history.records.get(target)
+        if record is None or not (lost or state.memory.lost.count):
+            since = frame.index if record is None else record.since
+            unseen = 0 if record is None else record.unseen_frames
+            record = TrackRecord(since, state.belief.mean, state.belief.covariance, frame.time, 0, unseen)
+        records[target] = replace(
+            record, lost_frames=record.lost_frames + 1 if lost else 0, unseen_frames=record.unseen_frames + 1
         )
-    numbers = [int(target) for target in people.targets if target.isdecimal()]
-    people.life = replace(people.life, lifelines=lines, last_id=max([people.life.last_id, *numbers]))
+    numbers = [int(target) for target in tracks.targets if target.isdecimal()]
+    tracks.history = replace(tracks.history, records=records, last_id=max([tracks.history.last_id, *numbers]))
 
 
 # ------------------------------------------------------------------------------------ births
 
 
 @dataclass(frozen=True, eq=False)
-class _Nursery:
+class _Births:
     """What one plate's births need of the frame."""
 
     work: FrameWork
-    people: Population
+    tracks: TrackTable
     plate: str
     rule: LifeRules
     birth: Birth
@@ -124,99 +124,102 @@ class _Nursery:
         return self.work.frame
 
 
-def _give_birth(now: _Nursery, found: Found, owners: tuple[str | None, ...] | None) -> None:
+def _give_birth(now: _Births, found: Found, owners: tuple[str | None, ...] | None) -> None:
     """What becomes of a plate's detections; `owners` says whose each is where they were given before."""
-    people, apart, covered = now.people, now.birth.min_distance_box, now.birth.max_overlap
-    held = people.held(now.plate)
+    tracks, apart, covered = now.tracks, now.birth.min_distance_box, now.birth.max_overlap
+    held = tracks.held(now.plate)
     if owners is None:
-        sd = np.array([_sd_px(people.targets[target]) for target in held])
-        owner, free = claim(found.boxes, people.boxes(held), sd, apart, covered)
+        sd = np.array([_sd_px(tracks.targets[target]) for target in held])
+        owner, free = claim(found.boxes, tracks.boxes(held), sd, apart, covered)
         seen = [held[k] for k in owner if k != NOBODY]
     else:
         seen = [target for target in owners if target is not None]
-        near = people.boxes(list(dict.fromkeys([*held, *seen])))
+        near = tracks.boxes(list(dict.fromkeys([*held, *seen])))
         free = np.array([one is None for one in owners], dtype=bool)
         free &= ~alike(found.boxes, near, apart, covered).any(axis=1)
-    people.life = replace(people.life, lifelines=_seen(people.life.lifelines, seen))
+    tracks.history = replace(tracks.history, records=_mark_seen(tracks.history.records, seen))
     found = found.only(free)
     at = _find_lost(now, found, seen)
     found = found.only(np.logical_not(np.any(alike(found.boxes, at, apart, covered), axis=1)))
     waiting = feed(
-        people.life.candidates.get(now.plate, ()), found.boxes, found.scores, now.frame.index, now.birth
+        tracks.history.candidates.get(now.plate, ()), found.boxes, found.scores, now.frame.index, now.birth
     )
     ready = sorted(
         (k for k, one in enumerate(waiting) if is_confirmed(one, now.birth.confirm)),
         key=lambda k: (-waiting[k].score, k),
     )
-    taken = _bear(now, [waiting[k] for k in ready], found)
-    left = tuple(one for one in waiting if not any(one is other for other in taken))
-    people.life = replace(people.life, candidates={**people.life.candidates, now.plate: left})
+    done = _start_confirmed(now, [waiting[k] for k in ready], found)
+    left = tuple(one for one in waiting if not any(one is other for other in done))
+    tracks.history = replace(tracks.history, candidates={**tracks.history.candidates, now.plate: left})
 
 
-def _find_lost(now: _Nursery, found: Found, seen: Sequence[str]) -> Floats:
+def _find_lost(now: _Births, found: Found, seen: Sequence[str]) -> Floats:
     """Lost targets whose looks a free detection has start again there: (K, 4) where; not those `seen`."""
-    people, reidentify = now.people, now.rule.reidentify
-    held = {*people.held(now.plate), *seen}
-    lost = [target for target in people.of_plate(now.plate) if target not in held]
+    tracks, reidentify = now.tracks, now.rule.reidentify
+    held = {*tracks.held(now.plate), *seen}
+    lost = [target for target in tracks.of_plate(now.plate) if target not in held]
     places = np.empty((0, 4))
     if reidentify is None or not reidentify.lost or not lost:
         return places
     boxes = found.boxes[:TESTED]
-    known = [_identity(people, target, now.plate) for target in lost]
-    for one in _matches(now, known, boxes, found.boxes):
+    known = [_remember(tracks, target, now.plate) for target in lost]
+    for one in _match_known(now, known, boxes, found.boxes):
         target, box = one.recognition.target, boxes[one.detection]
         if not one.is_sure:
             continue
-        state = restart(now.work, target, now.plate, box, people.targets[target])
-        people.decide(Reacquired(now.frame.index, target, _box(box), one.recognition))
-        people.targets[target] = state
-        people.life = replace(
-            people.life, lifelines={**people.life.lifelines, target: _anew(people, target, now.frame)}
+        state = restart(now.work, target, now.plate, box, tracks.targets[target])
+        tracks.decide(Reacquired(now.frame.index, target, _box(box), one.recognition))
+        tracks.targets[target] = state
+        tracks.history = replace(
+            tracks.history,
+            records={**tracks.history.records, target: _start_record(tracks, target, now.frame)},
         )
         places = np.vstack([places, box])
     return places
 
 
-def _bear(now: _Nursery, ready: Sequence[Candidate], found: Found) -> list[Candidate]:
+def _start_confirmed(now: _Births, ready: Sequence[Candidate], found: Found) -> list[Candidate]:
     """Confirmed candidates become targets, the best first, while there is room; those that are done with."""
-    people, most = now.people, now.birth.max_targets
-    dead = [one for one in people.life.dead if one.template == now.plate]
+    tracks, most = now.tracks, now.birth.max_targets
+    dead = [one for one in tracks.history.dead if one.template == now.plate]
     boxes = np.array([one.box for one in ready[:TESTED]]).reshape(-1, 4)
-    nearest = {one.detection: one for one in _matches(now, dead, boxes, found.boxes)}
-    taken: list[Candidate] = []
+    nearest = {one.detection: one for one in _match_known(now, dead, boxes, found.boxes)}
+    done: list[Candidate] = []
     refused = 0
     for number, candidate in enumerate(ready):
-        others = people.boxes(people.held(now.plate))
+        others = tracks.boxes(tracks.held(now.plate))
         if alike(candidate.box[None], others, now.birth.min_distance_box, now.birth.max_overlap).any():
-            taken.append(candidate)
-        elif len(people.of_plate(now.plate)) >= most:
+            done.append(candidate)
+        elif len(tracks.of_plate(now.plate)) >= most:
             refused += 1
         else:
             _start(now, candidate, nearest.get(number))
-            taken.append(candidate)
+            done.append(candidate)
     if refused:
         _refuse(now, refused)
-    return taken
+    return done
 
 
-def _start(now: _Nursery, candidate: Candidate, nearest: Match | None) -> None:
+def _start(now: _Births, candidate: Candidate, nearest: Match | None) -> None:
     """A net for a candidate: of an old target when it is recognised, else of a new one."""
-    people, frame, box = now.people, now.frame, candidate.box
+    tracks, frame, box = now.tracks, now.frame, candidate.box
     if nearest is not None and nearest.is_sure:
         target = nearest.recognition.target
-        old = next(one for one in people.life.dead if one.target == target)
+        old = next(one for one in tracks.history.dead if one.target == target)
         looks = now.work.engine.plates[now.plate].looks
         known = {agent: one for agent, one in old.references.items() if agent in looks}
         born = start(now.work, target, now.plate, box, known)
         first = born.decisions[0]
         active = getattr(first, "active", ())
         back = Returned(frame.index, target, now.plate, _box(box), active, nearest.recognition)
-        people.decide(back, *born.decisions[1:])
-        people.life = replace(people.life, dead=tuple(one for one in people.life.dead if one is not old))
+        tracks.decide(back, *born.decisions[1:])
+        tracks.history = replace(
+            tracks.history, dead=tuple(one for one in tracks.history.dead if one is not old)
+        )
     else:
-        people.life = replace(people.life, last_id=people.life.last_id + 1)
-        target = str(people.life.last_id)
-        people.events.append(
+        tracks.history = replace(tracks.history, last_id=tracks.history.last_id + 1)
+        target = str(tracks.history.last_id)
+        tracks.events.append(
             CandidateConfirmed(
                 frame=frame.index,
                 target=target,
@@ -230,22 +233,22 @@ def _start(now: _Nursery, candidate: Candidate, nearest: Match | None) -> None:
             )
         )
         born = start(now.work, target, now.plate, box)
-        people.decide(*born.decisions)
-    people.targets[target] = born.state
-    people.metrics.append(born.metrics)
-    people.life = replace(
-        people.life, lifelines={**people.life.lifelines, target: _anew(people, target, frame)}
+        tracks.decide(*born.decisions)
+    tracks.targets[target] = born.state
+    tracks.metrics.append(born.metrics)
+    tracks.history = replace(
+        tracks.history, records={**tracks.history.records, target: _start_record(tracks, target, frame)}
     )
 
 
-def _refuse(now: _Nursery, waiting: int) -> None:
-    people = now.people
-    before = people.life.refused.get(now.plate, 0)
-    people.life = replace(people.life, refused={**people.life.refused, now.plate: before + waiting})
-    if refusals_to_tell(before, before + waiting):
-        live_ones = len(people.of_plate(now.plate))
+def _refuse(now: _Births, waiting: int) -> None:
+    tracks = now.tracks
+    before = tracks.history.refused.get(now.plate, 0)
+    tracks.history = replace(tracks.history, refused={**tracks.history.refused, now.plate: before + waiting})
+    if is_refusal_notable(before, before + waiting):
+        live_ones = len(tracks.of_plate(now.plate))
         detector = now.birth.detector.detector
-        people.events.append(
+        tracks.events.append(
             BirthsRefused(
                 now.frame.index,
                 now.plate,
@@ -258,14 +261,14 @@ def _refuse(now: _Nursery, waiting: int) -> None:
         )
 
 
-def _matches(
-    now: _Nursery, known: Sequence[Identity], boxes: Floats, detections: Floats
+def _match_known(
+    now: _Births, known: Sequence[AppearanceMemory], boxes: Floats, detections: Floats
 ) -> tuple[Match, ...]:
     """Which of the boxes (M, 4) are which of the known targets."""
     reidentify = now.rule.reidentify
     if reidentify is None or not known or not len(boxes):
         return ()
-    others = np.concatenate([now.people.boxes(now.people.held(now.plate)), detections[:TESTED]])
+    others = np.concatenate([now.tracks.boxes(now.tracks.held(now.plate)), detections[:TESTED]])
     asked = partial(compare, now.work, now.plate, reidentify, boxes, others)
     return match(list(map(asked, known)), len(boxes), reidentify)
 
@@ -273,21 +276,21 @@ def _matches(
 # ------------------------------------------------------------------------------------ ends
 
 
-def _end_duplicates(people: Population, plate: str, rule: LifeRules, frame: Frame) -> None:
+def _end_duplicates(tracks: TrackTable, plate: str, rule: LifeRules, frame: Frame) -> None:
     """The younger of two nets whose beliefs hold one object ends; joined ones are known to be two."""
     if rule.merge_duplicates is None:
         return
-    held = people.held(plate)
-    beliefs = {t: (people.targets[t].belief.mean, people.targets[t].belief.covariance) for t in held}
-    since = {t: people.life.lifelines[t].since for t in held}
+    held = tracks.held(plate)
+    beliefs = {t: (tracks.targets[t].belief.mean, tracks.targets[t].belief.covariance) for t in held}
+    since = {t: tracks.history.records[t].since for t in held}
     others = {
-        pair: s for pair, s in people.life.overlaps.items() if not set(pair) & set(people.of_plate(plate))
+        pair: s for pair, s in tracks.history.overlaps.items() if not set(pair) & set(tracks.of_plate(plate))
     }
-    streaks = overlapping(beliefs, since, people.life.overlaps, rule.merge_duplicates)
-    joined = {frozenset(pair) for pair in people.net.joins}
+    streaks = overlapping(beliefs, since, tracks.history.overlaps, rule.merge_duplicates)
+    joined = {frozenset(pair) for pair in tracks.net.joins}
     streaks = {pair: streak for pair, streak in streaks.items() if frozenset(pair) not in joined}
     for (younger, older), streak in list(streaks.items()):
-        both = younger in people.targets and older in people.targets
+        both = younger in tracks.targets and older in tracks.targets
         if both and len(streak) >= rule.merge_duplicates.frames:
             ended = DuplicateEnded(
                 frame.index,
@@ -297,54 +300,58 @@ def _end_duplicates(people: Population, plate: str, rule: LifeRules, frame: Fram
                 rule.merge_duplicates.overlap,
                 rule.merge_duplicates.frames,
             )
-            _end(people, ended)
-    left = {pair: streak for pair, streak in streaks.items() if set(pair) <= set(people.targets)}
-    people.life = replace(people.life, overlaps={**others, **left})
+            _end(tracks, ended)
+    left = {pair: streak for pair, streak in streaks.items() if set(pair) <= set(tracks.targets)}
+    tracks.history = replace(tracks.history, overlaps={**others, **left})
 
 
-def _end_lost(people: Population, plate: str, rule: LifeRules, frame: Frame) -> None:
+def _end_lost(tracks: TrackTable, plate: str, rule: LifeRules, frame: Frame) -> None:
     """Nets of targets that were lost for too long end; what they knew is kept for a while."""
-    for target in people.of_plate(plate) if rule.death is not None else []:
-        why = time_to_die(people.life.lifelines[target], rule.death) if rule.death is not None else None
+    for target in tracks.of_plate(plate) if rule.death is not None else []:
+        why = find_end_cause(tracks.history.records[target], rule.death) if rule.death is not None else None
         if why is not None:
             if rule.reidentify is not None:
-                people.life = replace(people.life, dead=(*people.life.dead, _identity(people, target, plate)))
-            _end(people, TargetDied(frame.index, target, *why, remembered=rule.reidentify is not None))
+                tracks.history = replace(
+                    tracks.history, dead=(*tracks.history.dead, _remember(tracks, target, plate))
+                )
+            _end(tracks, TargetDied(frame.index, target, *why, remembered=rule.reidentify is not None))
     if rule.reidentify is not None and rule.birth is not None:
-        own = [one for one in people.life.dead if one.template == plate]
+        own = [one for one in tracks.history.dead if one.template == plate]
         kept = [one for one in own if frame.time - one.time <= rule.reidentify.frames]
         gone = {one.target for one in own} - {
             one.target for one in kept[-REMEMBERED * rule.birth.max_targets :]
         }
-        people.life = replace(
-            people.life, dead=tuple(one for one in people.life.dead if one.target not in gone)
+        tracks.history = replace(
+            tracks.history, dead=tuple(one for one in tracks.history.dead if one.target not in gone)
         )
 
 
-def _end(people: Population, decision: TargetDied | DuplicateEnded) -> None:
-    people.decide(decision)
-    del people.targets[decision.target]
-    lines = {target: line for target, line in people.life.lifelines.items() if target in people.targets}
-    people.life = replace(people.life, lifelines=lines)
+def _end(tracks: TrackTable, decision: TargetDied | DuplicateEnded) -> None:
+    tracks.decide(decision)
+    del tracks.targets[decision.target]
+    records = {
+        target: record for target, record in tracks.history.records.items() if target in tracks.targets
+    }
+    tracks.history = replace(tracks.history, records=records)
 
 
 # ------------------------------------------------------------------------------------ parts
 
 
-def _identity(people: Population, target: str, plate: str) -> Identity:
-    line = people.life.lifelines[target]
-    references = people.targets[target].references
-    return Identity(target, plate, line.mean, line.covariance, line.time, references)
+def _remember(tracks: TrackTable, target: str, plate: str) -> AppearanceMemory:
+    record = tracks.history.records[target]
+    references = tracks.targets[target].references
+    return AppearanceMemory(target, plate, record.mean, record.covariance, record.time, references)
 
 
-def _anew(people: Population, target: str, frame: Frame) -> Lifeline:
-    belief, before = people.targets[target].belief, people.life.lifelines.get(target)
+def _start_record(tracks: TrackTable, target: str, frame: Frame) -> TrackRecord:
+    belief, before = tracks.targets[target].belief, tracks.history.records.get(target)
     since = frame.index if before is None else before.since
-    return Lifeline(since, belief.mean, belief.covariance, frame.time)
+    return TrackRecord(since, belief.mean, belief.covariance, frame.time)
 
 
-def _seen(lines: Mapping[str, Lifeline], targets: Sequence[str]) -> dict[str, Lifeline]:
-    return {**lines, **{target: replace(lines[target], unseen_frames=0) for target in targets}}
+def _mark_seen(records: Mapping[str, TrackRecord], targets: Sequence[str]) -> dict[str, TrackRecord]:
+    return {**records, **{target: replace(records[target], unseen_frames=0) for target in targets}}
 
 
 def _sd_px(state: TargetState) -> float:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.lifecycle import Identity
+from bayesnet_track.adapt.lifecycle import AppearanceMemory
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.lifecycle.recognise import Compared, elsewhere, looks, placed
+from bayesnet_track.engine.lifecycle.recognise import Compared, draw_elsewhere, weigh_appearance, weigh_place
 from bayesnet_track.graph.settings.lifecycle import Reidentify
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
@@ -21,20 +21,20 @@ LEAST_LOG = -700.0
 
 
 def compare(
-    work: FrameWork, plate: str, rule: Reidentify, boxes: Floats, others: Floats, known: Identity
+    work: FrameWork, plate: str, rule: Reidentify, boxes: Floats, others: Floats, known: AppearanceMemory
 ) -> Compared:
     """One remembered target against detections (M, 4); `others` (K, 4) are boxes of objects in this frame."""
     compiled, frame = work.engine.plates[plate], work.frame
     motion = Confined(compiled.motion, frame.width, frame.height)
     area = float(frame.width * frame.height)
-    fading, place, distance = placed(known, motion, boxes, frame.time, area, rule)
+    fading, place, distance = weigh_place(known, motion, boxes, frame.time, area, rule)
     agents = tuple(
         agent for agent in compiled.plate.agents if agent in compiled.looks & set(known.references)
     )
     if not frame.has_color:
         agents = tuple(agent for agent in agents if agent not in compiled.color_agents)
     stream = work.stream(known.target, compiled.plate.root)
-    random = elsewhere(boxes, frame.width, frame.height, stream("elsewhere"))
+    random = draw_elsewhere(boxes, frame.width, frame.height, stream("elsewhere"))
     if agents:
         observer = Observer(
             work.cache,
@@ -53,5 +53,5 @@ def compare(
     else:
         values = np.zeros(len(boxes) + len(random) + len(others))
     own, there, theirs = np.split(values, [len(boxes), len(boxes) + len(random)])
-    appearance = looks(boxes, own, [(random, there), (others, theirs)])
+    appearance = weigh_appearance(boxes, own, [(random, there), (others, theirs)])
     return Compared(known, frame.time - known.time, distance, fading, place, appearance, agents)

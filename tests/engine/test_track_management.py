@@ -127,7 +127,7 @@ def test_looks_are_as_far_apart_as_the_graph_says():
     engine = engine_of(at((50, 40)), birth={"every": 3, "confirm": {"hits": 2, "of": 2}})
     outcomes = play(engine, still(8, (50, 40, 200)))
     assert [e.frame for e in events_of(outcomes, TargetStarted)] == [3]
-    assert int(outcomes[-1].state.life.detectors["detections"]["frames"]) == 3
+    assert int(outcomes[-1].state.history.detectors["detections"]["frames"]) == 3
 
 
 def test_a_live_target_claims_its_detection_and_ids_go_on():
@@ -158,7 +158,7 @@ def test_a_detector_that_fires_everywhere_gives_no_more_nets_than_the_graph_allo
     engine = engine_of(lambda frame: crowd[frame], birth=birth, reidentify={"lost": False})
     outcomes = play(engine, still(6))
     assert max(len(o.state.targets) for o in outcomes) == 5
-    assert max(len(o.state.life.candidates["square"]) for o in outcomes) <= 10
+    assert max(len(o.state.history.candidates["square"]) for o in outcomes) <= 10
     refused = events_of(outcomes, BirthsRefused)
     assert 1 <= len(refused) <= 3 and refused[0].live == refused[0].max_targets == 5
     assert [e.refused for e in refused] == sorted(e.refused for e in refused)
@@ -259,7 +259,7 @@ def test_a_dead_target_is_forgotten_in_time():
     frames, says = vanishing(200)
     outcomes = play(engine_of(says, **FAST, reidentify={"frames": 10}), frames)
     assert [e.target for e in events_of(outcomes, CandidateConfirmed)] == ["1", "2"]
-    assert outcomes[-1].state.life.dead == ()
+    assert outcomes[-1].state.history.dead == ()
 
 
 def test_a_lost_target_is_found_again_where_a_detection_looks_like_it():
@@ -296,7 +296,7 @@ def test_of_two_nets_that_hold_one_object_the_younger_ends():
     (ended,) = events_of(outcomes, DuplicateEnded)
     assert (ended.target, ended.kept, ended.frames) == ("2", "1", 3)
     assert 0.7 <= ended.overlap <= 1 and list(outcomes[-1].state.targets) == ["1"]
-    assert outcomes[-1].state.life.overlaps == {}
+    assert outcomes[-1].state.history.overlaps == {}
 
 
 # ------------------------------------------------------------------------------------ as a whole
