@@ -14,7 +14,7 @@ import numpy as np
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.grid.belief import GridFilter
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice
-from bayesnet_track.belief.grid.motion import predicted
+from bayesnet_track.belief.grid.motion import predict_grid
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.graph import spec
@@ -62,7 +62,7 @@ def main() -> None:
     for velocities in (5, 7, 9):
         belief = wide_belief(velocities)
         step = GridFilter(spec.Grid(velocity_cells=velocities)).step
-        best, median = milliseconds(partial(predicted, belief, motion, 1.0, 128))
+        best, median = milliseconds(partial(predict_grid, belief, motion, 1.0, 128))
         whole = milliseconds(partial(step, belief, motion, 1.0, near_the_place, stream))
         cells = f"128x128x{velocities}x{velocities}"
         print(

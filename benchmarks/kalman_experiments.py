@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import BOX_FIELDS, Belief, Evidence, Motion, Step
+from bayesnet_track.belief.contract import BOX_FIELDS, Belief, Evidence, MotionModel, Step
 from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.belief.gaussian.belief import GaussianFilter
 from bayesnet_track.belief.motion.functions import FunctionMotion
@@ -92,7 +92,7 @@ def measure(truth: Floats, seed: int) -> Floats:
 # ------------------------------------------------------------------------------------ models
 
 
-def constant_velocity(sd_velocity: float) -> Motion:
+def constant_velocity(sd_velocity: float) -> MotionModel:
     """The chapter's uniform motion, its velocity drifting by `sd_velocity` px per frame, per frame."""
     return make_motion(
         spec.Motion.model_validate(
@@ -101,7 +101,7 @@ def constant_velocity(sd_velocity: float) -> Motion:
     )
 
 
-def damped_velocity(sd_velocity: float) -> Motion:
+def damped_velocity(sd_velocity: float) -> MotionModel:
     """Eq. 3.91, corrected: the velocity decays by e^(-1/4) per frame."""
     return make_motion(
         spec.Motion.model_validate(
@@ -121,7 +121,7 @@ def turn(states: Floats, dt: float) -> Floats:
     return np.stack([*moved, w, h, cos * vx - sin * vy, sin * vx + cos * vy, rate], axis=1)
 
 
-def turning() -> Motion:
+def turning() -> MotionModel:
     """A coordinated turn: the rate, unknown at first, drifts by .06 rad per frame, the velocity by .4 px."""
     return FunctionMotion(
         (*BOX_FIELDS, "vx", "vy", "rate"),
@@ -134,7 +134,7 @@ def turning() -> Motion:
 # ------------------------------------------------------------------------------------ running
 
 
-def follow(belief: Belief[Any], motion: Motion, truth: Floats, measured: Floats, seed: int) -> Track:
+def follow(belief: Belief[Any], motion: MotionModel, truth: Floats, measured: Floats, seed: int) -> Track:
     """One filter along a path; it starts in the true place with an unknown velocity."""
     streams = Streams(seed)
     box = np.array([*truth[0], SIZE, SIZE])
@@ -202,7 +202,7 @@ def occlusion(runs: int) -> dict[str, list[Track]]:
 def manoeuvres(runs: int, names: Sequence[str] = ()) -> dict[str, list[Track]]:
     """Figure 3.13: a turn, by filters of the chapter's models and of a turn at an unknown rate."""
     path = manoeuvre()
-    filters: dict[str, tuple[Belief[Any], Motion]] = {
+    filters: dict[str, tuple[Belief[Any], MotionModel]] = {
         "Kalman, uniform motion": (gaussian("kalman", 1.0), constant_velocity(0.2)),
         "Kalman, wide noise": (gaussian("kalman", 1.0), constant_velocity(1.5)),
         "Kalman, damped velocity": (gaussian("kalman", 1.0), damped_velocity(2.5)),

@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 from measuring import environment, on_one_thread, table
 
-from bayesnet_track.belief.contract import Motion
+from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.particles.map import map_index
 from bayesnet_track.graph import spec
@@ -38,7 +38,7 @@ LIKELIHOODS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 SIZES = (500, 1000, 2000, 10_000)
 SUMMED_UP_TO = 2000
 
-Case = tuple[np.ndarray, np.ndarray, np.ndarray, LogWeights, Motion, float]
+Case = tuple[np.ndarray, np.ndarray, np.ndarray, LogWeights, MotionModel, float]
 
 
 def settled(noise: str, likelihood: str, size: int, seed: int) -> Case:

@@ -28,7 +28,7 @@ from bayesnet_track.vision.point_tracking import (
     FEW,
     Following,
     Image,
-    Motion,
+    PointMotion,
     agreed,
     clearest_mix,
     corners_in,
@@ -187,13 +187,13 @@ class Klt:
         covariance[:2, :2], covariance[2:, 2:] = np.eye(2) * place, size
         return Measurement(("x", "y", "w", "h"), box, covariance, p.floor)
 
-    def followed(self, planes: Planes, box: Floats, reference: Reference) -> Motion | None:
+    def followed(self, planes: Planes, box: Floats, reference: Reference) -> PointMotion | None:
         """How the points moved, looked for around a predicted centre box (4,); None when too few agree."""
         return self._motion(reference, planes[WholeFrame()], None, box)
 
     def _motion(
         self, reference: Reference, image: Image, origin: tuple[int, int] | None, box: Floats
-    ) -> Motion | None:
+    ) -> PointMotion | None:
         """As `followed`, in a picture of which `origin` is the first pixel; None for a whole frame."""
         p, at, mix = self.parameters, reference["at"], reference["mix"]
         if len(at) == 0 or image.size == 0:
@@ -217,7 +217,7 @@ class Klt:
             return None
         return agreed(at, there, alike, self.how)
 
-    def _carried(self, reference: Reference, motion: Motion) -> Floats:
+    def _carried(self, reference: Reference, motion: PointMotion) -> Floats:
         old = reference["box"]
         return np.concatenate([motion.of(old[:2]), old[2:] * abs(motion.factor)])
 

@@ -68,7 +68,7 @@ class Level:
 
 
 @dataclass(frozen=True, eq=False)
-class Carried:
+class CarriedHypotheses:
     """Which hypotheses of a target are carried.
 
     Attributes:
@@ -95,7 +95,7 @@ class JoinMemory:
 
     pairs: Mapping[Pair, PairMemory] = field(default_factory=dict)
     levels: Mapping[str, Level] = field(default_factory=dict)
-    carried: Mapping[str, Carried] = field(default_factory=dict)
+    carried: Mapping[str, CarriedHypotheses] = field(default_factory=dict)
     centres: Mapping[str, Floats] = field(default_factory=dict)
     hidden: Mapping[str, tuple[str, int]] = field(default_factory=dict)
     carriers: Mapping[str, tuple[str, int]] = field(default_factory=dict)

@@ -57,7 +57,7 @@ Stream = Callable[[str], np.random.Generator]
 """purpose -> generator, for one target and frame."""
 
 
-class Motion(Protocol):
+class MotionModel(Protocol):
     """How states move. A state is a row of fields: x, y, w, h, then the fields that the model adds."""
 
     @property
@@ -201,10 +201,10 @@ class Step(Generic[P_co]):
 class Belief(Protocol[P]):
     """How a belief is represented and stepped. Holds settings only; what it knows is the posterior."""
 
-    def start(self, box: Floats, motion: Motion, stream: Stream) -> P:
+    def start(self, box: Floats, motion: MotionModel, stream: Stream) -> P:
         """The belief about a target first seen in the centre box (4,)."""
         ...
 
-    def step(self, prior: P, motion: Motion, dt: float, evaluate: Evaluate, stream: Stream) -> Step[P]:
+    def step(self, prior: P, motion: MotionModel, dt: float, evaluate: Evaluate, stream: Stream) -> Step[P]:
         """The belief after `dt` frame intervals and the evidence of a frame."""
         ...

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.joins import Carried, JoinMemory, PairMemory
+from bayesnet_track.adapt.joins import CarriedHypotheses, JoinMemory, PairMemory
 from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.belief.motion.attached import Attached, with_carried, without_carried
 from bayesnet_track.belief.particles.particle_set import ParticleSet
@@ -102,11 +102,13 @@ def particles(belief: Posterior) -> ParticleSet:
     return belief
 
 
-def without_ride(step: Step[Posterior]) -> tuple[Step[Posterior], Carried]:
+def without_ride(step: Step[Posterior]) -> tuple[Step[Posterior], CarriedHypotheses]:
     """The step of the target's own state, and which of its hypotheses are carried."""
     posterior, column = without_carried(particles(step.posterior))
     find = partial(_without_last, step)
-    return replace(step, posterior=posterior, support=posterior, find_map=find), Carried(posterior, column)
+    return replace(step, posterior=posterior, support=posterior, find_map=find), CarriedHypotheses(
+        posterior, column
+    )
 
 
 def tell_carried(

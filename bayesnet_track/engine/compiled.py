@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from bayesnet_track.belief.contract import Belief, Motion
+from bayesnet_track.belief.contract import Belief, MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianFilter
 from bayesnet_track.belief.grid.belief import GridFilter
 from bayesnet_track.belief.motion.models import make_motion
@@ -67,7 +67,7 @@ class CompiledPlate:
     plate: CheckedTarget
     cues: Mapping[str, AnyCue]
     belief: Belief[Any]
-    motion: Motion
+    motion: MotionModel
     costs_ms: Mapping[str, float]
     rate_max: Mapping[str, float]
     adaptable: frozenset[str]
@@ -111,7 +111,7 @@ def make_engine(
     graph: CheckedGraph,
     seed: int = 0,
     cues: Mapping[str, CueDeclaration] | None = None,
-    motion: Mapping[str, Motion] | None = None,
+    motion: Mapping[str, MotionModel] | None = None,
     detectors: Mapping[str, Detector] | None = None,
 ) -> Engine:
     """Load the cues and detectors of `graph` and make it ready to run.
@@ -160,7 +160,7 @@ def _make_detectors(plates: Sequence[CompiledPlate], given: Mapping[str, Detecto
 
 
 def _compile_plate(
-    plate: CheckedTarget, declarations: Mapping[str, CueDeclaration], own: Motion | None
+    plate: CheckedTarget, declarations: Mapping[str, CueDeclaration], own: MotionModel | None
 ) -> CompiledPlate:
     root = plate.inference(plate.root)
     of = {agent: declarations[plate.agent(agent).agent.cue] for agent in plate.agents}
@@ -194,7 +194,7 @@ def _compile_plate(
     )
 
 
-def _make_motion(chosen: spec.Motion) -> Motion:
+def _make_motion(chosen: spec.Motion) -> MotionModel:
     motion, sd = make_motion(chosen), chosen.settings.sd_angle_deg
     return motion if sd == 0.0 else Rotating(motion, sd)
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from bayesnet_track.adapt.backoff import quarantined
-from bayesnet_track.belief.contract import Motion, Posterior, Step
+from bayesnet_track.belief.contract import MotionModel, Posterior, Step
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.predicting import Predicted, predicted
+from bayesnet_track.engine.predicting import PredictedMotion, predict_motion
 from bayesnet_track.engine.shedding import within
 from bayesnet_track.engine.state import TargetState, with_agents
 from bayesnet_track.inference.compile import Plan, compile_plan
@@ -28,7 +28,7 @@ class Ride:
         belief: the target's, each hypothesis with whether it is carried.
     """
 
-    motion: Motion
+    motion: MotionModel
     belief: Posterior
 
 
@@ -51,7 +51,7 @@ class Filtered:
     before: TargetState
     step: Step[Posterior]
     faults: tuple[Quarantined, ...]
-    predicted: Predicted
+    predicted: PredictedMotion
     plan: Plan
     missed: Mapping[str, str] = field(default_factory=dict)
     join: JoinMetrics | None = None
@@ -73,7 +73,7 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
     started = work.engine.clock()
     dt = frame.time - before.time
     given, prior = (None, before.belief) if ride is None else (ride.motion, ride.belief)
-    moves = predicted(compiled, given, before.outlook, live.status == "lost", dt, work.cache)
+    moves = predict_motion(compiled, given, before.motion_context, live.status == "lost", dt, work.cache)
     belief = within(compiled.belief, live.most_particles)
     failed: dict[str, str] = {}
     while True:

@@ -11,7 +11,7 @@ from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.findings import Decided, Learnt, Measured
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.score import widened
+from bayesnet_track.engine.score import blur_regions
 from bayesnet_track.journal.events.basic import FrameMetrics
 from bayesnet_track.journal.events.part_metrics import PartMetrics
 from bayesnet_track.numerics.divergence import kl
@@ -53,7 +53,7 @@ def frame_metrics(
         region50, region90 = posterior.region(0.5), posterior.region(0.9)
     else:
         side = float(np.sqrt(max(measures.area_px2, 1.0)))
-        wide = widened(posterior, localization_error, score, side)
+        wide = blur_regions(posterior, localization_error, score, side)
         region50, region90 = wide.region50, wide.region90
         variances[:2] += wide.variance
     return FrameMetrics(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.joins import (
     LEVEL_HIDDEN,
-    Carried,
+    CarriedHypotheses,
     JoinMemory,
     Level,
     PairMemory,
@@ -172,10 +172,10 @@ def _parted(
     marginals: Mapping[str, Marginal],
     pairs: Mapping[Pair, PairMemory],
     of: Mapping[str, Filtered],
-) -> tuple[Steps, dict[str, JoinMetrics], dict[str, Carried]]:
+) -> tuple[Steps, dict[str, JoinMetrics], dict[str, CarriedHypotheses]]:
     """Each target's own step of the joint belief, what is written down, and which hypotheses are carried."""
     steps = {name: _reweighted(one.step, marginals.get(name)) for name, one in of.items()}
-    carried: dict[str, Carried] = {}
+    carried: dict[str, CarriedHypotheses] = {}
     metrics: dict[str, JoinMetrics] = {}
     for name in dict.fromkeys(name for pair in pairs for name in pair):
         probability = None

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.backoff import next_try
 from bayesnet_track.adapt.conditions import Reading, read_level
-from bayesnet_track.belief.contract import Motion
+from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.attached import Attached
-from bayesnet_track.belief.motion.carried import Carried, camera_shift, size_kept
+from bayesnet_track.belief.motion.inflation import inflate_noise, inflation_factor
 from bayesnet_track.belief.motion.jumps import Jumping, Search
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.rotating import Rotating
-from bayesnet_track.belief.motion.widened import widened, widening
+from bayesnet_track.belief.motion.shifted import ShiftedMotion, camera_shift, revert_size
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.graph.settings.adapt import Level
 from bayesnet_track.graph.settings.motion import Relocalize
@@ -29,7 +29,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Outlook:
+class MotionContext:
     """What a target's motion depends on besides its states: arrays and numbers.
 
     Attributes:
@@ -54,28 +54,28 @@ class Outlook:
 
 
 @dataclass(frozen=True, eq=False)
-class Predicted:
+class PredictedMotion:
     """The motion of one frame.
 
     Attributes:
         motion: the model.
-        outlook: the target's, with what its detector remembers now; None where nothing depends on it.
+        motion_context: the target's, with what its detector remembers now; None where nothing depends on it.
         told: what is written down.
     """
 
-    motion: Motion
-    outlook: Outlook | None = None
+    motion: MotionModel
+    motion_context: MotionContext | None = None
     told: tuple[DetectorFailed, ...] = ()
 
-    def after(self, ud_px2: float, area_px2: float, quiet_px2: float | None) -> Outlook | None:
-        """The outlook after the frame, of which these were measured."""
-        if self.outlook is None:
+    def after(self, ud_px2: float, area_px2: float, quiet_px2: float | None) -> MotionContext | None:
+        """The motion context after the frame, of which these were measured."""
+        if self.motion_context is None:
             return None
-        return replace(self.outlook, ud_px2=ud_px2, area_px2=area_px2, quiet_px2=quiet_px2)
+        return replace(self.motion_context, ud_px2=ud_px2, area_px2=area_px2, quiet_px2=quiet_px2)
 
 
-def outlook(compiled: CompiledPlate, box: Floats, frames: FramePair) -> Outlook | None:
-    """The outlook of a target that starts in the centre box (4,), which its detector is shown.
+def start_motion_context(compiled: CompiledPlate, box: Floats, frames: FramePair) -> MotionContext | None:
+    """The motion context of a target that starts in the centre box (4,), which its detector is shown.
 
     A detector that cannot learn it has nothing to look for and finds nothing. None for a plain motion.
     """
@@ -89,17 +89,17 @@ def outlook(compiled: CompiledPlate, box: Floats, frames: FramePair) -> Outlook 
                 state = compiled.finder.learn(frames, box, state)
         except FAULTS:
             state = None
-    return Outlook(np.array(box[2:4]), 0.0, float(box[2] * box[3]), None, state)
+    return MotionContext(np.array(box[2:4]), 0.0, float(box[2] * box[3]), None, state)
 
 
-def predicted(
+def predict_motion(
     compiled: CompiledPlate,
-    given: Motion | None,
-    known: Outlook | None,
+    given: MotionModel | None,
+    known: MotionContext | None,
     is_lost: bool,
     dt: float,
     cache: PlaneCache,
-) -> Predicted:
+) -> PredictedMotion:
     """The motion over `dt` frame intervals, as it stands before a frame's evidence.
 
     In this order: the camera moves the states, their sizes are drawn back, noise is added, widened while
@@ -110,47 +110,47 @@ def predicted(
     if isinstance(plain, Rotating):
         plain = plain.motion
     if settings is None or known is None or not isinstance(plain, KinematicMotion):
-        return Predicted(compiled.motion if given is None else given, known)
+        return PredictedMotion(compiled.motion if given is None else given, known)
     own = plain
     if settings.inflate is not None:
         now = known.reading(settings.inflate.above)
-        own = widened(
-            own, 1.0 if now is None else widening(now.value / now.level, settings.inflate.max_factor)
+        own = inflate_noise(
+            own, 1.0 if now is None else inflation_factor(now.value / now.level, settings.inflate.max_factor)
         )
-    motion: Motion = own
+    motion: MotionModel = own
     if settings.size_reversion is not None:
-        motion = size_kept(own, settings.size_reversion, known.size, dt)
+        motion = revert_size(own, settings.size_reversion, known.size, dt)
     if settings.camera is not None:
-        motion = _with_camera(motion, cache, dt)
+        motion = _follow_camera(motion, cache, dt)
     if isinstance(compiled.motion, Rotating):
         motion = replace(compiled.motion, motion=motion)
-    found = Predicted(motion, known)
+    found = PredictedMotion(motion, known)
     if settings.relocalize is not None:
-        found = _recovering(compiled.finder, settings.relocalize, found, is_lost, dt, cache)
+        found = _relocalize(compiled.finder, settings.relocalize, found, is_lost, dt, cache)
     if isinstance(given, Attached):
         return replace(found, motion=replace(given, motion=found.motion))
     return found
 
 
-def _with_camera(motion: Motion, cache: PlaneCache, dt: float) -> Motion:
+def _follow_camera(motion: MotionModel, cache: PlaneCache, dt: float) -> MotionModel:
     from bayesnet_track.vision.planes.motion_planes import CameraPlane
 
     plane, frame = CameraPlane(), cache.frames.current
     flow = cache.planes([plane], Region(0, 0, frame.width, frame.height))[plane]
     shift = camera_shift(flow, dt)
-    return motion if shift is None else Carried(motion, shift)
+    return motion if shift is None else ShiftedMotion(motion, shift)
 
 
-def _recovering(
+def _relocalize(
     finder: Detector | None,
     settings: Relocalize,
-    usual: Predicted,
+    usual: PredictedMotion,
     is_lost: bool,
     dt: float,
     cache: PlaneCache,
-) -> Predicted:
+) -> PredictedMotion:
     """The `usual` motion, or with some probability a jump to where the target may reappear."""
-    known, frame = usual.outlook, cache.frames.current
+    known, frame = usual.motion_context, cache.frames.current
     assert known is not None
     now = known.reading(settings.above)
     unsure = is_lost or (now is not None and now.above)
@@ -180,4 +180,4 @@ def _recovering(
     )
     share = 1.0 - (1.0 - per_frame) ** dt
     jumping = Jumping(usual.motion, share, frame.width, frame.height, search)
-    return Predicted(jumping, replace(known, finder=state, fault=fault), told)
+    return PredictedMotion(jumping, replace(known, finder=state, fault=fault), told)

@@ -105,7 +105,7 @@ def most(rule: Logistic, fit: float, doubt: int) -> float:
 
 
 @dataclass(frozen=True)
-class Widened:
+class BlurredRegions:
     """Bounds of the centre x_low, x_high, y_low, y_high, px, and the localization error's variance, px^2."""
 
     region50: Region
@@ -113,7 +113,7 @@ class Widened:
     variance: float
 
 
-def widened(posterior: Posterior, rule: Localization, score: float, side_px: float) -> Widened:
+def blur_regions(posterior: Posterior, rule: Localization, score: float, side_px: float) -> BlurredRegions:
     """The posterior's regions, its centre blurred by the localization error.
 
     p(c) = sum_h w_h [p N(c; h, sd_box^2 s^2 I) + (1 - p) N(c; h, lost_sd_box^2 s^2 I)], p = `score` and
@@ -126,7 +126,7 @@ def widened(posterior: Posterior, rule: Localization, score: float, side_px: flo
     (x5, x25, x75, x95), (y5, y25, y75, y95) = mixture_quantiles(
         marginal_points(posterior), (near, far), (held, 1.0 - held), levels
     ).tolist()
-    return Widened((x25, x75, y25, y75), (x5, x95, y5, y95), held * near**2 + (1.0 - held) * far**2)
+    return BlurredRegions((x25, x75, y25, y75), (x5, x95, y5, y95), held * near**2 + (1.0 - held) * far**2)
 
 
 def marginal_points(posterior: Posterior) -> Floats:

@@ -17,7 +17,7 @@ from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_metrics import first_frame_metrics
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.predicting import outlook
+from bayesnet_track.engine.predicting import start_motion_context
 from bayesnet_track.engine.state import TargetState, inside_frame
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.guard import watch
@@ -81,7 +81,7 @@ def start(
         plan=compile_plan(compiled.plate, working, compiled.cues),
         time=frame.time,
         watched=watch(references, compiled.looks, compiled.guard),
-        outlook=outlook(compiled, box, work.cache.frames),
+        motion_context=start_motion_context(compiled, box, work.cache.frames),
     )
     metrics = first_frame_metrics(frame, target, len(born.belief), working, box, parts)
     return Born(born, tuple(decisions), metrics)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
-from bayesnet_track.engine.predicting import Outlook
+from bayesnet_track.engine.predicting import MotionContext
 from bayesnet_track.engine.score import Scored
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.guard import Watched
@@ -33,7 +33,7 @@ class TargetState:
         plan: the compiled net.
         time: time of the last frame, frame intervals.
         watched: the slow references that guard the others against drift.
-        outlook: what its motion depends on besides its states; None when on nothing.
+        motion_context: what its motion depends on besides its states; None when on nothing.
         scored: what its score remembers.
     """
 
@@ -43,7 +43,7 @@ class TargetState:
     plan: Plan
     time: float
     watched: Watched = field(default_factory=Watched)
-    outlook: Outlook | None = None
+    motion_context: MotionContext | None = None
     scored: Scored = field(default_factory=Scored)
 
 

@@ -9,7 +9,7 @@ from os import PathLike
 from pathlib import Path
 from typing import cast
 
-from bayesnet_track.belief.contract import Motion
+from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.starts import Start, StartError, check_depth, check_starts
 from bayesnet_track.engine.step import Engine, make_engine
 from bayesnet_track.graph.checked import CheckedGraph
@@ -45,7 +45,7 @@ def track(
     *,
     out: str | PathLike[str] | None = None,
     seed: int = 0,
-    motion: Motion | None = None,
+    motion: MotionModel | None = None,
     detections: str | PathLike[str] | None = None,
     overwrite: bool = False,
     video: bool = False,
@@ -198,7 +198,7 @@ def placed(
 
 
 def prepared(
-    graph: CheckedGraph, seed: int, motion: Motion | None, detections: str | PathLike[str] | None
+    graph: CheckedGraph, seed: int, motion: MotionModel | None, detections: str | PathLike[str] | None
 ) -> Engine:
     """The engine of a run; raises as `track`."""
     own = None if motion is None else dict.fromkeys(graph.targets, motion)

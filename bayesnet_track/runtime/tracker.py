@@ -9,7 +9,7 @@ from os import PathLike
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Motion
+from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.starts import Start, check_started, check_starts, start_targets
 from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
@@ -56,7 +56,7 @@ class Tracker:
         self,
         graph: str | PathLike[str] | GraphSpec | CheckedGraph = "general",
         seed: int = 0,
-        motion: Motion | None = None,
+        motion: MotionModel | None = None,
         whole_px: bool = False,
         allow_plugins: Iterable[str] = (),
         cues: Iterable[GivenCue] = (),

@@ -111,7 +111,7 @@ def displaced(
     scale = np.minimum(matching.sd_gray**2, np.maximum(CONTRAST**2 * variances, 1e-9))
     likelihood = np.exp(np.maximum(-squares / (2.0 * scale[:, None, None]), UNSEEN))
     measured = likelihood / likelihood.sum(axis=(1, 2), keepdims=True)
-    joint = predicted(points, dt, centre, matching) * likelihood
+    joint = predict_matrices(points, dt, centre, matching) * likelihood
     evidence = joint.sum(axis=(1, 2), keepdims=True)
     feasible = evidence >= likelihood.mean(axis=(1, 2), keepdims=True)
     filtered = np.where(feasible, joint / np.maximum(evidence, 1e-300), measured)
@@ -143,7 +143,7 @@ def mean_squares(
     return squares
 
 
-def predicted(points: Points, dt: float, centre: Ints, matching: Matching) -> Floats:
+def predict_matrices(points: Points, dt: float, centre: Ints, matching: Matching) -> Floats:
     """The matrices before the next measurement, moved to `centre`, spread by noise, flattened by `forget`.
 
     What comes into the range from outside has the least probability of the matrix.

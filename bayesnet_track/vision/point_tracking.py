@@ -51,7 +51,7 @@ class Following:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class PointMotion:
     """How a set of points moved: z -> target + factor (z - source), z = x + iy.
 
     Attributes:
@@ -197,7 +197,9 @@ def followed(
     return at + flows + guess, valid == 1
 
 
-def agreed(source: Floats, target: Floats, candidates: NDArray[np.bool_], how: Following) -> Motion | None:
+def agreed(
+    source: Floats, target: Floats, candidates: NDArray[np.bool_], how: Following
+) -> PointMotion | None:
     """The translation or similarity that most candidates follow, fitted to them by least squares; or None."""
     from bayesnet_track.vision.kernels.similarity_kernels import consensus
 
@@ -215,4 +217,4 @@ def agreed(source: Floats, target: Floats, candidates: NDArray[np.bool_], how: F
         factor = complex((np.conj(z - centre) * (t - moved)).sum() / spread)
     squares = float((np.abs(t - moved - factor * (z - centre)) ** 2).sum())
     free = max(2 * len(z) - (4 if len(z) > FEW else 2), 1)
-    return Motion(kept, target, factor, centre, moved, squares / free, spread)
+    return PointMotion(kept, target, factor, centre, moved, squares / free, spread)

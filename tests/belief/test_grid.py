@@ -9,7 +9,7 @@ from bayesnet_track import Tracker
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.belief.grid.belief import GridFilter
-from bayesnet_track.belief.grid.motion import predicted
+from bayesnet_track.belief.grid.motion import predict_grid
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.spec import GraphSpec
@@ -103,7 +103,7 @@ def test_size_and_heavy_tails(motion_of, stream_of):
     belief = GridFilter(spec.Grid(cell_px=1.0, cut=0.0, scale_cells=27, scale_cell=0.05))
     known = belief.start(BOX, motion, stream_of(0, 0))
     for _ in range(2):
-        known = predicted(known, motion, 1.0, 128)
+        known = predict_grid(known, motion, 1.0, 128)
     assert known.covariance[0, 0] == pytest.approx(2 * (0.8 * 4 + 0.2 * 36), rel=1e-6)
     logs, masses = np.log(known.values[2] / BOX[2]), known.positions.sum(axis=(1, 2))
     assert masses @ logs == pytest.approx(0.0, abs=1e-9)
@@ -150,7 +150,7 @@ def test_what_a_long_gap_takes_beyond_the_border_stays_there(motion_of, stream_o
     known = GridFilter(spec.Grid(cell_px=1.0, window=300)).start(
         np.array([15.0, 100.0, 9, 9]), motion, stream_of(0, 0)
     )
-    known = predicted(known, motion, 100.0, 300)
+    known = predict_grid(known, motion, 100.0, 300)
     masses = known.positions[0].sum(axis=0)
     assert known.values[0][0] == 0.0
     x = np.arange(-150.0, known.values[0][-1] + 1)
@@ -163,9 +163,9 @@ def test_gaps_are_bounded(dt, motion_of, stream_of):
     """Memory of a few beliefs however long, and the target may be anywhere, but not only at the borders."""
     motion = Confined(motion_of("constant_velocity", **NOISE["constant_velocity"]), 160, 120)
     known = GridFilter(spec.Grid()).start(BOX, motion, stream_of(0, 0))
-    known = predicted(known, motion, dt, 128)
+    known = predict_grid(known, motion, dt, 128)
     tracemalloc.start()
-    known = predicted(known, motion, dt, 128)
+    known = predict_grid(known, motion, dt, 128)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 20 * known.mass.nbytes
@@ -179,7 +179,7 @@ def test_mass_is_kept_inside_the_image(kind, dt, motion_of, stream_of):
     motion = Confined(motion_of(kind, **NOISE[kind]), 120, 90)
     known = GridFilter(spec.Grid(velocity_cells=5)).start(BOX, motion, stream_of(0, 0))
     for _ in range(4):
-        known = predicted(known, motion, dt, 64)
+        known = predict_grid(known, motion, dt, 64)
         assert known.mass.sum() == pytest.approx(1.0, abs=1e-12) and known.mass.min() >= 0
         for values, size in zip(known.values[:2], (120, 90), strict=True):
             assert values[0] >= -1e-9 and values[-1] <= size - 1 + 1e-9
@@ -245,7 +245,7 @@ def test_evidence_that_cannot_be_used(value, motion_of, stream_of):
     known = belief.start(BOX, motion, stream_of(0, 0))
     stepped = belief.step(known, motion, 1.0, lambda h, p: Evidence(np.full(len(h), value)), stream_of(0, 1))
     assert stepped.degenerate and stepped.log_evidence == -np.inf
-    np.testing.assert_array_equal(stepped.posterior.mass, predicted(known, motion, 1.0, 128).mass)
+    np.testing.assert_array_equal(stepped.posterior.mass, predict_grid(known, motion, 1.0, 128).mass)
     np.testing.assert_allclose(stepped.map_state, BOX)
 
 
@@ -282,7 +282,7 @@ def test_a_jump_is_noticed(region, then, motion_of, stream_of):
     if region == "image":
         assert event.region_px2 == 320 * 240
     if then == "ignore":
-        expected = predicted(known, motion, 1.0, 128)
+        expected = predict_grid(known, motion, 1.0, 128)
         np.testing.assert_array_equal(stepped.posterior.mass, expected.mass)
     else:
         np.testing.assert_allclose(stepped.posterior.mean[:2], far, atol=1.6)  # half of it beyond the box
@@ -346,7 +346,7 @@ def test_three_estimates_of_a_bimodal_belief(motion_of, stream_of):
 
 def test_regions_and_draws(motion_of, stream_of):
     motion = motion_of("random_walk", **NOISE["random_walk"])
-    known = predicted(
+    known = predict_grid(
         GridFilter(spec.Grid(cell_px=1.0)).start(BOX, motion, stream_of(0, 0)), motion, 1.0, 128
     )
     x_low, x_high, y_low, y_high = known.region(0.9)

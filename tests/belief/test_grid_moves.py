@@ -10,7 +10,7 @@ from bayesnet_track.belief.grid.belief import GridFilter
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice
 from bayesnet_track.belief.grid.evidence import log_gaussian
 from bayesnet_track.belief.grid.gaps import Leap, Span, _leapt, leapt, moving
-from bayesnet_track.belief.grid.motion import _bounded, _change, axis_steps, predicted, scale_sd
+from bayesnet_track.belief.grid.motion import _bounded, _change, axis_steps, predict_grid, scale_sd
 from bayesnet_track.belief.grid.reset import judged_in_box, judged_on_image
 from bayesnet_track.belief.grid.window import Limits, Patch
 from bayesnet_track.belief.motion.bounds import Confined
@@ -101,7 +101,7 @@ def enumerated(belief, motion, dt):
 def test_a_prediction_has_the_moments_of_its_cells(dt, belief, motion_of):
     motion = motion_of("damped_velocity", **DAMPED)
     mean, variance, speeds = enumerated(belief, motion, dt)
-    found = predicted(belief, motion, dt, 64)
+    found = predict_grid(belief, motion, dt, 64)
     np.testing.assert_allclose(found.mean[:2], mean, atol=1e-9)
     np.testing.assert_allclose(
         np.diag(found.covariance)[:2], variance, rtol=1e-5
@@ -116,7 +116,7 @@ def test_scales_spread_by_their_matrix_and_those_without_mass_are_filled(motion_
     mass[2:4, 0, 0, 0] = [[0.5, 0.2], [0.2, 0.1]]
     belief = GridBelief(mass, lattice, np.ones((1, 1)))
     motion = motion_of("random_walk", sd_px={"x": 3.0, "y": 3.0}, sd_log={"scale": 0.15})
-    found = predicted(belief, motion, 1.0, 64)
+    found = predict_grid(belief, motion, 1.0, 64)
     expected = spreading_matrix(5, 1.0, 1.5) @ np.array([0.0, 0.0, 0.7, 0.3, 0.0])
     np.testing.assert_allclose(found.positions.sum(axis=(1, 2)), expected, atol=1e-12)
     assert found.mean[0] == pytest.approx(50.6) and found.mean[1] == pytest.approx(40.0)
@@ -127,7 +127,7 @@ def test_wide_noise_is_a_mixture(motion_of):
     lattice = Lattice((50.0, 40.0), 2.0, 0, 0, (20.0, 10.0), np.zeros(1), np.zeros(1))
     belief = GridBelief(np.ones((1, 1, 1, 1, 1)), lattice, np.ones((1, 1)))
     motion = motion_of("random_walk", sd_px={"x": 3.0, "y": 2.0}, heavy_tail={"weight": 0.2, "factor": 3.0})
-    found = predicted(belief, motion, 1.0, 64)
+    found = predict_grid(belief, motion, 1.0, 64)
     assert found.covariance[0, 0] == pytest.approx(9 * (0.8 + 0.2 * 9), rel=1e-6)
     assert found.covariance[1, 1] == pytest.approx(4 * (0.8 + 0.2 * 9), rel=1e-6)
     line = found.positions.sum(axis=(0, 1))
@@ -264,7 +264,7 @@ def test_bayes_rule_at_the_cells(motion_of, stream_of):
     chosen = GridFilter(spec.Grid(cell_px=2.0, cut=0.0, window=32))
     start = chosen.start(np.array([50.0, 40.0, 20.0, 10.0]), motion, stream_of(0, 0))
     assert start.mass.tolist() == [[[[[1.0]]]]] and start.mean.tolist() == [50.0, 40.0, 20.0, 10.0]
-    prior = predicted(start, motion, 1.0, 32)
+    prior = predict_grid(start, motion, 1.0, 32)
     stepped = chosen.step(start, motion, 1.0, seen(np.array([53.0, 38.0])), stream_of(0, 1))
     x, y = prior.values[:2]
     likelihood = np.exp(-0.125 * ((x - 53.0) ** 2 + (y[:, None] - 38.0) ** 2))

@@ -10,7 +10,7 @@ import pytest
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.grid.belief import GridFilter
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice
-from bayesnet_track.belief.grid.motion import predicted
+from bayesnet_track.belief.grid.motion import predict_grid
 from bayesnet_track.belief.grid.reset import judged_on_image
 from bayesnet_track.belief.grid.window import Limits
 from bayesnet_track.belief.motion.bounds import Confined
@@ -85,7 +85,9 @@ def step_after_a_leap(region, far, motion, stream_of):
         spec.Grid(cell_px=1.0, window=32, cut=0.0, reset=spec.Reset(region=region, then="reset"))
     )
     known = chosen.start(BOX, motion, stream_of(0, 0))
-    return predicted(known, motion, 1.0, 32), chosen.step(known, motion, 1.0, at(far, 1.0), stream_of(0, 1))
+    return predict_grid(known, motion, 1.0, 32), chosen.step(
+        known, motion, 1.0, at(far, 1.0), stream_of(0, 1)
+    )
 
 
 def test_a_reset_over_the_belief_is_the_likelihood_over_its_box(motion_of, stream_of):

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from bayesnet_track.belief.motion.attached import Attached
-from bayesnet_track.belief.motion.carried import Carried
 from bayesnet_track.belief.motion.jumps import Jumping
 from bayesnet_track.belief.motion.rotating import Rotating
-from bayesnet_track.engine.predicting import Outlook, outlook, predicted
+from bayesnet_track.belief.motion.shifted import ShiftedMotion
+from bayesnet_track.engine.predicting import MotionContext, predict_motion, start_motion_context
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.events.jump_events import Reappeared
 from bayesnet_track.observation.detector import Detections
@@ -43,14 +43,14 @@ def test_a_plain_motion_is_the_plates_own(fakes):
     compiled = machine_of(fakes)
     cache = PlaneCache(FramePair(fakes.frame(1), fakes.frame(0)))
     assert compiled.moving is None
-    assert outlook(compiled, BOX, cache.frames) is None
-    assert predicted(compiled, None, None, False, 1.0, cache).motion is compiled.motion
+    assert start_motion_context(compiled, BOX, cache.frames) is None
+    assert predict_motion(compiled, None, None, False, 1.0, cache).motion is compiled.motion
 
 
 def test_what_depends_on_the_last_frame_is_arrays_and_numbers(fakes):
     compiled = machine_of(fakes, relocalize={"by": {"detector": "color_backprojection"}})
-    found = outlook(compiled, BOX, FramePair(Frame(0, 0.0, orange_at(60, 50)), None))
-    for item in fields(Outlook):
+    found = start_motion_context(compiled, BOX, FramePair(Frame(0, 0.0, orange_at(60, 50)), None))
+    for item in fields(MotionContext):
         value = getattr(found, item.name)
         held = value.values() if item.name == "finder" else [value]
         assert all(one is None or isinstance(one, (float, np.ndarray)) for one in held), item.name
@@ -62,15 +62,15 @@ def test_what_depends_on_the_last_frame_is_arrays_and_numbers(fakes):
 def test_it_jumps_while_unsure_or_lost(fakes, ud, is_lost, share):
     compiled = machine_of(fakes, relocalize={"by": "uniform", "above": {"ud_box": 0.5}})
     cache = PlaneCache(FramePair(fakes.frame(2), fakes.frame(0)))
-    known = replace(outlook(compiled, BOX, cache.frames), ud_px2=ud)
-    motion = predicted(compiled, None, known, is_lost, 2.0, cache).motion
+    known = replace(start_motion_context(compiled, BOX, cache.frames), ud_px2=ud)
+    motion = predict_motion(compiled, None, known, is_lost, 2.0, cache).motion
     if share == 0.0:
         assert motion is compiled.motion
     else:
         assert isinstance(motion, Jumping)
         assert motion.share == pytest.approx(1 - (1 - share) ** 2)
         carried = Attached(compiled.motion, np.zeros(2), 0.1, 0.9, 1.0)
-        own = predicted(compiled, carried, known, is_lost, 2.0, cache).motion
+        own = predict_motion(compiled, carried, known, is_lost, 2.0, cache).motion
         assert isinstance(own, Attached)
         assert isinstance(own.motion, Jumping)
 
@@ -82,9 +82,11 @@ def test_the_camera_carries_the_states(fakes):
         Frame(n, float(n), np.dstack([ground[20:220, 20 + at : 260 + at]] * 3)) for n, at in ((0, 0), (1, 4))
     ]
     compiled = machine_of(fakes, camera="compensate")
-    known = outlook(compiled, BOX, FramePair(views[0], None))
-    motion = predicted(compiled, None, known, False, 1.0, PlaneCache(FramePair(views[1], views[0]))).motion
-    assert isinstance(motion, Carried)
+    known = start_motion_context(compiled, BOX, FramePair(views[0], None))
+    motion = predict_motion(
+        compiled, None, known, False, 1.0, PlaneCache(FramePair(views[1], views[0]))
+    ).motion
+    assert isinstance(motion, ShiftedMotion)
     np.testing.assert_allclose(motion.drift(BOX[None], 1.0)[0], BOX - [4, 0, 0, 0], atol=0.1)
 
 
@@ -99,8 +101,10 @@ def test_an_angle_is_beside_all_of_it(fakes):
         fakes, camera="compensate", size_reversion={"sd_scale": 0.3}, inflate={}, relocalize={"by": "uniform"}
     )
     compiled = replace(plain, motion=Rotating(plain.motion, 6.0))
-    known = outlook(compiled, BOX, FramePair(views[0], None))
-    motion = predicted(compiled, None, known, True, 1.0, PlaneCache(FramePair(views[1], views[0]))).motion
+    known = start_motion_context(compiled, BOX, FramePair(views[0], None))
+    motion = predict_motion(
+        compiled, None, known, True, 1.0, PlaneCache(FramePair(views[1], views[0]))
+    ).motion
     assert motion.fields == compiled.motion.fields
     assert isinstance(motion, Jumping) and isinstance(motion.motion, Rotating)
     old = np.append(BOX, 40.0)[None]
@@ -110,9 +114,9 @@ def test_an_angle_is_beside_all_of_it(fakes):
 def test_the_detector_is_shown_the_target_and_looks_for_it(fakes):
     compiled = machine_of(fakes, relocalize={"by": {"detector": "color_backprojection"}})
     start = Frame(0, 0.0, orange_at(60, 50))
-    known = outlook(compiled, np.array([60.0, 50.0, 20.0, 20.0]), FramePair(start, None))
+    known = start_motion_context(compiled, np.array([60.0, 50.0, 20.0, 20.0]), FramePair(start, None))
     now = PlaneCache(FramePair(Frame(1, 1.0, orange_at(100, 30)), start))
-    found = predicted(compiled, None, known, True, 1.0, now)
+    found = predict_motion(compiled, None, known, True, 1.0, now)
     np.testing.assert_allclose(found.motion.search.boxes, [[99.5, 29.5, 20, 20]], atol=2.0)
     assert found.told == ()
 
@@ -140,9 +144,11 @@ def test_a_detector_that_fails_is_out_and_told(fakes, error, reason):
 
     compiled = replace(machine_of(fakes, relocalize={"by": "uniform"}), finder=Broken())
     cache = PlaneCache(FramePair(fakes.frame(1), fakes.frame(0)))
-    found = predicted(compiled, None, outlook(compiled, BOX, cache.frames), True, 1.0, cache)
+    found = predict_motion(
+        compiled, None, start_motion_context(compiled, BOX, cache.frames), True, 1.0, cache
+    )
     assert isinstance(found.motion, Jumping)
-    assert found.outlook.finder is not None and found.outlook.fault.until == found.told[0].until
+    assert found.motion_context.finder is not None and found.motion_context.fault.until == found.told[0].until
     assert [event.reason for event in found.told] == [reason]
 
 
@@ -168,7 +174,9 @@ def test_the_answer_of_a_detector_is_checked_as_where_targets_are_born(fakes, an
 
     compiled = replace(machine_of(fakes, relocalize={"by": "uniform"}), finder=Wrong())
     cache = PlaneCache(FramePair(fakes.frame(1), fakes.frame(0)))
-    found = predicted(compiled, None, outlook(compiled, BOX, cache.frames), True, 1.0, cache)
+    found = predict_motion(
+        compiled, None, start_motion_context(compiled, BOX, cache.frames), True, 1.0, cache
+    )
     assert [reason in event.reason for event in found.told] == [True]
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.particles.belief import ParticleSet
-from bayesnet_track.engine.score import FEATURES, probability, widened
+from bayesnet_track.engine.score import FEATURES, blur_regions, probability
 from bayesnet_track.graph.spec import Localization, Logistic
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.net.rule_decisions import StatusChanged
@@ -119,7 +119,7 @@ def test_a_widened_region_holds_what_it_says(score):
     rng = np.random.default_rng(4)
     boxes = np.column_stack([rng.normal(100, 3, 400), rng.normal(50, 2, 400), np.full((400, 2), 20.0)])
     belief = ParticleSet(boxes, BOX_FIELDS, LogWeights.uniform(400))
-    found = widened(belief, Localization(sd_box=0.1, lost_sd_box=4.0), score, 20.0)
+    found = blur_regions(belief, Localization(sd_box=0.1, lost_sd_box=4.0), score, 20.0)
     n = 20_000
     noise = np.where(rng.random(n) < score, 2.0, 80.0)[:, None] * rng.normal(size=(n, 2))
     truth = boxes[rng.integers(400, size=n), :2] + noise

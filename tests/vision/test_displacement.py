@@ -15,7 +15,7 @@ from bayesnet_track.vision.displacement import (
     displaced,
     flat_motion,
     moments,
-    predicted,
+    predict_matrices,
     working_points,
 )
 
@@ -113,12 +113,12 @@ def test_the_prediction_adds_noise_and_moves_with_the_range():
     motion[0, 20 + 3, 20 - 4] = 1.0
     points = Points(np.zeros((1, 2), np.int64), np.zeros((1, 3, 3)), motion, np.array([1, 1]))
     centre = np.array([-2, 2])
-    moved = predicted(points, 2.0, centre, matching)[0]
+    moved = predict_matrices(points, 2.0, centre, matching)[0]
     mean, covariance = moments(moved)
     np.testing.assert_allclose(mean + centre, [-3, 4], atol=1e-3)  # as before: 1 - 4, 1 + 3
     np.testing.assert_allclose(np.diag(covariance), 8.0, rtol=1e-3)  # 2 px^2 per frame, dt 2
     flat = Points(points.at, points.patches, flat_motion(1, matching), np.array([30, 0]))
-    np.testing.assert_allclose(predicted(flat, 1.0, STILL, matching), 1 / 41**2, rtol=1e-12)
+    np.testing.assert_allclose(predict_matrices(flat, 1.0, STILL, matching), 1 / 41**2, rtol=1e-12)
 
 
 def test_working_points_lie_between_the_maximum_and_the_object():

@@ -11,7 +11,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Evaluate, Evidence, Motion, Report, Step, Stream
+from bayesnet_track.belief.contract import Evaluate, Evidence, MotionModel, Report, Step, Stream
 from bayesnet_track.belief.gaussian.predict import predict, require_linear
 from bayesnet_track.belief.gaussian.update import Asked, Gated, Taken, ask, fitted, log_message, matched, take
 from bayesnet_track.belief.states import WeightedStates, hypotheses_of
@@ -75,7 +75,7 @@ class GaussianFilter:
 
     settings: spec.Gaussian
 
-    def start(self, box: Floats, motion: Motion, stream: Stream) -> GaussianPosterior:
+    def start(self, box: Floats, motion: MotionModel, stream: Stream) -> GaussianPosterior:
         """The belief about a target first seen in the centre box (4,).
 
         Raises:
@@ -87,7 +87,7 @@ class GaussianFilter:
         return GaussianPosterior(mean, covariance, motion.fields, self._size(len(mean)))
 
     def step(
-        self, prior: GaussianPosterior, motion: Motion, dt: float, evaluate: Evaluate, stream: Stream
+        self, prior: GaussianPosterior, motion: MotionModel, dt: float, evaluate: Evaluate, stream: Stream
     ) -> Step[GaussianPosterior]:
         """The belief after `dt` frame intervals and the evidence of a frame.
 

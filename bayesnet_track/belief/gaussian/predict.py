@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Motion
+from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.functions import FunctionMotion
 from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian
@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 
 def predict(
-    mean: Floats, covariance: Floats, motion: Motion, dt: float, settings: spec.Gaussian
+    mean: Floats, covariance: Floats, motion: MotionModel, dt: float, settings: spec.Gaussian
 ) -> tuple[Floats, Floats]:
     """Mean (D,) and covariance (D, D) after `dt` frame intervals.
 
@@ -43,7 +43,7 @@ def predict(
 
 
 def unscented_moments(
-    mean: Floats, covariance: Floats, motion: Motion, dt: float, sigma: spec.Unscented
+    mean: Floats, covariance: Floats, motion: MotionModel, dt: float, sigma: spec.Unscented
 ) -> tuple[Floats, Floats]:
     """Mean and covariance of f(x), x of the moments given, by the scaled unscented transform.
 
@@ -75,7 +75,7 @@ def unscented_weights(width: int, sigma: spec.Unscented) -> tuple[float, Floats,
     return scale, weights, 1.0 - sigma.alpha**2 + sigma.beta
 
 
-def require_linear(motion: Motion) -> None:
+def require_linear(motion: MotionModel) -> None:
     """Check that the Kalman filter is exact for a motion.
 
     Raises:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Motion
+from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.gaussian import (
@@ -51,7 +51,7 @@ class Asked:
 
 
 def ask(
-    mean: Floats, covariance: Floats, motion: Motion, settings: spec.Gaussian, rng: np.random.Generator
+    mean: Floats, covariance: Floats, motion: MotionModel, settings: spec.Gaussian, rng: np.random.Generator
 ) -> Asked:
     """Samples of N(mean, covariance), or sigma points at +-sqrt(K + 1) sds and the mean.
 

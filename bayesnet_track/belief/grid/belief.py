@@ -13,10 +13,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import BOX_FIELDS, Evaluate, Evidence, Motion, Report, Step, Stream
+from bayesnet_track.belief.contract import BOX_FIELDS, Evaluate, Evidence, MotionModel, Report, Step, Stream
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice
 from bayesnet_track.belief.grid.evidence import asked_again, log_gaussian
-from bayesnet_track.belief.grid.motion import predicted, scale_sd
+from bayesnet_track.belief.grid.motion import predict_grid, scale_sd
 from bayesnet_track.belief.grid.reset import (
     Verdict,
     judged_in_box,
@@ -42,7 +42,7 @@ class GridFilter:
 
     settings: spec.Grid
 
-    def start(self, box: Floats, motion: Motion, stream: Stream) -> GridBelief:
+    def start(self, box: Floats, motion: MotionModel, stream: Stream) -> GridBelief:
         """All mass in the start box (4,), the velocity as the motion starts it.
 
         Raises:
@@ -71,7 +71,7 @@ class GridFilter:
         return unknown_velocity(empty, positions)
 
     def step(
-        self, prior: GridBelief, motion: Motion, dt: float, evaluate: Evaluate, stream: Stream
+        self, prior: GridBelief, motion: MotionModel, dt: float, evaluate: Evaluate, stream: Stream
     ) -> Step[GridBelief]:
         """The belief after `dt` frame intervals and the evidence of a frame.
 
@@ -81,7 +81,7 @@ class GridFilter:
         or that the detector ignores, is not used: the posterior is the prediction.
         """
         # Predict
-        moved = predicted(prior, motion, dt, self.settings.window)
+        moved = predict_grid(prior, motion, dt, self.settings.window)
         moved = replace(moved, mass=flattened(moved.mass, self.settings.forget**dt))
 
         # Evaluate
@@ -112,7 +112,7 @@ class GridFilter:
         asked: _Asked,
         evidence: Evidence,
         log_evidence: float,
-        motion: Motion,
+        motion: MotionModel,
         evaluate: Evaluate,
     ) -> Verdict:
         if rule.region == "belief":
@@ -128,7 +128,7 @@ class GridFilter:
         )
 
     def _reset(
-        self, asked: _Asked, evidence: Evidence, verdict: Verdict, motion: Motion, evaluate: Evaluate
+        self, asked: _Asked, evidence: Evidence, verdict: Verdict, motion: MotionModel, evaluate: Evaluate
     ) -> Step[GridBelief]:
         """Start again from the likelihood over the region; on the image, over the window around its peak."""
         if verdict.peak is None:

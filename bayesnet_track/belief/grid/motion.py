@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Motion
+from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice, X, Y
 from bayesnet_track.belief.grid.gaps import Leap, leapt
 from bayesnet_track.belief.grid.window import Limits, Patch, limits_of, stacked, within
@@ -47,7 +47,7 @@ class AxisStep:
     offset: float = 0.0
 
 
-def predicted(prior: GridBelief, motion: Motion, dt: float, window: int) -> GridBelief:
+def predict_grid(prior: GridBelief, motion: MotionModel, dt: float, window: int) -> GridBelief:
     """The belief after `dt` frame intervals, in a window of at most `window` cells around its mean.
 
     Mass that would leave the image stays at its border, as confined hypotheses do; mass further from the
@@ -79,7 +79,7 @@ def predicted(prior: GridBelief, motion: Motion, dt: float, window: int) -> Grid
     return replace(prior, mass=mass, lattice=replace(lattice, column=whole.column, row=whole.row))
 
 
-def axis_steps(motion: Motion, state: Floats, dt: float) -> tuple[tuple[AxisStep, AxisStep], Floats]:
+def axis_steps(motion: MotionModel, state: Floats, dt: float) -> tuple[tuple[AxisStep, AxisStep], Floats]:
     """The steps of x and y at a state (D,), and the (C,) shares of the noise's components."""
     drift, noise = motion.linearise(state, dt)
     transition = motion.transition(state[None], dt)
@@ -104,7 +104,7 @@ def axis_steps(motion: Motion, state: Floats, dt: float) -> tuple[tuple[AxisStep
     return (steps[0], steps[1]), shares
 
 
-def scale_sd(motion: Motion, state: Floats, dt: float) -> float:
+def scale_sd(motion: MotionModel, state: Floats, dt: float) -> float:
     """The sd of log sqrt(w h) over `dt`.
 
     Raises:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Motion
+from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.grid.cells import Lattice
 from bayesnet_track.belief.motion.bounds import Confined
 
@@ -36,7 +36,7 @@ class Limits:
     window: int
 
 
-def limits_of(lattice: Lattice, motion: Motion, window: int) -> Limits:
+def limits_of(lattice: Lattice, motion: MotionModel, window: int) -> Limits:
     """The columns and rows of the image that a confined motion keeps to."""
     if not isinstance(motion, Confined):
         return Limits(None, None, window)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Ancestors, Motion
+from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.observation.cue import ANGLE
@@ -34,7 +34,7 @@ class Attached:
         sd_px: sd of what is carried beside its carrier, px per frame interval.
     """
 
-    motion: Motion
+    motion: MotionModel
     displacement: Floats
     start_share: float
     stay_share: float

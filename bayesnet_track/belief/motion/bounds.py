@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.belief.contract import Ancestors, Floats, Motion
+from bayesnet_track.belief.contract import Ancestors, Floats, MotionModel
 from bayesnet_track.belief.motion.noise import Transition
 
 
@@ -23,7 +23,7 @@ class Confined:
         height: rows of the image.
     """
 
-    motion: Motion
+    motion: MotionModel
     width: int
     height: int
 

@@ -26,7 +26,7 @@ Drift = Callable[[Floats, float], Floats]
 
 @dataclass(frozen=True, eq=False)
 class FunctionMotion:
-    """A motion model (`belief.contract.Motion`) by a function: x' = f(x, dt) + N(0, Q dt).
+    """A motion model (`belief.contract.MotionModel`) by a function: x' = f(x, dt) + N(0, Q dt).
 
     A target that turns at an unknown rate::
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Ancestors, Motion
+from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.particles.fitted import flattened
@@ -94,7 +94,7 @@ class Jumping:
         search: how hypotheses that jump are drawn by a belief which weights them.
     """
 
-    motion: Motion
+    motion: MotionModel
     share: float
     width: int
     height: int
@@ -164,7 +164,7 @@ class Jumping:
         return Places(np.zeros((1, 2)), high, np.ones(1))
 
 
-def jumping_of(motion: Motion) -> Jumping | None:
+def jumping_of(motion: MotionModel) -> Jumping | None:
     """The jumping motion inside a confined one, or None."""
     free = motion.motion if isinstance(motion, Confined) else motion
     return free if isinstance(free, Jumping) else None

@@ -50,7 +50,7 @@ DERIVATIVES = (("vx", "vy"), ("ax", "ay"))
 
 @dataclass(frozen=True)
 class KinematicMotion:
-    """A motion model (`belief.contract.Motion`); make one with `make_motion`.
+    """A motion model (`belief.contract.MotionModel`); make one with `make_motion`.
 
     Attributes:
         noise: noise of the box, on top of the kinematics.

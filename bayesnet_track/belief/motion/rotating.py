@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Ancestors, Motion
+from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.observation.cue import ANGLE
 
@@ -27,7 +27,7 @@ class Rotating:
         sd: of the angle's step in one frame interval, degrees, above 0.
     """
 
-    motion: Motion
+    motion: MotionModel
     sd: float
 
     @property

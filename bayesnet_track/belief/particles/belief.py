@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Evaluate, Motion, Report, Step, Stream
+from bayesnet_track.belief.contract import Evaluate, MotionModel, Report, Step, Stream
 from bayesnet_track.belief.particles.adaptive_size import start_size
 from bayesnet_track.belief.particles.importance import proposal_of
 from bayesnet_track.belief.particles.map import map_index
@@ -29,13 +29,13 @@ class ParticleFilter:
         self.settings = settings
         self._draw, self._refine = proposal_of(settings)
 
-    def start(self, box: Floats, motion: Motion, stream: Stream) -> ParticleSet:
+    def start(self, box: Floats, motion: MotionModel, stream: Stream) -> ParticleSet:
         """Equal hypotheses for a target first seen in the centre box (4,)."""
         size = start_size(self.settings)
         return ParticleSet(motion.start(box, size, stream("start")), motion.fields, LogWeights.uniform(size))
 
     def step(
-        self, prior: ParticleSet, motion: Motion, dt: float, evaluate: Evaluate, stream: Stream
+        self, prior: ParticleSet, motion: MotionModel, dt: float, evaluate: Evaluate, stream: Stream
     ) -> Step[ParticleSet]:
         """The belief after `dt` frame intervals and the evidence of a frame.
 

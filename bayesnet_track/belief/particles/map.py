@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Motion
+from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.numerics.density import mixture_argmax
 from bayesnet_track.numerics.log_weights import LogWeights
 
@@ -13,7 +13,12 @@ Floats = NDArray[np.float64]
 
 
 def map_index(
-    log_likelihood: Floats, states: Floats, parents: Floats, weights: LogWeights, motion: Motion, dt: float
+    log_likelihood: Floats,
+    states: Floats,
+    parents: Floats,
+    weights: LogWeights,
+    motion: MotionModel,
+    dt: float,
 ) -> int:
     """argmax_i L(x_i) sum_k beta_k p(x_i | x_k): the hypothesis of the largest posterior density.
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Evaluate, Motion, Stream
+from bayesnet_track.belief.contract import Evaluate, MotionModel, Stream
 from bayesnet_track.belief.particles.sample_size import Sized
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.numerics.disc import weighted_mass_in_disc
@@ -120,7 +120,7 @@ class Inputs:
     """
 
     prior: ParticleSet
-    motion: Motion
+    motion: MotionModel
     dt: float
     evaluate: Evaluate
     stream: Stream

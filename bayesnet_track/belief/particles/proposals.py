@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Motion
+from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.particles.fitted import (
     EFFECTIVE,
@@ -94,7 +94,7 @@ def taken(first: Pass, second: Pass, draws: Draws, weights: str) -> Both | None:
     return Both(reweighted(whole, np.concatenate([of_first, of_second])), log_second)
 
 
-def inside(motion: Motion, states: Floats) -> Floats:
+def inside(motion: MotionModel, states: Floats) -> Floats:
     """`states` (N, D), changed in place to lie on the image where `motion` is confined to it."""
     return motion.confined(states) if isinstance(motion, Confined) else states
 

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.lifecycle import AppearanceMemory
-from bayesnet_track.belief.contract import Motion
+from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.graph.settings.lifecycle import Reidentify
 from bayesnet_track.journal.net.life_decisions import Recognition
 from bayesnet_track.numerics.boxes import overlap
@@ -89,7 +89,12 @@ class Match:
 
 
 def weigh_place(
-    known: AppearanceMemory, motion: Motion, boxes: Floats, time: float, area_px2: float, rule: Reidentify
+    known: AppearanceMemory,
+    motion: MotionModel,
+    boxes: Floats,
+    time: float,
+    area_px2: float,
+    rule: Reidentify,
 ) -> tuple[float, Floats, Floats]:
     """log g, (M,) log(A p_k) and (M,) distances in px of centre boxes (M, 4) for a target at `time`."""
     dt = max(time - known.time, 1e-9)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
-from bayesnet_track.belief.contract import Motion
+from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.starts import check_depth
 from bayesnet_track.engine.step import Engine
 from bayesnet_track.journal import disk
@@ -57,7 +57,7 @@ def resume(
     path: str | PathLike[str],
     *,
     source: FrameSource | None = None,
-    motion: Motion | None = None,
+    motion: MotionModel | None = None,
     sinks: Sequence[Sink] = (),
     summary: Summary | None = None,
     inputs: str | PathLike[str] | InputsAt | None = None,

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.information import Worth
-from bayesnet_track.adapt.joins import Carried, JoinMemory, Level, PairMemory
+from bayesnet_track.adapt.joins import CarriedHypotheses, JoinMemory, Level, PairMemory
 from bayesnet_track.adapt.lifecycle import AppearanceMemory, Candidate, TrackHistory, TrackRecord
 from bayesnet_track.adapt.memory import Memory, Quiet, Streak
 from bayesnet_track.adapt.shedding import Load
@@ -27,7 +27,7 @@ from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.particles.sample_size import Need, Sized
-from bayesnet_track.engine.predicting import Outlook
+from bayesnet_track.engine.predicting import MotionContext
 from bayesnet_track.engine.score import Scored
 from bayesnet_track.engine.step import Engine, State, TargetState
 from bayesnet_track.inference.compile import Plan, compile_plan
@@ -59,7 +59,7 @@ CLASSES: tuple[type, ...] = (
     Quiet,
     Worth,
     Watched,
-    Outlook,
+    MotionContext,
     Scored,
     TrackHistory,
     Candidate,
@@ -68,7 +68,7 @@ CLASSES: tuple[type, ...] = (
     JoinMemory,
     PairMemory,
     Level,
-    Carried,
+    CarriedHypotheses,
 )
 """Every class of which the state between frames is made."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from bayesnet_track.belief.contract import Motion
+from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.journal.events.machine_events import MachineChanged
 from bayesnet_track.journal.reader import Notice
 from bayesnet_track.journal.writer import read_position
@@ -37,7 +37,7 @@ def check_plain(directory: RunDirectory) -> None:
             raise ResumeError(f"{path}: it is a link or no plain file; put the file itself there")
 
 
-def check_same(recipe: Recipe, source: FrameSource | None, motion: Motion | None) -> None:
+def check_same(recipe: Recipe, source: FrameSource | None, motion: MotionModel | None) -> None:
     """Refuse another version, another source, other files; raises ResumeError, OSError, SourceError."""
     if recipe.own_motion and motion is None:
         raise ResumeError("it was tracked with a motion model of one's own: give it again, in Python")

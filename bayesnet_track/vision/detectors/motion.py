@@ -81,7 +81,7 @@ class Moved:
 
 
 @dataclass(frozen=True)
-class Motion:
+class MotionDetector:
     """Compares the current frame with the one before; no state."""
 
     parameters: MotionParameters
@@ -186,7 +186,7 @@ def _affine(flow: NDArray[np.float32]) -> Floats:
 def _make(parameters: MotionParameters) -> Detector:
     import cv2  # noqa: F401  load before the first frame
 
-    return Motion(parameters)
+    return MotionDetector(parameters)
 
 
 DETECTOR = DetectorDeclaration(

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Ancestors, Motion
+from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.graph.settings.motion import SizeReversion
@@ -29,13 +29,13 @@ class Shift(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Carried:
+class ShiftedMotion:
     """`motion` after `shift`: p(x | x') is that of the motion from shift(x'), exactly.
 
     It is made for one frame: the shift is that frame's, whatever `dt`.
     """
 
-    motion: Motion
+    motion: MotionModel
     shift: Shift
 
     @property
@@ -154,7 +154,7 @@ class SizeShift:
         return found
 
 
-def size_kept(motion: KinematicMotion, settings: SizeReversion, first: Floats, dt: float) -> Carried:
+def revert_size(motion: KinematicMotion, settings: SizeReversion, first: Floats, dt: float) -> ShiftedMotion:
     """The motion with log size an Ornstein-Uhlenbeck process around the size (2,) `first`, over `dt`.
 
     With the noise's sd s per frame interval and the sd S in the long run, the rate is k = s^2 / (2 S^2), and
@@ -170,4 +170,4 @@ def size_kept(motion: KinematicMotion, settings: SizeReversion, first: Floats, d
     sd_log = own.model_copy(update={"scale": noise[0], "aspect": noise[1]})
     kept = replace(motion, noise=motion.noise.model_copy(update={"sd_log": sd_log}))
     log_w, log_h = np.log(first)
-    return Carried(kept, SizeShift(np.array([(log_w + log_h) / 2, log_w - log_h]), keep))
+    return ShiftedMotion(kept, SizeShift(np.array([(log_w + log_h) / 2, log_w - log_h]), keep))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from bayesnet_track.belief.gaussian.predict import predict
-from bayesnet_track.belief.motion.carried import CameraShift, Carried, camera_shift, size_kept
 from bayesnet_track.belief.motion.functions import derivative
+from bayesnet_track.belief.motion.inflation import inflate_noise, inflation_factor
 from bayesnet_track.belief.motion.models import linear_gaussian
-from bayesnet_track.belief.motion.widened import widened, widening
+from bayesnet_track.belief.motion.shifted import CameraShift, ShiftedMotion, camera_shift, revert_size
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.settings.motion import SizeReversion
 
@@ -37,7 +37,7 @@ def test_a_background_point_stays_on_the_background(dt):
 
 def test_the_camera_moves_a_kalman_belief_exactly(linear):
     shift, dt = camera_shift(FLOW, 1.0), 1.0
-    motion = Carried(linear, shift)
+    motion = ShiftedMotion(linear, shift)
     mean, spread = linear.start_moments(BOX)
     spread = spread + np.diag(np.arange(1.0, len(mean) + 1))
     moves, noise = linear_gaussian(linear, dt)
@@ -52,7 +52,7 @@ def test_the_camera_moves_a_kalman_belief_exactly(linear):
 
 
 def test_particles_carried_have_the_kalman_moments(linear, rng):
-    motion, size = Carried(linear, camera_shift(FLOW, 1.0)), 40_000
+    motion, size = ShiftedMotion(linear, camera_shift(FLOW, 1.0)), 40_000
     mean, spread = motion.start_moments(BOX)
     exact_mean, exact_spread = predict(mean, spread, motion, 1.0, KALMAN)
     parents = np.arange(size)[::-1]
@@ -65,8 +65,8 @@ def test_particles_carried_have_the_kalman_moments(linear, rng):
 
 def test_the_jacobians_are_the_derivatives(motion_of, rng):
     walk = motion_of("random_walk", sd_px={"x": 1.0, "y": 1.0}, sd_log={"scale": 0.1, "aspect": 0.05})
-    kept = size_kept(walk, SizeReversion(sd_scale=0.3, sd_aspect=0.2), np.array([30.0, 55.0]), 2.0)
-    moving = Carried(
+    kept = revert_size(walk, SizeReversion(sd_scale=0.3, sd_aspect=0.2), np.array([30.0, 55.0]), 2.0)
+    moving = ShiftedMotion(
         motion_of("constant_velocity"), CameraShift(np.array([[1.1, 0.2], [-0.2, 1.1]]), np.ones(2))
     )
     for motion in (kept, moving):
@@ -82,7 +82,7 @@ def test_the_size_is_an_ornstein_uhlenbeck_process(motion_of):
     settings = SizeReversion(sd_scale=limit)
 
     def moments(dt):
-        kept = size_kept(walk, settings, BOX[2:4], dt)
+        kept = revert_size(walk, settings, BOX[2:4], dt)
         return kept.shift.keep[0], kept.motion.noise.sd_log.scale**2 * dt
 
     whole_keep, whole = moments(3.0)
@@ -92,7 +92,7 @@ def test_the_size_is_an_ornstein_uhlenbeck_process(motion_of):
     keep, variance = moments(1.0)
     assert variance / (1 - keep**2) == pytest.approx(limit**2)
     assert keep == pytest.approx(np.exp(-(step**2) / (2 * limit**2)))
-    far = size_kept(walk, SizeReversion(sd_scale=1e4), BOX[2:4], 1.0)
+    far = revert_size(walk, SizeReversion(sd_scale=1e4), BOX[2:4], 1.0)
     # 1 - keep^2 is 1e-10 there, and its last digit 2e-16: 1e-6 of the sd.
     assert far.motion.noise.sd_log.scale == pytest.approx(step, rel=1e-5)
     states = np.array([[0.0, 0.0, 6.0, 4.0]])
@@ -101,7 +101,7 @@ def test_the_size_is_an_ornstein_uhlenbeck_process(motion_of):
 
 def test_a_size_drawn_back_keeps_its_shape_and_does_not_collapse(motion_of, rng):
     walk = motion_of("random_walk", sd_px={"x": 1.0, "y": 1.0}, sd_log={"scale": 0.05})
-    motion = size_kept(walk, SizeReversion(sd_scale=0.2), BOX[2:4], 1.0)
+    motion = revert_size(walk, SizeReversion(sd_scale=0.2), BOX[2:4], 1.0)
     states = np.tile(BOX / [1, 1, 8, 8], (4000, 1))
     for _ in range(200):  # 6 time constants of 2 S^2 / s^2 = 32 frames
         states = motion.propagate(states, 1.0, rng)
@@ -114,8 +114,8 @@ def test_a_size_drawn_back_keeps_its_shape_and_does_not_collapse(motion_of, rng)
 
 def test_densities_are_those_of_the_motion_from_the_shifted_states(motion_of, rng):
     walk = motion_of("random_walk", sd_box={"x": 0.1, "y": 0.2}, sd_log={"scale": 0.05, "aspect": 0.02})
-    kept = size_kept(walk, SizeReversion(sd_scale=0.3, sd_aspect=0.2), np.array([30.0, 55.0]), 1.0)
-    motion = Carried(kept, camera_shift(FLOW, 1.0))
+    kept = revert_size(walk, SizeReversion(sd_scale=0.3, sd_aspect=0.2), np.array([30.0, 55.0]), 1.0)
+    motion = ShiftedMotion(kept, camera_shift(FLOW, 1.0))
     old, new = states_around(walk, rng), states_around(walk, rng, 5)
     once = camera_shift(FLOW, 1.0).shifted(old)
     expected = kept.motion.log_density(new, kept.shift.shifted(once), 1.0)
@@ -131,7 +131,7 @@ def test_noise_widens_with_the_root_of_the_doubt(motion_of, doubt, factor):
         sd_box={"y": 0.1},
         sd_log={"scale": 0.1},
     )
-    wide = widened(motion, widening(doubt, 3.0))
+    wide = inflate_noise(motion, inflation_factor(doubt, 3.0))
     assert (wide is motion) == (factor == 1.0)
     state = np.r_[BOX, 1.0, 2.0]
     moves, spread = motion.linearise(state, 2.0)
@@ -151,14 +151,14 @@ def test_only_what_has_a_limit_and_noise_is_drawn_back(motion_of):
         (SizeReversion(sd_scale=0.3), 0, 0.1, 0.3),
         (SizeReversion(sd_aspect=0.2), 1, 0.05, 0.2),
     ):
-        kept = size_kept(walk, settings, first, 3.0)
+        kept = revert_size(walk, settings, first, 3.0)
         keep = np.exp(-3.0 * sd**2 / (2 * limit**2))
         assert kept.shift.keep[n] == pytest.approx(keep, rel=1e-12) and kept.shift.keep[1 - n] == 1.0
         sds = kept.motion.noise.sd_log.scale, kept.motion.noise.sd_log.aspect
         assert sds[n] == pytest.approx(limit * np.sqrt((1 - keep**2) / 3.0), rel=1e-12)
         assert sds[1 - n] == (0.1, 0.05)[1 - n]
         np.testing.assert_allclose(kept.shift.first, [np.log(30 * 55) / 2, np.log(30 / 55)], rtol=1e-12)
-    still = size_kept(
+    still = revert_size(
         motion_of("random_walk", sd_px={"x": 1.0, "y": 1.0}), SizeReversion(sd_scale=0.3), first, 2.0
     )
     assert still.shift.keep.tolist() == [1.0, 1.0] and still.motion.noise.sd_log.scale == 0.0

@@ -8,12 +8,12 @@ from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.graph.settings.motion import BoxSd
 
 
-def widening(doubt: float, most: float) -> float:
+def inflation_factor(doubt: float, most: float) -> float:
     """The factor sqrt(doubt), at least 1 and at most `most`; `doubt` is UD as a multiple of its level."""
     return float(min(max(doubt, 1.0) ** 0.5, most))
 
 
-def widened(motion: KinematicMotion, factor: float) -> KinematicMotion:
+def inflate_noise(motion: KinematicMotion, factor: float) -> KinematicMotion:
     """The motion with the sds of its position, and of the noise that drives it, times `factor`.
 
     The size keeps its noise. The result is a motion of the same kind: its density is that of what it draws.
