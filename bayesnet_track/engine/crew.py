@@ -47,7 +47,7 @@ def send_off(work: FrameWork, targets: Mapping[str, TargetState]) -> Elsewhere:
     crew, net = work.engine.crew, work.net
     if crew is None:
         return Elsewhere()
-    concerned = work.by_hand.keys() | {target for target, _, _ in work.absent.known}
+    concerned = work.by_hand.keys() | {target for target, _, _ in work.availability.known}
     own = {
         target: state
         for target, state in targets.items()

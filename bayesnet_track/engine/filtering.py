@@ -86,7 +86,7 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
             work.seconds,
             faults=failed,
             executor=work.engine.executor,
-            roll=work.roll(target, "observing"),
+            availability=work.availability_of(target, "observing"),
         )
         stepped = belief.step(
             prior,

@@ -105,7 +105,7 @@ def learn_target(work: FrameWork, filtered: Filtered, measured: Measured, decide
         hypotheses_of(np.concatenate([box, measured.state[4:]])[None], filtered.step.posterior.fields),
         {agent: inside_frame(parts[part].box, work.frame) for agent, part in compiled.part_of.items()},
         work.engine.executor,
-        work.absent,
+        work.availability,
         filtered.target,
     )
     learnt = learn(lesson, compiled, filtered.before, decided, rates)

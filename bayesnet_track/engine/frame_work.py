@@ -8,8 +8,8 @@ from functools import partial
 
 from bayesnet_track.belief.contract import Stream
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
-from bayesnet_track.engine.outside import ByHand
-from bayesnet_track.inference.absent import Absent, Roll
+from bayesnet_track.engine.external_inputs import ByHand
+from bayesnet_track.inference.availability import Availability, TargetAvailability
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.observation.planes import Frame, PlaneCache
 
@@ -22,7 +22,7 @@ class FrameWork:
         engine: the graph ready to run, made once for all frames.
         net: the live nets that the frame begins with.
         cache: the frame, the one before it, and their planes.
-        absent: agents that give no answer.
+        availability: agents that give no answer.
         by_hand: target -> what a person switched.
         seconds: agent (or planes, belief, measure, learn, life, joins) -> seconds, added up here.
     """
@@ -30,7 +30,7 @@ class FrameWork:
     engine: Engine
     net: Net
     cache: PlaneCache
-    absent: Absent = field(default_factory=Absent)
+    availability: Availability = field(default_factory=Availability)
     by_hand: Mapping[str, tuple[ByHand, ...]] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
 
@@ -47,9 +47,9 @@ class FrameWork:
         """The random streams of a target's node in this frame, by purpose."""
         return partial(self.engine.streams.of, target, node, self.frame.index)
 
-    def roll(self, target: str, during: str) -> Roll:
+    def availability_of(self, target: str, during: str) -> TargetAvailability:
         """Which of the target's agents give no answer when asked for one thing."""
-        return self.absent.roll(target, during)
+        return self.availability.of_target(target, during)
 
     def charge(self, part: str, started: float) -> float:
         """Add the seconds since `started` to a part's; the moment."""

@@ -220,7 +220,7 @@ def _logs_on(work: FrameWork, one: Filtered, others: Sequence[Filtered]) -> dict
         stream,
         work.engine.clock,
         {},
-        roll=work.roll(one.target, "joining"),
+        availability=work.availability_of(one.target, "joining"),
     )
     seen = hypotheses_of(states, particles(one.step.posterior).fields)
     log = evaluate(one.plan, observer, seen, LogWeights.uniform(size).log).log_likelihood

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.joins import JoinMemory, decide_joins
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.adapt.shedding import Load
+from bayesnet_track.engine.external_inputs import ExternalInputs
 from bayesnet_track.engine.findings import TargetResult
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.joining import JointBelief, reach_of
-from bayesnet_track.engine.outside import Outside
 from bayesnet_track.engine.shedding import balanced
 from bayesnet_track.engine.state import TargetState, applied, recompiled
 from bayesnet_track.journal.events.basic import Event, FrameMetrics
@@ -56,7 +56,7 @@ class Outcome:
         events: decisions and faults, in order.
         covariances: target id -> covariance (D, D) of its belief.
         seconds: agent (or planes, belief, measure, learn) -> seconds, summed over targets.
-        outside: what came from outside: given again with this frame, it repeats.
+        external_inputs: what came from outside: given again with this frame, it repeats.
     """
 
     state: State
@@ -64,7 +64,7 @@ class Outcome:
     events: tuple[Event, ...]
     covariances: Mapping[str, Floats] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
-    outside: tuple[Input, ...] = ()
+    external_inputs: tuple[Input, ...] = ()
 
 
 def carried_out(
@@ -114,7 +114,7 @@ def with_load(work: FrameWork, outcome: Outcome, timing: Iterable[LateFrame | Sp
     return replace(outcome, state=after, events=(*outcome.events, *decisions))
 
 
-def with_outside(outcome: Outcome, given: Outside) -> Outcome:
+def with_external_inputs(outcome: Outcome, given: ExternalInputs) -> Outcome:
     """The outcome with what came from outside, its notices first."""
-    told: tuple[Event, ...] = (*given.absent.events, *given.refused)
-    return replace(outcome, events=(*told, *outcome.events), outside=given.taken)
+    told: tuple[Event, ...] = (*given.availability.events, *given.refused)
+    return replace(outcome, events=(*told, *outcome.events), external_inputs=given.to_repeat)

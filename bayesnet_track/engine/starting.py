@@ -57,7 +57,10 @@ def start(
     compiled, frame = work.engine.plates[template], work.frame
     active = tuple(agent for agent in compiled.plate.agents if compiled.plate.agent(agent).active)
     parts = _parts(compiled, box, frame)
-    lesson, roll = _first_lesson(work, compiled, target, box, parts), work.roll(target, "starting")
+    lesson, availability = (
+        _first_lesson(work, compiled, target, box, parts),
+        work.availability_of(target, "starting"),
+    )
     learnt, faults = learn_first(lesson, [agent for agent in compiled.cues if agent not in known])
     references = {**learnt, **known}
     if not frame.has_color:
@@ -69,11 +72,11 @@ def start(
         *(Quarantined(frame.index, target, agent, reason) for agent, reason in faults.items()),
         *(
             _later(frame.index, target, agent, why)
-            for agent, why in roll.missed.items()
+            for agent, why in availability.missed.items()
             if agent not in faults
         ),
     ]
-    working = tuple(agent for agent in active if agent not in faults and agent not in roll.missed)
+    working = tuple(agent for agent in active if agent not in faults and agent not in availability.missed)
     born = TargetState(
         belief=_placed(work, compiled, target, box),
         references=references,
@@ -104,7 +107,7 @@ def start_late(
         return {}, tuple(quarantined(net, frame, target, agent, why) for agent in back)
     upright = replace(lesson, at=Hypotheses(lesson.at.boxes))
     learnt, faults = learn_first(upright, back)
-    missed = lesson.roll("starting").missed
+    missed = lesson.availability_for("starting").missed
     return learnt, (
         *(Quarantined(frame, target, agent, reason) for agent, reason in faults.items()),
         *(_later(frame, target, agent, why, net) for agent, why in missed.items() if agent in back),
@@ -151,7 +154,9 @@ def _first_lesson(
     """What agents learn their first references from: planes of its own, on this target's region."""
     own = {agent: parts[part] for agent, part in compiled.part_of.items()}
     cache = PlaneCache(work.cache.frames)
-    return Lesson(compiled.cues, cache, Hypotheses(box[None]), own, work.engine.executor, work.absent, target)
+    return Lesson(
+        compiled.cues, cache, Hypotheses(box[None]), own, work.engine.executor, work.availability, target
+    )
 
 
 def _placed(work: FrameWork, compiled: CompiledPlate, target: str, box: Floats) -> Posterior:

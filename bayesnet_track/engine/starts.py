@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.engine.external_inputs import route_inputs
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.outcome import Outcome, State, with_outside
-from bayesnet_track.engine.outside import sorted_out
+from bayesnet_track.engine.outcome import Outcome, State, with_external_inputs
 from bayesnet_track.engine.step import Engine, finish_first, start_all
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.text.messages import nearest
@@ -101,17 +101,17 @@ def start_targets(
     engine: Engine,
     frame: Frame,
     starts: Sequence[Start],
-    outside: Iterable[Input] = (),
+    external_inputs: Iterable[Input] = (),
 ) -> Outcome:
     """The first frame: one net per start, ids "1", "2", ... in their order; then what detectors find."""
-    given = sorted_out(engine, State().net, frame.index, outside)
+    given = route_inputs(engine, State().net, frame.index, external_inputs)
     cache = PlaneCache(FramePair(frame, None))
-    work = FrameWork(engine, State().net, cache, given.absent, given.by_hand)
+    work = FrameWork(engine, State().net, cache, given.availability, given.by_hand)
     boxes = {
         str(number): (start.plate or next(iter(graph.targets)), centre_from_corner(start.box))
         for number, start in enumerate(starts, 1)
     }
-    return with_outside(finish_first(work, start_all(work, State(), boxes)), given)
+    return with_external_inputs(finish_first(work, start_all(work, State(), boxes)), given)
 
 
 def check_started(graph: CheckedGraph, first: Outcome) -> None:

@@ -15,14 +15,21 @@ from numpy.typing import NDArray
 from bayesnet_track.engine.attachment import Rides
 from bayesnet_track.engine.compiled import CompiledPlate, Engine, make_engine
 from bayesnet_track.engine.crew import awaited, send_off
+from bayesnet_track.engine.external_inputs import route_inputs
 from bayesnet_track.engine.filtering import Filtered, filter_target
 from bayesnet_track.engine.finishing import finish_target
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.joining import join_targets
 from bayesnet_track.engine.lifecycle.claiming import look_first
 from bayesnet_track.engine.lifecycle.track_management import manage_tracks
-from bayesnet_track.engine.outcome import Outcome, State, carried_out, with_joins, with_load, with_outside
-from bayesnet_track.engine.outside import sorted_out
+from bayesnet_track.engine.outcome import (
+    Outcome,
+    State,
+    carried_out,
+    with_external_inputs,
+    with_joins,
+    with_load,
+)
 from bayesnet_track.engine.starting import start
 from bayesnet_track.engine.state import TargetState, applied
 from bayesnet_track.journal.events.basic import Event, FrameMetrics
@@ -46,17 +53,17 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 
-def step(engine: Engine, state: State, frame: Frame, outside: Iterable[Input] = ()) -> Outcome:
-    """One frame for every live target, given what came from `outside`.
+def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[Input] = ()) -> Outcome:
+    """One frame for every live target, given what came from outside, in `external_inputs`.
 
     Raises:
         ValueError: the frame is not later than the last one.
     """
     if state.previous is not None and not frame.time > state.previous.time:
         raise ValueError(f"frame {frame.index} at time {frame.time} is not later than {state.previous.time}")
-    given = sorted_out(engine, state.net, frame.index, outside)
+    given = route_inputs(engine, state.net, frame.index, external_inputs)
     cache = PlaneCache(FramePair(frame, state.previous))
-    work = FrameWork(engine, state.net, cache, given.absent, given.by_hand)
+    work = FrameWork(engine, state.net, cache, given.availability, given.by_hand)
 
     # Which detections are whose, where agents measure by them
     looked = look_first(work, state.targets, state.history)
@@ -80,7 +87,7 @@ def step(engine: Engine, state: State, frame: Frame, outside: Iterable[Input] = 
     outcome = manage_tracks(work, outcome, looked)
     outcome = with_joins(work, outcome)
     outcome = with_load(work, outcome, given.timing)
-    return with_outside(outcome, given)
+    return with_external_inputs(outcome, given)
 
 
 def start_target(

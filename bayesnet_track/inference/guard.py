@@ -12,7 +12,7 @@ from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 
 from bayesnet_track.graph.spec import Guard
-from bayesnet_track.inference.absent import Missing
+from bayesnet_track.inference.availability import Missing
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.inference.learn import Lesson, blended
 from bayesnet_track.journal.events.basic import Event
@@ -75,9 +75,9 @@ def judge(
 
     They have parted where the slow one gives it a likelihood lower by more than `rule.apart_nats`; that holds
     until they are compared again. An agent that looks at a part is asked about the part's box.
-    One that gives no answer for a reason outside of it is not compared; the lesson's roll has it.
+    One that gives no answer for a reason outside of it is not compared; the lesson's availability has it.
     """
-    roll = lesson.roll("guarding")
+    availability = lesson.availability_for("guarding")
     learning = any(rate > 0.0 for rate in rates.values())
     if rule is None or not learning or (watched.frames + 1) % rule.every:
         return Judged(held=frozenset(watched.parted))
@@ -85,7 +85,7 @@ def judge(
     faults: dict[str, str] = {}
     for agent, slow in watched.slow.items():
         cue = lesson.cues[agent]
-        if rates.get(agent, 0.0) <= 0.0 or not isinstance(cue, Cue) or roll.misses(agent) is not None:
+        if rates.get(agent, 0.0) <= 0.0 or not isinstance(cue, Cue) or availability.misses(agent) is not None:
             continue
         further = {name: values.copy() for name, values in lesson.at.fields.items()}
         at = Hypotheses(lesson.box_of(agent)[None].copy(), further)
@@ -95,7 +95,7 @@ def judge(
             own, other = (float(cue.log_likelihood(planes, at, one)[0]) for one in both)
             gaps[agent] = own, other
         except AgentUnavailable as error:
-            roll.note(agent, Missing(str(error)))
+            availability.note(agent, Missing(str(error)))
         except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
             faults[agent] = f"raised {type(error).__name__} while guarded: {text_of(error)}"
     parted = {agent for agent, (own, slow) in gaps.items() if own - slow > rule.apart_nats}
@@ -115,9 +115,9 @@ def guard(
 
     `references` are those after learning, in which agents that were held are as before. Rates per frame are
     made up for the frames since the last comparison. The last mapping says what was wrong with agents that
-    failed. The references of one that gives no answer stay; the lesson's roll has it.
+    failed. The references of one that gives no answer stay; the lesson's availability has it.
     """
-    roll = lesson.roll("blending")
+    availability = lesson.availability_for("blending")
     guarded, slow, faults = dict(references), dict(watched.slow), dict(judged.faults)
     if rule is None or not any(rate > 0.0 for rate in rates.values()):
         return guarded, watched, faults
@@ -129,9 +129,9 @@ def guard(
         else:
             parted.pop(agent, None)
             share, old, new = 1.0 - (1.0 - rule.rate) ** rule.every, slow[agent], references[agent]
-        mixed = roll.misses(agent) or blended(lesson.cues[agent], old, new, share)
+        mixed = availability.misses(agent) or blended(lesson.cues[agent], old, new, share)
         if isinstance(mixed, Missing):
-            roll.note(agent, mixed)
+            availability.note(agent, mixed)
         elif isinstance(mixed, str):
             faults[agent] = mixed
         else:

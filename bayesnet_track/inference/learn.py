@@ -12,7 +12,7 @@ import numpy as np
 
 from bayesnet_track.adapt.conditions import read_level
 from bayesnet_track.graph.spec import Learn
-from bayesnet_track.inference.absent import Absent, Missing, Roll
+from bayesnet_track.inference.availability import Availability, Missing, TargetAvailability
 from bayesnet_track.inference.executor import (
     AgentUnavailable,
     Executor,
@@ -47,7 +47,7 @@ class Lesson:
         at: the estimate, one hypothesis.
         own_boxes: agent that looks at a part -> the centre box (4,) of that part.
         executor: how the agents are asked.
-        absent: agents that give no answer for a reason outside of them.
+        availability: agents that give no answer for a reason outside of them.
         target: target id.
     """
 
@@ -56,7 +56,7 @@ class Lesson:
     at: Hypotheses
     own_boxes: Mapping[str, Floats] = field(default_factory=dict)
     executor: Executor = field(default_factory=Serial)
-    absent: Absent = field(default_factory=Absent)
+    availability: Availability = field(default_factory=Availability)
     target: str = ""
 
     def box_of(self, agent: str) -> Floats:
@@ -69,9 +69,9 @@ class Lesson:
         """The estimate's rotation, degrees; 0 for a motion without one."""
         return float(self.at.fields[ANGLE][0]) if ANGLE in self.at.fields else 0.0
 
-    def roll(self, during: str) -> Roll:
+    def availability_for(self, during: str) -> TargetAvailability:
         """Who gives no answer when asked for one thing."""
-        return self.absent.roll(self.target, during)
+        return self.availability.of_target(self.target, during)
 
 
 def learning_rate(rule: Learn | None, ud_px2: float, area_px2: float, quiet_px2: float | None) -> float:
@@ -103,11 +103,12 @@ def over_frames(rate: float, frames: int) -> float:
 def learn_first(lesson: Lesson, agents: Iterable[str]) -> tuple[dict[str, Reference], dict[str, str]]:
     """The first references of some agents, and what was wrong with those that failed.
 
-    Agents that give no answer for a reason outside of them are in neither; the lesson's roll has them.
+    Agents that give no answer for a reason outside of them are in neither; the lesson's availability has
+    them.
     """
-    roll = lesson.roll("starting")
-    learning = [agent for agent in agents if roll.misses(agent) is None]
-    return _all_learnt(lesson, learning, {}, {}, roll)
+    availability = lesson.availability_for("starting")
+    learning = [agent for agent in agents if availability.misses(agent) is None]
+    return _all_learnt(lesson, learning, {}, {}, availability)
 
 
 def learn_references(
@@ -117,11 +118,11 @@ def learn_references(
 
     Planes are computed on the estimate and as much around it as the agent asks for, unless the hypotheses'
     own region holds that. An agent that fails keeps its reference; the second mapping says what was wrong. So
-    does one that gives no answer for a reason outside of it, which the lesson's roll has.
+    does one that gives no answer for a reason outside of it, which the lesson's availability has.
     """
-    roll = lesson.roll("learning")
-    learning = [agent for agent, rate in rates.items() if rate > 0.0 and roll.misses(agent) is None]
-    moved, faults = _all_learnt(lesson, learning, references, rates, roll)
+    availability = lesson.availability_for("learning")
+    learning = [agent for agent, rate in rates.items() if rate > 0.0 and availability.misses(agent) is None]
+    moved, faults = _all_learnt(lesson, learning, references, rates, availability)
     return {**references, **moved}, faults
 
 
@@ -138,17 +139,17 @@ def blended(cue: AnyCue, old: Reference, new: Reference, rate: float) -> Referen
 def adapt_reference(lesson: Lesson, agent: str, reference: Reference, attempt: int) -> Reference | str | None:
     """The reference as an agent tunes it itself, or what went wrong.
 
-    None when nothing is left to try, or the agent gives no answer, which the lesson's roll has then.
+    None when nothing is left to try, or the agent gives no answer, which the lesson's availability has then.
     """
-    cue, roll = lesson.cues[agent], lesson.roll("adapting")
+    cue, availability = lesson.cues[agent], lesson.availability_for("adapting")
     assert isinstance(cue, LocallyAdaptable)
-    if roll.misses(agent) is not None:
+    if availability.misses(agent) is not None:
         return None
     try:
         tuned = cue.adapt(shown(reference), attempt)
         return None if tuned is None else _checked(tuned)
     except AgentUnavailable as error:
-        roll.note(agent, Missing(str(error)))
+        availability.note(agent, Missing(str(error)))
         return None
     except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
         return f"raised {type(error).__name__} while adapting: {text_of(error)}"
@@ -159,12 +160,12 @@ def _all_learnt(
     agents: Iterable[str],
     old: Mapping[str, Reference],
     rates: Mapping[str, float],
-    roll: Roll,
+    availability: TargetAvailability,
 ) -> tuple[dict[str, Reference], dict[str, str]]:
     """What the agents learn, blended into their old references where they have one; and what went wrong."""
     ahead, here = partial(_learn_ahead, lesson, old, rates), partial(_learnt, lesson, old, rates)
     outcomes = dict(each_at_once(lesson.executor, ahead, here, agents))
-    return _sorted_out({agent: outcomes[agent] for agent in agents}, roll)
+    return _split_faults({agent: outcomes[agent] for agent in agents}, availability)
 
 
 def _learnt(
@@ -230,14 +231,14 @@ def _checked(reference: Reference) -> Reference | str:
     return sealed(reference)
 
 
-def _sorted_out(
-    outcomes: Mapping[str, Reference | str | Missing], roll: Roll
+def _split_faults(
+    outcomes: Mapping[str, Reference | str | Missing], availability: TargetAvailability
 ) -> tuple[dict[str, Reference], dict[str, str]]:
     references: dict[str, Reference] = {}
     faults: dict[str, str] = {}
     for agent, outcome in outcomes.items():
         if isinstance(outcome, Missing):
-            roll.note(agent, outcome)
+            availability.note(agent, outcome)
         elif isinstance(outcome, str):
             faults[agent] = outcome
         else:

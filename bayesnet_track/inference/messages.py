@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.motion.noise import sample_noise
 from bayesnet_track.graph.spec import Noise
-from bayesnet_track.inference.absent import Missing
+from bayesnet_track.inference.availability import Missing
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.executor import each_at_once
 from bayesnet_track.inference.gaussian_messages import latent_gaussian, measurement_message, to_power

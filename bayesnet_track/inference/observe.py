@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Stream
-from bayesnet_track.inference.absent import Missing, Roll
+from bayesnet_track.inference.availability import Missing, TargetAvailability
 from bayesnet_track.inference.compile import Observe
 from bayesnet_track.inference.executor import (
     AgentUnavailable,
@@ -60,7 +60,7 @@ class Observer:
             asked once a frame, however often the net is evaluated.
         faults: agent -> what was wrong with it in any evaluation of the frame; it is not asked again.
         executor: how the agents are asked, which do not depend on each other.
-        roll: agents that give no answer for a reason outside of them.
+        availability: agents that give no answer for a reason outside of them.
         missed: those of them that were to be asked -> the reason; they are not asked again.
         answered: agents that gave an answer in an evaluation of the frame.
         broke_off: agents that gave an answer and later failed or gave none: what was made of their answers is
@@ -77,7 +77,7 @@ class Observer:
     measured: MutableMapping[tuple[str, str], Answer] = field(default_factory=dict)
     faults: MutableMapping[str, str] = field(default_factory=dict)
     executor: Executor = field(default_factory=Serial)
-    roll: Roll = field(default_factory=Roll)
+    availability: TargetAvailability = field(default_factory=TargetAvailability)
     missed: MutableMapping[str, str] = field(default_factory=dict)
     answered: set[str] = field(default_factory=set)
     broke_off: set[str] = field(default_factory=set)
@@ -107,7 +107,7 @@ def known_answer(step: Observe, observer: Observer) -> tuple[Answer] | None:
         return (Missing(observer.missed[step.agent]),)
     if key in observer.measured:
         return (observer.measured[key],)
-    missing = observer.roll.misses(step.agent)
+    missing = observer.availability.misses(step.agent)
     return None if missing is None else (missing,)
 
 
@@ -181,7 +181,7 @@ def remember(step: Observe, answer: Answer, observer: Observer) -> None:
             observer.faults.setdefault(step.agent, answer)
         elif step.agent not in observer.missed:
             observer.missed[step.agent] = answer.reason
-            observer.roll.note(step.agent, answer)
+            observer.availability.note(step.agent, answer)
         return
     observer.answered.add(step.agent)
     if step.measures:

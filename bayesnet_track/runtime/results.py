@@ -66,7 +66,7 @@ class Result:
         decisions: what was decided in this frame, working from the next on.
         seconds: seconds per agent and stage.
         total_seconds: seconds of the whole step, without decoding, writing and compiling.
-        outside: what came from outside, such as a person's switches.
+        external_inputs: what came from outside, such as a person's switches.
         kinds: target id -> name of its plate, for all in `targets`.
     """
 
@@ -76,7 +76,7 @@ class Result:
     decisions: tuple[Decision, ...]
     seconds: dict[str, float]
     total_seconds: float = 0.0
-    outside: tuple[Input, ...] = ()
+    external_inputs: tuple[Input, ...] = ()
     kinds: dict[str, str] = field(default_factory=dict)
 
     def detections(self, lost: bool = False) -> Detections:

@@ -84,7 +84,7 @@ def run(
     summary: Summary | None = None,
     engine: Engine | None = None,
     inputs: Mapping[str, str] = MappingProxyType({}),
-    outside: InputsAt = nothing,
+    external_inputs: InputsAt = nothing,
     deadline: Deadline | None = None,
     checkpointer: Checkpointer | None = None,
     after: Resumed | None = None,
@@ -101,7 +101,7 @@ def run(
         summary: filled in as the run goes on.
         engine: an engine made from `graph`, to share between runs; made here when None.
         inputs: files from outside that the engine reads, besides the source -> their SHA-256, to be told.
-        outside: asked before each frame for what came from outside, by the frame's index: a
+        external_inputs: asked before each frame for what came from outside, by the frame's index: a
             `runtime.inputs.Switchboard` of a live view, or `runtime.inputs.replayed` of an earlier run.
         deadline: the time that a frame may take: what is late is told to the engine, which sheds load.
         checkpointer: told after each frame how far the run is.
@@ -143,9 +143,9 @@ def run(
                 # What was found wrong before the first frame comes after the journal's first line.
                 for event in (_run_started(graph, engine, source, item, seed, inputs), *told.notices):
                     tell(event)
-                outcome = start_targets(graph, engine, item, starts, outside(item.index))
+                outcome = start_targets(graph, engine, item, starts, external_inputs(item.index))
             else:
-                given = outside(item.index)
+                given = external_inputs(item.index)
                 if deadline is not None:
                     given = (*given, *deadline.told(item.index, state.net))
                     deadline.begin()
@@ -198,7 +198,7 @@ def _result(frame: Frame, outcome: Outcome, spent: float, before: State | None) 
         decisions,
         dict(outcome.seconds),
         spent,
-        outcome.outside,
+        outcome.external_inputs,
         {line.target: nets[line.target].template for line in outcome.metrics if line.target in nets},
     )
 

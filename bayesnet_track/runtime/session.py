@@ -112,7 +112,7 @@ def track(
     checked = load_graph(graph, tuple(cues))
     starts = _starts(box)
     read = {} if detections is None else {str(detections): file_sha256(detections)}
-    outside = as_inputs(inputs)
+    external_inputs = as_inputs(inputs)
     if budget_ms is not None and inputs is not None and not callable(inputs):
         raise ValueError("a run that is repeated from its inputs has no budget: they say what was late")
     with ExitStack() as stack:
@@ -170,7 +170,7 @@ def track(
             summary=told_of,
             engine=engine,
             inputs=read,
-            outside=outside,
+            external_inputs=external_inputs,
             deadline=None if budget_ms is None else Deadline(budget_ms, executing.processes),
             checkpointer=checkpointer,
         )

@@ -10,7 +10,7 @@ from bayesnet_track.engine.findings import TargetResult
 from bayesnet_track.engine.finishing import finish_target
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.step import step
-from bayesnet_track.inference.absent import Absent
+from bayesnet_track.inference.availability import Availability
 from bayesnet_track.observation.planes import FramePair, PlaneCache
 
 NODES = {"root": {"fuse": "product", "belief": {"particles": {"size": 60}}}, "a": "root", "b": "root"}
@@ -36,8 +36,8 @@ def test_who_gives_no_answer_is_of_one_frame_only(fakes):
     """Nothing of a frame is kept in the engine: the next one asks again."""
     engine = fakes.engine(NODES, {"a": fakes.gaussian(52, 41, 9), "b": fakes.gaussian(49, 37, 14)})[0]
     state = fakes.play(engine, 1)[-1].state
-    out = Absent(2, {("1", "b", "observing"): "late"})
-    mute = filter_target(work_of(engine, state, fakes.frame(2), absent=out), "1", state.targets["1"])
+    out = Availability(2, {("1", "b", "observing"): "late"})
+    mute = filter_target(work_of(engine, state, fakes.frame(2), availability=out), "1", state.targets["1"])
     again = filter_target(work_of(engine, state, fakes.frame(2)), "1", state.targets["1"])
     assert mute.missed == {"b": "late"} and mute.plan.active == {"a"}
     assert again.missed == {} and again.plan.active == {"a", "b"}

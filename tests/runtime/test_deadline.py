@@ -131,7 +131,9 @@ def test_a_frame_comes_in_time_though_an_agent_is_ten_times_slower(fakes):
         outcomes.append(step(engine, outcomes[-1].state, fakes.frame(index), given))
         deadline.end()
         spent.append(1000.0 * (time.monotonic() - began))
-    missed = [one.frame for outcome in outcomes for one in outcome.outside if isinstance(one, AgentMissed)]
+    missed = [
+        one.frame for outcome in outcomes for one in outcome.external_inputs if isinstance(one, AgentMissed)
+    ]
     assert answered == list(range(1, WARM_UP + 1)) and missed == [6, 7, 8]
     # The middle of the three that wait: a neighbour may hold the processor in one of them.
     assert median(spent[WARM_UP : WARM_UP + 3]) < 1.1 * budget_ms

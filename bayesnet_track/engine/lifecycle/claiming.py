@@ -121,7 +121,7 @@ def _looks(work: FrameWork, target: str, state: TargetState, boxes: Floats) -> F
         compiled.cues,
         state.references,
         lambda what: stream(f"claim {what}"),
-        roll=work.roll(target, "claiming"),
+        availability=work.availability_of(target, "claiming"),
     )
     prior = np.full(len(boxes), -np.log(len(boxes)))
     plan = compile_plan(compiled.plate, agents, compiled.cues)

@@ -41,7 +41,7 @@ def compare(
             compiled.cues,
             known.references,
             lambda what: stream(f"recall {what}"),
-            roll=work.roll(known.target, "recalling"),
+            availability=work.availability_of(known.target, "recalling"),
         )
         states = np.concatenate([boxes, random, others])
         prior = np.full(len(states), -np.log(len(states)))

@@ -129,7 +129,7 @@ def resume(
         engine = placed(stack, executing, engine, None if motion is not None else graph, opened, budget_ms)
         asked = recipe.inputs.place if inputs is None and recipe.inputs is not None else inputs
         before = told_before(directory)
-        outside = _outside(before, as_inputs(asked))
+        external_inputs = _external_inputs(before, as_inputs(asked))
         anew = _why_anew(checkpoint, engine)
         if anew:
             say(f"it begins anew: {anew}")
@@ -168,7 +168,7 @@ def resume(
             summary=told,
             engine=engine,
             inputs={} if recipe.detections is None else {recipe.detections.path: recipe.detections.sha256},
-            outside=outside,
+            external_inputs=external_inputs,
             deadline=(
                 None
                 if budget_ms is None
@@ -242,7 +242,7 @@ def _skipped(
     raise ResumeError(f"the source has no frame {checkpoint.frame} any more, after which the run was")
 
 
-def _outside(before: Mapping[int, Sequence[Input]], later: InputsAt) -> InputsAt:
+def _external_inputs(before: Mapping[int, Sequence[Input]], later: InputsAt) -> InputsAt:
     """What came from outside for the frames that had it, then what comes `later`."""
     return lambda frame: before[frame] if frame in before else later(frame)
 

@@ -30,7 +30,7 @@ class Controls:
 
     Attributes:
         news: notified whenever something of it changes.
-        board: switches of agents, for `run(..., outside=...)`.
+        board: switches of agents, for `run(..., external_inputs=...)`.
         phase: opening (no frame yet), choosing (of start boxes), ready (waits for a person to begin),
             starting, running, paused or ended.
         version: counts changes of it all.

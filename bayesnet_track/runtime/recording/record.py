@@ -160,8 +160,8 @@ class Recorder:
             self._open()
             for event in self._waiting:
                 self.event(event)
-        if result.outside:
-            self._take(result.outside)
+        if result.external_inputs:
+            self._take(result.external_inputs)
         for metrics in result.targets:
             self._frames.write(metrics)
             self._mot.write(metrics)
@@ -177,10 +177,10 @@ class Recorder:
             lines = [from_json(to_json(metrics)) for metrics in result.targets]
             self._draw(result.frame, [one for one in lines if isinstance(one, FrameMetrics)])
 
-    def _take(self, outside: tuple[Input, ...]) -> None:
+    def _take(self, external_inputs: tuple[Input, ...]) -> None:
         if self._inputs is None:
             self._inputs = self._files.enter_context(JournalWriter(self._directory.inputs))
-        for one in outside:
+        for one in external_inputs:
             self._inputs.write(one)
         self._inputs.flush()
 

@@ -115,7 +115,9 @@ def test_live_a_frame_without_an_agent_is_that_of_the_agent_off(placed, files, t
         ("a", "b", "c"),
     ]
     with placed.executing(agents, "serial") as (engine, _):
-        placed.record(engine, agents, tmp_path / "off", outside=lambda frame: told if frame == 7 else ())
+        placed.record(
+            engine, agents, tmp_path / "off", external_inputs=lambda frame: told if frame == 7 else ()
+        )
     assert files(tmp_path / "off") == files(tmp_path / "live")
     # What the others say in that frame is, bit for bit, what a net without the agent says there.
     with placed.executing(agents, "serial") as (engine, _):
@@ -154,7 +156,11 @@ def test_no_frame_waits_for_an_agent_ten_times_slower_than_the_budget(placed, fi
         # Whatever the machine did: a late answer is used in no frame, since the same inputs give the same.
         with placed.executing(agents, "serial") as (engine, _):
             placed.record(
-                engine, agents, tmp_path / f"{attempt} again", 50, outside=replayed(out / "inputs.jsonl")
+                engine,
+                agents,
+                tmp_path / f"{attempt} again",
+                50,
+                external_inputs=replayed(out / "inputs.jsonl"),
             )
         assert files(tmp_path / f"{attempt} again") == files(out)
         missed = [one for one in told if isinstance(one, AgentMissed)]
@@ -192,6 +198,10 @@ def test_with_all_processes_dead_there_is_prediction_only(placed, files, tmp_pat
     assert ud[1] > ud[0] and (np.diff(ud[1:34].reshape(3, 11).mean(axis=1)) > 0).all()
     with placed.executing(agents, "serial") as (engine, _):
         placed.record(
-            engine, agents, tmp_path / "again", 40, outside=replayed(tmp_path / "run" / "inputs.jsonl")
+            engine,
+            agents,
+            tmp_path / "again",
+            40,
+            external_inputs=replayed(tmp_path / "run" / "inputs.jsonl"),
         )
     assert files(tmp_path / "again") == files(tmp_path / "run")

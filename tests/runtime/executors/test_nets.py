@@ -30,11 +30,11 @@ def play(graph, scene_name, frames, places, before=lambda frame, executor: ()):
     with make_executor("serial", workers=2, places=places) as executor:
         engine = executor.engine(make_engine(graph), graph)
         for frame in SceneSource(scene, "scene", frames):
-            outside = before(frame.index, executor)
+            external_inputs = before(frame.index, executor)
             if state.previous is None:
                 outcome = start_targets(graph, engine, frame, starts)
             else:
-                outcome = step(engine, state, frame, outside)
+                outcome = step(engine, state, frame, external_inputs)
             state = outcome.state
             lines += [to_json(one) for one in (*outcome.events, *outcome.metrics)]
     return lines
@@ -50,14 +50,16 @@ def crowd():
 def test_workers_are_killed_and_a_person_switches(crowd):
     killed = []
 
-    def outside(frame, executor):
+    def external_inputs(frame, executor):
         if frame in (3, 6) and executor.processes is not None:
             killed.extend(executor.processes.workers())
             for pid in executor.processes.workers():
                 os.kill(pid, signal.SIGKILL)
         return [Toggled(frame, "2", "color", False)] if frame == 5 else []
 
-    assert play(crowd, "crowd", 9, {"disc": "process"}, outside) == play(crowd, "crowd", 9, {}, outside)
+    assert play(crowd, "crowd", 9, {"disc": "process"}, external_inputs) == play(
+        crowd, "crowd", 9, {}, external_inputs
+    )
     assert len(set(killed)) == 4
 
 

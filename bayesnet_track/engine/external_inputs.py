@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from bayesnet_track.engine.compiled import Engine
-from bayesnet_track.inference.absent import Absent
+from bayesnet_track.inference.availability import Availability
 from bayesnet_track.journal.events.inputs import (
     AgentMissed,
     Input,
@@ -22,30 +22,30 @@ ByHand = Toggled | Released
 
 
 @dataclass(frozen=True, eq=False)
-class Outside:
+class ExternalInputs:
     """The inputs of one frame.
 
     Attributes:
         inputs: all but missing agents, in order, with this frame's index.
-        absent: agents that give no answer.
+        availability: agents that give no answer.
         by_hand: target -> what a person switched.
         refused: what a person asked for that cannot be done.
         timing: what was late, or early.
     """
 
     inputs: tuple[Input, ...]
-    absent: Absent
+    availability: Availability
     by_hand: Mapping[str, tuple[ByHand, ...]]
     refused: tuple[InputRefused, ...]
     timing: tuple[LateFrame | SpareTime, ...]
 
     @property
-    def taken(self) -> tuple[Input, ...]:
+    def to_repeat(self) -> tuple[Input, ...]:
         """What has to be given again for the frame to repeat; complete when the frame is done."""
-        return (*self.inputs, *self.absent.events)
+        return (*self.inputs, *self.availability.events)
 
 
-def sorted_out(engine: Engine, net: Net, frame: int, given: Iterable[Input]) -> Outside:
+def route_inputs(engine: Engine, net: Net, frame: int, given: Iterable[Input]) -> ExternalInputs:
     """The inputs that are given with `frame`, by whom they concern in the net that it begins with."""
     inputs = tuple(replace(one, frame=frame) for one in given)
     by_hand: dict[str, tuple[ByHand, ...]] = {}
@@ -58,9 +58,9 @@ def sorted_out(engine: Engine, net: Net, frame: int, given: Iterable[Input]) -> 
             refused.append(InputRefused(frame, one.target, one.node, reason))
         else:
             by_hand[one.target] = (*by_hand.get(one.target, ()), one)
-    return Outside(
+    return ExternalInputs(
         tuple(one for one in inputs if not isinstance(one, AgentMissed)),
-        Absent.of(frame, (one for one in inputs if isinstance(one, AgentMissed))),
+        Availability.of(frame, (one for one in inputs if isinstance(one, AgentMissed))),
         by_hand,
         tuple(refused),
         tuple(one for one in inputs if isinstance(one, LateFrame | SpareTime)),

@@ -38,10 +38,10 @@ def dying(fakes, frames, call=1):
     return see
 
 
-def play(fakes, engine, frames, outside=lambda frame: ()):
+def play(fakes, engine, frames, external_inputs=lambda frame: ()):
     outcomes = fakes.play(engine, 0)
     for index in range(1, frames + 1):
-        outcomes.append(step(engine, outcomes[-1].state, fakes.frame(index), outside(index)))
+        outcomes.append(step(engine, outcomes[-1].state, fakes.frame(index), external_inputs(index)))
     return outcomes
 
 
@@ -57,13 +57,13 @@ def test_the_frame_is_as_if_it_were_switched_off(fakes, belief, call):
     off = play(fakes, engine, 7, lambda frame: by_hand.get(frame, ()))
     assert [o.metrics for o in live] == [o.metrics for o in off]
     missed = [AgentMissed(frame, "1", "b", "its process died") for frame in (3, 4)]
-    assert [one for o in live for one in o.outside] == missed
+    assert [one for o in live for one in o.external_inputs] == missed
     assert [e for o in live for e in o.events if isinstance(e, AgentMissed)] == missed
 
     # Given again it repeats, though the agent would answer now.
-    again = play(fakes, engine, 7, lambda frame: live[frame].outside)
-    assert [(o.metrics, o.events, o.outside) for o in again] == [
-        (o.metrics, o.events, o.outside) for o in live
+    again = play(fakes, engine, 7, lambda frame: live[frame].external_inputs)
+    assert [(o.metrics, o.events, o.external_inputs) for o in again] == [
+        (o.metrics, o.events, o.external_inputs) for o in live
     ]
 
 
@@ -83,7 +83,7 @@ def test_a_reference_that_is_not_learnt_stays_and_that_repeats(fakes):
     )
     a = fakes.gaussian(52, 41, 9)
     live = play(fakes, fakes.engine(nodes, {"a": a, "b": mortal({3})})[0], 5)
-    assert live[3].outside == (AgentMissed(3, "1", "b", "its process died", "learning"),)
+    assert live[3].external_inputs == (AgentMissed(3, "1", "b", "its process died", "learning"),)
     assert "b" in live[3].metrics[0].active and live[3].metrics[0].learn_rate > 0
 
     def boxes(outcome):
@@ -92,7 +92,7 @@ def test_a_reference_that_is_not_learnt_stays_and_that_repeats(fakes):
     np.testing.assert_array_equal(boxes(live[3]), boxes(live[2]))
     assert (boxes(live[4]) != boxes(live[3])).any()
     again = play(
-        fakes, fakes.engine(nodes, {"a": a, "b": mortal(())})[0], 5, lambda frame: live[frame].outside
+        fakes, fakes.engine(nodes, {"a": a, "b": mortal(())})[0], 5, lambda frame: live[frame].external_inputs
     )
     np.testing.assert_array_equal(boxes(again[5]), boxes(live[5]))
     assert [(o.metrics, o.events) for o in again] == [(o.metrics, o.events) for o in live]
@@ -109,7 +109,7 @@ def test_one_that_misses_three_frames_in_a_row_is_out_for_a_while(fakes):
         Readmitted(13, "1", "b", True, 1, 10),
         Quarantined(16, "1", "b", reason, 36, 2),
     ]
-    assert [one.frame for o in outcomes for one in o.outside] == [2, 3, 4, 14, 15, 16]
+    assert [one.frame for o in outcomes for one in o.external_inputs] == [2, 3, 4, 14, 15, 16]
 
 
 def test_with_every_agent_missing_the_belief_is_prediction_only(fakes):
@@ -130,7 +130,7 @@ def test_one_that_gives_no_first_reference_is_out(fakes):
     work = FrameWork(engine, Net(), PlaneCache(FramePair(fakes.frame(0), None)))
     born = start(work, "1", "plate", np.array(fakes.START))
     assert born.decisions[1] == Quarantined(0, "1", "b", "gave no first reference: its process died", 10)
-    assert work.absent.events == (AgentMissed(0, "1", "b", "its process died", "starting"),)
+    assert work.availability.events == (AgentMissed(0, "1", "b", "its process died", "starting"),)
 
 
 def test_one_that_gave_no_first_reference_learns_it_later(fakes):
@@ -155,5 +155,5 @@ def test_one_that_gave_no_first_reference_learns_it_later(fakes):
     ]
     assert learnt[0] == (28, pytest.approx(outcomes[28].metrics[0].box[:2], abs=0.01))
     assert [o.metrics[0].active for o in outcomes[27:30]] == [("a",), ("a",), ("a", "b")]
-    missed = [one for o in outcomes for one in o.outside]
+    missed = [one for o in outcomes for one in o.external_inputs]
     assert missed == [AgentMissed(9, "1", "b", "its process died", "starting")]

@@ -18,7 +18,7 @@ class Missing:
 
 
 @dataclass(eq=False)
-class Absent:
+class Availability:
     """Who gives no answer in one frame.
 
     An agent that was known to be missing is not asked, so that a run with the same inputs repeats.
@@ -26,54 +26,54 @@ class Absent:
     Attributes:
         frame: frame index.
         known: (target, agent, what it was asked for) -> why it gives none.
-        told: those of them that were to be asked, or were found out.
+        reported: those of them that were to be asked, or were found out.
     """
 
     frame: int = 0
     known: dict[Key, str] = field(default_factory=dict)
-    told: dict[Key, str] = field(default_factory=dict)
+    reported: dict[Key, str] = field(default_factory=dict)
 
     @staticmethod
-    def of(frame: int, missed: Iterable[AgentMissed]) -> Absent:
+    def of(frame: int, missed: Iterable[AgentMissed]) -> Availability:
         """Those that are known to be missing in `frame`."""
-        return Absent(frame, {(one.target, one.node, one.during): one.reason for one in missed})
+        return Availability(frame, {(one.target, one.node, one.during): one.reason for one in missed})
 
     def misses(self, target: str, agent: str, during: str) -> Missing | None:
         """Why the agent cannot be asked; None when it can."""
         key = (target, agent, during)
         if key not in self.known:
             return None
-        self.told[key] = self.known[key]
+        self.reported[key] = self.known[key]
         return Missing(self.known[key])
 
     def note(self, target: str, agent: str, during: str, reason: str) -> None:
         """The agent was asked and gave no answer."""
-        self.known[target, agent, during] = self.told[target, agent, during] = reason
+        self.known[target, agent, during] = self.reported[target, agent, during] = reason
 
-    def roll(self, target: str, during: str) -> Roll:
+    def of_target(self, target: str, during: str) -> TargetAvailability:
         """Those of one target, asked for one thing."""
-        return Roll(self, target, during)
+        return TargetAvailability(self, target, during)
 
     @property
     def events(self) -> tuple[AgentMissed, ...]:
         """Those that were missed, in an order that does not depend on when they were found out."""
         return tuple(
             AgentMissed(self.frame, target, agent, reason, during)
-            for (target, agent, during), reason in sorted(self.told.items())
+            for (target, agent, during), reason in sorted(self.reported.items())
         )
 
 
 @dataclass(frozen=True)
-class Roll:
+class TargetAvailability:
     """Who of one target's agents gives no answer, asked for one thing."""
 
-    absent: Absent = field(default_factory=Absent)
+    availability: Availability = field(default_factory=Availability)
     target: str = ""
     during: str = ""
 
     def misses(self, agent: str) -> Missing | None:
         """Why the agent cannot be asked; None when it can."""
-        return self.absent.misses(self.target, agent, self.during)
+        return self.availability.misses(self.target, agent, self.during)
 
     @property
     def missed(self) -> dict[str, str]:
@@ -81,10 +81,10 @@ class Roll:
         asked = (self.target, self.during)
         return {
             agent: reason
-            for (target, agent, during), reason in self.absent.told.items()
+            for (target, agent, during), reason in self.availability.reported.items()
             if (target, during) == asked
         }
 
     def note(self, agent: str, missing: Missing) -> None:
         """The agent was asked and gave no answer."""
-        self.absent.note(self.target, agent, self.during, missing.reason)
+        self.availability.note(self.target, agent, self.during, missing.reason)
