@@ -22,7 +22,7 @@ from bayesnet_track.adapt.joins import (
     spanning_tree,
 )
 from bayesnet_track.belief.contract import Posterior, Step
-from bayesnet_track.belief.particles.belief import reweighted
+from bayesnet_track.belief.particles.belief import reweight_step
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.engine.attachment import Carriers, carriers_of, particles, tell_carried, without_ride
 from bayesnet_track.engine.filtering import Filtered
@@ -239,7 +239,7 @@ def _reweighted(step: Step[Posterior], marginal: Marginal | None) -> Step[Poster
         return step
     particles(step.posterior)
     try:
-        return reweighted(step, marginal.log_likelihood)  # type: ignore[arg-type]
+        return reweight_step(step, marginal.log_likelihood)  # type: ignore[arg-type]
     except DegenerateWeights:
         return step
 

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.motion.jumps import Jumping, jumped, jumping_of, reappeared
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
-from bayesnet_track.belief.particles.passes import Drawn, Pass, joined
-from bayesnet_track.belief.particles.resized import Sizing, begin_with, halved, report_of
-from bayesnet_track.belief.particles.sample_size import Need, Sized, need_of
+from bayesnet_track.belief.particles.sample_size import SampleSize, SizeMemory, find_sample_size
+from bayesnet_track.belief.particles.size_decision import SizeDecision, begin_with, halve, report_of
+from bayesnet_track.belief.particles.weighted_sample import FrameSample, WeightedSample, concatenate
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
@@ -39,98 +39,104 @@ WillRepeat = Callable[[Floats, Floats], bool]
 """(prior log-weights, log-likelihoods) of a half -> whether it calls for a second pass of the frame."""
 
 
-def fixed_size(settings: spec.Particles, size: int, inputs: Inputs) -> Drawn:
+def fixed_size(settings: spec.Particles, size: int, inputs: Inputs) -> FrameSample:
     """So many hypotheses drawn from the motion model, with their evidence."""
     jumping = jumping_of(inputs.motion)
     if jumping is not None:
         return _with_jumps(settings, inputs, size, jumping)
     ancestors, beta = _of_last(settings, inputs, size)
-    return Drawn(evaluated(inputs, moved(inputs, ancestors, "propagate"), beta.log, ancestors))
+    return FrameSample(evaluate_sample(inputs, move(inputs, ancestors, "propagate"), beta.log, ancestors))
 
 
-def resized_by(settings: spec.Particles, inputs: Inputs, whole: Pass, sized: Sized | None) -> Sized | None:
+def resize_by(
+    settings: spec.Particles, inputs: Inputs, whole: WeightedSample, size_memory: SizeMemory | None
+) -> SizeMemory | None:
     """What an adaptive size remembers of a frame whose passes are `whole`."""
-    if sized is None or isinstance(settings.size, int):
-        return sized
-    return replace(sized, need=_need(settings.size, inputs, whole, slice(None)))
+    if size_memory is None or isinstance(settings.size, int):
+        return size_memory
+    return replace(size_memory, wanted=_find_size(settings.size, inputs, whole, slice(None)))
 
 
-def _with_jumps(settings: spec.Particles, inputs: Inputs, size: int, jumping: Jumping) -> Drawn:
+def _with_jumps(settings: spec.Particles, inputs: Inputs, size: int, jumping: Jumping) -> FrameSample:
     """The same where some jump, and what is told when they hold the belief."""
     ancestors, beta = _of_last(settings, inputs, size)
     jumps = jumped(inputs, jumping, ancestors, beta.log)
     scaled = LogWeights.normalise(jumps.prior_log)[0].log
-    one = replace(evaluated(inputs, jumps.states, scaled, ancestors), prior_log=jumps.prior_log)
+    one = replace(evaluate_sample(inputs, jumps.states, scaled, ancestors), prior_log=jumps.prior_log)
     try:
         weights, _ = LogWeights.normalise(jumps.prior_log + one.evidence.log_likelihood)
     except DegenerateWeights:
-        return Drawn(one)
-    told = reappeared(jumping, jumps, weights, inputs.prior.mean)
-    if told is None:
-        return Drawn(one)
-    return Drawn(one, reports=(lambda frame, target: replace(told, frame=frame, target=target),))
+        return FrameSample(one)
+    event = reappeared(jumping, jumps, weights, inputs.prior.mean)
+    if event is None:
+        return FrameSample(one)
+    return FrameSample(one, reports=(lambda frame, target: replace(event, frame=frame, target=target),))
 
 
 def _of_last(settings: spec.Particles, inputs: Inputs, size: int) -> tuple[Ancestors, LogWeights]:
     """The hypotheses of the last frame that those of this one move from, and their weights."""
     prior = inputs.prior
     if must_resample(settings, prior, size):
-        return parents(settings, inputs, size, "resample"), LogWeights.uniform(size)
+        return draw_parents(settings, inputs, size, "resample"), LogWeights.uniform(size)
     return np.arange(len(prior)), prior.weights
 
 
 def adaptive_size(
     settings: spec.Particles, size: spec.AdaptiveSize, will_repeat: WillRepeat, inputs: Inputs
-) -> Drawn:
+) -> FrameSample:
     """As many hypotheses drawn from the motion model as the frame asks for, with their evidence.
 
     The number is not enlarged on account of a half that calls for a second pass, whose hypotheses are better
-    placed (`resized_by` looks at both).
+    placed (`resize_by` looks at both).
     """
     low, high = settings.least, settings.most
-    before = inputs.prior.sized or Sized(low, low, Need(low, 0.0))
-    halves = halved(begin_with(before, low, high))
-    one = _drawn(settings, inputs, halves, "")
+    before = inputs.prior.size_memory or SizeMemory(low, low, SampleSize(low, 0.0))
+    halves = halve(begin_with(before, low, high))
+    one = _draw_halves(settings, inputs, halves, "")
     first, second = (
-        _need_unless(will_repeat, size, inputs, one, part)
+        _size_unless(will_repeat, size, inputs, one, part)
         for part in (slice(halves[0]), slice(halves[0], None))
     )
-    sizing = Sizing(size, before, (first, second), low, high)
+    sizing = SizeDecision(size, before, (first, second), low, high)
     if any(sizing.more):
-        one = _enlarged(one, _drawn(settings, inputs, sizing.more, " more"), halves, sizing.more)
-    need = _need(size, inputs, one, slice(None))
+        one = _enlarge(one, _draw_halves(settings, inputs, sizing.more, " more"), halves, sizing.more)
+    wanted = _find_size(size, inputs, one, slice(None))
     if not sizing.is_notable or len(one) != sizing.particles:  # the second look may not have joined the first
-        return Drawn(one, Sized(len(one), before.told, need))
-    return Drawn(one, Sized(len(one), sizing.particles, need), (report_of(sizing),))
+        return FrameSample(one, SizeMemory(len(one), before.reported, wanted))
+    return FrameSample(one, SizeMemory(len(one), sizing.particles, wanted), (report_of(sizing),))
 
 
-def _need(size: spec.AdaptiveSize, inputs: Inputs, one: Pass, part: slice) -> Need:
+def _find_size(size: spec.AdaptiveSize, inputs: Inputs, one: WeightedSample, part: slice) -> SampleSize:
     likelihood = one.evidence.log_likelihood[part]
-    return need_of(size, one.states[part], inputs.prior.fields, one.prior_log[part], likelihood)
+    return find_sample_size(size, one.states[part], inputs.prior.fields, one.prior_log[part], likelihood)
 
 
-def _need_unless(
-    will_repeat: WillRepeat, size: spec.AdaptiveSize, inputs: Inputs, one: Pass, part: slice
-) -> Need:
-    """The need of a part; no more than there are where it calls for a second pass."""
-    need = _need(size, inputs, one, part)
+def _size_unless(
+    will_repeat: WillRepeat, size: spec.AdaptiveSize, inputs: Inputs, one: WeightedSample, part: slice
+) -> SampleSize:
+    """What a part asks for; no more than there are where it calls for a second pass."""
+    wanted = _find_size(size, inputs, one, part)
     if will_repeat(one.prior_log[part], one.evidence.log_likelihood[part]):
-        return replace(need, particles=min(need.particles, float(len(one))))
-    return need
+        return replace(wanted, particles=min(wanted.particles, float(len(one))))
+    return wanted
 
 
-def _drawn(settings: spec.Particles, inputs: Inputs, counts: tuple[int, int], again: str) -> Pass:
+def _draw_halves(
+    settings: spec.Particles, inputs: Inputs, counts: tuple[int, int], again: str
+) -> WeightedSample:
     """One pass of two halves that share no random number."""
     streams = [(f"{half}{again}", count) for half, count in zip(("", " half"), counts, strict=True) if count]
-    drawn = [parents(settings, inputs, count, f"resample{name}") for name, count in streams]
-    states = [moved(inputs, drawn[n], f"propagate{name}") for n, (name, _) in enumerate(streams)]
+    drawn = [draw_parents(settings, inputs, count, f"resample{name}") for name, count in streams]
+    states = [move(inputs, drawn[n], f"propagate{name}") for n, (name, _) in enumerate(streams)]
     beta = LogWeights.uniform(sum(counts))
-    return evaluated(inputs, np.concatenate(states), beta.log, np.concatenate(drawn))
+    return evaluate_sample(inputs, np.concatenate(states), beta.log, np.concatenate(drawn))
 
 
-def _enlarged(one: Pass, more: Pass, halves: tuple[int, int], counts: tuple[int, int]) -> Pass:
+def _enlarge(
+    one: WeightedSample, more: WeightedSample, halves: tuple[int, int], counts: tuple[int, int]
+) -> WeightedSample:
     """Both passes as one, each half with half of the prior weight; the first alone where they do not join."""
-    whole = joined(one, more, 0.5)
+    whole = concatenate(one, more, 0.5)
     if len(whole) == len(one):
         return whole
     log_beta = [-np.log(2.0 * (start + added)) for start, added in zip(halves, counts, strict=True)]
@@ -148,18 +154,20 @@ def must_resample(settings: spec.Particles, prior: ParticleSet, size: int) -> bo
     return prior.weights.ess < when.ess_below * size
 
 
-def parents(settings: spec.Particles, inputs: Inputs, size: int, purpose: str) -> Ancestors:
+def draw_parents(settings: spec.Particles, inputs: Inputs, size: int, purpose: str) -> Ancestors:
     """(size,) indices of hypotheses of the prior, each drawn `size` times its weight on average."""
     rng = inputs.stream(purpose)
     return resample(settings.resample, inputs.prior.weights.weights, size, rng).astype(np.intp, copy=False)
 
 
-def moved(inputs: Inputs, ancestors: Ancestors, purpose: str) -> Floats:
+def move(inputs: Inputs, ancestors: Ancestors, purpose: str) -> Floats:
     """(N, D) states of the frame: the parents', moved by the motion model."""
     return inputs.motion.propagate(inputs.prior.states, inputs.dt, inputs.stream(purpose), ancestors)
 
 
-def evaluated(inputs: Inputs, states: Floats, prior_log: Floats, ancestors: Ancestors) -> Pass:
+def evaluate_sample(
+    inputs: Inputs, states: Floats, prior_log: Floats, ancestors: Ancestors
+) -> WeightedSample:
     """One pass: what the net says of `states` (N, D) of normalised prior log-weights (N,)."""
     evidence = inputs.evaluate(hypotheses_of(states, inputs.prior.fields), prior_log)
-    return Pass(states, prior_log, ancestors, evidence)
+    return WeightedSample(states, prior_log, ancestors, evidence)

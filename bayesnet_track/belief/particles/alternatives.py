@@ -9,12 +9,18 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.motion.noise import Transition
-from bayesnet_track.belief.particles.adaptive_size import evaluated, moved
+from bayesnet_track.belief.particles.adaptive_size import evaluate_sample, move
 from bayesnet_track.belief.particles.fitted import flattened
 from bayesnet_track.belief.particles.kernels import Kernels, log_prior
 from bayesnet_track.belief.particles.particle_set import Inputs
-from bayesnet_track.belief.particles.passes import Pass, joined, prior_of
-from bayesnet_track.belief.particles.proposals import Both, inside, log_sum, mixed, reweighted
+from bayesnet_track.belief.particles.proposals import (
+    CombinedSample,
+    confine,
+    log_sum,
+    mix_defensive,
+    reweight_sample,
+)
+from bayesnet_track.belief.particles.weighted_sample import WeightedSample, concatenate, prior_of
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.graph.settings.proposals import (
     Auxiliary,
@@ -37,7 +43,7 @@ LEAST_EFFECTIVE = 10
 """Effective hypotheses that kernels stand around; a sharper likelihood is flattened until there are."""
 
 
-def auxiliary_pass(inputs: Inputs, size: int, settings: Auxiliary) -> Pass:
+def auxiliary_pass(inputs: Inputs, size: int, settings: Auxiliary) -> WeightedSample:
     """Parents drawn by beta_k L(drift of k), their hypotheses weighted by what that favoured (eq. 5.20).
 
     The evidence is unbiased: parents are drawn before, and independently of, where their hypotheses move.
@@ -50,14 +56,14 @@ def auxiliary_pass(inputs: Inputs, size: int, settings: Auxiliary) -> Pass:
         looked = beta
     with np.errstate(invalid="ignore"):
         ratio = np.where(beta.log > -np.inf, looked.log - beta.log, -np.inf)
-    ratio = np.asarray(mixed(ratio, settings.defensive))
+    ratio = np.asarray(mix_defensive(ratio, settings.defensive))
     log_parents, _ = LogWeights.normalise(beta.log + ratio)
     rng = inputs.stream("resample")
     ancestors = systematic(log_parents.weights, size, rng).astype(np.intp, copy=False)
     prior_log = (beta.log - log_parents.log)[ancestors] - np.log(size)
-    return reweighted(
-        evaluated(
-            inputs, moved(inputs, ancestors, "propagate"), LogWeights.normalise(prior_log)[0].log, ancestors
+    return reweight_sample(
+        evaluate_sample(
+            inputs, move(inputs, ancestors, "propagate"), LogWeights.normalise(prior_log)[0].log, ancestors
         ),
         prior_log,
     )
@@ -66,7 +72,7 @@ def auxiliary_pass(inputs: Inputs, size: int, settings: Auxiliary) -> Pass:
 # ------------------------------------------------------------------------------------ prior editing
 
 
-def edited(inputs: Inputs, first: Pass, settings: PriorEditing) -> Pass:
+def edit(inputs: Inputs, first: WeightedSample, settings: PriorEditing) -> WeightedSample:
     """Prior editing: hypotheses kept with probability min(1, L / c), their weight divided by it.
 
     All rounds are drawn, so that their number depends on nothing, and c_i is a share of the largest
@@ -78,9 +84,9 @@ def edited(inputs: Inputs, first: Pass, settings: PriorEditing) -> Pass:
         more = (settings.rounds - 1) * len(first)
         drawn = systematic(inputs.prior.weights.weights, more, inputs.stream("resample rounds"))
         ancestors = drawn.astype(np.intp, copy=False)
-        states = moved(inputs, ancestors, "propagate rounds")
-        again = evaluated(inputs, states, LogWeights.uniform(more).log, ancestors)
-        whole = joined(first, again, 1.0 / settings.rounds)
+        states = move(inputs, ancestors, "propagate rounds")
+        again = evaluate_sample(inputs, states, LogWeights.uniform(more).log, ancestors)
+        whole = concatenate(first, again, 1.0 / settings.rounds)
     likelihood = whole.evidence.log_likelihood
     if not np.isfinite(np.max(likelihood)):  # all -inf, or one a NaN or inf
         return whole
@@ -93,10 +99,10 @@ def edited(inputs: Inputs, first: Pass, settings: PriorEditing) -> Pass:
     with np.errstate(divide="ignore"):
         kept = np.flatnonzero(np.log(inputs.stream("reject").random(len(whole))) < log_kept)
     chosen = selected(whole, kept)
-    return reweighted(chosen, chosen.prior_log - log_kept[kept])
+    return reweight_sample(chosen, chosen.prior_log - log_kept[kept])
 
 
-def selected(one: Pass, index: Ancestors) -> Pass:
+def selected(one: WeightedSample, index: Ancestors) -> WeightedSample:
     """Some of a pass' hypotheses, by index, with their evidence."""
     evidence = one.evidence
     part: Evidence = replace(
@@ -109,18 +115,18 @@ def selected(one: Pass, index: Ancestors) -> Pass:
         },
         sampled=None if evidence.sampled is None else evidence.sampled[index],
     )
-    return Pass(one.states[index], one.prior_log[index], one.ancestors[index], part)
+    return WeightedSample(one.states[index], one.prior_log[index], one.ancestors[index], part)
 
 
 # ------------------------------------------------------------------------------------ by kernels
 
 
-def refined(inputs: Inputs, first: Pass, settings: IteratedProposal) -> Both | None:
+def refine(inputs: Inputs, first: WeightedSample, settings: IteratedProposal) -> CombinedSample | None:
     """West's adaptive mixture: each refinement draws from kernels around all hypotheses so far.
 
     All are weighted by the mixture of what they could have been drawn from, 1 / (n + sum m_r r_r(x)), where
-    r_r = g_r / p by (5.18): O(R^2 M N). The evidence of `Both` is that of the refinements alone, each
-    unbiased given those before. None where passes cannot be joined or drawn.
+    r_r = g_r / p by (5.18): O(R^2 M N). The evidence of `CombinedSample` is that of the refinements alone,
+    each unbiased given those before. None where passes cannot be joined or drawn.
 
     Raises:
         DegenerateWeights: no hypothesis of the first pass has a positive, finite likelihood.
@@ -148,20 +154,21 @@ def refined(inputs: Inputs, first: Pass, settings: IteratedProposal) -> Both | N
         points = transition.coordinates(np.concatenate([whole.states, states]))[0]
         log_p = log_prior(transition, beta, points)
         ratios = [
-            mixed(each.log_density(points, len(each.centres)) - log_p, as_first / n) for each in mixtures
+            mix_defensive(each.log_density(points, len(each.centres)) - log_p, as_first / n)
+            for each in mixtures
         ]
         alone = -np.log(n) - ratios[-1][len(whole) :]
-        states = inside(inputs.motion, states)
-        more = evaluated(inputs, states, LogWeights.normalise(alone)[0].log, ancestors)
+        states = confine(inputs.motion, states)
+        more = evaluate_sample(inputs, states, LogWeights.normalise(alone)[0].log, ancestors)
         if more.evidence.faults.keys() != first.evidence.faults.keys():
             return None
         evidences.append(log_sum(alone + more.evidence.log_likelihood))
         counts = np.log(n) + np.logaddexp.reduce([np.zeros(len(points)), *ratios], axis=0)
-        whole = reweighted(joined(whole, more, 0.5), -counts)
-    return Both(whole, log_sum(np.array(evidences)) - np.log(len(evidences)))
+        whole = reweight_sample(concatenate(whole, more, 0.5), -counts)
+    return CombinedSample(whole, log_sum(np.array(evidences)) - np.log(len(evidences)))
 
 
-def _around(points: Floats, whole: Pass, bandwidth: float) -> Kernels:
+def _around(points: Floats, whole: WeightedSample, bandwidth: float) -> Kernels:
     """Kernels around weighted hypotheses, by the normal reference rule for their effective size."""
     size = points.shape[1]
     _, weights = flattened(prior_of(whole), whole.evidence.log_likelihood, LEAST_EFFECTIVE)
@@ -171,7 +178,7 @@ def _around(points: Floats, whole: Pass, bandwidth: float) -> Kernels:
     return Kernels(weights, points, width * np.linalg.cholesky(spread + 1e-6 * scale))
 
 
-def mixture_pass(inputs: Inputs, size: int, settings: LikelihoodMixture) -> Pass:
+def mixture_pass(inputs: Inputs, size: int, settings: LikelihoodMixture) -> WeightedSample:
     """Hypotheses from the motion model, and from where probes find the likelihood high (Thrun et al.).
 
     Probes are spread evenly over the prior's surroundings, their boxes and further fields as a draw from the
@@ -182,12 +189,12 @@ def mixture_pass(inputs: Inputs, size: int, settings: LikelihoodMixture) -> Pass
     """
     beta, rng = inputs.prior.weights, inputs.stream("candidates")
     ancestors = systematic(beta.weights, size, inputs.stream("resample")).astype(np.intp, copy=False)
-    usual = moved(inputs, ancestors, "propagate")
+    usual = move(inputs, ancestors, "propagate")
     transition = inputs.motion.transition(inputs.prior.states, inputs.dt)
     part = round(settings.share * size)
     kernels = _probed(inputs, usual, transition, settings.reach_sd, rng) if part else None
     if kernels is None or transition.states is None:
-        return evaluated(inputs, usual, LogWeights.uniform(size).log, ancestors)
+        return evaluate_sample(inputs, usual, LogWeights.uniform(size).log, ancestors)
     # Which of the draws give way must not depend on where they went.
     stay = np.sort(rng.permutation(size)[: size - part])
     _, drawn = kernels.draw(part, rng)
@@ -197,8 +204,10 @@ def mixture_pass(inputs: Inputs, size: int, settings: LikelihoodMixture) -> Pass
     points = transition.coordinates(states)[0]
     log_ratio = kernels.log_density(points) - log_prior(transition, beta, points)
     prior_log = -np.logaddexp(np.log(size - part), np.log(part) + log_ratio)
-    of, states = np.concatenate([ancestors[stay], parents]), inside(inputs.motion, states)
-    return reweighted(evaluated(inputs, states, LogWeights.normalise(prior_log)[0].log, of), prior_log)
+    of, states = np.concatenate([ancestors[stay], parents]), confine(inputs.motion, states)
+    return reweight_sample(
+        evaluate_sample(inputs, states, LogWeights.normalise(prior_log)[0].log, of), prior_log
+    )
 
 
 def _probed(

@@ -12,8 +12,8 @@ from bayesnet_track.belief.particles.adaptive_size import start_size
 from bayesnet_track.belief.particles.importance import proposal_of
 from bayesnet_track.belief.particles.map import map_index
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet, weighted_quantiles
-from bayesnet_track.belief.particles.passes import Pass, prior_of
-from bayesnet_track.belief.particles.sample_size import Sized
+from bayesnet_track.belief.particles.sample_size import SizeMemory
+from bayesnet_track.belief.particles.weighted_sample import WeightedSample, prior_of
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 
@@ -46,14 +46,17 @@ class ParticleFilter:
         frame = self._draw(inputs)
         if self._refine is not None:
             frame = self._refine(inputs, frame)
-        step = concluded(inputs, frame.whole, frame.sized, frame.reports)
+        step = finish_step(inputs, frame.whole, frame.size_memory, frame.reports)
         if frame.log_evidence is None or step.degenerate is not None:
             return step
         return replace(step, log_evidence=frame.log_evidence)
 
 
-def concluded(
-    inputs: Inputs, whole: Pass, sized: Sized | None = None, reports: tuple[Report, ...] = ()
+def finish_step(
+    inputs: Inputs,
+    whole: WeightedSample,
+    size_memory: SizeMemory | None = None,
+    reports: tuple[Report, ...] = (),
 ) -> Step[ParticleSet]:
     """The step that a frame's hypotheses, all passes joined, and their evidence come to."""
     beta, log_likelihood, degenerate = prior_of(whole), whole.evidence.log_likelihood, None
@@ -64,7 +67,7 @@ def concluded(
         weights, log_evidence, degenerate = beta, -np.inf, str(fault)
         log_likelihood = np.zeros(len(whole))
 
-    posterior = ParticleSet(whole.states, inputs.prior.fields, weights, sized)
+    posterior = ParticleSet(whole.states, inputs.prior.fields, weights, size_memory)
     return Step(
         posterior=posterior,
         log_evidence=log_evidence,
@@ -99,7 +102,7 @@ class FindMap:
         return np.asarray(self.states[best])
 
 
-def reweighted(step: Step[ParticleSet], log_likelihood: Floats) -> Step[ParticleSet]:
+def reweight_step(step: Step[ParticleSet], log_likelihood: Floats) -> Step[ParticleSet]:
     """The step, had `log_likelihood` (N,) been the evidence of its hypotheses; its messages stay.
 
     Raises:

@@ -13,15 +13,21 @@ from bayesnet_track.belief.contract import Evidence, Report
 from bayesnet_track.belief.particles.adaptive_size import (
     WillRepeat,
     adaptive_size,
-    evaluated,
+    evaluate_sample,
     fixed_size,
-    resized_by,
+    resize_by,
     start_size,
 )
-from bayesnet_track.belief.particles.alternatives import auxiliary_pass, edited, mixture_pass, refined
+from bayesnet_track.belief.particles.alternatives import auxiliary_pass, edit, mixture_pass, refine
 from bayesnet_track.belief.particles.particle_set import Inputs
-from bayesnet_track.belief.particles.passes import Drawn, Pass
-from bayesnet_track.belief.particles.proposals import Both, fitted_draws, log_sum, parent_draws, taken
+from bayesnet_track.belief.particles.proposals import (
+    CombinedSample,
+    combine,
+    fitted_draws,
+    log_sum,
+    parent_draws,
+)
+from bayesnet_track.belief.particles.weighted_sample import FrameSample, WeightedSample
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.settings.proposals import (
     Auxiliary,
@@ -37,10 +43,10 @@ from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 Floats = NDArray[np.float64]
 
 
-Draw = Callable[[Inputs], Drawn]
+Draw = Callable[[Inputs], FrameSample]
 """Draws the hypotheses of a frame."""
 
-Refine = Callable[[Inputs, Drawn], Drawn]
+Refine = Callable[[Inputs, FrameSample], FrameSample]
 """Edits them, or adds others."""
 
 
@@ -49,19 +55,19 @@ def proposal_of(settings: spec.Particles) -> tuple[Draw, Refine | None]:
     chosen, size = settings.proposal.settings, start_size(settings)
     match chosen:
         case Auxiliary():
-            return partial(_alone, partial(auxiliary_pass, size=size, settings=chosen)), None
+            return partial(_draw_alone, partial(auxiliary_pass, size=size, settings=chosen)), None
         case LikelihoodMixture():
-            return partial(_alone, partial(mixture_pass, size=size, settings=chosen)), None
+            return partial(_draw_alone, partial(mixture_pass, size=size, settings=chosen)), None
         case PriorEditing():
-            return _first_pass(settings, _never), partial(_edited, chosen)
+            return _first_pass(settings, _never), partial(_edit, chosen)
         case IteratedProposal():
-            again: Again = partial(refined, settings=chosen)
+            again: Again = partial(refine, settings=chosen)
         case SecondPassProposal():
             again = partial(_second_pass, settings=chosen)
         case _:
             return _first_pass(settings, _never), None
     first = _first_pass(settings, partial(_is_surprise, chosen.above_kl))
-    return first, partial(_twice, settings, chosen, again)
+    return first, partial(_draw_twice, settings, chosen, again)
 
 
 def _first_pass(settings: spec.Particles, will_repeat: WillRepeat) -> Draw:
@@ -71,12 +77,12 @@ def _first_pass(settings: spec.Particles, will_repeat: WillRepeat) -> Draw:
     return partial(adaptive_size, settings, settings.size, will_repeat)
 
 
-def _alone(draw: Callable[[Inputs], Pass], inputs: Inputs) -> Drawn:
-    return Drawn(draw(inputs))
+def _draw_alone(draw: Callable[[Inputs], WeightedSample], inputs: Inputs) -> FrameSample:
+    return FrameSample(draw(inputs))
 
 
-def _edited(settings: PriorEditing, inputs: Inputs, first: Drawn) -> Drawn:
-    return replace(first, whole=edited(inputs, first.whole, settings))
+def _edit(settings: PriorEditing, inputs: Inputs, first: FrameSample) -> FrameSample:
+    return replace(first, whole=edit(inputs, first.whole, settings))
 
 
 def surprise(prior_log: Floats, log_likelihood: Floats) -> float:
@@ -101,17 +107,17 @@ def _never(prior_log: Floats, log_likelihood: Floats) -> bool:
     return False
 
 
-Again = Callable[[Inputs, Pass], Both | None]
+Again = Callable[[Inputs, WeightedSample], CombinedSample | None]
 """A second pass after the first; None when the two cannot be joined."""
 
 
-def _twice(
+def _draw_twice(
     settings: spec.Particles,
     chosen: SecondPassProposal | IteratedProposal,
     again: Again,
     inputs: Inputs,
-    first: Drawn,
-) -> Drawn:
+    first: FrameSample,
+) -> FrameSample:
     """The first pass, and a second one where the first is a surprise.
 
     The frame's evidence is unbiased although the first pass decides on the second: each half of the first
@@ -133,37 +139,43 @@ def _twice(
     for half, other in zip(halves, reversed(found), strict=True):
         own = log_sum(half.prior_log + half.evidence.log_likelihood)
         both_count = other > chosen.above_kl or chosen.above_kl == 0
-        parts.append(_weighted(own, both.log_second, share) if both_count else own)
+        parts.append(_mix_evidence(own, both.log_second, share) if both_count else own)
     log_evidence = float(np.logaddexp(parts[0], parts[1]) - np.log(2.0))
     reports = first.reports
     if chosen.above_kl > 0:
         reports = (*reports, _report(first.whole, both, chosen, max(found)))
-    sized = first.sized
+    size_memory = first.size_memory
     if len(both.whole) != len(first.whole):
-        sized = resized_by(settings, inputs, both.whole, sized)
-    return Drawn(both.whole, sized, reports, log_evidence)
+        size_memory = resize_by(settings, inputs, both.whole, size_memory)
+    return FrameSample(both.whole, size_memory, reports, log_evidence)
 
 
-def _second_pass(inputs: Inputs, first: Pass, settings: SecondPassProposal) -> Both | None:
+def _second_pass(
+    inputs: Inputs, first: WeightedSample, settings: SecondPassProposal
+) -> CombinedSample | None:
     draws = fitted_draws(inputs, first, settings) if settings.by == "fitted" else None
     draws = parent_draws(inputs, first, settings) if draws is None else draws
-    second = evaluated(inputs, draws.states, LogWeights.normalise(draws.log_alone)[0].log, draws.ancestors)
-    return taken(first, second, draws, settings.weights)
+    second = evaluate_sample(
+        inputs, draws.states, LogWeights.normalise(draws.log_alone)[0].log, draws.ancestors
+    )
+    return combine(first, second, draws, settings.weights)
 
 
-def _half(one: Pass, start: int) -> Pass:
+def _half(one: WeightedSample, start: int) -> WeightedSample:
     """Every other hypothesis, as a sample of the prior of its own; its messages are left out."""
     evidence = Evidence(one.evidence.log_likelihood[start::2])
     prior_log = LogWeights.normalise(one.prior_log[start::2])[0].log
-    return Pass(one.states[start::2], prior_log, one.ancestors[start::2], evidence)
+    return WeightedSample(one.states[start::2], prior_log, one.ancestors[start::2], evidence)
 
 
-def _weighted(log_first: float, log_second: float, share: float) -> float:
+def _mix_evidence(log_first: float, log_second: float, share: float) -> float:
     with np.errstate(divide="ignore"):
         return float(np.logaddexp(np.log(share) + log_first, np.log1p(-share) + log_second))
 
 
-def _report(first: Pass, both: Both, settings: SecondPassProposal | IteratedProposal, found: float) -> Report:
+def _report(
+    first: WeightedSample, both: CombinedSample, settings: SecondPassProposal | IteratedProposal, found: float
+) -> Report:
     before, after = _ess(first), _ess(both.whole)
     particles = len(both.whole) - len(first) or len(first)
     method = "iterated" if isinstance(settings, IteratedProposal) else "second_pass"
@@ -180,5 +192,5 @@ def _report(first: Pass, both: Both, settings: SecondPassProposal | IteratedProp
     )
 
 
-def _ess(one: Pass) -> float:
+def _ess(one: WeightedSample) -> float:
     return LogWeights.normalise(one.prior_log + one.evidence.log_likelihood)[0].ess

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, MotionModel, Stream
-from bayesnet_track.belief.particles.sample_size import Sized
+from bayesnet_track.belief.particles.sample_size import SizeMemory
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.numerics.disc import weighted_mass_in_disc
 from bayesnet_track.numerics.divergence import selected, uncertainty_deviation
@@ -29,13 +29,13 @@ class ParticleSet:
         states: (N, D) float64, the box (x, y, w, h; centre, px) first.
         fields: names of the D columns.
         weights: their normalised log-weights.
-        sized: what an adaptive size remembers; None for a fixed one and at the start.
+        size_memory: what an adaptive size remembers; None for a fixed one and at the start.
     """
 
     states: Floats
     fields: tuple[str, ...]
     weights: LogWeights
-    sized: Sized | None = None
+    size_memory: SizeMemory | None = None
 
     def __len__(self) -> int:
         return int(self.states.shape[0])

@@ -21,7 +21,7 @@ from bayesnet_track.belief.particles.fitted import (
     paired_log_density,
 )
 from bayesnet_track.belief.particles.particle_set import Inputs
-from bayesnet_track.belief.particles.passes import Pass, joined, prior_of
+from bayesnet_track.belief.particles.weighted_sample import WeightedSample, concatenate, prior_of
 from bayesnet_track.graph.settings.proposals import SecondPassProposal
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.resampling import systematic
@@ -53,7 +53,7 @@ class Draws:
 
 
 @dataclass(frozen=True, eq=False)
-class Both:
+class CombinedSample:
     """Two passes as one.
 
     Attributes:
@@ -62,11 +62,13 @@ class Both:
             first one gave.
     """
 
-    whole: Pass
+    whole: WeightedSample
     log_second: float
 
 
-def taken(first: Pass, second: Pass, draws: Draws, weights: str) -> Both | None:
+def combine(
+    first: WeightedSample, second: WeightedSample, draws: Draws, weights: str
+) -> CombinedSample | None:
     """Both passes as one; None when they cannot be joined.
 
     Args:
@@ -83,25 +85,25 @@ def taken(first: Pass, second: Pass, draws: Draws, weights: str) -> Both | None:
         return None
     log_second = log_sum(alone + second.evidence.log_likelihood)
     if weights == "second_only":
-        return Both(reweighted(second, alone), log_second)
+        return CombinedSample(reweight_sample(second, alone), log_second)
     share = n / (n + m)
     if weights == "separate":
-        return Both(joined(first, reweighted(second, alone), share), log_second)
+        return CombinedSample(concatenate(first, reweight_sample(second, alone), share), log_second)
     log_n, log_m = np.log(n), np.log(m)
     of_first = first.prior_log + log_n - np.logaddexp(log_n, log_m + draws.log_ratio_first)
     of_second = -np.logaddexp(log_n, log_m + draws.log_ratio)
-    whole = joined(first, second, share)
-    return Both(reweighted(whole, np.concatenate([of_first, of_second])), log_second)
+    whole = concatenate(first, second, share)
+    return CombinedSample(reweight_sample(whole, np.concatenate([of_first, of_second])), log_second)
 
 
-def inside(motion: MotionModel, states: Floats) -> Floats:
+def confine(motion: MotionModel, states: Floats) -> Floats:
     """`states` (N, D), changed in place to lie on the image where `motion` is confined to it."""
     return motion.confined(states) if isinstance(motion, Confined) else states
 
 
-def reweighted(one: Pass, prior_log: Floats) -> Pass:
+def reweight_sample(one: WeightedSample, prior_log: Floats) -> WeightedSample:
     """The pass with other prior log-weights (N,)."""
-    return Pass(one.states, prior_log, one.ancestors, one.evidence)
+    return WeightedSample(one.states, prior_log, one.ancestors, one.evidence)
 
 
 def log_sum(log: Floats) -> float:
@@ -112,7 +114,7 @@ def log_sum(log: Floats) -> float:
 # ------------------------------------------------------------------------------------ by a fitted Gaussian
 
 
-def fitted_draws(inputs: Inputs, first: Pass, settings: SecondPassProposal) -> Draws | None:
+def fitted_draws(inputs: Inputs, first: WeightedSample, settings: SecondPassProposal) -> Draws | None:
     """Parents and states by the motion times a Gaussian likelihood that the first pass is fitted with.
 
     Pairs (parent, state) are drawn from beta_k p(x | k) G(x), normalised in closed form, over all hypotheses
@@ -157,14 +159,14 @@ def fitted_draws(inputs: Inputs, first: Pass, settings: SecondPassProposal) -> D
     # Densities are those of the model without borders, so they are taken before states are confined.
     of_second = log_ratio(transition.coordinates(states)[0], ancestors)
     return Draws(
-        inside(motion, states),
+        confine(motion, states),
         ancestors,
         of_second,
         log_ratio(points, first.ancestors),
     )
 
 
-def mixed(log_ratio: Floats, defensive: float) -> Floats:
+def mix_defensive(log_ratio: Floats, defensive: float) -> Floats:
     """The ratio to the prior when a share of the draws is from the prior itself."""
     if defensive == 0:
         return log_ratio
@@ -174,7 +176,7 @@ def mixed(log_ratio: Floats, defensive: float) -> Floats:
 # ------------------------------------------------------------------------------------ by the parents
 
 
-def parent_draws(inputs: Inputs, first: Pass, settings: SecondPassProposal) -> Draws:
+def parent_draws(inputs: Inputs, first: WeightedSample, settings: SecondPassProposal) -> Draws:
     """Importance resampling: parents of hypotheses that did well, moved again (eqs. 5.23-5.26, corrected).
 
     j is drawn by v' among the parents of the first pass, each as often as it was drawn there, and weighted by
@@ -198,7 +200,7 @@ def parent_draws(inputs: Inputs, first: Pass, settings: SecondPassProposal) -> D
     beta = prior_of(first).weights
     scale = float(beta @ mean)
     with np.errstate(divide="ignore"):
-        ratio, ratio_first = (mixed(np.log(v / scale), settings.defensive) for v in (mean, others))
+        ratio, ratio_first = (mix_defensive(np.log(v / scale), settings.defensive) for v in (mean, others))
     drawn = systematic(beta * np.exp(ratio), len(first), inputs.stream("second pass"))
     states = inputs.motion.propagate(parents[drawn], inputs.dt, inputs.stream("second propagate"))
     return Draws(states, first.ancestors[drawn], ratio[drawn], ratio_first)

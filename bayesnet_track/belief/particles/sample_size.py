@@ -18,7 +18,7 @@ LEAST_EFFECTIVE = 10.0
 
 
 @dataclass(frozen=True)
-class Need:
+class SampleSize:
     """What a sample asks for.
 
     Attributes:
@@ -43,64 +43,65 @@ class Need:
 
 
 @dataclass(frozen=True)
-class Sized:
+class SizeMemory:
     """What an adaptive size remembers of a frame.
 
     Attributes:
-        drawn: hypotheses of the first pass.
-        told: the number that was last written down.
-        need: what all of them asked for.
+        first_pass: hypotheses of the first pass.
+        reported: the number that was last written down.
+        wanted: what all of them asked for.
     """
 
-    drawn: int
-    told: int
-    need: Need
+    first_pass: int
+    reported: int
+    wanted: SampleSize
 
 
-def need_of(
+def find_sample_size(
     size: AdaptiveSize, states: Floats, fields: tuple[str, ...], prior_log: Floats, log_likelihood: Floats
-) -> Need:
-    """The need of hypotheses (N, D) with prior log-weights and log-likelihoods (N,); the largest over fields.
+) -> SampleSize:
+    """What hypotheses (N, D) of prior log-weights and log-likelihoods (N,) ask for: the most over the fields.
 
     Degenerate weights (none positive, or one not a finite number) ask for nothing and have no effective
-    hypotheses, so that `Need.asks` keeps the number that there was.
+    hypotheses, so that `SampleSize.asks` keeps the number that there was.
     """
     with np.errstate(invalid="ignore"):  # -inf + inf is NaN, a degenerate weight
         log = prior_log + log_likelihood
     top = float(np.max(log))
     if not np.isfinite(top):
-        return Need(0.0, 0.0)
+        return SampleSize(0.0, 0.0)
     weights = np.exp(log - top)
     ess = len(weights) / sample_size.simple_inflation(weights)
     if size.likelihood_sum is not None:
         share = prior_log - np.logaddexp.reduce(prior_log)
         weighted = len(log) * np.exp(share + log_likelihood)
-        return Need(sample_size.likelihood_sum(weighted, size.likelihood_sum.threshold), ess)
+        return SampleSize(sample_size.likelihood_sum(weighted, size.likelihood_sum.threshold), ess)
     asked = [
-        _field_need(size, name, states[:, fields.index(name)], weights, ess) for name in size.settings.fields
+        _size_by_field(size, name, states[:, fields.index(name)], weights, ess)
+        for name in size.settings.fields
     ]
     return max(asked, key=lambda one: one.particles)
 
 
-def _field_need(size: AdaptiveSize, field: str, values: Floats, weights: Floats, ess: float) -> Need:
+def _size_by_field(size: AdaptiveSize, field: str, values: Floats, weights: Floats, ess: float) -> SampleSize:
     if isinstance(size.settings, NormalSize):
-        return _normal_need(size, size.settings, field, values, weights, ess)
+        return _normal_size(size, size.settings, field, values, weights, ess)
     wanted: BinnedSize = size.settings
     bins = sample_size.occupied_bins(values, weights, wanted.bin_px)
     worth = _WORTH[size.kind](values, weights)
     particles = sample_size.kld_revised(bins, wanted.error, wanted.confidence, worth)
-    return Need(particles, ess, field, bins, worth)
+    return SampleSize(particles, ess, field, bins, worth)
 
 
-def _normal_need(
+def _normal_size(
     size: AdaptiveSize, wanted: NormalSize, field: str, values: Floats, weights: Floats, ess: float
-) -> Need:
+) -> SampleSize:
     _, error = size.tolerance
     sd, worth = np.sqrt(sample_size.variance(values, weights)), sample_size.inflation(values, weights)
     # Relative to the posterior's sd the variance is divided by Var_p, which leaves the worth alone.
     spread = worth if wanted.error_px is None else sample_size.importance_variance(values, weights)
     particles = sample_size.asymptotic_normal(spread, error, wanted.confidence)
-    return Need(particles, ess, field, None, worth, float(sd))
+    return SampleSize(particles, ess, field, None, worth, float(sd))
 
 
 _WORTH: dict[str, Callable[[Floats, Floats], float]] = {

@@ -26,7 +26,7 @@ from bayesnet_track.adapt.shedding import Load
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice
 from bayesnet_track.belief.particles.particle_set import ParticleSet
-from bayesnet_track.belief.particles.sample_size import Need, Sized
+from bayesnet_track.belief.particles.sample_size import SampleSize, SizeMemory
 from bayesnet_track.engine.predicting import MotionContext
 from bayesnet_track.engine.score import Scored
 from bayesnet_track.engine.step import Engine, State, TargetState
@@ -49,8 +49,8 @@ CLASSES: tuple[type, ...] = (
     Joined,
     ParticleSet,
     LogWeights,
-    Sized,
-    Need,
+    SizeMemory,
+    SampleSize,
     GaussianPosterior,
     GridBelief,
     Lattice,

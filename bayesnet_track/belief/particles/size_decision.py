@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 from bayesnet_track.belief.contract import Report
-from bayesnet_track.belief.particles.sample_size import Need, Sized
+from bayesnet_track.belief.particles.sample_size import SampleSize, SizeMemory
 from bayesnet_track.graph.settings.particles import AdaptiveSize
 from bayesnet_track.journal.events.belief_events import ParticlesResized
 
@@ -18,20 +18,20 @@ NOTABLE = 1.25
 
 
 @dataclass(frozen=True)
-class Sizing:
+class SizeDecision:
     """All that one frame's number of hypotheses depends on.
 
     Attributes:
         size: the method.
         before: the last frame.
-        needs: what each half of this frame's first hypotheses asked for.
+        halves_wanted: what each half of this frame's first hypotheses asked for.
         low: the least number.
         high: the largest number.
     """
 
     size: AdaptiveSize
-    before: Sized
-    needs: tuple[Need, Need]
+    before: SizeMemory
+    halves_wanted: tuple[SampleSize, SampleSize]
     low: int
     high: int
 
@@ -43,16 +43,16 @@ class Sizing:
     @property
     def halves(self) -> tuple[int, int]:
         """How many of them are in each half."""
-        return halved(self.begin)
+        return halve(self.begin)
 
     @property
     def more(self) -> tuple[int, int]:
-        """By how many each half is enlarged: a function of the other half's need, never of its own."""
+        """By how many each half is enlarged: a function of what the other half asks for, never of its own."""
         first, second = self.halves
-        most_first, most_second = halved(self.high)
+        most_first, most_second = halve(self.high)
         return (
-            self._enlarged(self.needs[1], most_first, first) - first,
-            self._enlarged(self.needs[0], most_second, second) - second,
+            self._enlarge(self.halves_wanted[1], most_first, first) - first,
+            self._enlarge(self.halves_wanted[0], most_second, second) - second,
         )
 
     @property
@@ -63,51 +63,51 @@ class Sizing:
     @property
     def is_notable(self) -> bool:
         """True when the number has moved away from the one that was last written down."""
-        return not self.before.told / NOTABLE <= self.particles <= self.before.told * NOTABLE
+        return not self.before.reported / NOTABLE <= self.particles <= self.before.reported * NOTABLE
 
     @property
-    def cause(self) -> Need:
-        """What brought the number about: this frame's needs where it was enlarged, else the last frame's."""
+    def cause(self) -> SampleSize:
+        """What brought the number about: this frame's wish where it was enlarged, else the last frame's."""
         if not any(self.more):
-            return self.before.need
-        mean = (self.needs[0].particles + self.needs[1].particles) / 2
-        larger = max(self.needs, key=lambda need: need.particles)
-        return replace(larger, particles=mean, ess=self.needs[0].ess + self.needs[1].ess)
+            return self.before.wanted
+        mean = (self.halves_wanted[0].particles + self.halves_wanted[1].particles) / 2
+        larger = max(self.halves_wanted, key=lambda wanted: wanted.particles)
+        return replace(larger, particles=mean, ess=self.halves_wanted[0].ess + self.halves_wanted[1].ess)
 
-    def _enlarged(self, need: Need, most: int, count: int) -> int:
-        asked = need.asks(self.begin)
+    def _enlarge(self, wanted: SampleSize, most: int, count: int) -> int:
+        asked = wanted.asks(self.begin)
         return count if asked <= ENLARGED * self.begin else max(count, min(most, math.ceil(asked / 2)))
 
-    def scaled(self, factor: float) -> Sizing:
+    def scale(self, factor: float) -> SizeDecision:
         """As if `factor` times as many had been asked for, in both frames."""
-        first, second = (_scaled(need, factor) for need in self.needs)
-        before = replace(self.before, need=_scaled(self.before.need, factor))
-        return replace(self, before=before, needs=(first, second))
+        first, second = (_scale(wanted, factor) for wanted in self.halves_wanted)
+        before = replace(self.before, wanted=_scale(self.before.wanted, factor))
+        return replace(self, before=before, halves_wanted=(first, second))
 
 
-def _scaled(need: Need, factor: float) -> Need:
-    return replace(need, particles=factor * need.particles)
+def _scale(wanted: SampleSize, factor: float) -> SampleSize:
+    return replace(wanted, particles=factor * wanted.particles)
 
 
-def begin_with(before: Sized, low: int, high: int) -> int:
+def begin_with(before: SizeMemory, low: int, high: int) -> int:
     """The number that a frame begins with: what the last one asked for, rounded up and kept in bounds."""
-    asked = before.need.asks(before.drawn)
+    asked = before.wanted.asks(before.first_pass)
     return low if asked <= low else high if asked >= high else math.ceil(asked)
 
 
-def halved(count: int) -> tuple[int, int]:
+def halve(count: int) -> tuple[int, int]:
     """Two halves of a whole number, the first the larger one."""
     return count - count // 2, count // 2
 
 
-def report_of(sizing: Sizing) -> Report:
+def report_of(sizing: SizeDecision) -> Report:
     """The event that says which number became which, and why."""
     cause, (setting, level) = sizing.cause, sizing.size.tolerance
     return lambda frame, target: ParticlesResized(
         frame=frame,
         target=target,
         particles=sizing.particles,
-        before=sizing.before.told,
+        before=sizing.before.reported,
         method=sizing.size.kind,
         need=cause.particles,
         limit=limit_of(sizing),
@@ -124,24 +124,24 @@ def report_of(sizing: Sizing) -> Report:
     )
 
 
-def limit_of(sizing: Sizing) -> str:
-    """What kept the number away from the need: max, min, ess (too few effective to save any), or nothing."""
-    need, particles = sizing.cause, sizing.particles
-    if need.particles > particles:
+def limit_of(sizing: SizeDecision) -> str:
+    """What kept the number from being as asked: max, min, ess (too few effective to save any), or nothing."""
+    wanted, particles = sizing.cause, sizing.particles
+    if wanted.particles > particles:
         return "max"
     # A half that is asked for less keeps what was drawn; and each half is rounded up.
-    if any(sizing.more) or need.particles > particles - 2:
+    if any(sizing.more) or wanted.particles > particles - 2:
         return ""
     return "min" if particles == sizing.low else "ess"
 
 
-def turning_of(sizing: Sizing) -> float | None:
+def turning_of(sizing: SizeDecision) -> float | None:
     """The value of the setting at which the number would not have moved notably; None when no value is it."""
-    told, has_risen = sizing.before.told, sizing.particles > sizing.before.told
+    reported, has_risen = sizing.before.reported, sizing.particles > sizing.before.reported
 
     def stays(log_factor: float) -> bool:
-        particles = sizing.scaled(math.exp(log_factor)).particles
-        return particles <= told * NOTABLE if has_risen else particles >= told / NOTABLE
+        particles = sizing.scale(math.exp(log_factor)).particles
+        return particles <= reported * NOTABLE if has_risen else particles >= reported / NOTABLE
 
     kept, moves = (-_WIDEST if has_risen else _WIDEST), 0.0
     if not stays(kept):

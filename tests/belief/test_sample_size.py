@@ -9,8 +9,14 @@ import pytest
 
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.particles.belief import ParticleFilter, ParticleSet
-from bayesnet_track.belief.particles.resized import NOTABLE, Sizing, begin_with, limit_of, turning_of
-from bayesnet_track.belief.particles.sample_size import Need, Sized, need_of
+from bayesnet_track.belief.particles.sample_size import SampleSize, SizeMemory, find_sample_size
+from bayesnet_track.belief.particles.size_decision import (
+    NOTABLE,
+    SizeDecision,
+    begin_with,
+    limit_of,
+    turning_of,
+)
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.belief_events import ParticlesResized
 from bayesnet_track.journal.text.sentences import explain
@@ -179,7 +185,7 @@ def test_a_surprise_raises_the_number_at_once_and_quiet_lowers_it(kind, walk, st
 def test_a_step_begins_with_what_the_last_frame_asked_for(walk, stream_of):
     steps = follow(settings_of("kld_revised"), walk, [160.0] * 10, stream_of)
     for (before, _), (_, calls) in pairwise(steps):
-        asked = before.posterior.sized.need.particles
+        asked = before.posterior.size_memory.wanted.particles
         assert calls[0] == min(max(int(np.ceil(asked)), 100), 5000)
 
 
@@ -187,13 +193,13 @@ def test_a_step_is_a_function_of_its_stream(walk, stream_of):
     runs = [follow(settings_of("asymptotic_normal"), walk, [160, 190, 190], stream_of) for _ in range(2)]
     for (one, _), (two, _) in zip(*runs, strict=True):
         np.testing.assert_array_equal(one.posterior.states, two.posterior.states)
-        assert one.posterior.sized == two.posterior.sized
+        assert one.posterior.size_memory == two.posterior.size_memory
 
 
 def test_a_fixed_size_remembers_nothing(walk, stream_of):
     steps = follow(spec.Particles(size=70), walk, [160, 190], stream_of)
     assert [len(step.posterior) for step, _ in steps] == [70, 70]
-    assert all(step.posterior.sized is None and not step.reports for step, _ in steps)
+    assert all(step.posterior.size_memory is None and not step.reports for step, _ in steps)
 
 
 def test_where_the_second_look_fails_differently_the_first_is_kept(walk, stream_of):
@@ -208,7 +214,11 @@ def test_where_the_second_look_fails_differently_the_first_is_kept(walk, stream_
 
     step = belief.step(now, walk, 1.0, evaluate, stream_of(0, 1))
     assert len(calls) == 2 and len(step.posterior) == calls[0] == 400
-    assert (step.posterior.sized.drawn, step.posterior.sized.told, step.reports) == (400, 400, ())
+    assert (step.posterior.size_memory.first_pass, step.posterior.size_memory.reported, step.reports) == (
+        400,
+        400,
+        (),
+    )
     assert not step.evidence.faults
 
 
@@ -225,8 +235,10 @@ def sample(rng, spread=(3.0, 9.0)):
 @pytest.mark.parametrize("kind", ["kld", "kld_revised", "kld_revised_simplified", "asymptotic_normal"])
 def test_the_field_that_asks_for_the_most_counts(kind, rng):
     states, beta, log = sample(rng)
-    alone = {name: need_of(size_of(kind, fields=[name]), states, FIELDS, beta, log) for name in FIELDS}
-    both = need_of(size_of(kind), states, FIELDS, beta, log)
+    alone = {
+        name: find_sample_size(size_of(kind, fields=[name]), states, FIELDS, beta, log) for name in FIELDS
+    }
+    both = find_sample_size(size_of(kind), states, FIELDS, beta, log)
     assert both == max((alone["x"], alone["y"]), key=lambda need: need.particles)
     assert both.field == "y"  # the wider of the two
     assert alone["w"].particles == 0  # it does not vary, in one bin
@@ -245,11 +257,11 @@ def test_needs_are_the_formulas(rng):
         "likelihood_sum": 40 / w.mean(),
     }
     for kind, particles in expected.items():
-        need = need_of(size_of(kind), states, FIELDS, beta, log)
+        need = find_sample_size(size_of(kind), states, FIELDS, beta, log)
         assert need.particles == pytest.approx(particles, rel=1e-6), kind
         assert need.ess == pytest.approx(2000 / simple)
     relative = spec.AdaptiveSize.model_validate({"asymptotic_normal": {"error_sd": 0.1}})
-    assert need_of(relative, states, FIELDS, beta, log).particles == pytest.approx(
+    assert find_sample_size(relative, states, FIELDS, beta, log).particles == pytest.approx(
         1.959964**2 * max(worth, sample_size.inflation(states[:, 0], w)) / 0.01, rel=1e-6
     )
 
@@ -258,8 +270,8 @@ def test_needs_are_the_formulas(rng):
 def test_needs_do_not_depend_on_where_the_picture_begins_or_how_priors_are_scaled(kind, rng):
     """Bins begin at multiples of the width, so a shift by whole bins leaves them."""
     states, beta, log = sample(rng)
-    need = need_of(size_of(kind), states, FIELDS, beta, log)
-    moved = need_of(size_of(kind), states + np.array([400.0, 400.0, 0, 0]), FIELDS, beta - 3.0, log)
+    need = find_sample_size(size_of(kind), states, FIELDS, beta, log)
+    moved = find_sample_size(size_of(kind), states + np.array([400.0, 400.0, 0, 0]), FIELDS, beta - 3.0, log)
     assert moved.particles == pytest.approx(need.particles, rel=1e-6)
 
 
@@ -269,8 +281,8 @@ def test_unequal_prior_weights_count_as_weights(rng):
     tilt = np.where(np.arange(2000) < 1000, 0.0, -np.log(3))
     for kind in METHODS:
         if kind != "likelihood_sum":
-            a = need_of(size_of(kind), states, FIELDS, beta + tilt, log)
-            b = need_of(size_of(kind), states, FIELDS, beta, log + tilt)
+            a = find_sample_size(size_of(kind), states, FIELDS, beta + tilt, log)
+            b = find_sample_size(size_of(kind), states, FIELDS, beta, log + tilt)
             assert a.particles == pytest.approx(b.particles)
 
 
@@ -283,21 +295,24 @@ def test_unequal_prior_weights_count_as_weights(rng):
 def test_degenerate_weights_keep_the_number(log, rng):
     states = sample(rng)[0][:50]
     for kind in METHODS:
-        need = need_of(size_of(kind), states, FIELDS, np.full(50, -np.log(50)), log)
+        need = find_sample_size(size_of(kind), states, FIELDS, np.full(50, -np.log(50)), log)
         assert (need.particles, need.ess) == (0, 0)
         assert need.asks(777) == 777
 
 
 def test_too_few_effective_hypotheses_never_lower_the_number():
-    assert Need(30.0, 9.9).asks(400) == 400
-    assert Need(900.0, 9.9).asks(400) == 900
-    assert Need(30.0, 10.0).asks(400) == 30
+    assert SampleSize(30.0, 9.9).asks(400) == 400
+    assert SampleSize(900.0, 9.9).asks(400) == 900
+    assert SampleSize(30.0, 10.0).asks(400) == 30
 
 
 def test_a_frame_that_says_nothing_keeps_the_number(walk, stream_of):
     belief = ParticleFilter(settings_of("kld_revised"))
     now = ParticleSet(
-        np.tile(BOX, (900, 1)), FIELDS, LogWeights.uniform(900), Sized(900, 900, Need(900.0, 200.0))
+        np.tile(BOX, (900, 1)),
+        FIELDS,
+        LogWeights.uniform(900),
+        SizeMemory(900, 900, SampleSize(900.0, 200.0)),
     )
     step = belief.step(now, walk, 1.0, lambda h, b: Evidence(np.full(len(h), -np.inf)), stream_of(0, 1))
     assert step.degenerate is not None and len(step.posterior) == 900
@@ -326,7 +341,7 @@ def test_a_start_has_the_minimum(walk, stream_of):
 
 @pytest.mark.parametrize(("asked", "number"), [(0.0, 100), (100.2, 101), (900.0, 900), (np.inf, 5000)])
 def test_what_is_asked_for_is_rounded_up_and_kept_in_bounds(asked, number):
-    assert begin_with(Sized(300, 300, Need(asked, 50.0)), 100, 5000) == number
+    assert begin_with(SizeMemory(300, 300, SampleSize(asked, 50.0)), 100, 5000) == number
 
 
 # ------------------------------------------------------------------------------------ the report
@@ -367,39 +382,43 @@ def test_changes_are_told_with_their_cause(walk, stream_of):
 @pytest.mark.parametrize("asked", [(30.0, 900.0, 1400.0), (300.0, 200.0, 310.0), (2000.0, 300.0, 300.0)])
 def test_at_the_turning_value_it_would_not_have_been_told(kind, asked):
     """Needs scaled as the formula does with the setting: just inside at the turning value, told beyond it."""
-    size, before = size_of(kind), Sized(1000, 1000, Need(asked[0], 90.0))
-    sizing = Sizing(size, before, (Need(asked[1], 50.0), Need(asked[2], 50.0)), 100, 5000)
+    size, before = size_of(kind), SizeMemory(1000, 1000, SampleSize(asked[0], 90.0))
+    sizing = SizeDecision(size, before, (SampleSize(asked[1], 50.0), SampleSize(asked[2], 50.0)), 100, 5000)
     if not sizing.is_notable:
-        sizing = Sizing(size, Sized(1000, 100, before.need), sizing.needs, 100, 5000)
+        sizing = SizeDecision(size, SizeMemory(1000, 100, before.wanted), sizing.halves_wanted, 100, 5000)
     assert sizing.is_notable
     turning, (setting, level) = turning_of(sizing), size.tolerance
     power = {"error": -1, "error_px": -2, "threshold": 1}[setting]
     for share, stays in ((1e-3, True), (-1e-3, False)):
         factor = (turning / level) ** power
-        toward = factor * (1 + share if sizing.particles < sizing.before.told else 1 - share)
-        assert sizing.scaled(toward).is_notable != stays
+        toward = factor * (1 + share if sizing.particles < sizing.before.reported else 1 - share)
+        assert sizing.scale(toward).is_notable != stays
 
 
 @pytest.mark.parametrize(
     ("before", "needs", "particles", "limit"),
     [
-        (Need(2000.5, 90.0), (0.0, 0.0), 2001, ""),
-        (Need(9000.0, 90.0), (0.0, 0.0), 5000, "max"),
-        (Need(20.0, 90.0), (0.0, 0.0), 100, "min"),
-        (Need(20.0, 5.0), (0.0, 0.0), 400, "ess"),
-        (Need(400.0, 90.0), (1001.0, 700.0), 851, ""),
-        (Need(400.0, 90.0), (100.0, 1001.0), 701, ""),
-        (Need(400.0, 90.0), (8000.0, 100.0), 2700, "max"),
+        (SampleSize(2000.5, 90.0), (0.0, 0.0), 2001, ""),
+        (SampleSize(9000.0, 90.0), (0.0, 0.0), 5000, "max"),
+        (SampleSize(20.0, 90.0), (0.0, 0.0), 100, "min"),
+        (SampleSize(20.0, 5.0), (0.0, 0.0), 400, "ess"),
+        (SampleSize(400.0, 90.0), (1001.0, 700.0), 851, ""),
+        (SampleSize(400.0, 90.0), (100.0, 1001.0), 701, ""),
+        (SampleSize(400.0, 90.0), (8000.0, 100.0), 2700, "max"),
     ],
 )
 def test_what_kept_the_number_away_from_the_need(before, needs, particles, limit):
-    first, second = (Need(need, 50.0) for need in needs)
-    sizing = Sizing(size_of("kld"), Sized(400, 400, before), (first, second), 100, 5000)
+    first, second = (SampleSize(need, 50.0) for need in needs)
+    sizing = SizeDecision(size_of("kld"), SizeMemory(400, 400, before), (first, second), 100, 5000)
     assert (sizing.particles, limit_of(sizing)) == (particles, limit)
 
 
 def test_nothing_turns_what_one_bin_asks_for():
-    sizing = Sizing(
-        size_of("kld"), Sized(900, 900, Need(0.0, 90.0)), (Need(0, 50.0), Need(0, 50.0)), 100, 5000
+    sizing = SizeDecision(
+        size_of("kld"),
+        SizeMemory(900, 900, SampleSize(0.0, 90.0)),
+        (SampleSize(0, 50.0), SampleSize(0, 50.0)),
+        100,
+        5000,
     )
     assert sizing.particles == 100 and turning_of(sizing) is None

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evidence, Report
-from bayesnet_track.belief.particles.sample_size import Sized
+from bayesnet_track.belief.particles.sample_size import SizeMemory
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Hypotheses
 
@@ -19,7 +19,7 @@ ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Pass:
+class WeightedSample:
     """Hypotheses drawn in one go and what the net said of them.
 
     Attributes:
@@ -40,23 +40,23 @@ class Pass:
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
+class FrameSample:
     """The hypotheses of a frame so far.
 
     Attributes:
         whole: the hypotheses, weighted as a sample of the prior, and their evidence.
-        sized: what an adaptive size remembers.
+        size_memory: what an adaptive size remembers.
         reports: what is to be told.
         log_evidence: the frame's, where it is not to be taken from the weights of `whole`.
     """
 
-    whole: Pass
-    sized: Sized | None = None
+    whole: WeightedSample
+    size_memory: SizeMemory | None = None
     reports: tuple[Report, ...] = ()
     log_evidence: float | None = None
 
 
-def joined(first: Pass, second: Pass, share: float) -> Pass:
+def concatenate(first: WeightedSample, second: WeightedSample, share: float) -> WeightedSample:
     """Both passes as one: `share` of the prior weight is the first's, the rest the second's.
 
     The evidence sum beta L stays unbiased as long as `share` was fixed before the first pass was drawn, and
@@ -65,15 +65,15 @@ def joined(first: Pass, second: Pass, share: float) -> Pass:
     """
     if second.evidence.faults.keys() != first.evidence.faults.keys():
         return first
-    return Pass(
+    return WeightedSample(
         np.concatenate([first.states, second.states]),
         np.concatenate([first.prior_log + np.log(share), second.prior_log + np.log1p(-share)]),
         np.concatenate([first.ancestors, second.ancestors]),
-        _both(first.evidence, second.evidence),
+        _concatenate_evidence(first.evidence, second.evidence),
     )
 
 
-def prior_of(one: Pass) -> LogWeights:
+def prior_of(one: WeightedSample) -> LogWeights:
     """beta, normalised: the prior weights that measures use. Unchanged when normalised but for rounding."""
     equal = LogWeights.uniform(len(one))
     if one.prior_log is equal.log:  # as after resampling
@@ -82,12 +82,12 @@ def prior_of(one: Pass) -> LogWeights:
     return LogWeights(one.prior_log) if abs(log_total) < ROUNDING else beta
 
 
-def _both(first: Evidence, second: Evidence) -> Evidence:
+def _concatenate_evidence(first: Evidence, second: Evidence) -> Evidence:
     """The evidence of both, end to end. Gaussian messages are those of the first: one place was measured."""
     return Evidence(
         np.concatenate([first.log_likelihood, second.log_likelihood]),
-        _arrays(first.messages, second.messages),
-        {node: _hypotheses(first.latent[node], second.latent[node]) for node in first.latent},
+        _concatenate_arrays(first.messages, second.messages),
+        {node: _concatenate_hypotheses(first.latent[node], second.latent[node]) for node in first.latent},
         first.faults,
         first.gaussians,
         None
@@ -97,9 +97,11 @@ def _both(first: Evidence, second: Evidence) -> Evidence:
     )
 
 
-def _arrays(first: Mapping[str, Floats], second: Mapping[str, Floats]) -> dict[str, Floats]:
+def _concatenate_arrays(first: Mapping[str, Floats], second: Mapping[str, Floats]) -> dict[str, Floats]:
     return {name: np.concatenate([values, second[name]]) for name, values in first.items()}
 
 
-def _hypotheses(first: Hypotheses, second: Hypotheses) -> Hypotheses:
-    return Hypotheses(np.concatenate([first.boxes, second.boxes]), _arrays(first.fields, second.fields))
+def _concatenate_hypotheses(first: Hypotheses, second: Hypotheses) -> Hypotheses:
+    return Hypotheses(
+        np.concatenate([first.boxes, second.boxes]), _concatenate_arrays(first.fields, second.fields)
+    )

@@ -7,8 +7,8 @@ import pytest
 
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.motion.noise import Transition
-from bayesnet_track.belief.particles.adaptive_size import evaluated, moved
-from bayesnet_track.belief.particles.alternatives import auxiliary_pass, edited, mixture_pass, selected
+from bayesnet_track.belief.particles.adaptive_size import evaluate_sample, move
+from bayesnet_track.belief.particles.alternatives import auxiliary_pass, edit, mixture_pass, selected
 from bayesnet_track.belief.particles.fitted import (
     STRETCH,
     Message,
@@ -19,8 +19,14 @@ from bayesnet_track.belief.particles.fitted import (
 )
 from bayesnet_track.belief.particles.importance import proposal_of
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
-from bayesnet_track.belief.particles.passes import Pass, joined, prior_of
-from bayesnet_track.belief.particles.proposals import Draws, fitted_draws, mixed, parent_draws, taken
+from bayesnet_track.belief.particles.proposals import (
+    Draws,
+    combine,
+    fitted_draws,
+    mix_defensive,
+    parent_draws,
+)
+from bayesnet_track.belief.particles.weighted_sample import WeightedSample, concatenate, prior_of
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.settings.proposals import (
     Auxiliary,
@@ -63,7 +69,9 @@ def inputs_of(motion_of, stream_of):
 def first_of():
     def make(inputs, size=SIZE):
         ancestors = np.repeat(np.arange(SIZE), 2)[:size]
-        return evaluated(inputs, moved(inputs, ancestors, "first"), LogWeights.uniform(size).log, ancestors)
+        return evaluate_sample(
+            inputs, move(inputs, ancestors, "first"), LogWeights.uniform(size).log, ancestors
+        )
 
     return make
 
@@ -108,7 +116,7 @@ def test_where_nothing_fits_ahead_parents_are_drawn_by_their_weights(inputs_of):
 def test_hypotheses_are_kept_by_their_likelihood_and_weighted_by_the_inverse(inputs_of, first_of):
     inputs = inputs_of()
     first = first_of(inputs)
-    found = edited(inputs, first, PriorEditing(rounds=1, accept_above=0.5))
+    found = edit(inputs, first, PriorEditing(rounds=1, accept_above=0.5))
     log = first.evidence.log_likelihood
     others = [np.delete(log, i).max() for i in range(SIZE)]
     chance = np.minimum(1.0, np.exp(log - others) / 0.5)
@@ -125,7 +133,7 @@ def test_hypotheses_are_kept_by_their_likelihood_and_weighted_by_the_inverse(inp
 def test_rounds_are_drawn_from_the_prior_and_share_its_weight(inputs_of, first_of):
     inputs = inputs_of()
     first = first_of(inputs)
-    found = edited(inputs, first, PriorEditing(rounds=3, accept_above=1e-9))  # all are kept
+    found = edit(inputs, first, PriorEditing(rounds=3, accept_above=1e-9))  # all are kept
     assert len(found) == 3 * SIZE
     likely = look(found.states) > np.log(1e-9) + look(found.states).max()
     np.testing.assert_allclose(found.prior_log[likely], -np.log(3 * SIZE))
@@ -138,13 +146,13 @@ def test_evidence_that_says_nothing_edits_nothing(inputs_of, first_of):
     for nothing in (-np.inf, np.nan, np.inf):
         inputs = inputs_of(evaluate=lambda h, p, nothing=nothing: Evidence(np.full(len(h), nothing)))
         first = first_of(inputs)
-        assert edited(inputs, first, PriorEditing(rounds=1)) is first
+        assert edit(inputs, first, PriorEditing(rounds=1)) is first
 
 
 def test_a_part_of_a_pass_has_its_part_of_all_evidence():
     latent = {"n": Hypotheses(np.arange(16.0).reshape(4, 4), {"v": np.arange(4.0)})}
     evidence = Evidence(np.arange(4.0), {"a": np.arange(4.0) + 10}, latent, sampled=np.arange(4.0) + 20)
-    one = Pass(np.arange(20.0).reshape(4, 5), -np.arange(4.0), np.array([3, 2, 1, 0]), evidence)
+    one = WeightedSample(np.arange(20.0).reshape(4, 5), -np.arange(4.0), np.array([3, 2, 1, 0]), evidence)
     part = selected(one, np.array([2, 0]))
     assert part.states.tolist() == [[10, 11, 12, 13, 14], [0, 1, 2, 3, 4]]
     assert part.prior_log.tolist() == [-2, 0] and part.ancestors.tolist() == [1, 3]
@@ -157,7 +165,7 @@ def test_a_part_of_a_pass_has_its_part_of_all_evidence():
     assert part.evidence.sampled.tolist() == [22, 20]
     assert (
         selected(
-            Pass(one.states, one.prior_log, one.ancestors, Evidence(np.arange(4.0))), [1]
+            WeightedSample(one.states, one.prior_log, one.ancestors, Evidence(np.arange(4.0))), [1]
         ).evidence.sampled
         is None
     )
@@ -167,8 +175,10 @@ def test_a_part_of_a_pass_has_its_part_of_all_evidence():
 
 
 def both_of(inputs, first, draws, weights):
-    second = evaluated(inputs, draws.states, LogWeights.normalise(draws.log_alone)[0].log, draws.ancestors)
-    return taken(first, second, draws, weights)
+    second = evaluate_sample(
+        inputs, draws.states, LogWeights.normalise(draws.log_alone)[0].log, draws.ancestors
+    )
+    return combine(first, second, draws, weights)
 
 
 METHODS = {
@@ -204,8 +214,8 @@ def test_weighted_hypotheses_are_a_sample_of_the_prior(method, inputs_of):
         inputs = inputs_of(seed)
         beta = inputs.prior.weights.weights
         ancestors = np.random.default_rng(seed).choice(SIZE, SIZE, p=beta)
-        states = moved(inputs, ancestors, "first")
-        first = evaluated(inputs, states, LogWeights.uniform(SIZE).log, ancestors)
+        states = move(inputs, ancestors, "first")
+        first = evaluate_sample(inputs, states, LogWeights.uniform(SIZE).log, ancestors)
         one = METHODS[method](inputs, first)
         w, x = np.exp(one.prior_log), one.states[:, 0]
         found.append([w.sum(), w @ (x - 100.0), w @ (x - 100.0) ** 2])
@@ -263,25 +273,25 @@ def test_parents_that_did_well_are_drawn_more_often(inputs_of, first_of):
 
 
 def test_mixed_with_the_prior_a_ratio_has_a_floor():
-    np.testing.assert_allclose(np.exp(mixed(np.log([0.5, 3.0]), 0.2)), [0.6, 2.6])
-    assert mixed(np.array([-np.inf]), 0.2)[0] == pytest.approx(np.log(0.2))
-    assert mixed(np.array([-1.0]), 0.0).tolist() == [-1.0]
+    np.testing.assert_allclose(np.exp(mix_defensive(np.log([0.5, 3.0]), 0.2)), [0.6, 2.6])
+    assert mix_defensive(np.array([-np.inf]), 0.2)[0] == pytest.approx(np.log(0.2))
+    assert mix_defensive(np.array([-1.0]), 0.0).tolist() == [-1.0]
 
 
 def test_passes_are_joined_with_their_shares():
-    one = Pass(
+    one = WeightedSample(
         np.zeros((2, 4)),
         np.log([0.5, 0.5]),
         np.array([0, 1]),
         Evidence(np.zeros(2), {"a": np.ones(2)}, sampled=np.zeros(2)),
     )
-    two = Pass(
+    two = WeightedSample(
         np.ones((1, 4)),
         np.zeros(1),
         np.array([7]),
         Evidence(np.ones(1), {"a": np.zeros(1)}, sampled=np.ones(1)),
     )
-    both = joined(one, two, 0.25)
+    both = concatenate(one, two, 0.25)
     np.testing.assert_allclose(np.exp(both.prior_log), [0.125, 0.125, 0.75])
     assert both.ancestors.tolist() == [0, 1, 7] and both.states[:, 0].tolist() == [0, 0, 1]
     assert both.evidence.log_likelihood.tolist() == [0, 0, 1] and both.evidence.messages["a"].tolist() == [
@@ -290,11 +300,14 @@ def test_passes_are_joined_with_their_shares():
         0,
     ]
     assert both.evidence.sampled.tolist() == [0, 0, 1]
-    other_net = Pass(two.states, two.prior_log, two.ancestors, Evidence(np.ones(1), faults={"a": "raised"}))
-    assert joined(one, other_net, 0.25) is one
+    other_net = WeightedSample(
+        two.states, two.prior_log, two.ancestors, Evidence(np.ones(1), faults={"a": "raised"})
+    )
+    assert concatenate(one, other_net, 0.25) is one
     np.testing.assert_allclose(prior_of(both).weights, [0.125, 0.125, 0.75])
     np.testing.assert_allclose(
-        prior_of(Pass(one.states, np.log([1.0, 3.0]), one.ancestors, one.evidence)).weights, [0.25, 0.75]
+        prior_of(WeightedSample(one.states, np.log([1.0, 3.0]), one.ancestors, one.evidence)).weights,
+        [0.25, 0.75],
     )
 
 
@@ -390,7 +403,7 @@ def particles(importance, size=SIZE, **more):
     return spec.Particles.model_validate({"size": size, "proposal": importance, **more})
 
 
-def drawn(settings, inputs):
+def draw_sample(settings, inputs):
     """What a filter with these settings draws, and edits or adds."""
     draw, refine = proposal_of(settings)
     first = draw(inputs)
@@ -407,20 +420,22 @@ def test_a_fixed_number_is_remembered_by_no_method(inputs_of):
         ({"second_pass": {"above_kl": 1e9}}, SIZE),
         ({"second_pass": {"above_kl": 0.0}}, 2 * SIZE),
     ):
-        found = drawn(particles(importance), inputs_of())
-        assert len(found.whole) == number and found.sized is None and found.reports == ()
+        found = draw_sample(particles(importance), inputs_of())
+        assert len(found.whole) == number and found.size_memory is None and found.reports == ()
         assert (found.log_evidence is None) == (number == SIZE)
 
 
 def test_an_adaptive_number_is_remembered_with_or_without_a_second_look(inputs_of):
     """PriorEditing and a first pass alone remember the first pass; a second pass has a say of its own."""
-    plain = drawn(particles("bootstrap", KLD, min=100, max=200), inputs_of())
-    assert plain.sized is not None
-    edited_ = drawn(particles({"prior_editing": {"rounds": 2}}, KLD, min=100, max=200), inputs_of())
-    assert edited_.sized.need == plain.sized.need and len(edited_.reports) == len(plain.reports)
-    quiet = drawn(particles({"second_pass": {"above_kl": 1e9}}, KLD, min=100, max=200), inputs_of())
-    assert quiet.sized.need == plain.sized.need
+    plain = draw_sample(particles("bootstrap", KLD, min=100, max=200), inputs_of())
+    assert plain.size_memory is not None
+    edited_ = draw_sample(particles({"prior_editing": {"rounds": 2}}, KLD, min=100, max=200), inputs_of())
+    assert edited_.size_memory.wanted == plain.size_memory.wanted and len(edited_.reports) == len(
+        plain.reports
+    )
+    quiet = draw_sample(particles({"second_pass": {"above_kl": 1e9}}, KLD, min=100, max=200), inputs_of())
+    assert quiet.size_memory.wanted == plain.size_memory.wanted
     np.testing.assert_array_equal(quiet.whole.states, plain.whole.states)
-    always = drawn(particles({"second_pass": {"above_kl": 0.0}}, KLD, min=100, max=200), inputs_of())
-    assert len(always.whole) > len(plain.whole) and always.sized.need != plain.sized.need
+    always = draw_sample(particles({"second_pass": {"above_kl": 0.0}}, KLD, min=100, max=200), inputs_of())
+    assert len(always.whole) > len(plain.whole) and always.size_memory.wanted != plain.size_memory.wanted
     assert always.log_evidence is not None
