@@ -15,11 +15,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.patches import Ellipse, Rectangle
 
-from bayesnet_track.adapt.assign import assign, gains
+from bayesnet_track.adapt.assign import assign, gated_gains
 from bayesnet_track.numerics.gaussian import chi_square_quantile
-from bayesnet_track.observation.cue import ClaimRule
+from bayesnet_track.observation.cue import AssociationRule
 
-RULE = ClaimRule(0.06, 0.06, 0.999, 0.2, 0.0)
+RULE = AssociationRule(0.06, 0.06, 0.999, 0.2, 0.0)
 EXPECTED = {
     "1": (np.array([100.0, 100, 40, 90]), 6.0),
     "2": (np.array([132.0, 104, 42, 92]), 5.0),
@@ -38,7 +38,9 @@ def main() -> None:
     options = parser.parse_args()
     gain = np.array(
         [
-            gains(mean, np.diag([sd**2, sd**2, 9.0, 9.0]), FOUND, RULE, lambda boxes: np.zeros(len(boxes)))
+            gated_gains(
+                mean, np.diag([sd**2, sd**2, 9.0, 9.0]), FOUND, RULE, lambda boxes: np.zeros(len(boxes))
+            )
             for mean, sd in EXPECTED.values()
         ]
     )

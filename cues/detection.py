@@ -2,7 +2,7 @@
 
 Detections are shared out before any target is weighed: all targets of a plate at once, each detection to one
 target at most, by where each target is expected and, if wanted, by looks
-(`bayesnet_track.engine.lifecycle.claiming`). A target that gets none hears nothing from this agent,
+(`bayesnet_track.engine.lifecycle.association`). A target that gets none hears nothing from this agent,
 so that its belief predicts.
 """
 
@@ -15,8 +15,8 @@ import numpy as np
 from pydantic import Field
 
 from bayesnet_track.observation.cue import (
-    CLAIM,
-    ClaimRule,
+    OWN_DETECTION,
+    AssociationRule,
     CueDeclaration,
     CueParameters,
     Floats,
@@ -65,10 +65,10 @@ class Detection:
     context: ClassVar[float] = 0.0
 
     @property
-    def rule(self) -> ClaimRule:
+    def rule(self) -> AssociationRule:
         """Which detection is the target's."""
         p = self.parameters
-        return ClaimRule(p.sd_place, p.sd_size, p.gate, p.min_overlap, p.appearance)
+        return AssociationRule(p.sd_place, p.sd_size, p.gate, p.min_overlap, p.appearance)
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """Nothing: a detection is this frame's."""
@@ -82,10 +82,10 @@ class Detection:
         self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
     ) -> Measurement | None:
         """x, y, w, h of the detection given, errors independent; None without one."""
-        claim = reference.get(CLAIM)
-        if claim is None or len(claim) == 0:
+        own = reference.get(OWN_DETECTION)
+        if own is None or len(own) == 0:
             return None
-        box = np.array(claim[0, :4], dtype=np.float64)
+        box = np.array(own[0, :4], dtype=np.float64)
         covariance = np.diag(self.rule.variances(box))
         return Measurement(("x", "y", "w", "h"), box, covariance, self.parameters.floor)
 
@@ -97,6 +97,6 @@ CUE = CueDeclaration(
     make=Detection,
     cost_ms=0.05,
     is_appearance=False,
-    reads_claim=True,
+    reads_detection=True,
     measures=True,
 )

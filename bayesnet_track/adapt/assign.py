@@ -7,16 +7,20 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.claims import NOBODY, Owners
+from bayesnet_track.adapt.association import NOBODY, Owners
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.numerics.gaussian import chi_square_quantile
-from bayesnet_track.observation.cue import ClaimRule
+from bayesnet_track.observation.cue import AssociationRule
 
 Floats = NDArray[np.float64]
 
 
-def gains(
-    mean: Floats, covariance: Floats, boxes: Floats, rule: ClaimRule, log_looks: Callable[[Floats], Floats]
+def gated_gains(
+    mean: Floats,
+    covariance: Floats,
+    boxes: Floats,
+    rule: AssociationRule,
+    log_looks: Callable[[Floats], Floats],
 ) -> Floats:
     """(N,) log of what speaks for detections z (N, 4) to be a target's: N(z; m, P + R) L(z)^appearance.
 

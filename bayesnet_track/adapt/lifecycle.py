@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.claims import NOBODY, distances, pair_up
+from bayesnet_track.adapt.association import NOBODY, distances, pair_up
 from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, MergeDuplicates
 from bayesnet_track.journal.net.net import Fault
 from bayesnet_track.observation.cue import Reference
@@ -128,7 +128,7 @@ class TrackHistory:
 def feed(
     candidates: Sequence[Candidate], boxes: Floats, scores: Floats, frame: int, rule: Birth
 ) -> tuple[Candidate, ...]:
-    """The candidates after a look that found the boxes (N, 4), the best first, which no live target claims.
+    """The candidates after a look that found the boxes (N, 4), the best first, which are no live target's.
 
     A candidate goes on with the nearest box within `FOLLOW_BOX` of where it is expected. One that was missed
     too often to be confirmed by the looks it has left is dropped. No more than twice `rule.max_targets` (and

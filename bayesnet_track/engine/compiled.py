@@ -26,7 +26,7 @@ from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.capabilities import make_cue
 from bayesnet_track.observation.cue import (
     AnyCue,
-    ClaimRule,
+    AssociationRule,
     CueDeclaration,
     rule_of,
 )
@@ -79,7 +79,7 @@ class CompiledPlate:
     part_of: Mapping[str, str] = field(default_factory=dict)
     moving: Moving | None = None
     finder: Detector | None = None
-    association_rules: Mapping[str, ClaimRule] = field(default_factory=dict)
+    association_rules: Mapping[str, AssociationRule] = field(default_factory=dict)
     opaque: frozenset[str] = frozenset()
     declared: Mapping[str, CueDeclaration] = field(default_factory=dict)
 
@@ -188,7 +188,7 @@ def _compile_plate(
         part_of=part_of_agents(plate),
         moving=moving,
         finder=None if moving is None else _finder(moving),
-        association_rules={agent: rule_of(cue) for agent, cue in made.items() if of[agent].reads_claim},
+        association_rules={agent: rule_of(cue) for agent, cue in made.items() if of[agent].reads_detection},
         opaque=frozenset(agent for agent in plate.agents if of[agent].opaque),
         declared=of,
     )

@@ -20,7 +20,7 @@ from bayesnet_track.engine.filtering import Filtered, filter_target
 from bayesnet_track.engine.finishing import finish_target
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.joining import join_targets
-from bayesnet_track.engine.lifecycle.claiming import look_first
+from bayesnet_track.engine.lifecycle.association import associate_first
 from bayesnet_track.engine.lifecycle.track_management import manage_tracks
 from bayesnet_track.engine.outcome import (
     Outcome,
@@ -66,8 +66,8 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
     work = FrameWork(engine, state.net, cache, given.availability, given.by_hand)
 
     # Which detections are whose, where agents measure by them
-    looked = look_first(work, state.targets, state.history)
-    before = state.targets if looked is None else looked.targets
+    associated = associate_first(work, state.targets, state.history)
+    before = state.targets if associated is None else associated.targets
 
     # Predict and update: by each target's own agents, then together where targets are joined
     elsewhere = send_off(work, before)
@@ -84,7 +84,7 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
     outcome = carried_out(work, state, {target: results[target] for target in before}, joint)
 
     # Targets start and end, join and part; load is shed
-    outcome = manage_tracks(work, outcome, looked)
+    outcome = manage_tracks(work, outcome, associated)
     outcome = with_joins(work, outcome)
     outcome = with_load(work, outcome, given.timing)
     return with_external_inputs(outcome, given)

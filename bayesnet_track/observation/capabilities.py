@@ -15,7 +15,7 @@ METHODS: Mapping[str, str] = MappingProxyType(
         "measures": "measure",
         "adapts": "adapt",
         "reads_angle": "learn_turned",
-        "reads_claim": "rule",
+        "reads_detection": "rule",
         "has_residuals": "residuals",
     }
 )

@@ -28,11 +28,11 @@ from bayesnet_track.observation.likelihoods import log_logistic as log_logistic
 from bayesnet_track.observation.likelihoods import log_size_penalty as log_size_penalty
 from bayesnet_track.observation.plugins import installed
 from bayesnet_track.observation.protocols import ANGLE as ANGLE
-from bayesnet_track.observation.protocols import CLAIM as CLAIM
 from bayesnet_track.observation.protocols import CONTEXT as CONTEXT
+from bayesnet_track.observation.protocols import OWN_DETECTION as OWN_DETECTION
 from bayesnet_track.observation.protocols import AnyCue as AnyCue
-from bayesnet_track.observation.protocols import ClaimingCue as ClaimingCue
-from bayesnet_track.observation.protocols import ClaimRule as ClaimRule
+from bayesnet_track.observation.protocols import AssociatingCue as AssociatingCue
+from bayesnet_track.observation.protocols import AssociationRule as AssociationRule
 from bayesnet_track.observation.protocols import Cue as Cue
 from bayesnet_track.observation.protocols import Hypotheses as Hypotheses
 from bayesnet_track.observation.protocols import LocallyAdaptable as LocallyAdaptable
@@ -136,7 +136,7 @@ class CueDeclaration:
             or None; `validate` asks it. Without it nothing is needed.
         measures: True for a `MeasuringCue`: it has `measure`, and no `log_likelihood`.
         adapts: True for a `LocallyAdaptable` one: it has `adapt`.
-        reads_claim: True for a `ClaimingCue`: it has `rule`.
+        reads_detection: True for a `AssociatingCue`: it has `rule`.
         reads_angle: True for a `Turnable` one: it has `learn_turned`.
         has_residuals: True for one whose standard deviations can be fitted (`Residual`): it has `residuals`.
 
@@ -158,7 +158,7 @@ class CueDeclaration:
     missing: Callable[[Any], str | None] | None = None
     measures: bool = False
     adapts: bool = False
-    reads_claim: bool = False
+    reads_detection: bool = False
     reads_angle: bool = False
     has_residuals: bool = False
 

@@ -134,12 +134,12 @@ class MeasuringCue(Protocol):
         ...
 
 
-CLAIM = "claim"
-"""Name, in a reference, of the detection that the target was given for this frame; see `ClaimingCue`."""
+OWN_DETECTION = "claim"
+"""Name, in a reference, of the detection that the target was given for this frame; see `AssociatingCue`."""
 
 
 @dataclass(frozen=True)
-class ClaimRule:
+class AssociationRule:
     """Which detection a target is given as its own, and how far off detections are.
 
     Attributes:
@@ -164,15 +164,15 @@ class ClaimRule:
 
 
 @runtime_checkable
-class ClaimingCue(MeasuringCue, Protocol):
+class AssociatingCue(MeasuringCue, Protocol):
     """A cue that measures by a detection: one that no other target of its plate is given in this frame.
 
-    When it is asked its reference holds a further array, `CLAIM`: (1, 5) the detection's centre box and
-    score, or (0, 5) when the target is given none. What it learns holds no such array.
+    When it is asked its reference holds a further array, `OWN_DETECTION`: (1, 5) the detection's centre box
+    and score, or (0, 5) when the target is given none. What it learns holds no such array.
     """
 
     @property
-    def rule(self) -> ClaimRule:
+    def rule(self) -> AssociationRule:
         """Which detection is the target's."""
         ...
 
@@ -180,9 +180,9 @@ class ClaimingCue(MeasuringCue, Protocol):
 AnyCue = Cue | MeasuringCue
 
 
-def rule_of(cue: AnyCue) -> ClaimRule:
+def rule_of(cue: AnyCue) -> AssociationRule:
     """The rule of a cue that is declared to read claims."""
-    assert isinstance(cue, ClaimingCue)
+    assert isinstance(cue, AssociatingCue)
     return cue.rule
 
 

@@ -24,7 +24,7 @@ from bayesnet_track.sources.paths import SourceError
 
 WIDTH, HEIGHT, FRAMES = 96, 72, 7
 GEOMETRY = StereoGeometry(300.0, 0.2, WIDTH / 2, HEIGHT / 2)
-CUES = sorted(name for name, one in installed_cues().items() if not one.reads_claim)
+CUES = sorted(name for name, one in installed_cues().items() if not one.reads_detection)
 """Those that look at the picture."""
 WITH_MODEL = sorted(name for name, one in installed_cues().items() if "model" in one.parameters.model_fields)
 NEEDS_COLOR = sorted(name for name, one in installed_cues().items() if one.needs_color)

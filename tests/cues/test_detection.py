@@ -2,15 +2,15 @@
 
 import numpy as np
 
-from bayesnet_track.observation.cue import CLAIM, ClaimingCue
+from bayesnet_track.observation.cue import OWN_DETECTION, AssociatingCue
 
 
 def test_it_measures_the_detection_that_the_target_was_given(ask, scene):
     asked = ask("detection", sd_place=0.1, sd_size=0.05, floor=0.03)
-    assert isinstance(asked.cue, ClaimingCue)
+    assert isinstance(asked.cue, AssociatingCue)
     reference = asked.learn(scene.pair(), scene.box())
     claim = np.array([[150.0, 110.0, 40.0, 80.0, 0.7]])
-    measured = asked.measure(scene.pair(), scene.box()[None], {**reference, CLAIM: claim})
+    measured = asked.measure(scene.pair(), scene.box()[None], {**reference, OWN_DETECTION: claim})
     assert measured.fields == ("x", "y", "w", "h") and measured.floor == 0.03
     np.testing.assert_array_equal(measured.mean, claim[0, :4])
     np.testing.assert_allclose(measured.covariance, np.diag([4.0, 8.0, 2.0, 4.0]) ** 2)
@@ -19,11 +19,11 @@ def test_it_measures_the_detection_that_the_target_was_given(ask, scene):
 def test_without_a_detection_it_is_silent(ask, scene):
     asked = ask("detection")
     reference = asked.learn(scene.pair(), scene.box())
-    for given in (reference, {**reference, CLAIM: np.empty((0, 5))}):
+    for given in (reference, {**reference, OWN_DETECTION: np.empty((0, 5))}):
         assert asked.measure(scene.pair(), scene.box()[None], given) is None
 
 
 def test_what_was_given_in_a_frame_is_not_learnt(ask, scene):
     asked = ask("detection")
     learnt = asked.learn(scene.pair(), scene.box())
-    assert CLAIM not in asked.cue.blend({**learnt, CLAIM: np.ones((1, 5))}, learnt, 0.5)
+    assert OWN_DETECTION not in asked.cue.blend({**learnt, OWN_DETECTION: np.ones((1, 5))}, learnt, 0.5)

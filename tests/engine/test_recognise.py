@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.adapt.claims import NOBODY, alike, claim, distances, pair_up
+from bayesnet_track.adapt.association import NOBODY, alike, associate, distances, pair_up
 from bayesnet_track.adapt.lifecycle import AppearanceMemory, belief_overlap, is_refusal_notable
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.engine.lifecycle.recognise import (
@@ -32,10 +32,10 @@ def test_one_detection_is_claimed_and_near_ones_are_nobodys():
     boxes = np.array(
         [[70.0, 50, 20, 20], [58, 50, 20, 20], [54, 57, 8, 8], [90, 50, 20, 20], [52, 50, 20, 20]]
     )
-    owner, free = claim(boxes, live, np.array([0.0]), 0.5)
+    owner, free = associate(boxes, live, np.array([0.0]), 0.5)
     assert owner.tolist() == [-1, -1, -1, -1, 0] and free.tolist() == [True, False, False, True, False]
     # An unsure target reaches farther for its one detection: 20 px are a side, 2 sd of 5 px half of one.
-    owner, free = claim(boxes[:1], live, np.array([5.0]), 0.5)
+    owner, free = associate(boxes[:1], live, np.array([5.0]), 0.5)
     assert owner.tolist() == [0] and free.tolist() == [False]
 
 
@@ -66,9 +66,9 @@ def test_of_equal_costs_the_lower_row_and_column_come_first():
 
 def test_nobody_claims_where_nobody_is():
     boxes = np.array([[70.0, 50, 20, 20]])
-    owner, free = claim(boxes, np.empty((0, 4)), np.empty(0), 0.5)
+    owner, free = associate(boxes, np.empty((0, 4)), np.empty(0), 0.5)
     assert owner.tolist() == [NOBODY] and free.tolist() == [True]
-    owner, free = claim(np.empty((0, 4)), boxes, np.array([1.0]), 0.5)
+    owner, free = associate(np.empty((0, 4)), boxes, np.array([1.0]), 0.5)
     assert owner.shape == free.shape == (0,)
 
 

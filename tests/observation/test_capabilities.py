@@ -88,7 +88,7 @@ def test_every_built_in_cue_is_what_it_declares(name):
 
 @pytest.mark.parametrize("flag", METHODS)
 def test_a_flag_without_its_method_names_cue_flag_and_method(flag):
-    base = Measures if flag == "reads_claim" else Plain
+    base = Measures if flag == "reads_detection" else Plain
     settings = {flag: True, **({"measures": True} if base is Measures else {})}
     if flag == "measures":
         base = type("Neither", (), {"needs": (), "learn": Plain.learn})

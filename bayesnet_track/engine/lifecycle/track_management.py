@@ -1,9 +1,9 @@
 """The life of targets in one frame: detections become targets, lost ones are found, nets end.
 
-`manage_tracks` comes after every live target is finished. Detectors look; live targets claim what they hold;
-what is left is compared with the lost, gathers looks, and becomes a target, an old one when it is recognised.
-Then the younger of two nets that hold one object ends, and those that were lost for too long. All of it is a
-function of the engine, what is remembered and the frame.
+`manage_tracks` comes after every live target is finished. Detectors look; live targets are given what they
+hold; what is left is compared with the lost, gathers looks, and becomes a target, an old one when it is
+recognised. Then the younger of two nets that hold one object ends, and those that were lost for too long. All
+of it is a function of the engine, what is remembered and the frame.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.claims import NOBODY, alike, claim
+from bayesnet_track.adapt.association import NOBODY, alike, associate
 from bayesnet_track.adapt.lifecycle import (
     AppearanceMemory,
     Candidate,
@@ -28,7 +28,7 @@ from bayesnet_track.adapt.lifecycle import (
     overlapping,
 )
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.lifecycle.claiming import Looked
+from bayesnet_track.engine.lifecycle.association import Associated
 from bayesnet_track.engine.lifecycle.detecting import Found, look
 from bayesnet_track.engine.lifecycle.recognise import Match, match
 from bayesnet_track.engine.lifecycle.reidentifying import compare
@@ -50,10 +50,11 @@ REMEMBERED = 4
 """Dead targets that are remembered, in multiples of `birth.max_targets`."""
 
 
-def manage_tracks(work: FrameWork, outcome: Outcome, looked: Looked | None = None) -> Outcome:
+def manage_tracks(work: FrameWork, outcome: Outcome, associated: Associated | None = None) -> Outcome:
     """The outcome after the frame's births, returns and deaths; as it is where no plate has any.
 
-    `looked` holds what the detectors found, and whose it is, where they looked before targets were weighed.
+    `associated` holds what the detectors found, and whose it is, where they looked before targets were
+    weighed.
     """
     frame, plates, started = work.frame, work.engine.plates, work.engine.clock()
     rules = {
@@ -64,15 +65,15 @@ def manage_tracks(work: FrameWork, outcome: Outcome, looked: Looked | None = Non
     state = outcome.state
     tracks = TrackTable(state.net, dict(state.targets), list(outcome.metrics), state.history)
     _count(tracks, rules, frame)
-    if looked is None:
-        found, tracks.history, told = look(work, tracks.history, tracks.boxes, tracks.held)
+    if associated is None:
+        found, tracks.history, events = look(work, tracks.history, tracks.boxes, tracks.held)
     else:
-        found, told = looked.found, looked.told
-    tracks.events += told
+        found, events = associated.found, associated.events
+    tracks.events += events
     for plate, rule in rules.items():
         if plate in found and rule.birth is not None:
             now = _Births(work, tracks, plate, rule, rule.birth)
-            _give_birth(now, found[plate], None if looked is None else looked.owners.get(plate))
+            _give_birth(now, found[plate], None if associated is None else associated.owners.get(plate))
     for plate, rule in rules.items():
         _end_duplicates(tracks, plate, rule, frame)
         _end_lost(tracks, plate, rule, frame)
@@ -130,7 +131,7 @@ def _give_birth(now: _Births, found: Found, owners: tuple[str | None, ...] | Non
     held = tracks.held(now.plate)
     if owners is None:
         sd = np.array([_sd_px(tracks.targets[target]) for target in held])
-        owner, free = claim(found.boxes, tracks.boxes(held), sd, apart, covered)
+        owner, free = associate(found.boxes, tracks.boxes(held), sd, apart, covered)
         seen = [held[k] for k in owner if k != NOBODY]
     else:
         seen = [target for target in owners if target is not None]

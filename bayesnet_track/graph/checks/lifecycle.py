@@ -52,11 +52,11 @@ def recall_has_a_detector(plate: Plate) -> Iterator[GraphMessage]:
         )
 
 
-def claiming_agents_have_births(plate: Plate) -> Iterator[GraphMessage]:
+def associating_agents_have_births(plate: Plate) -> Iterator[GraphMessage]:
     """An agent that measures by detections stands beside `birth`, whose detector gives them."""
     for name, node in plate.agents.items():
         declaration = plate.cues.get(node.agent.cue)
-        if declaration is not None and declaration.reads_claim and plate.spec.birth is None:
+        if declaration is not None and declaration.reads_detection and plate.spec.birth is None:
             found = f"{node.agent.cue} without birth, whose detector would give it detections"
             yield plate.message(name, found, "birth, too", key=("agent",))
 
@@ -77,5 +77,5 @@ LIFE_CHECKS: tuple[Check, ...] = (
     detectors_are_installed,
     parameters_fit_the_detector,
     recall_has_a_detector,
-    claiming_agents_have_births,
+    associating_agents_have_births,
 )

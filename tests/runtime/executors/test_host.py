@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.observation.cue import (
-    ClaimingCue,
+    AssociatingCue,
     Cue,
     LocallyAdaptable,
     Measurement,
@@ -24,7 +24,7 @@ from bayesnet_track.runtime.executors.proxy import SentFrames
 from bayesnet_track.runtime.executors.proxy import placed as place
 from bayesnet_track.runtime.executors.questions import LEAST_BYTES, EncodedReference, Sent
 
-PROTOCOLS = (Cue, MeasuringCue, ClaimingCue, LocallyAdaptable, Turnable)
+PROTOCOLS = (Cue, MeasuringCue, AssociatingCue, LocallyAdaptable, Turnable)
 
 
 class Across:

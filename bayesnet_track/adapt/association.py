@@ -1,4 +1,4 @@
-"""Which detection belongs to whom: live targets claim what they hold, and candidates what follows them."""
+"""Which detection belongs to whom: nearest pairs of detections and live targets, or candidates."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def pair_up(cost: Floats, limit: Floats) -> Owners:
     return owner
 
 
-def claim(
+def associate(
     detections: Floats, live: Floats, sd_px: Floats, apart: float, covered: float = COVERED
 ) -> tuple[Owners, NDArray[np.bool_]]:
     """Who holds which detection, and which are free.
@@ -63,8 +63,8 @@ def claim(
         covered: how much of the smaller box another holds that is taken for the same object.
 
     Returns:
-        (N,) the live target that claims it, one to one, or `NOBODY`; and (N,) True where nobody claims it
-        and it is nobody's second detection either.
+        (N,) the live target that it is given to, one to one, or `NOBODY`; and (N,) True where it is nobody's
+        second detection either.
     """
     if len(live) == 0 or len(detections) == 0:
         return np.full(len(detections), NOBODY, dtype=np.intp), np.ones(len(detections), dtype=bool)

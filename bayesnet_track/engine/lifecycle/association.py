@@ -15,8 +15,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.assign import assign, gains
-from bayesnet_track.adapt.claims import NOBODY
+from bayesnet_track.adapt.assign import assign, gated_gains
+from bayesnet_track.adapt.association import NOBODY
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.belief.gaussian.predict import predict
 from bayesnet_track.belief.motion.bounds import Confined
@@ -27,7 +27,7 @@ from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.journal.events.life_events import DetectorFailed
-from bayesnet_track.observation.cue import CLAIM, ClaimRule, Hypotheses
+from bayesnet_track.observation.cue import OWN_DETECTION, AssociationRule, Hypotheses
 
 Floats = NDArray[np.float64]
 
@@ -36,37 +36,40 @@ LEAST_LOG = -50.0
 
 
 @dataclass(frozen=True, eq=False)
-class Looked:
+class Associated:
     """What a look before the targets were weighed gave.
 
     Attributes:
         found: plate that looked -> its detections, the best first.
-        owners: plate whose agents claim -> (N,) for each of its detections the target that it was given to.
-        targets: every live target, the references of agents that claim with what they were given.
+        owners: plate whose agents measure by detections -> (N,) for each of its detections the target that it
+            was given to.
+        targets: every live target, the references of such agents with what they were given.
         history: as it was, with the detectors' states after the look.
-        told: detectors that failed.
+        events: detectors that failed.
     """
 
     found: dict[str, Found]
     owners: Mapping[str, tuple[str | None, ...]]
     targets: Mapping[str, TargetState]
     history: TrackHistory
-    told: tuple[DetectorFailed, ...]
+    events: tuple[DetectorFailed, ...]
 
 
-def look_first(work: FrameWork, targets: Mapping[str, TargetState], history: TrackHistory) -> Looked | None:
-    """What the detectors find, shared out among the targets; None where no plate has agents that claim."""
+def associate_first(
+    work: FrameWork, targets: Mapping[str, TargetState], history: TrackHistory
+) -> Associated | None:
+    """Whose the detections are, for plates with agents that measure by them; None where there are none."""
     net, plates = work.net, work.engine.plates
     if not any(compiled.association_rules for compiled in plates.values()):
         return None
     started = work.engine.clock()
-    expected = {target: _predicted(work, target, before) for target, before in targets.items()}
+    expected = {target: _predict_box(work, target, before) for target, before in targets.items()}
 
     def held(plate: str) -> list[str]:
         of_plate = (target for target in targets if net.targets[target].template == plate)
         return [target for target in of_plate if net.targets[target].status != "lost"]
 
-    found, history, told = look(
+    found, history, events = look(
         work, history, lambda names: np.array([expected[name][0] for name in names]).reshape(-1, 4), held
     )
     given = dict(targets)
@@ -79,23 +82,23 @@ def look_first(work: FrameWork, targets: Mapping[str, TargetState], history: Tra
         rule = next(iter(compiled.association_rules.values()))
         gain = np.full((len(names), len(seen.boxes)), -np.inf)
         for row, target in enumerate(names):
-            looks = partial(_looks, work, target, targets[target])
-            gain[row] = gains(*expected[target], seen.boxes, rule, looks)
+            looks = partial(_score_looks, work, target, targets[target])
+            gain[row] = gated_gains(*expected[target], seen.boxes, rule, looks)
         owner = assign(gain)
         whose: list[str | None] = [None] * len(seen.boxes)
         for target, number in zip(names, owner.tolist(), strict=True):
-            claim = np.empty((0, 5))
+            own = np.empty((0, 5))
             if number != NOBODY:
                 whose[number] = target
-                claim = np.append(seen.boxes[number], seen.scores[number])[None]
-            given[target] = _with_claim(targets[target], compiled.association_rules, claim)
+                own = np.append(seen.boxes[number], seen.scores[number])[None]
+            given[target] = _give_detection(targets[target], compiled.association_rules, own)
         if plate in found:
             owners[plate] = tuple(whose)
     work.charge("life", started)
-    return Looked(found, owners, given, history, told)
+    return Associated(found, owners, given, history, events)
 
 
-def _predicted(work: FrameWork, target: str, before: TargetState) -> tuple[Floats, Floats]:
+def _predict_box(work: FrameWork, target: str, before: TargetState) -> tuple[Floats, Floats]:
     """(4,) mean and (4, 4) covariance of the box that the target is expected to have in this frame.
 
     Exact of a Gaussian belief under linear motion, else by moments and the motion's derivative.
@@ -107,7 +110,7 @@ def _predicted(work: FrameWork, target: str, before: TargetState) -> tuple[Float
     return mean[:4], covariance[:4, :4]
 
 
-def _looks(work: FrameWork, target: str, state: TargetState, boxes: Floats) -> Floats:
+def _score_looks(work: FrameWork, target: str, state: TargetState, boxes: Floats) -> Floats:
     """(N,) log-likelihood of boxes (N, 4) by all agents that know the target's looks, switched on or not."""
     compiled = work.plate_of(target)
     agents = [a for a in compiled.plate.agents if a in compiled.looks and a in state.references]
@@ -128,8 +131,10 @@ def _looks(work: FrameWork, target: str, state: TargetState, boxes: Floats) -> F
     return np.clip(evaluate(plan, observer, Hypotheses(boxes), prior).log_likelihood, LEAST_LOG, 0.0)
 
 
-def _with_claim(state: TargetState, agents: Mapping[str, ClaimRule], claim: Floats) -> TargetState:
+def _give_detection(state: TargetState, agents: Mapping[str, AssociationRule], own: Floats) -> TargetState:
     given = {
-        agent: {**state.references[agent], CLAIM: claim} for agent in agents if agent in state.references
+        agent: {**state.references[agent], OWN_DETECTION: own}
+        for agent in agents
+        if agent in state.references
     }
     return replace(state, references={**state.references, **given})
