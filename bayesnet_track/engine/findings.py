@@ -34,7 +34,7 @@ class Measured:
         scored: what the score remembers.
         score: probability of being on target; None where the graph does not say how it comes about.
         bound: the most that the score may be.
-        rival: what looks like the target beside it.
+        distractor: what looks like the target beside it.
     """
 
     state: Floats
@@ -44,7 +44,7 @@ class Measured:
     scored: Scored
     score: float | None = None
     bound: float = 1.0
-    rival: DistractorSeen | None = None
+    distractor: DistractorSeen | None = None
 
 
 @dataclass(frozen=True, eq=False)

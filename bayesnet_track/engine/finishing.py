@@ -17,13 +17,13 @@ from bayesnet_track.adapt.rules import decide
 from bayesnet_track.adapt.situation import Situation, quiet_level
 from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.belief.states import hypotheses_of
+from bayesnet_track.engine.distractors import find_distractor
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.findings import Decided, Learnt, Measured, TargetResult
 from bayesnet_track.engine.frame_metrics import frame_metrics
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.learning import learn
-from bayesnet_track.engine.rivals import rival_seen
-from bayesnet_track.engine.score import most, probability, with_rival
+from bayesnet_track.engine.score import most, probability, with_distractor
 from bayesnet_track.engine.starting import start_late
 from bayesnet_track.engine.state import TargetState, applied, inside_frame
 from bayesnet_track.inference.guard import changes, watch
@@ -62,15 +62,17 @@ def measure_target(work: FrameWork, filtered: Filtered, state: Floats) -> Measur
     scored = filtered.before.scored
     if root.score is None:
         return Measured(state, box, net, measures, scored)
-    rule, rival = root.score.settings, None
+    rule, distractor = root.score.settings, None
     scored = scored.after(rule, measures, filtered.step, measures.ud_px2[compiled.plate.root])
     if root.distractors is not None:
         able = compiled.cues.keys() - live.quarantined
-        rival = rival_seen(root.distractors, work.frame.index, filtered.target, able, filtered.step, measures)
-        scored = with_rival(scored, rival, root.distractors.frames)
+        distractor = find_distractor(
+            root.distractors, work.frame.index, filtered.target, able, filtered.step, measures
+        )
+        scored = with_distractor(scored, distractor, root.distractors.frames)
     bound = most(rule, measures.fit, scored.doubt)
     score = min(probability(rule, scored.smooth), bound)
-    return Measured(state, box, net, measures, scored, score, bound, rival)
+    return Measured(state, box, net, measures, scored, score, bound, distractor)
 
 
 def decide_target(work: FrameWork, filtered: Filtered, measured: Measured) -> Decided:
@@ -170,8 +172,8 @@ def describe_target(
     ]
     if stepped.degenerate is not None:
         told.append(DegenerateBelief(frame.index, target, stepped.degenerate))
-    if measured.rival is not None and measured.scored.doubt > 0 and not before.scored.doubt:
-        told.append(measured.rival)
+    if measured.distractor is not None and measured.scored.doubt > 0 and not before.scored.doubt:
+        told.append(measured.distractor)
     told += changes(frame.index, target, before.watched, learnt.watched, learnt.judged, compiled.guard)
     spread = stepped.posterior.covariance
     metrics = frame_metrics(work, filtered, measured, decided, learnt, spread)

@@ -40,14 +40,14 @@ class Scored:
         smooth: feature -> its filtered value; empty before the first frame.
         usual: agent -> its log evidence in its first frames.
         side_px: sqrt(w h) of the first estimate.
-        rivals: consecutive frames with a rival, up to the last one.
-        doubt: frames for which the score is at most one half, since a rival was seen.
+        distractors: consecutive frames with a distractor, up to the last one.
+        doubt: frames for which the score is at most one half, since a distractor was seen.
     """
 
     smooth: Mapping[str, float] = field(default_factory=dict)
     usual: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     side_px: float | None = None
-    rivals: int = 0
+    distractors: int = 0
     doubt: int = 0
 
     def after(self, rule: Logistic, measures: Measures, step: Step[Posterior], ud_px2: float) -> Scored:
@@ -74,14 +74,14 @@ class Scored:
             name: value if gain == 1.0 else self.smooth[name] + gain * (value - self.smooth[name])
             for name, value in found.items()
         }
-        return Scored(smooth, usual, first, self.rivals, max(self.doubt - 1, 0))
+        return Scored(smooth, usual, first, self.distractors, max(self.doubt - 1, 0))
 
 
-def with_rival(scored: Scored, rival: DistractorSeen | None, frames: int) -> Scored:
-    """With the rival of this frame, if there is one; `frames` in a row put the target in doubt."""
-    count = 0 if rival is None else scored.rivals + 1
-    doubt = rival.hold if rival is not None and count >= frames else scored.doubt
-    return replace(scored, rivals=count, doubt=doubt)
+def with_distractor(scored: Scored, distractor: DistractorSeen | None, frames: int) -> Scored:
+    """With the distractor of this frame, if there is one; `frames` in a row put the target in doubt."""
+    count = 0 if distractor is None else scored.distractors + 1
+    doubt = distractor.hold if distractor is not None and count >= frames else scored.doubt
+    return replace(scored, distractors=count, doubt=doubt)
 
 
 def probability(rule: Logistic, features: Mapping[str, float]) -> float:

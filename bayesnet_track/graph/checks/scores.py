@@ -44,7 +44,7 @@ def score_levels_in_order(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, "one of above, score_below", key=("lost", "above"), on_key=True)
 
 
-def rivals_are_noticed(plate: Plate) -> Iterator[GraphMessage]:
+def distractors_are_noticed(plate: Plate) -> Iterator[GraphMessage]:
     """A doubt makes the score one half: a level of uncertainty has to lie above."""
     for name, node in plate.inference.items():
         high = None if node.lost is None else node.lost.uncertain_below
@@ -73,6 +73,6 @@ def localization_error_is_larger_when_lost(plate: Plate) -> Iterator[GraphMessag
 SCORE_CHECKS: tuple[Check, ...] = (
     score_serves_its_users,
     score_levels_in_order,
-    rivals_are_noticed,
+    distractors_are_noticed,
     localization_error_is_larger_when_lost,
 )

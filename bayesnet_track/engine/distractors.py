@@ -12,7 +12,7 @@ from bayesnet_track.graph.settings.scores import Distractors
 from bayesnet_track.journal.events.distractor_events import DistractorSeen
 
 
-def rival_seen(
+def find_distractor(
     rule: Distractors,
     frame: int,
     target: str,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Tracker
-from bayesnet_track.engine.score import Scored, most, with_rival
+from bayesnet_track.engine.score import Scored, most, with_distractor
 from bayesnet_track.evaluate.calibration import longest_run
 from bayesnet_track.graph.spec import Distractors, Logistic
 from bayesnet_track.journal.events.distractor_events import DistractorSeen
@@ -16,11 +16,11 @@ from bayesnet_track.sources.scenes import make_scene
 SEEN = DistractorSeen(5, "1", 80.0, 60.0, 0.9, 1.5, 4.0, 0.3, 250)
 
 
-def test_only_rivals_in_a_row_put_it_in_doubt_and_the_doubt_ends():
-    once = with_rival(Scored(), SEEN, 2)
-    assert once.doubt == 0 and with_rival(with_rival(once, None, 2), SEEN, 2).doubt == 0
-    twice = with_rival(once, SEEN, 2)
-    assert twice.doubt == SEEN.hold and with_rival(twice, None, 2).doubt == SEEN.hold
+def test_only_distractors_in_a_row_put_it_in_doubt_and_the_doubt_ends():
+    once = with_distractor(Scored(), SEEN, 2)
+    assert once.doubt == 0 and with_distractor(with_distractor(once, None, 2), SEEN, 2).doubt == 0
+    twice = with_distractor(once, SEEN, 2)
+    assert twice.doubt == SEEN.hold and with_distractor(twice, None, 2).doubt == SEEN.hold
     assert Distractors().frames == 2
 
 
