@@ -19,7 +19,7 @@ from bayesnet_track.graph.settings.lifecycle import LifeRules, life_rules
 from bayesnet_track.graph.settings.motion import Moving
 from bayesnet_track.graph.spec import Guard, Join, Learn
 from bayesnet_track.graph.text.write import as_plain, flow_text
-from bayesnet_track.inference.executor import Crew, Executor, Serial
+from bayesnet_track.inference.executor import Executor, Serial, TargetExecutor
 from bayesnet_track.inference.parts import part_of_agents
 from bayesnet_track.numerics.compile_watch import working_clock
 from bayesnet_track.numerics.streams import Streams
@@ -95,7 +95,7 @@ class Engine:
         clock: seconds, for timings only.
         joins: how targets depend on each other.
         executor: how the agents of a frame are asked; changes no result.
-        crew: who advances whole nets elsewhere, which changes no result; None for nobody.
+        target_executor: who advances whole nets elsewhere, which changes no result; None for nobody.
     """
 
     plates: Mapping[str, CompiledPlate]
@@ -104,7 +104,7 @@ class Engine:
     detectors: Mapping[str, Detector] = field(default_factory=dict)
     joins: tuple[Join, ...] = ()
     executor: Executor = field(default_factory=Serial)
-    crew: Crew | None = None
+    target_executor: TargetExecutor | None = None
 
 
 def make_engine(

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from bayesnet_track.engine.attachment import Rides
 from bayesnet_track.engine.compiled import CompiledPlate, Engine, make_engine
-from bayesnet_track.engine.crew import awaited, send_off
 from bayesnet_track.engine.external_inputs import route_inputs
 from bayesnet_track.engine.filtering import Filtered, filter_target
 from bayesnet_track.engine.finishing import finish_target
@@ -32,6 +31,7 @@ from bayesnet_track.engine.outcome import (
 )
 from bayesnet_track.engine.starting import start
 from bayesnet_track.engine.state import TargetState, applied
+from bayesnet_track.engine.target_execution import collect_elsewhere, start_elsewhere
 from bayesnet_track.journal.events.basic import Event, FrameMetrics
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
@@ -70,7 +70,7 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
     before = state.targets if associated is None else associated.targets
 
     # Predict and update: by each target's own agents, then together where targets are joined
-    elsewhere = send_off(work, before)
+    elsewhere = start_elsewhere(work, before)
     rides = Rides.of(work, state.joins)
     filtered: dict[str, Filtered] = {}
     for target in rides.carriers_first(name for name in before if name not in elsewhere.targets):
@@ -80,7 +80,7 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
 
     # Measure, decide, learn, describe
     results = {target: finish_target(work, one) for target, one in joint.filtered.items()}
-    results |= awaited(work, elsewhere, before)
+    results |= collect_elsewhere(work, elsewhere, before)
     outcome = carried_out(work, state, {target: results[target] for target in before}, joint)
 
     # Targets start and end, join and part; load is shed

@@ -50,7 +50,7 @@ class Serial:
 
 
 def is_elsewhere(cue: Any) -> bool:
-    """Whether a cue is at work in another process, and can be asked now and heard later (`ask_ahead`)."""
+    """Whether a cue is at work in another process, and can be asked now and answer later (`ask_ahead`)."""
     return hasattr(cue, "ask_ahead")
 
 
@@ -63,8 +63,9 @@ def each_at_once(
     """Every piece with what was made of it: first those that `work` makes here, then those from elsewhere.
 
     `ask_ahead` asks who is elsewhere and returns what waits for the answer; None for a piece to be done here.
-    All are asked before anything is done here, and heard after it. The work is done as pairs are collected,
-    in the caller's frame, so that a stack shows who asks and who answers, and nothing between.
+    All are asked before anything is done here, and their answers collected after it. The work is done as
+    pairs are collected, in the caller's frame, so that a stack shows who asks and who answers, and nothing
+    between.
 
     >>> dict(each_at_once(Serial(), lambda n: (lambda: -n) if n > 1 else None, lambda n: n, [1, 2, 0]))
     {1: 1, 0: 0, 2: -2}
@@ -83,7 +84,7 @@ def each_at_once(
     )
 
 
-def heard_or_raised(ask: Callable[[], Wait[Made]], faults: tuple[type[BaseException], ...]) -> Wait[Made]:
+def defer_faults(ask: Callable[[], Wait[Made]], faults: tuple[type[BaseException], ...]) -> Wait[Made]:
     """What `ask` returns; where it raises one of `faults`, what raises it when it is waited for."""
     try:
         return ask()
@@ -96,7 +97,7 @@ def heard_or_raised(ask: Callable[[], Wait[Made]], faults: tuple[type[BaseExcept
     return raised
 
 
-class Crew(Protocol):
+class TargetExecutor(Protocol):
     """Advances whole nets elsewhere, those of targets that depend on no other, while the engine goes on."""
 
     @property
@@ -110,7 +111,7 @@ class Crew(Protocol):
         """Take the frame of these targets (id -> `TargetState`) in hand.
 
         Returns:
-            What waits for the outcome: target -> `engine.crew.Advanced`. Those that nobody advanced are
-            missing, and are left to the engine.
+            What waits for the outcome: target -> `engine.target_execution.Advanced`. Those that nobody
+            advanced are missing, and are left to the engine.
         """
         ...

@@ -18,8 +18,8 @@ from bayesnet_track.inference.executor import (
     Executor,
     Serial,
     Wait,
+    defer_faults,
     each_at_once,
-    heard_or_raised,
     is_elsewhere,
 )
 from bayesnet_track.observation.cue import (
@@ -198,7 +198,7 @@ def _learn_ahead(
             wait = cue.ask_ahead(method, *arguments)
         return wait
 
-    return partial(_heard, heard_or_raised(ask, FAULTS))
+    return partial(_collect, defer_faults(ask, FAULTS))
 
 
 def _to_learn(lesson: Lesson, agent: str) -> tuple[str, tuple[Any, ...]]:
@@ -210,7 +210,7 @@ def _to_learn(lesson: Lesson, agent: str) -> tuple[str, tuple[Any, ...]]:
     return "learn", (planes, box.copy())
 
 
-def _heard(wait: Wait[Reference]) -> Reference | str | Missing:
+def _collect(wait: Wait[Reference]) -> Reference | str | Missing:
     try:
         return _checked(wait())
     except FAULTS as error:

@@ -20,7 +20,7 @@ from bayesnet_track.inference.executor import (
     Executor,
     Serial,
     Wait,
-    heard_or_raised,
+    defer_faults,
     is_elsewhere,
 )
 from bayesnet_track.observation.cue import AnyCue, Hypotheses, Measurement, Reference
@@ -153,10 +153,10 @@ def ask_ahead(question: Question, observer: Observer, step: Observe) -> Wait[Ans
             wait = cue.ask_ahead("log_likelihood", planes, own, reference)
         return wait
 
-    return partial(_heard, step, observer, own, heard_or_raised(ask, FAULTS), started)
+    return partial(_collect, step, observer, own, defer_faults(ask, FAULTS), started)
 
 
-def _heard(step: Observe, observer: Observer, own: Hypotheses, wait: Wait[Any], started: float) -> Answer:
+def _collect(step: Observe, observer: Observer, own: Hypotheses, wait: Wait[Any], started: float) -> Answer:
     try:
         answer = wait()
         if step.measures:

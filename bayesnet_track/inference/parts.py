@@ -136,9 +136,9 @@ def _quotient(plan: Plan, join: Join | None, evidence: Evidence) -> Floats | flo
     sent = evidence.log_likelihood if join.node == plan.root else said.get(join.node)
     if sent is None:
         return 0.0
-    heard = sum((said[child] for child in join.children if child in said), np.zeros(len(sent)))
+    received = sum((said[child] for child in join.children if child in said), np.zeros(len(sent)))
     # A hypothesis whose message is nothing has no weight, whatever its draw.
-    return np.where(sent > -np.inf, heard - np.where(sent > -np.inf, sent, 0.0), -np.inf)
+    return np.where(sent > -np.inf, received - np.where(sent > -np.inf, sent, 0.0), -np.inf)
 
 
 def _weighted(posterior: LogWeights, further: Floats | float) -> LogWeights:

@@ -23,7 +23,7 @@ from bayesnet_track.runtime.executors.placing import (
 )
 from bayesnet_track.runtime.executors.processes import PlacingError, Processes
 from bayesnet_track.runtime.executors.single import one_thread_inside
-from bayesnet_track.runtime.executors.target_executor import TargetExecutor
+from bayesnet_track.runtime.executors.target_executor import ProcessTargetExecutor
 from bayesnet_track.runtime.executors.threads import Threads
 from bayesnet_track.runtime.executors.workers import Limits
 from bayesnet_track.runtime.system import NO_WORKERS, has_workers
@@ -96,7 +96,7 @@ class Executing:
             self._open.callback(transport.close)
             engine = with_proxies(engine, places, transport)
             if hosts:
-                engine = replace(engine, crew=TargetExecutor(transport, tuple(hosts), nets))
+                engine = replace(engine, target_executor=ProcessTargetExecutor(transport, tuple(hosts), nets))
         return replace(engine, executor=self._pool())
 
     def _pool(self) -> Executor:

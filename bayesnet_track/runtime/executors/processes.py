@@ -92,7 +92,7 @@ class Processes:
         with self._asking:
             if not self._forwarded(pending):
                 self._unsent.append(pending)
-        return partial(self._heard, pending)
+        return partial(self._collect, pending)
 
     def workers(self) -> dict[int, tuple[str, ...]]:
         """Process id of every worker -> the agents that it has."""
@@ -104,7 +104,7 @@ class Processes:
         self._pool.close()
         self._store.close()
 
-    def _heard(self, pending: Pending) -> Any:
+    def _collect(self, pending: Pending) -> Any:
         """The answer's value, waited for; the question is asked again of a fresh worker if need be."""
         agent = pending.agent
         with self._asking:

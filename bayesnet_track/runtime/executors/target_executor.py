@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from bayesnet_track.engine.crew import Advanced
 from bayesnet_track.engine.state import TargetState
+from bayesnet_track.engine.target_execution import Advanced
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.observation.planes import FramePair, Region
@@ -20,14 +20,14 @@ REMEMBERED = tuple(item.name for item in fields(TargetState) if item.name != "pl
 
 
 @dataclass(frozen=True, eq=False)
-class _Shift:
-    """What one worker of the crew was asked for in a frame, and the answer to come."""
+class _Request:
+    """What one worker was asked for in a frame, and the answer to come."""
 
     targets: Mapping[str, TargetState]
     answer: Callable[[], bytes]
 
 
-class TargetExecutor:
+class ProcessTargetExecutor:
     """Advances targets in the workers behind a transport.
 
     Each has a share of the targets, those that it had before. A worker that is lost has forgotten their
@@ -48,17 +48,17 @@ class TargetExecutor:
     def start(
         self, net: Net, targets: Mapping[str, TargetState], frames: FramePair
     ) -> Callable[[], Mapping[str, Advanced]]:
-        """Have the targets advanced; see `executor.Crew`."""
+        """Have the targets advanced; see `inference.executor.TargetExecutor`."""
         self._share_out(targets)
         where = self._transport.send_frame(frames.previous) if frames.previous is not None else None
         both = self._transport.send_frame(frames.current), where
         whole = Region(0, 0, frames.current.width, frames.current.height)
-        shifts = []
+        requests = []
         for host in self._hosts:
             own = {target: state for target, state in targets.items() if self._host_of[target] == host}
             if own:
-                shifts.append(_Shift(own, self._begun(host, net, own, both, whole)))
-        return lambda: self._awaited(shifts)
+                requests.append(_Request(own, self._request(host, net, own, both, whole)))
+        return lambda: self._collect(requests)
 
     def _share_out(self, targets: Mapping[str, TargetState]) -> None:
         """New targets to the workers with the fewest; when shares have grown apart, all anew."""
@@ -78,7 +78,7 @@ class TargetExecutor:
                 target: self._hosts[number % len(self._hosts)] for number, target in enumerate(targets)
             }
 
-    def _begun(
+    def _request(
         self, host: str, net: Net, own: Mapping[str, TargetState], both: tuple[Any, Any], whole: Region
     ) -> Callable[[], bytes]:
         """What waits for the answer of a worker, which is asked now."""
@@ -95,17 +95,17 @@ class TargetExecutor:
         held = self._returned.get(target)
         return held is not None and all(getattr(held, name) is getattr(state, name) for name in REMEMBERED)
 
-    def _awaited(self, shifts: Sequence[_Shift]) -> dict[str, Advanced]:
+    def _collect(self, requests: Sequence[_Request]) -> dict[str, Advanced]:
         advanced: dict[str, Advanced] = {}
-        for shift in shifts:
+        for request in requests:
             try:
-                made: Mapping[str, Advanced] = pickle.loads(shift.answer())
+                made: Mapping[str, Advanced] = pickle.loads(request.answer())
             except AgentUnavailable:
-                for target in shift.targets:
+                for target in request.targets:
                     self._returned.pop(target, None)
                 continue
             for target, one in made.items():
-                state = replace(one.done.state, plan=shift.targets[target].plan)
+                state = replace(one.done.state, plan=request.targets[target].plan)
                 self._returned[target] = state
                 advanced[target] = replace(one, done=replace(one.done, state=state))
         return advanced

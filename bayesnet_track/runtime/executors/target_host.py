@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.engine.crew import Advanced, advance
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.engine.step import make_engine
+from bayesnet_track.engine.target_execution import Advanced, advance
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.journal.net.net import Net, TargetNet

@@ -15,7 +15,7 @@ from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.inputs import Toggled
 from bayesnet_track.runtime.executors import make_executor
 from bayesnet_track.runtime.executors.placing import PlacingError
-from bayesnet_track.runtime.executors.target_executor import TargetExecutor
+from bayesnet_track.runtime.executors.target_executor import ProcessTargetExecutor
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
 
@@ -95,7 +95,7 @@ def test_a_name_that_is_no_agent_and_no_plate_is_refused(crowd):
 
 
 def test_nothing_is_kept_of_targets_that_are_gone():
-    crew = TargetExecutor(None, ("nets 1",), frozenset({"disc"}))
-    crew._returned = {"1": object(), "2": object()}
-    crew._share_out({"2": object()})
-    assert set(crew._returned) == {"2"}
+    executor = ProcessTargetExecutor(None, ("nets 1",), frozenset({"disc"}))
+    executor._returned = {"1": object(), "2": object()}
+    executor._share_out({"2": object()})
+    assert set(executor._returned) == {"2"}

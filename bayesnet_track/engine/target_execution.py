@@ -35,25 +35,27 @@ class Elsewhere:
 
     Attributes:
         targets: their ids.
-        awaited: waits for what their frame gave; those that nobody advanced are missing.
+        collect: waits for what their frame gave; those that nobody advanced are missing.
     """
 
     targets: frozenset[str] = frozenset()
-    awaited: Callable[[], Mapping[str, Advanced]] = dict
+    collect: Callable[[], Mapping[str, Advanced]] = dict
 
 
-def send_off(work: FrameWork, targets: Mapping[str, TargetState]) -> Elsewhere:
-    """Hand over the targets that the engine's crew takes: those for which nothing came from outside."""
-    crew, net = work.engine.crew, work.net
-    if crew is None:
+def start_elsewhere(work: FrameWork, targets: Mapping[str, TargetState]) -> Elsewhere:
+    """Hand over the targets that another executor takes: those for which nothing came from outside."""
+    target_executor, net = work.engine.target_executor, work.net
+    if target_executor is None:
         return Elsewhere()
     concerned = work.by_hand.keys() | {target for target, _, _ in work.availability.known}
     own = {
         target: state
         for target, state in targets.items()
-        if net.targets[target].template in crew.plates and target not in concerned
+        if net.targets[target].template in target_executor.plates and target not in concerned
     }
-    return Elsewhere(frozenset(own), crew.start(net, own, work.cache.frames)) if own else Elsewhere()
+    return (
+        Elsewhere(frozenset(own), target_executor.start(net, own, work.cache.frames)) if own else Elsewhere()
+    )
 
 
 def advance(work: FrameWork, target: str, before: TargetState) -> Advanced:
@@ -62,11 +64,11 @@ def advance(work: FrameWork, target: str, before: TargetState) -> Advanced:
     return Advanced(finish_target(own, filter_target(own, target, before)), own.seconds)
 
 
-def awaited(
+def collect_elsewhere(
     work: FrameWork, elsewhere: Elsewhere, before: Mapping[str, TargetState]
 ) -> dict[str, TargetResult]:
     """What the frame gave for the targets at work elsewhere; those that nobody advanced are advanced here."""
-    advanced = elsewhere.awaited()
+    advanced = elsewhere.collect()
     results: dict[str, TargetResult] = {}
     for target in sorted(elsewhere.targets):
         one = advanced.get(target) or advance(work, target, before[target])
