@@ -47,8 +47,8 @@ class Observe:
 
 
 @dataclass(frozen=True)
-class Join:
-    """Likelihoods up: an inference node joins its children's messages into its own.
+class Fusion:
+    """Likelihoods up: an inference node fuses its children's messages into its own.
 
     Attributes:
         node: the inference node.
@@ -84,7 +84,7 @@ class Plan:
         active: agents that observe.
         draws: prior down, parents first; parts are drawn with no agent below them, too.
         observations: one per active agent, in file order.
-        joins: likelihoods up, children first; the root's is last. Empty when no agent is active.
+        fusions: likelihoods up, children first; the root's is last. Empty when no agent is active.
         planes: planes that the active agents read, inputs first.
         idle_planes: inactive agent -> the planes that a due reference update reads, on the estimate's crop.
     """
@@ -94,7 +94,7 @@ class Plan:
     active: frozenset[str]
     draws: tuple[Draw, ...]
     observations: tuple[Observe, ...]
-    joins: tuple[Join, ...]
+    fusions: tuple[Fusion, ...]
     planes: tuple[Plane, ...]
     idle_planes: Mapping[str, tuple[Plane, ...]]
 
@@ -114,7 +114,7 @@ class Plan:
             for one in self.observations
         ]
         joined = [
-            ("likelihoods up", one.node, f"{one.kind} of {', '.join(one.children)}") for one in self.joins
+            ("likelihoods up", one.node, f"{one.kind} of {', '.join(one.children)}") for one in self.fusions
         ]
         idle = [("off", agent, "") for agent in self.idle_planes]
         rows = [("planes", self.target, planes), *draws, *asked, *joined, *idle]
@@ -141,7 +141,7 @@ def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str
             )
             for name in watching
         ),
-        joins=tuple(_join(target, name, messengers) for name in reversed(inference)),
+        fusions=tuple(_fuse(target, name, messengers) for name in reversed(inference)),
         planes=_with_inputs(plane for name in watching for plane in cues[name].needs),
         idle_planes={name: _with_inputs(cues[name].needs) for name in target.agents if name not in working},
     )
@@ -186,16 +186,16 @@ def _draw(target: CheckedTarget, node: str) -> Draw:
     return Draw(node, target.root if above is None else _hypotheses_of(target, above), fuse.latent.given)
 
 
-def _join(target: CheckedTarget, node: str, messengers: frozenset[str]) -> Join:
+def _fuse(target: CheckedTarget, node: str, messengers: frozenset[str]) -> Fusion:
     children = tuple(child for child in target.children[node] if child in messengers)
     fuse = target.inference(node).fuse or Fuse.model_validate("product")
     if fuse.kind == "pool":
         shares = tuple(1.0 if fuse.pool == "equal" else fuse.settings[child] for child in children)
-        return Join(node, "pool", children, shares)
+        return Fusion(node, "pool", children, shares)
     shares = (1.0,) * len(children)
     if fuse.latent is None:
-        return Join(node, fuse.kind, children, shares)
-    return Join(node, fuse.kind, children, shares, fuse.latent.given, _own(target, node, fuse.latent))
+        return Fusion(node, fuse.kind, children, shares)
+    return Fusion(node, fuse.kind, children, shares, fuse.latent.given, _own(target, node, fuse.latent))
 
 
 def _own(target: CheckedTarget, node: str, latent: Latent) -> Own:
@@ -231,12 +231,12 @@ def describe_plan(plan: Plan, agents: Mapping[str, AgentNode] | None = None) -> 
     for step in plan.observations:
         cue = "" if agents is None else f" ({agents[step.agent].agent.cue})"
         lines.append(f"  observe  {step.agent}{cue} at the hypotheses of {step.at}")
-    for join in plan.joins:
+    for fusion in plan.fusions:
         terms = ", ".join(
-            child if join.kind != "pool" else f"{child}^{weight:.3g}"
-            for child, weight in join.weights(join.children).items()
+            child if fusion.kind != "pool" else f"{child}^{weight:.3g}"
+            for child, weight in fusion.weights(fusion.children).items()
         )
-        lines.append(f"  join     {join.node} = {join.kind}({terms}){HELD[join.own]}")
+        lines.append(f"  join     {fusion.node} = {fusion.kind}({terms}){HELD[fusion.own]}")
     for agent, planes in plan.idle_planes.items():
         names = ", ".join(map(plane_words, planes))
         lines.append(f"  idle     {agent}: {names} only for a due reference update, on the estimate's crop")

@@ -117,8 +117,8 @@ def join_messages(
     }
     # node -> the exponents, in its message, of agents and latent nodes below: products and pools are linear.
     powers = {agent: {agent: 1.0} for agent in said if agent not in measured or agent in gaussians}
-    for join in plan.joins:
-        weights = join.weights(powers)
+    for fusion in plan.fusions:
+        weights = fusion.weights(powers)
         if not weights:
             continue
         total = np.zeros(len(hypotheses))
@@ -127,25 +127,25 @@ def join_messages(
             total = total + weight * messages[child]
             for source, power in powers[child].items():
                 terms[source] = terms.get(source, 0.0) + weight * power
-        if join.kind == "latent":
-            assert join.given is not None
-            above, own = _above(plan, join.node, latent, hypotheses), latent[join.node]
-            if join.own == "gaussian":
+        if fusion.kind == "latent":
+            assert fusion.given is not None
+            above, own = _above(plan, fusion.node, latent, hypotheses), latent[fusion.node]
+            if fusion.own == "gaussian":
                 exact = {
                     source: (gaussians[source], terms[source]) for source in terms if source in gaussians
                 }
                 rest = None if len(exact) == len(terms) else _rest(terms, rests, len(own))
-                matched = latent_gaussian(join.given, above, own, prior_log, exact, rest)
+                matched = latent_gaussian(fusion.given, above, own, prior_log, exact, rest)
                 total, scale = _scaled(matched, above, prior_log, total)
-                rests[join.node] = scale
+                rests[fusion.node] = scale
                 if matched is not None:
-                    gaussians[join.node] = matched
+                    gaussians[fusion.node] = matched
             else:
-                around = Hypotheses(part_boxes(join.given, above.boxes), above.fields)
-                total = INTEGRALS[join.own](join.given, around, own, prior_log, total)
-                rests[join.node] = total
-            terms = {join.node: 1.0}
-        messages[join.node], powers[join.node] = total, terms
+                around = Hypotheses(part_boxes(fusion.given, above.boxes), above.fields)
+                total = INTEGRALS[fusion.own](fusion.given, around, own, prior_log, total)
+                rests[fusion.node] = total
+            terms = {fusion.node: 1.0}
+        messages[fusion.node], powers[fusion.node] = total, terms
     at_root = powers.get(plan.root, {})
     reaching = {
         source: to_power(own, at_root[source]) for source, own in gaussians.items() if source in at_root

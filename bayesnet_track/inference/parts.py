@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Given
-from bayesnet_track.inference.compile import Join, Plan
+from bayesnet_track.inference.compile import Fusion, Plan
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 
 Floats = NDArray[np.float64]
@@ -115,12 +115,12 @@ def part_beliefs(plan: Plan, evidence: Evidence, posterior: LogWeights) -> dict[
 
     Where no draw of a part is left a weight, its draws have the root's.
     """
-    joins = {join.node: join for join in plan.joins}
+    fusions = {fusion.node: fusion for fusion in plan.fusions}
     further: dict[str, Floats | float] = {}
     found: dict[str, PartBelief] = {}
     for step in plan.draws:
         above = 0.0 if step.node == plan.root else further.get(step.given_from, 0.0)
-        further[step.node] = above + _quotient(plan, joins.get(step.node), evidence)
+        further[step.node] = above + _quotient(plan, fusions.get(step.node), evidence)
         if step.given.is_part:
             found[step.node] = PartBelief(
                 evidence.latent[step.node].boxes, _weighted(posterior, further[step.node])
@@ -128,15 +128,15 @@ def part_beliefs(plan: Plan, evidence: Evidence, posterior: LogWeights) -> dict[
     return found
 
 
-def _quotient(plan: Plan, join: Join | None, evidence: Evidence) -> Floats | float:
+def _quotient(plan: Plan, fusion: Fusion | None, evidence: Evidence) -> Floats | float:
     """(N,) log L(c_i) / m(h_i) of a latent node; 0 where they are the same, or it has heard nothing."""
-    if join is None or join.own == "one":
+    if fusion is None or fusion.own == "one":
         return 0.0
     said: Mapping[str, Floats] = evidence.messages
-    sent = evidence.log_likelihood if join.node == plan.root else said.get(join.node)
+    sent = evidence.log_likelihood if fusion.node == plan.root else said.get(fusion.node)
     if sent is None:
         return 0.0
-    received = sum((said[child] for child in join.children if child in said), np.zeros(len(sent)))
+    received = sum((said[child] for child in fusion.children if child in said), np.zeros(len(sent)))
     # A hypothesis whose message is nothing has no weight, whatever its draw.
     return np.where(sent > -np.inf, received - np.where(sent > -np.inf, sent, 0.0), -np.inf)
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.graph.spec import Given
-from bayesnet_track.inference.compile import Draw, Join, Observe, compile_plan, describe_plan
+from bayesnet_track.inference.compile import Draw, Fusion, Observe, compile_plan, describe_plan
 
 GIVEN = {"sd_px": {"x": 6.0, "y": 6.0}}
 NOISE = Given.model_validate(GIVEN)
@@ -34,22 +34,22 @@ def test_flat(fakes):
     assert (plan.target, plan.root, plan.active) == ("plate", "root", frozenset("ab"))
     assert plan.draws == ()
     assert plan.observations == (Observe("a", "root"), Observe("b", "root"))
-    assert plan.joins == (Join("root", "product", ("a", "b"), (1.0, 1.0)),)
-    assert plan.joins[0].weights("ab") == {"a": 1.0, "b": 1.0}
+    assert plan.fusions == (Fusion("root", "product", ("a", "b"), (1.0, 1.0)),)
+    assert plan.fusions[0].weights("ab") == {"a": 1.0, "b": 1.0}
 
 
 def test_pool_weights_sum_to_one_over_whoever_speaks(fakes):
-    join = compiled(fakes, POOLED, "abc").joins[0]
-    assert join == Join("color", "pool", ("a", "b"), (3.0, 1.0))
-    assert join.weights("ab") == {"a": 0.75, "b": 0.25}
-    assert join.weights("b") == {"b": 1.0}
-    assert join.weights("") == {}
-    assert compiled(fakes, POOLED, "bc").joins[0].weights("ab") == {"b": 1.0}
+    fusion = compiled(fakes, POOLED, "abc").fusions[0]
+    assert fusion == Fusion("color", "pool", ("a", "b"), (3.0, 1.0))
+    assert fusion.weights("ab") == {"a": 0.75, "b": 0.25}
+    assert fusion.weights("b") == {"b": 1.0}
+    assert fusion.weights("") == {}
+    assert compiled(fakes, POOLED, "bc").fusions[0].weights("ab") == {"b": 1.0}
 
 
 def test_a_missing_rule_of_fusion_is_a_product(fakes):
     plan = compiled(fakes, {"root": {}, "a": "root"}, "a")
-    assert plan.joins == (Join("root", "product", ("a",), (1.0,)),)
+    assert plan.fusions == (Fusion("root", "product", ("a",), (1.0,)),)
 
 
 def test_nested_latents(fakes):
@@ -58,23 +58,25 @@ def test_nested_latents(fakes):
     assert {step.agent: step.at for step in plan.observations} == {
         "a": "body", "b": "body", "c": "face", "d": "face", "e": "root",
     }  # fmt: skip
-    assert {join.node: (join.kind, join.children, join.given, join.own) for join in plan.joins} == {
+    assert {
+        fusion.node: (fusion.kind, fusion.children, fusion.given, fusion.own) for fusion in plan.fusions
+    } == {
         "face": ("latent", ("c", "d"), NOISE, "one"),
         "pool": ("pool", ("a", "b"), None, "one"),
         "body": ("latent", ("pool", "face"), NOISE, "kernel"),
         "root": ("product", ("body", "e"), None, "one"),
     }
-    assert plan.joins[-1].node == "root"
+    assert plan.fusions[-1].node == "root"
 
 
 def test_branches_without_an_active_agent_vanish(fakes):
     plan = compiled(fakes, NESTED, "ae")
     assert plan.draws == (Draw("body", "root", NOISE),)
-    assert [(join.node, join.children) for join in plan.joins] == [
+    assert [(fusion.node, fusion.children) for fusion in plan.fusions] == [
         ("pool", ("a",)), ("body", ("pool",)), ("root", ("body", "e")),
     ]  # fmt: skip
     nothing = compiled(fakes, NESTED, "")
-    assert (nothing.draws, nothing.observations, nothing.joins, nothing.planes) == ((), (), (), ())
+    assert (nothing.draws, nothing.observations, nothing.fusions, nothing.planes) == ((), (), (), ())
 
 
 def test_planes_of_active_agents_once_each_after_its_inputs(fakes):
@@ -127,13 +129,13 @@ def test_the_belief_of_a_latent_node(fakes, belief, how, said):
     node = {"parent": "root", "fuse": {"latent": {"given": GIVEN}}}
     nodes = {"root": {}, "part": node if belief is None else {**node, "belief": belief}, "a": "part"}
     plan = compiled(fakes, nodes, "a")
-    assert plan.joins[0] == Join("part", "latent", ("a",), (1.0,), NOISE, how)
+    assert plan.fusions[0] == Fusion("part", "latent", ("a",), (1.0,), NOISE, how)
     assert f"  join     part = latent(a){said}" in describe_plan(plan).splitlines()
 
 
 def test_the_belief_of_a_latent_root_is_about_the_target(fakes):
     nodes = {"root": {"belief": "gaussian", "fuse": {"latent": {"given": GIVEN}}}, "a": "root"}
-    assert compiled(fakes, nodes, "a").joins[0].own == "one"
+    assert compiled(fakes, nodes, "a").fusions[0].own == "one"
 
 
 FUSIONS = ("product", "pool", {"latent": {"given": GIVEN}}, {"latent": {"given": GIVEN, "draw": "kernel"}})
@@ -161,15 +163,15 @@ def test_any_plan_hears_each_active_agent_once(fakes, tree):
     plate, cues = fakes.plate(nodes)
     plan = compile_plan(plate, active, cues)
     assert sorted(step.agent for step in plan.observations) == sorted(active)
-    said = [child for join in plan.joins for child in join.children]
-    senders = {*active, *(join.node for join in plan.joins)} - {"n0"}
+    said = [child for fusion in plan.fusions for child in fusion.children]
+    senders = {*active, *(fusion.node for fusion in plan.fusions)} - {"n0"}
     assert sorted(said) == sorted(senders)
-    assert bool(plan.joins) == bool(active)
+    assert bool(plan.fusions) == bool(active)
     known = set(active)
-    for join in plan.joins:
-        assert set(join.children) <= known
-        assert all(plate.parent[child] == join.node for child in join.children)
-        known.add(join.node)
+    for fusion in plan.fusions:
+        assert set(fusion.children) <= known
+        assert all(plate.parent[child] == fusion.node for child in fusion.children)
+        known.add(fusion.node)
     drawn = {"n0"}
     for step in plan.draws:
         assert step.given_from in drawn
@@ -181,7 +183,7 @@ def test_any_plan_hears_each_active_agent_once(fakes, tree):
 def test_compiling_again_gives_the_same_plan(fakes):
     plate, cues = fakes.plate(NESTED)
     first, second = (compile_plan(plate, active, cues) for active in (["a", "d", "e"], {"e", "d", "a"}))
-    for name in ("active", "draws", "observations", "joins", "planes", "idle_planes"):
+    for name in ("active", "draws", "observations", "fusions", "planes", "idle_planes"):
         assert getattr(first, name) == getattr(second, name)
 
 

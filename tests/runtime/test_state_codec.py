@@ -134,8 +134,8 @@ def test_plans_are_compiled_again(reached: tuple[Engine, State, Frame]) -> None:
     again = decode_state(encode_state(state), engine, frame)
     for target, one in state.targets.items():
         own, other = one.plan, again.targets[target].plan
-        assert (own.active, own.draws, own.observations, own.joins, own.planes) == (
-            (other.active, other.draws, other.observations, other.joins, other.planes)
+        assert (own.active, own.draws, own.observations, own.fusions, own.planes) == (
+            (other.active, other.draws, other.observations, other.fusions, other.planes)
         )
 
 
