@@ -107,16 +107,16 @@ class Passes:
 
 def track(chosen: GraphSpec, scene: Scene, seed: int) -> Leaps:
     """One run from the true first box."""
-    told = Passes()
+    sink = Passes()
     source = SceneSource(scene, f"scene:{scene.name}")
-    results = list(run(load_graph(chosen), source, [Start(scene.start_box)], seed=seed, sinks=[told]))
+    results = list(run(load_graph(chosen), source, [Start(scene.start_box)], seed=seed, sinks=[sink]))
     boxes = np.array([result.targets[0].box for result in results])
     shared = overlap(boxes, centre_from_corner(scene.truth))
     return Leaps(
         sum(bool(shared[leap + AFTER] > 0.5) for leap in FLIGHTS),
         bool(shared[-1] > 0.5),
-        len(told.frames),
-        len(set(LEAPS) & set(told.frames)),
+        len(sink.frames),
+        len(set(LEAPS) & set(sink.frames)),
     )
 
 

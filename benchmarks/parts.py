@@ -76,14 +76,14 @@ def places(scene: Scene, results: list[Result]) -> Mapping[str, Floats]:
     found: dict[str, list[Floats]] = {name: [] for name in scene.parts}
     body = centre_from_corner(scene.truth[0])
     for result in results:
-        told = {metrics.target: metrics for metrics in result.targets}
+        metrics_of = {metrics.target: metrics for metrics in result.targets}
         for number, (name, part) in enumerate(scene.parts.items(), start=1):
             first = centre_from_corner(part.truth[0])
-            whole = told["1"]
+            whole = metrics_of["1"]
             if whole.parts:
                 box = np.array(whole.parts[name].box)
-            elif len(told) > 1:
-                box = np.array(told[str(number)].box)
+            elif len(metrics_of) > 1:
+                box = np.array(metrics_of[str(number)].box)
             else:
                 box = np.array(whole.box) + (first - body) * [1.0, 1.0, 0.0, 0.0]
             found[name].append(box[:2])

@@ -58,8 +58,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.error(str(error))
     reported = detect_crowd(crowd, detector, options.seed)
     options.out.mkdir(parents=True, exist_ok=True)
-    told = {"seed": options.seed, "crowd": asdict(people), "detector": asdict(detector)}
-    (options.out / "crowd.json").write_text(json.dumps(told, indent=1) + "\n")
+    record = {"seed": options.seed, "crowd": asdict(people), "detector": asdict(detector)}
+    (options.out / "crowd.json").write_text(json.dumps(record, indent=1) + "\n")
     (options.out / "gt.txt").write_text(crowd.mot_text())
     (options.out / "det.txt").write_text(detections_text(reported))
     if not options.no_video:

@@ -139,10 +139,10 @@ def main() -> None:
             if (name, group) == ("adaptive", "stated"):
                 switches = [one.switches for one in runs]
     for seed, one in enumerate(switches):
-        told = ", ".join(
+        summary = ", ".join(
             f"{frame} {node} {'on' if kind == 'Activated' else 'off'}" for frame, kind, node in one
         )
-        print(f"seed {seed}: {told}")
+        print(f"seed {seed}: {summary}")
 
 
 if __name__ == "__main__":

@@ -90,14 +90,14 @@ def balance(
 
 
 def _late(
-    told: LateFrame, running: Mapping[str, Running], load: Load, frame: int, decisions: list[Decision]
+    notice: LateFrame, running: Mapping[str, Running], load: Load, frame: int, decisions: list[Decision]
 ) -> Load:
-    late = (*(one for one in load.late if one[0] > frame - WITHIN), (frame, told.spent_ms))
+    late = (*(one for one in load.late if one[0] > frame - WITHIN), (frame, notice.spent_ms))
     load = replace(load, late=late, calm=0)
     if len(late) < LATE:
         return load
     spent = median(ms for _, ms in late)
-    shed = _shed_agents(told, running, late, spent, frame) or _fewer(told, running, spent, frame)
+    shed = _shed_agents(notice, running, late, spent, frame) or _fewer(notice, running, spent, frame)
     decisions += shed
     if not shed:
         return load
@@ -106,7 +106,7 @@ def _late(
 
 
 def _shed_agents(
-    told: LateFrame,
+    notice: LateFrame,
     running: Mapping[str, Running],
     late: Sequence[tuple[int, float]],
     spent: float,
@@ -114,7 +114,7 @@ def _shed_agents(
 ) -> list[Decision]:
     """Those that say least per ms, until by declared costs enough is saved; at least one if possible."""
     total = sum(one.costs_ms[agent] for one in running.values() for agent in one.net.active)
-    to_save, saved = total * (1.0 - told.budget_ms / spent), 0.0
+    to_save, saved = total * (1.0 - notice.budget_ms / spent), 0.0
     turning = sorted(ms for _, ms in late)[-LATE]
     index = {
         (target, agent): (one.memory.helpfulness(agent) or 0.0) / one.costs_ms[agent]
@@ -130,7 +130,7 @@ def _shed_agents(
         own = {name: index[target, name] for name in one.net.active - gone[target] if (target, name) in index}
         gone[target].add(agent)
         saved += one.costs_ms[agent]
-        numbers = (spent, told.budget_ms, len(late), WITHIN, turning)
+        numbers = (spent, notice.budget_ms, len(late), WITHIN, turning)
         shed.append(Shed(frame, target, agent, *numbers, own))
     return shed
 
@@ -144,8 +144,8 @@ def _can_go(one: Running, agent: str, gone: set[str]) -> bool:
     return len(left) > (0 if rules is None else rules.keep) and everywhere > 1
 
 
-def _fewer(told: LateFrame, running: Mapping[str, Running], spent: float, frame: int) -> list[Decision]:
-    factor = max(told.budget_ms / spent, LEAST_FACTOR)
+def _fewer(notice: LateFrame, running: Mapping[str, Running], spent: float, frame: int) -> list[Decision]:
+    factor = max(notice.budget_ms / spent, LEAST_FACTOR)
     limited: list[Decision] = []
     for target, one in running.items():
         if one.particles is None:
@@ -153,35 +153,35 @@ def _fewer(told: LateFrame, running: Mapping[str, Running], spent: float, frame:
         before = one.particles if one.net.most_particles is None else one.net.most_particles
         most = max(int(before * factor), one.least)
         if most < before:
-            limited.append(ParticlesLimited(frame, target, most, before, spent, told.budget_ms))
+            limited.append(ParticlesLimited(frame, target, most, before, spent, notice.budget_ms))
     return limited
 
 
 def _in_time(
-    told: SpareTime, running: Mapping[str, Running], load: Load, frame: int, decisions: list[Decision]
+    notice: SpareTime, running: Mapping[str, Running], load: Load, frame: int, decisions: list[Decision]
 ) -> Load:
-    load = replace(load, calm=load.calm + told.frames)
+    load = replace(load, calm=load.calm + notice.frames)
     if load.calm < load.wait:
         return load
-    back = _more(told, running, frame) or _take_back(told, running, load, frame)
+    back = _more(notice, running, frame) or _take_back(notice, running, load, frame)
     decisions += back
     return replace(load, late=(), calm=0, back=frame) if back else load
 
 
-def _more(told: SpareTime, running: Mapping[str, Running], frame: int) -> list[Decision]:
+def _more(notice: SpareTime, running: Mapping[str, Running], frame: int) -> list[Decision]:
     """Twice as many hypotheses where they are limited, if that fits."""
-    if 2.0 * told.spent_ms > ROOM * told.budget_ms:
+    if 2.0 * notice.spent_ms > ROOM * notice.budget_ms:
         return []
     limited: list[Decision] = []
     for target, one in running.items():
         before = one.net.most_particles
         if before is not None:
             most = 2 * before if 2 * before < one.most else None
-            limited.append(ParticlesLimited(frame, target, most, before, told.spent_ms, told.budget_ms))
+            limited.append(ParticlesLimited(frame, target, most, before, notice.spent_ms, notice.budget_ms))
     return limited
 
 
-def _take_back(told: SpareTime, running: Mapping[str, Running], load: Load, frame: int) -> list[Decision]:
+def _take_back(notice: SpareTime, running: Mapping[str, Running], load: Load, frame: int) -> list[Decision]:
     """The agent of one target that was shed last, if it fits by declared costs."""
     if any(one.net.most_particles is not None for one in running.values()):
         return []
@@ -190,8 +190,8 @@ def _take_back(told: SpareTime, running: Mapping[str, Running], load: Load, fram
         for agent in reversed(one.net.shed):
             if agent in one.net.quarantined:
                 continue
-            expected = told.spent_ms * (1.0 + one.costs_ms[agent] / max(total, 1e-9))
-            if expected <= ROOM * told.budget_ms:
-                numbers = (told.spent_ms, expected, told.budget_ms, load.calm)
+            expected = notice.spent_ms * (1.0 + one.costs_ms[agent] / max(total, 1e-9))
+            if expected <= ROOM * notice.budget_ms:
+                numbers = (notice.spent_ms, expected, notice.budget_ms, load.calm)
                 return [TakenBack(frame, target, agent, *numbers)]
     return []

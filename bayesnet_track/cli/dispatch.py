@@ -74,7 +74,7 @@ def call(options: argparse.Namespace) -> int:
     try:
         _allow(options)
         _say_what_is_missing(options)
-        with WATCH.told(tell_of_compiling(options)):
+        with WATCH.notifying(notice_compiling(options)):
             return COMMANDS[options.command](options)
     except GraphError as error:
         complain(str(error))
@@ -87,15 +87,15 @@ def call(options: argparse.Namespace) -> int:
         return code
 
 
-def tell_of_compiling(options: argparse.Namespace) -> Callable[[], None]:
+def notice_compiling(options: argparse.Namespace) -> Callable[[], None]:
     """Says once that kernels are compiled, where that is wanted: else the first run seems to hang."""
     waiting = [] if any(getattr(options, name, False) for name in SILENT) else [COMPILING]
 
-    def tell() -> None:
+    def notify() -> None:
         if waiting:
             complain(waiting.pop())
 
-    return tell
+    return notify
 
 
 def _say_what_is_missing(options: argparse.Namespace) -> None:
@@ -103,7 +103,7 @@ def _say_what_is_missing(options: argparse.Namespace) -> None:
     from bayesnet_track.runtime import system
 
     if options.command in TRACKING and not options.quiet and not getattr(options, "log_json", False):
-        missing = system.told()
+        missing = system.describe_missing()
         if missing:
             complain(missing)
 

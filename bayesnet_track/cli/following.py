@@ -16,8 +16,8 @@ from bayesnet_track.cli.commands.answer import (
     OK,
     UsageError,
     complain,
+    run_silently,
     say,
-    unheard,
 )
 from bayesnet_track.numerics.compile_watch import WATCH
 
@@ -64,7 +64,7 @@ def follow(
     stop: StopRequest = options.stop
     with ExitStack() as stack:
         if not options.quiet:
-            stack.callback(unheard, progress.finish)
+            stack.callback(run_silently, progress.finish)
         stack.callback(results.close)
         try:
             for result in results:
@@ -97,7 +97,7 @@ def _show(progress: Progress, summary: Summary, result: Result) -> None:
     ud_px2 = max((metrics.ud_px2 for metrics in result.targets), default=0.0)
     # As if no time passed while kernels are compiled: the rate is that of frames.
     now = time.monotonic() - WATCH.seconds
-    unheard(partial(progress.update, now, summary.frames, tuple(active), ud_px2, status))
+    run_silently(partial(progress.update, now, summary.frames, tuple(active), ud_px2, status))
 
 
 def _say_end(out: Path, summary: Summary) -> None:

@@ -1,4 +1,4 @@
-"""Targets that others may carry: by whom, in which order they are filtered, and what is told of it."""
+"""Targets that others may carry: by whom, in which order they are filtered, and what is reported of it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from bayesnet_track.journal.events.join_events import AttachmentChanged, JoinMet
 Floats = NDArray[np.float64]
 
 CARRIED, FREE = 0.5, 0.3
-"""Probability above which a target is told to be carried, and at or below which no longer."""
+"""Probability above which a target is reported as carried, and at or below which no longer."""
 
 Carriers = Mapping[str, tuple[str, Attachment]]
 """Target that may be carried -> by whom, and how."""
@@ -111,23 +111,23 @@ def without_ride(step: Step[Posterior]) -> tuple[Step[Posterior], CarriedHypothe
     )
 
 
-def tell_carried(
+def report_carried(
     frame: int,
     metrics: Mapping[str, JoinMetrics],
     carriers: Carriers,
     memory: JoinMemory,
-    told: list[Event],
+    events: list[Event],
 ) -> JoinMemory:
-    """Add to `told` who is carried now, and who no longer is."""
+    """Add to `events` who is carried now, and who no longer is."""
     known = dict(memory.carriers)
     for name, (carrier, _) in carriers.items():
         probability = metrics[name].attached or 0.0
         if name not in known and probability > CARRIED:
             known[name] = (carrier, frame)
-            told.append(AttachmentChanged(frame, name, carrier, True, probability, 0))
+            events.append(AttachmentChanged(frame, name, carrier, True, probability, 0))
         elif name in known and probability <= FREE:
             before, since = known.pop(name)
-            told.append(AttachmentChanged(frame, name, before, False, probability, frame - since))
+            events.append(AttachmentChanged(frame, name, before, False, probability, frame - since))
     return replace(memory, carriers=known)
 
 

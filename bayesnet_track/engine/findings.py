@@ -93,12 +93,12 @@ class TargetResult:
         state: its state after the frame, still with the plan that the frame began with.
         metrics: what was measured.
         decisions: in order; they take effect on the next frame.
-        told: what is written down besides.
+        events: what is written down besides.
         covariance: (D, D) of its belief.
     """
 
     state: TargetState
     metrics: FrameMetrics
     decisions: tuple[Decision, ...]
-    told: tuple[Event, ...]
+    events: tuple[Event, ...]
     covariance: Floats

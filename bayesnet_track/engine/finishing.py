@@ -166,16 +166,16 @@ def describe_target(
         filtered.predicted.after(ud_px2, measures.area_px2, decided.quiet_px2),
         measured.scored,
     )
-    told: list[Event] = [
-        *filtered.predicted.told,
+    events: list[Event] = [
+        *filtered.predicted.events,
         *(report(frame.index, target) for report in stepped.reports),
     ]
     if stepped.degenerate is not None:
-        told.append(DegenerateBelief(frame.index, target, stepped.degenerate))
+        events.append(DegenerateBelief(frame.index, target, stepped.degenerate))
     if measured.distractor is not None and measured.scored.doubt > 0 and not before.scored.doubt:
-        told.append(measured.distractor)
-    told += changes(frame.index, target, before.watched, learnt.watched, learnt.judged, compiled.guard)
+        events.append(measured.distractor)
+    events += changes(frame.index, target, before.watched, learnt.watched, learnt.judged, compiled.guard)
     spread = stepped.posterior.covariance
     metrics = frame_metrics(work, filtered, measured, decided, learnt, spread)
     decisions = (*filtered.faults, *work.by_hand.get(target, ()), *learnt.decisions)
-    return TargetResult(after, metrics, decisions, tuple(told), spread)
+    return TargetResult(after, metrics, decisions, tuple(events), spread)

@@ -24,10 +24,10 @@ from bayesnet_track.adapt.joins import (
 from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.belief.particles.belief import reweight_step
 from bayesnet_track.belief.states import hypotheses_of
-from bayesnet_track.engine.attachment import Carriers, carriers_of, particles, tell_carried, without_ride
+from bayesnet_track.engine.attachment import Carriers, carriers_of, particles, report_carried, without_ride
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.occlusion import tell_hidden
+from bayesnet_track.engine.occlusion import report_hidden
 from bayesnet_track.graph.settings.joins import Join
 from bayesnet_track.inference.joint import Edge, Marginal, Member, Pair, joint_marginals
 from bayesnet_track.inference.messages import Observer, evaluate
@@ -54,12 +54,12 @@ class JointBelief:
     Attributes:
         filtered: target -> the first half of its frame, with the weights of the joint belief.
         memory: what is remembered.
-        told: what is written down.
+        events: what is written down.
     """
 
     filtered: Mapping[str, Filtered]
     memory: JoinMemory
-    told: tuple[Event, ...] = ()
+    events: tuple[Event, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,17 +87,17 @@ def join_targets(work: FrameWork, memory: JoinMemory, filtered: Mapping[str, Fil
     levels = {name: _level(memory.levels.get(name), one) for name, one in filtered.items()}
     tree = _tree(work, memory, filtered)
     marginals, orders = _marginals(work, tree, levels, filtered)
-    pairs, told = _after(work.frame.index, tree, orders)
+    pairs, events = _after(work.frame.index, tree, orders)
     carriers = carriers_of(work, memory)
     steps, metrics, carried = _parted(carriers, marginals, pairs, filtered)
     centres = {carrier: filtered[carrier].step.posterior.mean[:2] for carrier, _ in carriers.values()}
     levels = _levels_after(memory.levels, levels, metrics, filtered)
     after = replace(memory, pairs=pairs, levels=levels, carried=carried, centres=centres)
-    after = tell_hidden(work.frame.index, metrics, after, told)
-    after = tell_carried(work.frame.index, metrics, carriers, after, told)
+    after = report_hidden(work.frame.index, metrics, after, events)
+    after = report_carried(work.frame.index, metrics, carriers, after, events)
     work.charge("joins", started)
     joined = {name: replace(one, step=steps[name], join=metrics.get(name)) for name, one in filtered.items()}
-    return JointBelief(joined, after, tuple(told))
+    return JointBelief(joined, after, tuple(events))
 
 
 def reach_of(posterior: Posterior, covariance: Floats | None) -> Reach:
@@ -158,13 +158,13 @@ def _after(
 ) -> tuple[dict[Pair, PairMemory], list[Event]]:
     """What is remembered of each pair, and which are left out of a ring now, or no longer."""
     pairs: dict[Pair, PairMemory] = {}
-    told: list[Event] = []
+    events: list[Event] = []
     for pair, one in tree.pairs.items():
         is_out = pair in tree.left_out
         if one.left_out != is_out:
-            told.append(RingChanged(frame, *pair, is_out, one.overlap, tree.left_out.get(pair, pair)))
+            events.append(RingChanged(frame, *pair, is_out, one.overlap, tree.left_out.get(pair, pair)))
         pairs[pair] = replace(one, first_in_front=orders.get(pair, one.first_in_front), left_out=is_out)
-    return pairs, told
+    return pairs, events
 
 
 def _parted(

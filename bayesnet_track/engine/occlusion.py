@@ -1,4 +1,4 @@
-"""Targets that others hide: when that is told."""
+"""Targets that others hide: when that is reported."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from bayesnet_track.journal.events.basic import Event
 from bayesnet_track.journal.events.join_events import JoinMetrics, OcclusionChanged
 
 HIDDEN, SEEN = 0.5, 0.3
-"""Hidden share above which a target is told to be hidden, and at or below which to be seen again."""
+"""Hidden share above which a target is reported as hidden, and at or below which to be seen again."""
 
 
-def tell_hidden(
-    frame: int, metrics: Mapping[str, JoinMetrics], memory: JoinMemory, told: list[Event]
+def report_hidden(
+    frame: int, metrics: Mapping[str, JoinMetrics], memory: JoinMemory, events: list[Event]
 ) -> JoinMemory:
-    """Add to `told` which targets are hidden now, and which no longer are."""
+    """Add to `events` which targets are hidden now, and which no longer are."""
     hidden = dict(memory.hidden)
     for name, one in metrics.items():
         if name not in hidden and one.hidden > HIDDEN:
             hidden[name] = (one.behind, frame)
             front = 1.0 - one.in_front[one.behind]
-            told.append(OcclusionChanged(frame, name, one.behind, True, one.hidden, HIDDEN, front, 0))
+            events.append(OcclusionChanged(frame, name, one.behind, True, one.hidden, HIDDEN, front, 0))
         elif name in hidden and one.hidden <= SEEN:
             other, since = hidden.pop(name)
             front = 1.0 - one.in_front.get(other, 1.0)
-            told.append(OcclusionChanged(frame, name, other, False, one.hidden, SEEN, front, frame - since))
+            events.append(OcclusionChanged(frame, name, other, False, one.hidden, SEEN, front, frame - since))
     return replace(memory, hidden=hidden)

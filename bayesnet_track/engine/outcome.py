@@ -72,11 +72,11 @@ def carried_out(
 ) -> Outcome:
     """The outcome of the targets' frames, in the order of `results`: decisions are carried out."""
     net, targets = work.net, {}
-    events: list[Event] = [*joint.told]
+    events: list[Event] = [*joint.events]
     for target, result in results.items():
         net = applied(net, result.decisions)
         targets[target] = recompiled(work.engine, net, target, result.state)
-        events += [*result.told, *result.decisions]
+        events += [*result.events, *result.decisions]
     return Outcome(
         replace(state, net=net, targets=targets, previous=work.frame, joins=joint.memory),
         tuple(result.metrics for result in results.values()),
@@ -116,5 +116,5 @@ def with_load(work: FrameWork, outcome: Outcome, timing: Iterable[LateFrame | Sp
 
 def with_external_inputs(outcome: Outcome, given: ExternalInputs) -> Outcome:
     """The outcome with what came from outside, its notices first."""
-    told: tuple[Event, ...] = (*given.availability.events, *given.refused)
-    return replace(outcome, events=(*told, *outcome.events), external_inputs=given.to_repeat)
+    notices: tuple[Event, ...] = (*given.availability.events, *given.refused)
+    return replace(outcome, events=(*notices, *outcome.events), external_inputs=given.to_repeat)

@@ -60,12 +60,12 @@ class PredictedMotion:
     Attributes:
         motion: the model.
         motion_context: the target's, with what its detector remembers now; None where nothing depends on it.
-        told: what is written down.
+        events: what is written down.
     """
 
     motion: MotionModel
     motion_context: MotionContext | None = None
-    told: tuple[DetectorFailed, ...] = ()
+    events: tuple[DetectorFailed, ...] = ()
 
     def after(self, ud_px2: float, area_px2: float, quiet_px2: float | None) -> MotionContext | None:
         """The motion context after the frame, of which these were measured."""
@@ -157,7 +157,7 @@ def _relocalize(
     per_frame = max(settings.share, settings.usual) if unsure else settings.usual
     if per_frame == 0.0 or min(frame.width, frame.height) < 3:
         return usual
-    state, fault, found, told = known.finder, known.fault, NOTHING, tuple[DetectorFailed, ...]()
+    state, fault, found, events = known.finder, known.fault, NOTHING, tuple[DetectorFailed, ...]()
     is_in = fault is None or fault.until is None or fault.until <= frame.index
     if finder is not None and state is not None and is_in:
         try:
@@ -167,7 +167,7 @@ def _relocalize(
             until, times = next_try(frame.index, fault)
             fault = Fault(times, frame.index, until, True)
             name, reason = type(finder).__name__, said(error)
-            found, told = NOTHING, (DetectorFailed(frame.index, name, reason, until, times),)
+            found, events = NOTHING, (DetectorFailed(frame.index, name, reason, until, times),)
     probes = settings.by.agents
     search = Search(
         hypotheses=settings.hypotheses * min(per_frame / settings.share, 1.0),
@@ -180,4 +180,4 @@ def _relocalize(
     )
     share = 1.0 - (1.0 - per_frame) ** dt
     jumping = Jumping(usual.motion, share, frame.width, frame.height, search)
-    return PredictedMotion(jumping, replace(known, finder=state, fault=fault), told)
+    return PredictedMotion(jumping, replace(known, finder=state, fault=fault), events)

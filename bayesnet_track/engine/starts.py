@@ -132,10 +132,10 @@ def check_started(graph: CheckedGraph, first: Outcome) -> None:
     for net in first.state.net.targets.values():
         if not net.quarantined.issuperset(graph.targets[net.template].agents):
             return
-    told = (
+    reasons = (
         f"target {target}: {agent}: {reason}" for target, why in out.items() for agent, reason in why.items()
     )
-    raise StartError(f"no agent can start, so that nothing can be tracked; {'; '.join(told)}")
+    raise StartError(f"no agent can start, so that nothing can be tracked; {'; '.join(reasons)}")
 
 
 def has_births(graph: CheckedGraph) -> bool:

@@ -86,12 +86,12 @@ def _check_version(values: Mapping[str, Any]) -> None:
     if type(number) is int and number > JOURNAL_VERSION:
         versions = values.get("versions")
         writer = versions.get("bayesnet-track") if isinstance(versions, dict) else None
-        told = (
+        problem = (
             f"bayesnet-track {short(str(writer))}, which wrote it" if writer else "the version that wrote it"
         )
         raise JournalError(
             f"format {number} of journals; this version reads formats up to {JOURNAL_VERSION}: read it with "
-            f"{told}, or a newer one"
+            f"{problem}, or a newer one"
         )
 
 

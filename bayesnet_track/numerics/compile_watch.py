@@ -52,7 +52,7 @@ class CompileWatch:
         return float(getattr(self._of_thread, "seconds", 0.0))
 
     @contextmanager
-    def told(self, listener: Listener) -> Iterator[None]:
+    def notifying(self, listener: Listener) -> Iterator[None]:
         """Inside it `listener` is called whenever a kernel begins to be compiled, in whatever thread."""
         self._listeners.append(listener)
         try:

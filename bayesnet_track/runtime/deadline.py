@@ -105,7 +105,7 @@ class Deadline:
         self._calm = 0 if is_late else self._calm + 1
         self._most = 0.0 if is_late else max(self._most, self._spent)
 
-    def told(self, frame: int, net: Net) -> tuple[Input, ...]:
+    def inputs_for(self, frame: int, net: Net) -> tuple[Input, ...]:
         """What the engine is given with the next frame: that the last was late, or that there is time.
 
         It is asked before `begin`.

@@ -114,10 +114,10 @@ def run(
             target can (`check_started`): then sinks were told why.
     """
     check_starts(graph, starts, source.width, source.height)
-    told = summary if summary is not None else Summary()
+    totals = summary if summary is not None else Summary()
     engine = engine or make_engine(graph, seed)
 
-    def tell(event: Event) -> None:
+    def emit(event: Event) -> None:
         for sink in sinks:
             sink.event(event)
 
@@ -125,29 +125,29 @@ def run(
     has_started = False
     if after is not None:
         state, has_started = after.reached.state, True
-        told.frames, told.reconfigurations = after.reached.frames, after.reached.reconfigurations
-        told.lost_frames = after.reached.lost_frames
+        totals.frames, totals.reconfigurations = after.reached.frames, after.reached.reconfigurations
+        totals.lost_frames = after.reached.lost_frames
     opened, compiled_before = time.perf_counter(), WATCH.seconds
     try:
         for event in () if after is None else after.events:
-            tell(event)
+            emit(event)
         for item in source if after is None else after.items:
             if not isinstance(item, Frame):
-                told.notices.append(item)
+                totals.notices.append(item)
                 if has_started:
-                    tell(item)
+                    emit(item)
                 continue
             began, compiled = time.perf_counter(), WATCH.seconds
             if state is None:
                 has_started = True
                 # What was found wrong before the first frame comes after the journal's first line.
-                for event in (_run_started(graph, engine, source, item, seed, inputs), *told.notices):
-                    tell(event)
+                for event in (_run_started(graph, engine, source, item, seed, inputs), *totals.notices):
+                    emit(event)
                 outcome = start_targets(graph, engine, item, starts, external_inputs(item.index))
             else:
                 given = external_inputs(item.index)
                 if deadline is not None:
-                    given = (*given, *deadline.told(item.index, state.net))
+                    given = (*given, *deadline.inputs_for(item.index, state.net))
                     deadline.begin()
                 outcome = step(engine, state, item, given)
                 if deadline is not None:
@@ -155,17 +155,17 @@ def run(
             before, state = state, outcome.state
             spent = time.perf_counter() - began - (WATCH.seconds - compiled)
             for event in outcome.events:
-                tell(event)
+                emit(event)
             if before is None:
                 check_started(graph, outcome)
-            told.frames += 1
+            totals.frames += 1
             result = _result(item, outcome, spent, before)
-            told.reconfigurations += sum(isinstance(event, Switch) for event in result.decisions)
-            told.lost_frames += any(metrics.status == "lost" for metrics in result.targets)
+            totals.reconfigurations += sum(isinstance(event, Switch) for event in result.decisions)
+            totals.lost_frames += any(metrics.status == "lost" for metrics in result.targets)
             for sink in sinks:
                 sink.frame(result)
             if checkpointer is not None:
-                now = RunPosition(item, state, told.frames, told.reconfigurations, told.lost_frames)
+                now = RunPosition(item, state, totals.frames, totals.reconfigurations, totals.lost_frames)
                 checkpointer.reached(now)
             try:
                 yield result
@@ -173,16 +173,16 @@ def run(
                 if checkpointer is not None:
                     checkpointer.stopped()
                 raise
-        told.reason = source.end_reason
-        told.complete = told.reason == "end_of_source"
+        totals.reason = source.end_reason
+        totals.complete = totals.reason == "end_of_source"
     except (KeyboardInterrupt, GeneratorExit):
-        told.reason = "interrupted"
+        totals.reason = "interrupted"
         raise
     finally:
-        told.seconds = time.perf_counter() - opened
-        told.compiling_s = WATCH.seconds - compiled_before
+        totals.seconds = time.perf_counter() - opened
+        totals.compiling_s = WATCH.seconds - compiled_before
         if has_started:
-            tell(RunEnded(told.frames, source.expected_frames, told.complete, told.reason))
+            emit(RunEnded(totals.frames, source.expected_frames, totals.complete, totals.reason))
     if checkpointer is not None and has_started:
         checkpointer.ended()
 

@@ -108,7 +108,7 @@ def track(
             print(result.frame.index, one.box, one.status, one.active)
     """
     plugins.allow(allow_plugins)
-    told_of = summary if summary is not None else Summary()
+    totals = summary if summary is not None else Summary()
     checked = load_graph(graph, tuple(cues))
     starts = _starts(box)
     read = {} if detections is None else {str(detections): file_sha256(detections)}
@@ -129,7 +129,7 @@ def track(
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
         engine = placed(stack, executing, engine, None if motion is not None else checked, opened, budget_ms)
-        told: list[Sink] = list(sinks)
+        all_sinks: list[Sink] = list(sinks)
         checkpointer: Checkpoints | None = None
         recorder: Recorder | None = None
         if out is not None:
@@ -157,7 +157,7 @@ def track(
                 begin(directory, files)
             recorder = Recorder(directory, checked, opened.frame_interval_s, video, before_first=take_place)
             stack.enter_context(recorder)
-            told.append(recorder)
+            all_sinks.append(recorder)
             checkpointer = kept(directory, engine, recorder, recipe, checkpoint_every)
             if checkpointer is not None:
                 stack.enter_context(checkpointer)
@@ -166,15 +166,15 @@ def track(
             opened,
             starts,
             seed=seed,
-            sinks=told,
-            summary=told_of,
+            sinks=all_sinks,
+            summary=totals,
             engine=engine,
             inputs=read,
             external_inputs=external_inputs,
             deadline=None if budget_ms is None else Deadline(budget_ms, executing.processes),
             checkpointer=checkpointer,
         )
-        if recorder is not None and told_of.frames:
+        if recorder is not None and totals.frames:
             finish(directory, recorder.finish())
 
 

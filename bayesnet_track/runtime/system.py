@@ -45,7 +45,7 @@ def lacking() -> Iterator[str]:
         yield "no sync of folders (a power cut may lose the newest files)"
 
 
-def told() -> str:
+def describe_missing() -> str:
     """One sentence for who begins a run here; empty on the system that is tested."""
     here = (platform.system(), platform.machine())
     missing = ", ".join(lacking())

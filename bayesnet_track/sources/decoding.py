@@ -46,7 +46,7 @@ def serve(opener: Opener) -> None:
         os.dup2(2, 1)  # what libraries print must not stand among the answers
         _load_libraries()
         slots = _Slots(int(job["shared"]), answers)
-        _tell(answers, {"is": "ready"})
+        _send(answers, {"is": "ready"})
         give_up_rights(limits, job["files"])
         begin_picture(limits)
         _read(opener, job, limits, slots, answers)
@@ -57,7 +57,7 @@ def serve(opener: Opener) -> None:
         code = 0  # the parent has closed the source
     except Exception as error:
         with suppress(OSError):
-            _tell(answers, {"is": "failed", "reason": f"{type(error).__name__}: {error}"[:2000]})
+            _send(answers, {"is": "failed", "reason": f"{type(error).__name__}: {error}"[:2000]})
     finally:
         os._exit(code)
 
@@ -105,8 +105,8 @@ def _read(opener: Opener, job: Mapping[str, Any], limits: Limits, slots: _Slots,
         reader = opener(job)
     except SourceError as error:
         said = {name: getattr(error, name) for name in ("given", "found", "allowed", "mend")}
-        return _tell(answers, {"is": "refused", **said})
-    _tell(
+        return _send(answers, {"is": "refused", **said})
+    _send(
         answers,
         {
             "is": "opened",
@@ -118,11 +118,11 @@ def _read(opener: Opener, job: Mapping[str, Any], limits: Limits, slots: _Slots,
     for item in reader:
         if isinstance(item, Damage):
             what = {"reason": item.reason[:2000], "truncated": item.truncated}
-            _tell(answers, {"is": "damage", "index": item.index, **what})
+            _send(answers, {"is": "damage", "index": item.index, **what})
         elif isinstance(item, Picture):  # files and URLs give nothing else
             slots.show(item, is_wanted=item.index >= job["start"])
         begin_picture(limits)
-    _tell(answers, {"is": "end"})
+    _send(answers, {"is": "end"})
 
 
 class _Slots:
@@ -133,7 +133,7 @@ class _Slots:
         self._free = list(range(SLOTS))
 
     def show(self, picture: Picture, is_wanted: bool) -> None:
-        told: dict[str, Any] = {
+        message: dict[str, Any] = {
             "is": "picture",
             "index": picture.index,
             "time": float(picture.time),
@@ -143,7 +143,7 @@ class _Slots:
             try:
                 image, has_color = picture.pixels()
             except PictureError as error:
-                told["error"] = str(error)[:2000]
+                message["error"] = str(error)[:2000]
             else:
                 if image.nbytes > SLOT_BYTES:
                     raise MemoryError
@@ -151,8 +151,8 @@ class _Slots:
                 at = slot * SLOT_BYTES
                 self._view[at : at + image.nbytes] = image.tobytes()
                 height, width = image.shape[:2]
-                told |= {"slot": slot, "height": height, "width": width, "has_color": has_color}
-        _tell(self._answers, told)
+                message |= {"slot": slot, "height": height, "width": width, "has_color": has_color}
+        _send(self._answers, message)
 
     def _borrow(self) -> int:
         if not self._free:
@@ -163,7 +163,7 @@ class _Slots:
         return self._free.pop(0)
 
 
-def _tell(answers: int, message: Mapping[str, Any]) -> None:
+def _send(answers: int, message: Mapping[str, Any]) -> None:
     line = json.dumps(message).encode() + b"\n"
     while line:
         line = line[os.write(answers, line) :]

@@ -100,13 +100,13 @@ class IsolatedReader:
         self._write(len(asked).to_bytes(8) + asked)
         try:
             self._message(self._limits.starting_s)
-            told = self._message(self._limits.picture_s)
-            if told["is"] == "refused":
-                raise SourceError(*(str(told[name]) for name in ("given", "found", "allowed", "mend")))
-            declared = told["declared_frames"]
+            answer = self._message(self._limits.picture_s)
+            if answer["is"] == "refused":
+                raise SourceError(*(str(answer[name]) for name in ("given", "found", "allowed", "mend")))
+            declared = answer["declared_frames"]
             self.declared_frames = None if declared is None else int(declared)
-            self.frame_interval_s = float(told["frame_interval_s"])
-            self.gap_from = float(told["gap_from"])
+            self.frame_interval_s = float(answer["frame_interval_s"])
+            self.gap_from = float(answer["gap_from"])
         except _Ended as error:
             mend = "check that it is whole, and where it comes from"
             raise SourceError(self._text, str(error), "a source that can be decoded", mend) from None
@@ -119,10 +119,10 @@ class IsolatedReader:
     def __iter__(self) -> Iterator[Picture | Damage]:
         while True:
             try:
-                told = self._message(self._limits.picture_s)
-                if told["is"] == "end":
+                answer = self._message(self._limits.picture_s)
+                if answer["is"] == "end":
                     return
-                item = self._item(told)
+                item = self._item(answer)
             except _Ended as error:
                 yield Damage(self._index, str(error))
                 return
@@ -147,23 +147,23 @@ class IsolatedReader:
         cut(self._shared, self._lifeline)
         self._shared = self._lifeline = -1
 
-    def _item(self, told: Mapping[str, Any]) -> Picture | Damage:
-        index = int(told["index"])
-        if told["is"] == "damage":
-            return Damage(index, str(told["reason"]), bool(told["truncated"]))
-        if told["is"] != "picture":
+    def _item(self, answer: Mapping[str, Any]) -> Picture | Damage:
+        index = int(answer["index"])
+        if answer["is"] == "damage":
+            return Damage(index, str(answer["reason"]), bool(answer["truncated"]))
+        if answer["is"] != "picture":
             raise ValueError
         self._index = index + 1
-        time_s = float(told["time_s"])
-        if "slot" not in told:
-            error = PictureError(str(told.get("error", "the picture lies before the start")))
-            return Picture(index, float(told["time"]), time_s, _Refused(error))
-        image, has_color = self._image(told), bool(told["has_color"])
-        return Picture(index, float(told["time"]), time_s, lambda: (image, has_color))
+        time_s = float(answer["time_s"])
+        if "slot" not in answer:
+            error = PictureError(str(answer.get("error", "the picture lies before the start")))
+            return Picture(index, float(answer["time"]), time_s, _Refused(error))
+        image, has_color = self._image(answer), bool(answer["has_color"])
+        return Picture(index, float(answer["time"]), time_s, lambda: (image, has_color))
 
-    def _image(self, told: Mapping[str, Any]) -> NDArray[np.uint8]:
+    def _image(self, answer: Mapping[str, Any]) -> NDArray[np.uint8]:
         """The pixels, copied out of shared memory: its slot is lent again at once."""
-        slot, height, width = int(told["slot"]), int(told["height"]), int(told["width"])
+        slot, height, width = int(answer["slot"]), int(answer["height"]), int(answer["width"])
         if not (0 <= slot < SLOTS and height > 0 and width > 0 and 3 * height * width <= SLOT_BYTES):
             raise ValueError
         image = np.empty((height, width, 3), np.uint8)
@@ -204,14 +204,14 @@ class IsolatedReader:
                 raise _Ended(NONSENSE)
         line, _, self._buffer = self._buffer.partition(b"\n")
         try:
-            told = json.loads(line)
+            answer = json.loads(line)
         except RecursionError as error:
             raise ValueError("nested too deeply") from error
-        if not isinstance(told, dict):
+        if not isinstance(answer, dict):
             raise ValueError
-        if told.get("is") == "failed":
-            raise _Ended(f"the decoder failed: {told['reason']}")
-        return told
+        if answer.get("is") == "failed":
+            raise _Ended(f"the decoder failed: {answer['reason']}")
+        return answer
 
     def _how_it_ended(self) -> str:
         try:

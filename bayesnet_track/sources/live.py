@@ -101,9 +101,9 @@ class LiveReader:
                 moment, image, dropped = arrived
                 began = moment if began is None else began
                 index += dropped if self.counts_dropped else 0
-                told = drops.told(moment, dropped)
-                if told:
-                    yield Dropped(index, told)
+                count = drops.take_due(moment, dropped)
+                if count:
+                    yield Dropped(index, count)
                 time_s = moment - began
                 yield Picture(index, time_s / self.frame_interval_s, time_s, _given(image), skipped=dropped)
                 last, attempts, index = moment, 0, index + 1
@@ -186,16 +186,16 @@ class _Drops:
     """Counts dropped pictures, and says when to tell of them: seldom, where it goes on."""
 
     def __init__(self) -> None:
-        self._untold, self._due, self._every_s = 0, 0.0, TELL_S
+        self._unreported, self._due, self._every_s = 0, 0.0, TELL_S
 
-    def told(self, moment: float, dropped: int) -> int:
-        """How many to tell of now; 0 when it is not the time, or there are none."""
-        self._untold += dropped
-        if not self._untold or moment < self._due:
+    def take_due(self, moment: float, dropped: int) -> int:
+        """How many to report now; 0 when it is not the time, or there are none."""
+        self._unreported += dropped
+        if not self._unreported or moment < self._due:
             return 0
-        told, self._untold = self._untold, 0
+        count, self._unreported = self._unreported, 0
         self._due, self._every_s = moment + self._every_s, min(2.0 * self._every_s, SELDOM_S)
-        return told
+        return count
 
 
 def _given(image: Image) -> Any:

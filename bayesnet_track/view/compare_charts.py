@@ -52,10 +52,10 @@ def draw_pair(first: RunRecord, second: RunRecord, compared: Comparison, pair: t
         *_marks(compared.moments, pair, x, bottom),
     ]
     height = bottom + FOOT
-    told = f"UD, distance of the estimates and active agents of target {pair[0]} in both runs"
+    caption = f"UD, distance of the estimates and active agents of target {pair[0]} in both runs"
     return (
         f'<svg class="chart" role="group" viewBox="0 0 {WIDTH:g} {height:g}">'
-        + element("title", text_of(told))
+        + element("title", text_of(caption))
         + "".join(body)
         + "</svg>"
     )
@@ -172,12 +172,12 @@ def _marks(moments: Sequence[Moment], pair: tuple[str, str], x: _Scale, bottom: 
         if moment.pair != pair:
             continue
         at = x(moment.frame)
-        told = [
+        caption = [
             f"{name} {explain(event)}"
             for name, side in (("A", moment.first), ("B", moment.second))
             for event in side
         ]
-        parts = [element("title", text_of("\n".join(told)))]
+        parts = [element("title", text_of("\n".join(caption)))]
         parts.append(_line(at, UD_TOP - 28.0, at, bottom, "hit"))
         parts.append(_line(at, UD_TOP - 12.0, at, bottom, "parting first" if number == 0 else "parting"))
         if at >= free:

@@ -110,8 +110,8 @@ def _runs(first: RunRecord, second: RunRecord, settings: Sequence[str]) -> list[
 
 
 def _first_parting(first: RunRecord, second: RunRecord, compared: Comparison) -> list[str]:
-    head, *told = parting_lines(first, second, compared)
-    lines = [_sided(line.strip()) for line in told]
+    head, *parts = parting_lines(first, second, compared)
+    lines = [_sided(line.strip()) for line in parts]
     return [
         "<h2>Where they part first</h2>",
         '<div class="first">',
@@ -187,11 +187,11 @@ def _charts(first: RunRecord, second: RunRecord, compared: Comparison) -> list[s
 def _moments(first: RunRecord, second: RunRecord, compared: Comparison) -> list[str]:
     if not compared.moments:
         return []
-    told = [f"<h2>{_capital(plural(len(compared.moments), 'parting'))}</h2>"]
+    parts = [f"<h2>{_capital(plural(len(compared.moments), 'parting'))}</h2>"]
     for number, moment in enumerate(compared.moments[:MOST_MOMENTS]):
         head = f"<h3>{text_of(_capital(place(moment, compared)))}</h3>"
         body = "".join(_sided(line) for line in sides(first, second, moment))
-        told.append(f'<div class="moment" id="moment-{number}">{head}{body}</div>')
+        parts.append(f'<div class="moment" id="moment-{number}">{head}{body}</div>')
     if len(compared.moments) > MOST_MOMENTS:
-        told.append(f"<p>… and {len(compared.moments) - MOST_MOMENTS} more.</p>")
-    return told
+        parts.append(f"<p>… and {len(compared.moments) - MOST_MOMENTS} more.</p>")
+    return parts

@@ -64,11 +64,11 @@ def run_html(run: RunRecord) -> str:
     if len(targets) > SHOWN_TARGETS:
         drawn.append(f"<p>and {plural(len(targets) - SHOWN_TARGETS, 'more target')}</p>")
     named = has_several_targets(run.events)
-    told = [f"<li>{text_of(explain(event, named))}</li>" for event in run.events[:SHOWN_EVENTS]]
+    items = [f"<li>{text_of(explain(event, named))}</li>" for event in run.events[:SHOWN_EVENTS]]
     more = len(run.events) - SHOWN_EVENTS
-    told += [f"<li>and {more} more</li>"] if more > 0 else []
+    items += [f"<li>and {more} more</li>"] if more > 0 else []
     summary = f"<summary>{plural(len(run.events), 'line')} of the journal</summary>"
-    return table(rows) + "".join(drawn) + f"<details>{summary}<ul>{''.join(told)}</ul></details>"
+    return table(rows) + "".join(drawn) + f"<details>{summary}<ul>{''.join(items)}</ul></details>"
 
 
 def table(rows: Iterable[Sequence[object]], head: Sequence[str] = ()) -> str:

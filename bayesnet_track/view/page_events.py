@@ -36,13 +36,13 @@ def event_row(event: Event) -> dict[str, Any]:
     prevented it (`unless`), the pieces of its sentence, of which the last two may be empty.
     """
     sentence = _FRAME.sub("", explain(event))
-    told, *prevented = _PREVENTED.split(sentence, maxsplit=1)
-    why, arrow, what = told.partition(ARROW)
+    described, *prevented = _PREVENTED.split(sentence, maxsplit=1)
+    why, arrow, what = described.partition(ARROW)
     row: dict[str, Any] = {
         "frame": getattr(event, "frame", 0),
         "kind": event_name(type(event)),
         "sort": _sort(event),
-        "what": what if arrow else told,
+        "what": what if arrow else described,
         "why": why if arrow else "",
         "unless": prevented[0] if prevented else "",
     }

@@ -112,9 +112,9 @@ def _policy(images: str) -> str:
 
 def _head(title: str, policy: str, more: str = "") -> Iterator[str]:
     # In a page only a server can forbid frames around it.
-    told = policy.replace("; frame-ancestors 'none'", "")
+    own_policy = policy.replace("; frame-ancestors 'none'", "")
     yield '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-    yield f'<meta http-equiv="Content-Security-Policy" content="{escape(told, quote=True)}">\n'
+    yield f'<meta http-equiv="Content-Security-Policy" content="{escape(own_policy, quote=True)}">\n'
     yield f'{GENERATOR}\n<meta name="viewport" content="width=device-width, initial-scale=1">\n'
     yield '<meta name="color-scheme" content="light dark">\n<meta name="referrer" content="no-referrer">\n'
     yield f"{more}<title>{escape(title)}</title>\n"

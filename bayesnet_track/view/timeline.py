@@ -74,8 +74,8 @@ def draw_timeline(events: Iterable[Event], metrics: Iterable[FrameMetrics], targ
         _text("UD, px²", LEFT, TOP - 10.0, 11.5, SOFT),
         _text("frame", WIDTH - RIGHT, bottom + 32.0, 11.5, SOFT, anchor="end"),
     ]
-    told = f"{len(lines)} frames, {len(switches)} switches of {len(agents)} agents"
-    return document(WIDTH, bottom + FOOT, f"Timeline of target {target}", told, body)
+    caption = f"{len(lines)} frames, {len(switches)} switches of {len(agents)} agents"
+    return document(WIDTH, bottom + FOOT, f"Timeline of target {target}", caption, body)
 
 
 # ------------------------------------------------------------------------------------ what there is

@@ -356,7 +356,7 @@ def test_a_change_of_size_stops_or_is_rescaled(cli, images, tmp_path, option, co
     assert ("stopped where the frames change size" in said) == bool(code)
 
 
-TELL_OF_COMPILING = commands.tell_of_compiling
+NOTICE_COMPILING = commands.notice_compiling
 
 
 @pytest.mark.parametrize(
@@ -376,7 +376,7 @@ def test_it_is_said_once_that_kernels_are_compiled(cli, monkeypatch, line, told)
         return 0
 
     monkeypatch.setattr(commands, "COMMANDS", dict.fromkeys(commands.COMMANDS, command))
-    monkeypatch.setattr(commands, "tell_of_compiling", TELL_OF_COMPILING)
+    monkeypatch.setattr(commands, "notice_compiling", NOTICE_COMPILING)
     assert cli(line) == (0, "", told)
     monkeypatch.setattr(commands, "COMMANDS", dict.fromkeys(commands.COMMANDS, lambda options: 0))
     assert cli(line) == (0, "", ""), "nothing is compiled"

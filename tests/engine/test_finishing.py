@@ -28,7 +28,7 @@ def test_both_halves_are_the_step_of_a_target_that_is_alone(fakes):
     whole = step(engine, state, frame)
     assert isinstance(result, TargetResult)
     assert whole.metrics == (result.metrics,)
-    assert whole.events == (*result.told, *result.decisions)
+    assert whole.events == (*result.events, *result.decisions)
     assert {"planes", "belief", "measure", "learn", "a", "b"} == set(work.seconds)
 
 

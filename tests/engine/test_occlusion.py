@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bayesnet_track.adapt.joins import JoinMemory
-from bayesnet_track.engine.occlusion import tell_hidden
+from bayesnet_track.engine.occlusion import report_hidden
 from bayesnet_track.journal.events.join_events import JoinMetrics
 
 
@@ -11,7 +11,7 @@ def test_a_target_is_told_to_be_hidden_once_and_to_be_seen_once():
     memory, told = JoinMemory(), []
     for frame, hidden in enumerate([0.4, 0.6, 0.4, 0.7, 0.3, 0.4]):
         metrics = {"1": JoinMetrics(("2",), hidden, "2", {"2": 0.25}, None, 10.0)}
-        memory = tell_hidden(frame, metrics, memory, told)
+        memory = report_hidden(frame, metrics, memory, told)
     assert [(one.frame, one.other, one.hidden, one.share) for one in told] == [
         (1, "2", True, 0.6),
         (4, "2", False, 0.3),

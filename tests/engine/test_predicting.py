@@ -118,7 +118,7 @@ def test_the_detector_is_shown_the_target_and_looks_for_it(fakes):
     now = PlaneCache(FramePair(Frame(1, 1.0, orange_at(100, 30)), start))
     found = predict_motion(compiled, None, known, True, 1.0, now)
     np.testing.assert_allclose(found.motion.search.boxes, [[99.5, 29.5, 20, 20]], atol=2.0)
-    assert found.told == ()
+    assert found.events == ()
 
 
 class MuteError(Exception):
@@ -148,8 +148,10 @@ def test_a_detector_that_fails_is_out_and_told(fakes, error, reason):
         compiled, None, start_motion_context(compiled, BOX, cache.frames), True, 1.0, cache
     )
     assert isinstance(found.motion, Jumping)
-    assert found.motion_context.finder is not None and found.motion_context.fault.until == found.told[0].until
-    assert [event.reason for event in found.told] == [reason]
+    assert (
+        found.motion_context.finder is not None and found.motion_context.fault.until == found.events[0].until
+    )
+    assert [event.reason for event in found.events] == [reason]
 
 
 @pytest.mark.parametrize(
@@ -177,7 +179,7 @@ def test_the_answer_of_a_detector_is_checked_as_where_targets_are_born(fakes, an
     found = predict_motion(
         compiled, None, start_motion_context(compiled, BOX, cache.frames), True, 1.0, cache
     )
-    assert [reason in event.reason for event in found.told] == [True]
+    assert [reason in event.reason for event in found.events] == [True]
 
 
 @pytest.mark.parametrize("by", ["agents", "uniform"])
@@ -200,9 +202,9 @@ def test_a_target_that_leaps_is_found_again_and_that_is_told(fakes, by):
         return outcomes
 
     found = run(relocalize={"by": by, "above": {"ud_box": 0.2}})
-    told = [event for outcome in found for event in outcome.events if isinstance(event, Reappeared)]
-    assert len(told) == 1
-    assert told[0].by == by
+    reappeared = [event for outcome in found for event in outcome.events if isinstance(event, Reappeared)]
+    assert len(reappeared) == 1
+    assert reappeared[0].by == by
     assert np.hypot(found[-1].metrics[0].box[0] - 105, found[-1].metrics[0].box[1] - 85) < 3
     without = run()[-1].metrics[0].box
     assert np.hypot(without[0] - 105, without[1] - 85) > 20

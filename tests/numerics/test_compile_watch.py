@@ -33,7 +33,7 @@ def test_spans_within_a_span_do_not_count_twice_and_what_failed_is_forgotten():
     times = iter([10.0, 11.0, 12.0, 13.0, 20.0, 20.5])
     watch = CompileWatch(lambda: next(times))
     told = []
-    with watch.told(lambda: told.append(1)):
+    with watch.notifying(lambda: told.append(1)):
         watch.begins("outer")
         watch.begins("inner")
         watch.ends("inner")
@@ -49,7 +49,7 @@ def test_spans_within_a_span_do_not_count_twice_and_what_failed_is_forgotten():
 def test_a_kernel_is_compiled_once_and_then_comes_from_the_cache(tmp_path):
     (tmp_path / "kernels.py").write_text(KERNELS)
     told, before = [], WATCH.seconds
-    with WATCH.told(lambda: told.append(1)):
+    with WATCH.notifying(lambda: told.append(1)):
         module = module_of(tmp_path / "kernels.py")
         assert not told, "nothing is compiled before it is called"
         assert module.outer(np.ones(3)) == 4.0

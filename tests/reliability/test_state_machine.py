@@ -27,7 +27,7 @@ from hypothesis.stateful import (
 
 from bayesnet_track import Start, track
 from bayesnet_track.journal.events.inputs import Released, Toggled
-from bayesnet_track.runtime.checkpoints.pending_inputs import told_before
+from bayesnet_track.runtime.checkpoints.pending_inputs import inputs_before
 from bayesnet_track.runtime.checkpoints.recipe import RecipeError
 from bayesnet_track.runtime.checkpoints.resume import resume
 from bayesnet_track.runtime.recording.manifest import ManifestError, passing
@@ -339,7 +339,7 @@ class Machine(RuleBasedStateMachine):
 
     def _kept(self, known: Switches, asked: Switches, told: list[int], done: list[int]) -> Switches:
         """The switches on the disk: all of those known, of those asked for each in a frame that was done."""
-        found: Mapping[int, Any] = told_before(RunDirectory(self.folder))
+        found: Mapping[int, Any] = inputs_before(RunDirectory(self.folder))
         now = {frame: tuple(given) for frame, given in found.items()}
         assert {frame: now.get(frame) for frame in known} == known, "no switch is lost"
         for frame in range(FRAMES):

@@ -31,7 +31,7 @@ class Clock:
 def frames(deadline, clock, times_ms, net=SHORT):
     told = []
     for index, spent in enumerate(times_ms):
-        told += deadline.told(index, net)
+        told += deadline.inputs_for(index, net)
         deadline.begin()
         clock.now += spent / 1000.0
         deadline.end()
@@ -125,7 +125,7 @@ def test_a_frame_comes_in_time_though_an_agent_is_ten_times_slower(fakes):
     from bayesnet_track.engine.step import step
 
     for index in range(1, 12):
-        given = deadline.told(index, outcomes[-1].state.net)
+        given = deadline.inputs_for(index, outcomes[-1].state.net)
         deadline.begin()
         began = time.monotonic()
         outcomes.append(step(engine, outcomes[-1].state, fakes.frame(index), given))

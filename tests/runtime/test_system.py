@@ -36,16 +36,16 @@ def on(monkeypatch):
 
 def test_on_the_tested_system_nothing_is_said(on):
     on("linux", "Linux", "x86_64")
-    assert system.told() == ""
+    assert system.describe_missing() == ""
     on("linux", "Linux", "aarch64")
-    assert system.told() == (
+    assert system.describe_missing() == (
         "Linux aarch64 is not tested (Linux x86_64 is); missing here: nothing that is known"
     )
 
 
 def test_windows_lacks_workers_sandbox_and_signals(on):
     on("win32", "Windows", "AMD64")
-    said = system.told()
+    said = system.describe_missing()
     assert said.startswith("Windows AMD64 is not tested (Linux x86_64 is); missing here: no worker processes")
     for missing in ("--executor processes", "--isolate-decoder", "SIGTERM", "sync of folders"):
         assert missing in said
@@ -54,7 +54,10 @@ def test_windows_lacks_workers_sandbox_and_signals(on):
 
 def test_a_mac_lacks_the_limit_on_memory_alone(on):
     on("darwin", "Darwin", "arm64")
-    assert "missing here: no limit on memory (" in system.told() and "worker" not in system.told()
+    assert (
+        "missing here: no limit on memory (" in system.describe_missing()
+        and "worker" not in system.describe_missing()
+    )
 
 
 @pytest.mark.parametrize(("quiet", "times"), [("", 1), ("--quiet", 0)])

@@ -42,12 +42,12 @@ class Hostile:
     def close(self):
         pass
 
-def tell(answers, message, tell=decoding._tell):
+def tell(answers, message, tell=decoding._send):
     global pipe
     pipe = answers
     tell(answers, message)
 
-decoding._load_libraries, decoding._tell = lambda: None, tell
+decoding._load_libraries, decoding._send = lambda: None, tell
 decoding.serve(lambda job: Hostile())
 """
 

@@ -150,7 +150,7 @@ def test_two_eyes_are_paired_by_what_is_newest():
 
 def test_drops_are_told_seldom():
     drops = _Drops()
-    told = [(n, drops.told(n / 10.0, 1)) for n in range(1200)]
+    told = [(n, drops.take_due(n / 10.0, 1)) for n in range(1200)]
     lines = [(n, count) for n, count in told if count]
     assert [n for n, _ in lines[:5]] == [0, 10, 30, 70, 150]
     assert sum(count for _, count in lines) == lines[-1][0] + 1

@@ -7,7 +7,7 @@ import pytest
 from bayesnet_track.journal.net.life_decisions import Reacquired
 from bayesnet_track.journal.net.net import Decision, TargetStarted, replay
 from bayesnet_track.journal.net.rule_decisions import Activated
-from bayesnet_track.journal.text.story import tell_life
+from bayesnet_track.journal.text.story import describe_life
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scene_source import SceneSource
@@ -64,7 +64,7 @@ def test_the_hidden_square_is_found_again_with_its_identity():
     assert {t: one.active for t, one in replay(decisions).targets.items()} == {
         line.target: frozenset(line.active) for line in last.targets
     }
-    story = tell_life(told.events, told.metrics, "1").splitlines()
+    story = describe_life(told.events, told.metrics, "1").splitlines()
     assert story[0].startswith("frame 2: color_backprojection saw it in 3 of 3 looks since frame 0")
     assert story[-1].startswith("summary: 38 frames, lost in ")
 

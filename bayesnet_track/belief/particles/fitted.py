@@ -67,11 +67,11 @@ def fitted_message(
     precisions = 1.0 / np.maximum(variances, 1e-6)
     shift = axes.T @ (whiten @ (mean - centre))
     gained = np.maximum(precisions - 1.0, 0.0)
-    told = np.where(gained > 0, precisions * shift, 0.0)
+    gained_shift = np.where(gained > 0, precisions * shift, 0.0)
     stretch = min(1.0 / power, STRETCH)
     back = whiten.T @ axes
     precision = (back * (stretch * gained)) @ back.T
-    return Message(precision, back @ (stretch * told) + precision @ centre)
+    return Message(precision, back @ (stretch * gained_shift) + precision @ centre)
 
 
 def flattened(beta: LogWeights, log_likelihood: Floats, least: float) -> tuple[float, LogWeights]:

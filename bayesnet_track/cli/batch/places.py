@@ -72,12 +72,12 @@ class Processes:
             left = len(jobs)
             while left:
                 try:
-                    told = reports.get(timeout=WAIT_S)
+                    report = reports.get(timeout=WAIT_S)
                 except Empty:
                     yield None
                     continue
-                left -= told.row is not None
-                yield told
+                left -= report.row is not None
+                yield report
         finally:
             is_over.set()
             for process in tuple(running):

@@ -20,16 +20,16 @@ class BatchProgress:
         self._running: dict[Job, Progress] = {}
         self._over, self._failed, self._drawn = 0, 0, 0
 
-    def update(self, told: Progress) -> None:
+    def update(self, report: Progress) -> None:
         """Take what is reported of a job, and show it."""
         lines = []
-        if told.row is None:
-            self._running[told.job] = told
+        if report.row is None:
+            self._running[report.job] = report
         else:
-            self._running.pop(told.job, None)
+            self._running.pop(report.job, None)
             self._over += 1
-            self._failed += told.row["status"] == FAILED
-            lines = [f"{told.job.label}: {result(told.row)}"]
+            self._failed += report.row["status"] == FAILED
+            lines = [f"{report.job.label}: {result(report.row)}"]
         if self._redraws:
             self._clear()
             running = [f"  {job.label}: {_so_far(one)}" for job, one in self._running.items()]
@@ -64,5 +64,5 @@ def csv_text(rows: Iterable[Row]) -> str:
     return text.getvalue()
 
 
-def _so_far(told: Progress) -> str:
-    return f"frame {told.done}" + ("" if told.expected is None else f"/{told.expected}")
+def _so_far(report: Progress) -> str:
+    return f"frame {report.done}" + ("" if report.expected is None else f"/{report.expected}")

@@ -22,7 +22,7 @@ def main() -> int:
     answers = os.dup(1)
     os.dup2(2, 1)  # what cues print must not stand among the answers
 
-    def tell(what: object) -> None:
+    def send(what: object) -> None:
         os.write(answers, json.dumps(what).encode() + b"\n")
 
     job = Job.from_json(sys.stdin.readline())
@@ -32,11 +32,11 @@ def main() -> int:
         nonlocal shown
         if time.monotonic() >= shown + EVERY_S:
             shown = time.monotonic()
-            tell({"done": done, "expected": expected})
+            send({"done": done, "expected": expected})
 
     try:
         allow(job)
-        tell({"row": do(job, progress)})
+        send({"row": do(job, progress)})
     except (OSError, ValueError) as error:
-        tell({"row": failed_row(job, " ".join(words(error).split()))})
+        send({"row": failed_row(job, " ".join(words(error).split()))})
     return 0

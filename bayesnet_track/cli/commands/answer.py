@@ -63,10 +63,10 @@ def say(text: str) -> None:
 
 def complain(message: str) -> None:
     """Print what is wrong."""
-    unheard(lambda: sys.stderr.write(message + "\n"))
+    run_silently(lambda: sys.stderr.write(message + "\n"))
 
 
-def unheard(show: Callable[[], object]) -> None:
+def run_silently(show: Callable[[], object]) -> None:
     """Write to stderr; that nobody reads it any more stops nothing."""
     try:
         show()

@@ -14,8 +14,8 @@ from bayesnet_track.cli.commands.answer import (
     INCOMPLETE,
     OK,
     UsageError,
+    run_silently,
     say,
-    unheard,
     users_mistake,
     writing,
 )
@@ -59,12 +59,12 @@ def batch(options: argparse.Namespace) -> int:
         place = RayTasks(options.ray_address)
     stop: StopRequest = options.stop
     rows: dict[Job, Row] = {}
-    with users_mistake(), closing(place.run(jobs)) as heard:
-        for told in heard:
-            if told is not None and told.row is not None:
-                rows[told.job] = told.row
-            if told is not None and not options.quiet:
-                unheard(partial(progress.update, told))
+    with users_mistake(), closing(place.run(jobs)) as reports:
+        for report in reports:
+            if report is not None and report.row is not None:
+                rows[report.job] = report.row
+            if report is not None and not options.quiet:
+                run_silently(partial(progress.update, report))
             if stop.between_frames():
                 break
     done = [rows[job] for job in jobs if job in rows]

@@ -34,7 +34,7 @@ def compare(options: argparse.Namespace) -> int:
             f"{first.name} and {second.name} are runs of different sources: {'; '.join(apart)}; frames of "
             "the same number do not show the same image (--force compares them all the same)"
         )
-    return tell_comparison(first, second, options)
+    return show_comparison(first, second, options)
 
 
 def check_page(options: argparse.Namespace) -> None:
@@ -76,7 +76,7 @@ def _origins_apart(first: Run, second: Run) -> list[str]:
     return [] if by_name[0] == by_name[1] else [" and ".join(by_name)]
 
 
-def tell_comparison(first: Run, second: Run, options: argparse.Namespace) -> int:
+def show_comparison(first: Run, second: Run, options: argparse.Namespace) -> int:
     """Print the comparison of two runs, and write its page where --html asks for one."""
     from dataclasses import replace
 

@@ -79,10 +79,10 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     if starts:
         say(f"\nagainst the ground truth{' of target 1' if name_target else ''}:")
         say(score_run(out, directory.truth, target="1").text(explained=True))
-    told = min(29, source.expected_frames - 1)
+    explained_frame = min(29, source.expected_frames - 1)
     say(
         f"\nopen {directory.video} to watch it; `bayesnet-track report {out}` makes a page of it; "
-        f"`bayesnet-track log {out} --why {told}` explains a frame"
+        f"`bayesnet-track log {out} --why {explained_frame}` explains a frame"
     )
     return code
 

@@ -87,7 +87,7 @@ def fit_policy(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int
                 one = calibration_data(measuring, video.name, frames, video.truth, seed)
             trials.append((success_auc(one.iou), one.cost_ms))
         auc, cost = np.mean(trials, axis=0)
-        complain(f"{video.name}, {_told(policy)}: AUC {auc:.3f}, {cost:.2f} ms")
+        complain(f"{video.name}, {_describe(policy)}: AUC {auc:.3f}, {cost:.2f} ms")
         return Trial(float(auc), float(cost))
 
     with users_mistake():
@@ -115,14 +115,14 @@ def write_policy(text: str, graph: CheckedGraph, policy: Policy, comment: str = 
     return text
 
 
-def _told(policy: Policy) -> str:
+def _describe(policy: Policy) -> str:
     sample_every = "" if policy.sample_every is None else f", sample_every {policy.sample_every}"
     return f"on above {policy.activate:g}, off below {policy.deactivate:g}{sample_every}"
 
 
 def _summary(chosen: Chosen) -> str:
     return (
-        f"policy: {_told(chosen.policy)}; chosen from {chosen.candidates} in {chosen.runs} trials: AUC "
+        f"policy: {_describe(chosen.policy)}; chosen from {chosen.candidates} in {chosen.runs} trials: AUC "
         f"{chosen.trial.auc:.3f} (the graph's own {chosen.own.auc:.3f}), declared cost "
         f"{chosen.trial.cost_ms:.2f} ms a frame (own {chosen.own.cost_ms:.2f})"
     )

@@ -98,7 +98,7 @@ def add_init(commands: argparse._SubParsersAction[Any]) -> None:
     )
     for name, question, choices, several, default in QUESTIONS:
         words = "A,B,..." if several else "WORD"
-        told = f"{question.split('?')[0]}? {', '.join(choices)} (default {default or 'nothing'})"
-        init.add_argument(f"--{name}", metavar=words, help=told)
+        help_text = f"{question.split('?')[0]}? {', '.join(choices)} (default {default or 'nothing'})"
+        init.add_argument(f"--{name}", metavar=words, help=help_text)
     init.add_argument("--yes", action="store_true", help="ask nothing")
     init.add_argument("--overwrite", action="store_true", help="replace the file if it is there")

@@ -20,7 +20,7 @@ def log(options: argparse.Namespace) -> int:
     from bayesnet_track.journal.codec import to_json
     from bayesnet_track.journal.reader import read_events, read_metrics
     from bayesnet_track.journal.text.explain import explain, has_several_targets, why
-    from bayesnet_track.journal.text.story import tell_life
+    from bayesnet_track.journal.text.story import describe_life
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
     directory = RunDirectory.open(options.run)
@@ -33,7 +33,7 @@ def log(options: argparse.Namespace) -> int:
     if options.target is not None:
         metrics = list(read_metrics(directory.frames, complain))
         with users_mistake():
-            say(tell_life(events, metrics, options.target))
+            say(describe_life(events, metrics, options.target))
         return OK
     chosen = chosen_events(events, options)
     if not chosen:

@@ -33,11 +33,11 @@ def verify(options: argparse.Namespace) -> int:
         held = {"run": options.run, "status": found.status, "result": found.result, "outputs": found.outputs}
         say(json.dumps(held, indent=1))
     else:
-        _tell(options.run, found)
+        _report(options.run, found)
     return {"verified": OK, "changed": BAD_SOURCE}.get(found.status, INCOMPLETE)
 
 
-def _tell(run: str, found: Verified) -> None:
+def _report(run: str, found: Verified) -> None:
     if found.status in WITHOUT:
         say(f"{run}: {WITHOUT[found.status].format(run=run)}")
         return

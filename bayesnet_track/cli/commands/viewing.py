@@ -36,7 +36,7 @@ def viewed(options: argparse.Namespace) -> Iterator[LiveView | None]:
         where = f"{options.view_host} port {options.view}" if options.view else options.view_host
         raise UsageError(f"--view: {where}: {words(error)}; choose another, or none") from error
     with view:
-        _tell(options, view)
+        _announce(options, view)
         yield view
         if stop.signal is None and view.is_open:
             complain("the view stays while its page is open; Ctrl-C closes it")
@@ -109,7 +109,7 @@ def begin_again(
     view.controls.to("starting")
 
 
-def _tell(options: argparse.Namespace, view: LiveView) -> None:
+def _announce(options: argparse.Namespace, view: LiveView) -> None:
     if options.view_host not in ("127.0.0.1", "localhost", "::1"):
         complain(
             f"--view-host {options.view_host}: whoever gets this address can see and control the run, "

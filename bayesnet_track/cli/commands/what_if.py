@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def what_if(options: argparse.Namespace) -> int:
     """Run again, then compare."""
-    from bayesnet_track.cli.commands.compare import check_page, tell_comparison
+    from bayesnet_track.cli.commands.compare import check_page, show_comparison
     from bayesnet_track.graph.text.change import ChangeError, change_graph
     from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
     from bayesnet_track.runtime.checkpoints.unchanged import check_cues
@@ -66,7 +66,7 @@ def what_if(options: argparse.Namespace) -> int:
         except OSError as error:
             complain(f"{second.truth}: cannot write: {error.strerror}")
             return BAD_OUTPUT
-    return tell_comparison(first, open_run(out, complain), options) or code
+    return show_comparison(first, open_run(out, complain), options) or code
 
 
 def _track_again(

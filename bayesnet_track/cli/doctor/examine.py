@@ -65,6 +65,6 @@ def doctor(options: Namespace) -> int:
     if options.json:
         sys.stdout.write(json.dumps(found, indent=2, ensure_ascii=False) + "\n")
     else:
-        told = "1 thing is broken" if broken == 1 else f"{broken} things are broken"
-        sys.stdout.write(f"{told}: begin with the first one\n" if broken else "everything works\n")
+        summary = "1 thing is broken" if broken == 1 else f"{broken} things are broken"
+        sys.stdout.write(f"{summary}: begin with the first one\n" if broken else "everything works\n")
     return 1 if broken else 0

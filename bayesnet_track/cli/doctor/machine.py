@@ -57,8 +57,8 @@ def check_cache() -> Iterator[Finding]:
         cure = f"delete them: {' '.join(damaged[:3])}{' ...' if len(damaged) > 3 else ''}"
         yield Finding("kernel cache", "note", f"damaged, so compiled anew at each start: {which}", cure)
     if not folder or not _can_write(Path(folder)):
-        told = f"{folder} cannot be written" if folder else "no folder for it can be written"
-        text = f"{told}: every start compiles for some ten seconds"
+        summary = f"{folder} cannot be written" if folder else "no folder for it can be written"
+        text = f"{summary}: every start compiles for some ten seconds"
         cure = "set NUMBA_CACHE_DIR to a folder that you may write"
         yield Finding("kernel cache", "note", text, cure)
     elif not damaged:
@@ -98,20 +98,20 @@ def processors() -> int:
 def check_processors() -> Iterator[Finding]:
     """How many processors there are, and who may use how many threads of them."""
     own = processors()
-    told = f"{own} of {os.cpu_count() or own} processors"
+    summary = f"{own} of {os.cpu_count() or own} processors"
     quota = _quota()
     if quota is not None and quota < own:
-        told += f", of which the container may use {quota:g}"
+        summary += f", of which the container may use {quota:g}"
     given = [f"{name}={os.environ[name]}" for name in THREAD_SETTINGS if os.environ.get(name)]
     wrong = [text for text in given if not text.partition("=")[2].isdecimal()]
     too_many = [text for text in given if text not in wrong and int(text.partition("=")[2]) > own]
     if wrong:
-        yield Finding("processors", "broken", f"{told}; {', '.join(wrong)} is no number", "unset it")
+        yield Finding("processors", "broken", f"{summary}; {', '.join(wrong)} is no number", "unset it")
     elif too_many:
-        text = f"{told}; {', '.join(too_many)} asks for more threads than there are"
+        text = f"{summary}; {', '.join(too_many)} asks for more threads than there are"
         yield Finding("processors", "note", text, "unset it")
     else:
-        yield Finding("processors", "ok", "; ".join([told, *given]))
+        yield Finding("processors", "ok", "; ".join([summary, *given]))
 
 
 def _quota() -> float | None:

@@ -109,8 +109,8 @@ def check_cue() -> Iterator[Finding]:
         cure = "mend what is above; else please report this"
         yield Finding("cue", "broken", f"cannot score a frame: {trial.error}", cure)
     else:
-        told = f"color_histogram scores a target {trial.out} nats above what is beside it"
-        yield Finding("cue", "ok", told)
+        summary = f"color_histogram scores a target {trial.out} nats above what is beside it"
+        yield Finding("cue", "ok", summary)
 
 
 def check_worker() -> Iterator[Finding]:

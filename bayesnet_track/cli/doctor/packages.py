@@ -45,7 +45,7 @@ def check_system() -> Iterator[Finding]:
     """Whether this system is the tested one, and what is missing on it."""
     from bayesnet_track.runtime import system
 
-    missing = system.told()
+    missing = system.describe_missing()
     if missing:
         yield Finding("system", "note", missing, "please report what else does not work")
     else:
@@ -73,9 +73,9 @@ def check_this_package() -> Iterator[Finding]:
 def _home(metadata: Distribution) -> Path | None:
     """The folder of the installed package; None where it cannot be told."""
     text = metadata.read_text("direct_url.json")
-    told: dict[str, Any] = json.loads(text) if text else {}
-    if told.get("dir_info", {}).get("editable"):
-        return (Path(url2pathname(urlparse(told["url"]).path)) / "bayesnet_track").resolve()
+    origin: dict[str, Any] = json.loads(text) if text else {}
+    if origin.get("dir_info", {}).get("editable"):
+        return (Path(url2pathname(urlparse(origin["url"]).path)) / "bayesnet_track").resolve()
     beside = Path(str(metadata.locate_file("bayesnet_track"))).resolve()
     return beside if (beside / "__init__.py").exists() else None
 
@@ -109,10 +109,10 @@ def check_versions() -> Iterator[Finding]:
                 continue
             other = _of_requirement(inner.name)
             if other is not None and not inner.specifier.contains(other.version, prereleases=True):
-                told = (
+                summary = (
                     f"{found.name} {found.version} needs {inner.name}{inner.specifier}, not {other.version}"
                 )
-                wrong.append((told, f"{inner.name}{inner.specifier}"))
+                wrong.append((summary, f"{inner.name}{inner.specifier}"))
     for text, requirement_text in dict(wrong).items():
         yield Finding("versions", "broken", text, f'python -m pip install "{requirement_text}"')
     if not wrong:
@@ -128,16 +128,16 @@ def _of_requirement(name: str) -> Distribution | None:
 def check_wheels() -> Iterator[Finding]:
     """One wheel of OpenCV: several write the same files."""
     there = [found for found in map(installed, OPENCV_WHEELS) if found is not None]
-    told = " and ".join(f"{found.name} {found.version}" for found in there)
+    summary = " and ".join(f"{found.name} {found.version}" for found in there)
     names = " ".join(found.name for found in there)
     keep = "opencv-contrib-python-headless" if any("contrib" in found.name for found in there) else WHEEL
     if len(there) > 1:
         cure = f'python -m pip uninstall -y {names} && python -m pip install "{keep}>=4.9,<6"'
-        yield Finding("opencv wheels", "broken", f"{told}: each overwrites files of the other", cure)
+        yield Finding("opencv wheels", "broken", f"{summary}: each overwrites files of the other", cure)
     elif there and there[0].name == WHEEL:
-        yield Finding("opencv wheels", "ok", told)
+        yield Finding("opencv wheels", "ok", summary)
     elif there:
-        text = f"{told} instead of {WHEEL}: fine alone, and `pip` will want to add the other"
+        text = f"{summary} instead of {WHEEL}: fine alone, and `pip` will want to add the other"
         yield Finding("opencv wheels", "note", text)
     else:
         text = "no wheel of OpenCV is known to pip (fine if conda or the system brought it)"

@@ -78,11 +78,11 @@ def check_tracking() -> Iterator[Finding]:
         yield Finding("self test", "broken", trial.error, "mend what is above; else please report this")
         return
     same, share, rate, code = json.loads(trial.out.splitlines()[-1])
-    told = f"10 frames of two_squares at {rate:.0f} frames/s, overlap {share:.2f}, boxes {code}"
+    summary = f"10 frames of two_squares at {rate:.0f} frames/s, overlap {share:.2f}, boxes {code}"
     if not same:
-        text = f"{told}: the same seed gives other boxes a second time"
+        text = f"{summary}: the same seed gives other boxes a second time"
         yield Finding("self test", "broken", text, "please report this with the lines above")
     elif share < 0.5:
-        yield Finding("self test", "broken", f"{told}: the target is lost", "please report this")
+        yield Finding("self test", "broken", f"{summary}: the target is lost", "please report this")
     else:
-        yield Finding("self test", "ok", told)
+        yield Finding("self test", "ok", summary)

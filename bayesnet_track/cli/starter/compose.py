@@ -55,14 +55,14 @@ def _about(task: Task) -> str:
 
 
 def _head(task: Task, path: str) -> Lines:
-    told = "; ".join(APART[name] for name in task.apart)
+    traits = "; ".join(APART[name] for name in task.apart)
     hard = "; ".join(HARD[name] for name in HARD if name in task.hard) or "nothing special"
     start = "" if birth_of(task) else " --init X,Y,W,H"
     found = " --detections FILE" if task.detected else ""
     # A name may hold blanks, and a line break would end the comment.
     graph = quote(path) if path.isprintable() else "FILE"
     return (
-        *remark(f"Written by `bayesnet-track init`. Sets it apart: {told}. Hard: {hard}."),
+        *remark(f"Written by `bayesnet-track init`. Sets it apart: {traits}. Hard: {hard}."),
         "#",
         *remark("Try it, look at it and at why it switched agents, then change one thing at a time:"),
         f"#   bayesnet-track run {graph} --source VIDEO{start}{found} --out runs/{task.name}",

@@ -25,7 +25,7 @@ class TrackTable:
         targets: live target -> its state.
         metrics: one entry per target that was live in this frame, the new ones included.
         history: what is remembered.
-        events: decisions and what is told besides, in order.
+        events: decisions and other events, in order.
     """
 
     net: Net

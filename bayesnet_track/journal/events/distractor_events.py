@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayesnet_track.journal.text.wording import decimals, rounded, told_apart
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, rounded
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class DistractorSeen:
 
 def distractor_seen(event: DistractorSeen) -> str:
     """The sentence, without the frame."""
-    behind, within = told_apart(event.behind_nats, event.within_nats)
+    behind, within = distinct_texts(event.behind_nats, event.within_nats)
     turning = rounded(event.behind_nats, decimals(event.behind_nats, event.within_nats), up=False)
     return (
         f"look-alike at {event.x:.4g}, {event.y:.4g}, {event.away_box:.2g} box sides away, only {behind} < "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayesnet_track.journal.text.wording import decimals, rounded, told_apart
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, rounded
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class Reappeared:
 
 def reappeared(event: Reappeared) -> str:
     """The sentence, without the frame."""
-    held, level = told_apart(event.held, event.level)
-    ud, above = told_apart(event.ud_px2, event.above_px2)
+    held, level = distinct_texts(event.held, event.level)
+    ud, above = distinct_texts(event.ud_px2, event.above_px2)
     unsure = f"UD {ud} px² {'>' if event.ud_px2 > event.above_px2 else '≤'} {above}; "
     turning = rounded(event.turning, decimals(event.turning, event.share), up=False)
     how = "evenly" if event.by == "uniform" else f"by {event.by}"

@@ -10,12 +10,12 @@ from bayesnet_track.journal.events.belief_events import (
     ParticlesResized,
     SecondPass,
 )
-from bayesnet_track.journal.text.wording import decimals, plural, rounded, told_apart
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, rounded
 
 
 def belief_reset(event: BeliefReset) -> str:
     """A belief that was reset."""
-    gamma, below = told_apart(event.gamma, event.below)
+    gamma, below = distinct_texts(event.gamma, event.below)
     over = "the belief's bounding box" if event.region == "belief" else "the image"
     then = (
         f"the belief of target {event.target} starts again from the frame's likelihood"
@@ -59,7 +59,7 @@ def _not_resized(event: ParticlesResized) -> str:
 
 def measurement_gated(event: MeasurementGated) -> str:
     """A measurement that is taken for another object."""
-    d2, limit = told_apart(event.d2, event.limit)
+    d2, limit = distinct_texts(event.d2, event.limit)
     of = plural(event.degrees, "degree")
     then = "" if event.used else "; nothing else was measured near the prediction"
     # Rounded up, so that the gate named does let it pass.
@@ -74,7 +74,7 @@ def measurement_gated(event: MeasurementGated) -> str:
 
 def second_pass(event: SecondPass) -> str:
     """Hypotheses drawn a second time."""
-    found, level = told_apart(event.kl, event.above_kl)
+    found, level = distinct_texts(event.kl, event.above_kl)
     how = "" if event.method == "second_pass" else f", by {event.method}"
     turning = rounded(event.kl, decimals(event.kl, event.above_kl), up=True)
     return (

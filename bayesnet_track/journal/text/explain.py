@@ -72,7 +72,7 @@ def why(events: Iterable[Event], metrics: Iterable[FrameMetrics], frame: int) ->
     Raises:
         ValueError: no line of `metrics` is of that frame.
     """
-    told, lines = list(events), list(metrics)
+    known_events, lines = list(events), list(metrics)
     chosen = [line for line in lines if line.frame == frame]
     if not chosen:
         known = sorted({line.frame for line in lines})
@@ -80,7 +80,7 @@ def why(events: Iterable[Event], metrics: Iterable[FrameMetrics], frame: int) ->
             raise ValueError(f"no target is live in frame {frame}")
         range_ = f"it has frames {known[0]} to {known[-1]}" if known else "it has none"
         raise ValueError(f"frame {frame} is not in this run; {range_}")
-    return "\n\n".join(_account(told, line) for line in chosen)
+    return "\n\n".join(_account(known_events, line) for line in chosen)
 
 
 # ------------------------------------------------------------------------------------ one frame

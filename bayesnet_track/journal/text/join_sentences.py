@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from bayesnet_track.journal.events.join_events import AttachmentChanged, OcclusionChanged, RingChanged
 from bayesnet_track.journal.net.join_decisions import Joined, Parted
-from bayesnet_track.journal.text.wording import decimals, plural, rounded, told_apart
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, rounded
 
 
 def joined(event: Joined) -> str:
     """`the beliefs of targets 1 and 2 overlap by 0.12 ≥ 0.05 → joined; ...`."""
-    value, level = told_apart(event.overlap, event.above)
+    value, level = distinct_texts(event.overlap, event.above)
     turning = rounded(event.overlap, decimals(event.overlap, event.above), up=True)
     kinds = " and ".join(dict.fromkeys(event.kinds))
     return (
@@ -20,7 +20,7 @@ def joined(event: Joined) -> str:
 
 def parted(event: Parted) -> str:
     """`the beliefs of targets 1 and 2 overlap by 0 < 0.05 for 5 frames → parted; ...`."""
-    value, level = told_apart(event.overlap, event.below)
+    value, level = distinct_texts(event.overlap, event.below)
     turning = rounded(event.turning, decimals(event.turning, event.below), up=False)
     stay = (
         f"overlap ≤ {turning} or apart_frames > {event.frames}"
@@ -36,7 +36,7 @@ def parted(event: Parted) -> str:
 
 def occlusion_changed(event: OcclusionChanged) -> str:
     """`target 1 is in front (probability 0.97) and hides 0.62 > 0.5 of target 2 → ...`."""
-    value, level = told_apart(event.share, event.above)
+    value, level = distinct_texts(event.share, event.above)
     if event.hidden:
         return (
             f"target {event.other} is in front with probability {event.in_front:.2f} and hides {value} "

@@ -12,7 +12,7 @@ from bayesnet_track.journal.net.life_decisions import (
     Returned,
     TargetDied,
 )
-from bayesnet_track.journal.text.wording import decimals, plural, rounded, told_apart
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, rounded
 
 
 def confirmed(event: CandidateConfirmed) -> str:
@@ -23,7 +23,7 @@ def confirmed(event: CandidateConfirmed) -> str:
     near = event.nearest
     if near is None:
         return found
-    value, level = told_apart(near.probability, near.min_probability)
+    value, level = distinct_texts(near.probability, near.min_probability)
     if near.probability >= near.min_probability:
         return f"{found} (target {near.target} is taken for another detection)"
     turning = rounded(near.probability, decimals(near.probability, near.min_probability), up=False)
@@ -88,7 +88,7 @@ def detector_failed(event: DetectorFailed) -> str:
 
 
 def _recognised(by: Recognition, then: str, otherwise: str) -> str:
-    value, level = told_apart(by.probability, by.min_probability)
+    value, level = distinct_texts(by.probability, by.min_probability)
     # As many digits as tell it from 1, and rounded up, so that the level named would have refused it.
     digits = max(2, math.ceil(-math.log10(max(1.0 - by.probability, 1e-7))))
     turning = float(rounded(by.probability, digits, up=True))

@@ -75,7 +75,7 @@ from bayesnet_track.journal.text.life_sentences import (
     returned,
 )
 from bayesnet_track.journal.text.switch_sentences import activated, deactivated, guarded
-from bayesnet_track.journal.text.wording import decimals, held, plural, rounded, told_apart, turned_at
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, plural, rounded, turned_at
 
 
 def explain(event: Event, name_target: bool = False) -> str:
@@ -254,7 +254,7 @@ def _status(event: StatusChanged) -> str:
 
 
 def _by_fit(cause: FitCause, result: str) -> str:
-    fit, level = told_apart(cause.fit, cause.level)
+    fit, level = distinct_texts(cause.fit, cause.level)
     span = f"for {plural(cause.frames, 'frame')}"
     found = f"the best hypothesis has a likelihood of {fit} of a perfect match < fit_below {level} {span}"
     if cause.turning is None:
@@ -264,7 +264,7 @@ def _by_fit(cause: FitCause, result: str) -> str:
 
 
 def _by_score(event: StatusChanged, cause: ScoreCause) -> str:
-    score, level = told_apart(cause.score, cause.level)
+    score, level = distinct_texts(cause.score, cause.level)
     span = f"for {plural(cause.frames, 'frame')}"
     found = f"score {score} {'<' if cause.fell else '≥'} {level} {span}"
     turning = rounded(cause.turning, decimals(cause.turning, cause.level), up=not cause.fell)

@@ -36,7 +36,7 @@ CHAPTERS = (
 """What is told in full; everything between two of them is condensed."""
 
 
-def tell_life(events: Sequence[Event], metrics: Iterable[FrameMetrics], target: str) -> str:
+def describe_life(events: Sequence[Event], metrics: Iterable[FrameMetrics], target: str) -> str:
     """The story of one target, a line per chapter; `metrics` are the run's.
 
     Raises:
@@ -71,8 +71,8 @@ def _condensed(events: Iterable[Event]) -> list[str]:
     parts = []
     for node in dict.fromkeys(event.node for event in switches):
         done = [event for event in switches if event.node == node]
-        told = ", ".join(f"{_what(event)} at {event.frame}" for event in done[:3])
-        parts.append(f"{node} {told}{_more(done)}")
+        switched = ", ".join(f"{_what(event)} at {event.frame}" for event in done[:3])
+        parts.append(f"{node} {switched}{_more(done)}")
     parts += [f"{node} tuned itself {plural(count, 'time')}" for node, count in tuned.items()]
     first, last = min(frames), max(frames)
     span = f"frame {first}" if first == last else f"frames {first} to {last}"

@@ -7,7 +7,7 @@ import math
 from bayesnet_track.journal.events.belief_events import ReferenceGuarded
 from bayesnet_track.journal.net.net import Cause, Concentration
 from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
-from bayesnet_track.journal.text.wording import decimals, held, plural, rounded, told_apart, turned_at
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, plural, rounded, turned_at
 
 
 def activated(event: Activated) -> str:
@@ -34,7 +34,7 @@ def deactivated(event: Deactivated) -> str:
 
 def guarded(event: ReferenceGuarded) -> str:
     """Why an agent stopped learning, or goes on."""
-    gap, level = told_apart(event.own - event.slow, event.apart_nats)
+    gap, level = distinct_texts(event.own - event.slow, event.apart_nats)
     own, slow = f"{event.own:.2f} nats by its reference", f"{event.slow:.2f} by its slow one"
     scored = f"{event.node}: the estimate scores {own}, {slow}"
     if not event.parted:
@@ -62,8 +62,8 @@ def _expected_most(event: Activated) -> str:
 def concentration(cause: Concentration, sure: bool) -> str:
     """What the test found, and whether it can say that the belief lies around one mode."""
     exact = not math.isfinite(cause.trials)
-    of = "exactly" if exact else f"of {_told(cause.trials)} effective hypotheses"
-    vouched, share = told_apart(cause.vouched, cause.share)
+    of = "exactly" if exact else f"of {_count_text(cause.trials)} effective hypotheses"
+    vouched, share = distinct_texts(cause.vouched, cause.share)
     found = f"{100 * cause.inside:.3g} % within {cause.radius_px:.3g} px of the mode, {of}"
     if exact:
         return f"{found}: {vouched} {'≥' if sure else '<'} {share} for {plural(cause.frames, 'frame')}"
@@ -89,7 +89,7 @@ def _share_digits(cause: Concentration) -> int:
     return min(max(3, 1 - math.floor(math.log10(apart))), 12) if apart > 0 else 3
 
 
-def _told(trials: float) -> str:
+def _count_text(trials: float) -> str:
     return f"{trials:.0f}" if trials >= 10 else f"{trials:.2g}"
 
 

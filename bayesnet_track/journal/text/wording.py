@@ -12,11 +12,11 @@ UNIT = {"ud_px2": " px²", "ud_box": " × box area", "ud_baseline": " × baselin
 
 def held(cause: Cause, relation: str) -> str:
     """`UD 212 px² > 200 for 3 frames`, or with the unit and px² in brackets."""
-    value, level = told_apart(cause.value, cause.level)
+    value, level = distinct_texts(cause.value, cause.level)
     span = f"for {plural(cause.frames, 'frame')}"
     if cause.unit == "ud_px2":
         return f"UD {value} px² {relation} {level} {span}"
-    px, level_px = told_apart(cause.ud_px2, cause.level * cause.scale_px2)
+    px, level_px = distinct_texts(cause.ud_px2, cause.level * cause.scale_px2)
     unit = UNIT[cause.unit]
     return f"UD {value}{unit} ({px} px²) {relation} {level}{unit} ({level_px} px²) {span}"
 
@@ -30,7 +30,7 @@ def turned_at(cause: Cause, up: bool) -> str:
     return f"{value}{UNIT[cause.unit]} ({rounded(px, decimals(px, cause.level * cause.scale_px2), up)} px²)"
 
 
-def told_apart(value: float, level: float) -> tuple[str, str]:
+def distinct_texts(value: float, level: float) -> tuple[str, str]:
     """Both numbers with three digits, or as many as it takes to show that they differ."""
     for extra in range(7):
         digits = decimals(value, level) + extra

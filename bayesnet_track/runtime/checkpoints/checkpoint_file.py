@@ -164,9 +164,11 @@ def read_checkpoint(path: Path) -> Checkpoint:
     if not magic.startswith(MAGIC):
         raise CheckpointError(f"{path}: not a checkpoint")
     if magic != MAGIC + str(CHECKPOINT_FORMAT).encode():
-        told = magic[len(MAGIC) :][:20].decode("ascii", "replace")
+        version_text = magic[len(MAGIC) :][:20].decode("ascii", "replace")
         raise CheckpointError(
-            _of_another(path, f"format {told} of checkpoints; this version reads format {CHECKPOINT_FORMAT}")
+            _of_another(
+                path, f"format {version_text} of checkpoints; this version reads format {CHECKPOINT_FORMAT}"
+            )
         )
     if hashlib.sha256(body).hexdigest().encode("ascii") != seal:
         raise CheckpointError(f"{path}: it is damaged")

@@ -16,7 +16,7 @@ from bayesnet_track.journal.reader import read_inputs
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 
 
-def told_before(directory: RunDirectory) -> Mapping[int, Sequence[Input]]:
+def inputs_before(directory: RunDirectory) -> Mapping[int, Sequence[Input]]:
     """What came from outside, by frame.
 
     Raises:

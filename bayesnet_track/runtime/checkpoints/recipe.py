@@ -219,10 +219,10 @@ def _check_format(path: Path, plain: object) -> None:
         return
     versions = plain.get("versions")
     writer = versions.get("bayesnet-track") if isinstance(versions, dict) else None
-    told = f"bayesnet-track {str(writer)[:40]}" if writer else "the version of bayesnet-track"
+    version_text = f"bayesnet-track {str(writer)[:40]}" if writer else "the version of bayesnet-track"
     raise RecipeError(
         f"{path}: format {str(plain['recipe'])[:20]} of run.json; this version reads format "
-        f"{RECIPE_VERSION}: use {told}, which wrote it"
+        f"{RECIPE_VERSION}: use {version_text}, which wrote it"
     )
 
 

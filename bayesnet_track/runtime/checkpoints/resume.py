@@ -27,7 +27,7 @@ from bayesnet_track.runtime.checkpoints.checkpoint import (
     newest_checkpoint,
     remove,
 )
-from bayesnet_track.runtime.checkpoints.pending_inputs import keep_pending, told_before
+from bayesnet_track.runtime.checkpoints.pending_inputs import inputs_before, keep_pending
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.standing import standing
 from bayesnet_track.runtime.checkpoints.unchanged import (
@@ -108,10 +108,10 @@ def resume(
     with ExitStack() as stack:
         stack.enter_context(locked(directory))
         settle(directory)
-        told = summary if summary is not None else Summary()
+        totals = summary if summary is not None else Summary()
         if standing(path).is_finished:
             tidy(directory)
-            told.complete, told.reason = True, "end_of_source"
+            totals.complete, totals.reason = True, "end_of_source"
             return
         check_plain(directory)
         cues = tuple(cues)
@@ -128,7 +128,7 @@ def resume(
         budget_ms = recipe.budget_ms
         engine = placed(stack, executing, engine, None if motion is not None else graph, opened, budget_ms)
         asked = recipe.inputs.place if inputs is None and recipe.inputs is not None else inputs
-        before = told_before(directory)
+        before = inputs_before(directory)
         external_inputs = _external_inputs(before, as_inputs(asked))
         anew = _why_anew(checkpoint, engine)
         if anew:
@@ -137,7 +137,7 @@ def resume(
         after: Resumed | None = None
         if checkpoint is not None:
             check_outputs(directory, checkpoint, say)
-            after = replace(_skipped(opened, checkpoint, engine, told, say), events=moves)
+            after = replace(_skipped(opened, checkpoint, engine, totals, say), events=moves)
         # From here on files are changed.
         keep_pending(directory, before, -1 if checkpoint is None else checkpoint.frame)
         _clear(directory, checkpoint)
@@ -165,7 +165,7 @@ def resume(
             recipe.starts,
             seed=recipe.seed,
             sinks=[*sinks, recorder],
-            summary=told,
+            summary=totals,
             engine=engine,
             inputs={} if recipe.detections is None else {recipe.detections.path: recipe.detections.sha256},
             external_inputs=external_inputs,
@@ -178,7 +178,7 @@ def resume(
             after=after,
         )
         yield from results if after is None else _first_guarded(results, after.reached.frame.index)
-        if told.frames:
+        if totals.frames:
             finish(directory, recorder.finish())
 
 

@@ -100,14 +100,14 @@ def permit_move(
         changes = name_differences(checkpoint.machine, describe_machine())
     if not changes:
         return ()
-    told = "; ".join(changes)
+    what = "; ".join(changes)
     if not is_allowed:
         raise ResumeError(
             "it was computed on another machine or with other libraries, which give other last digits: "
-            f"{told}; --allow-other-machine (allow_other_machine=True) goes on all the same, and the result "
+            f"{what}; --allow-other-machine (allow_other_machine=True) goes on all the same, and the result "
             "equals no unbroken run's"
         )
-    say(f"it goes on although the machine or libraries differ: {told}")
+    say(f"it goes on although the machine or libraries differ: {what}")
     return () if checkpoint is None else (MachineChanged(checkpoint.frame + 1, changes),)
 
 

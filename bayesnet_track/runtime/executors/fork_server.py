@@ -68,11 +68,11 @@ class ForkServer:
         held, lifeline = tie()
         try:
             with self._lock:
-                pid = self._told(WORKER, (theirs.fileno(), held))
+                pid = self._ask(WORKER, (theirs.fileno(), held))
                 if pid is None and not self._is_closed:
                     self._end()
                     self._start()
-                    pid = self._told(WORKER, (theirs.fileno(), held))
+                    pid = self._ask(WORKER, (theirs.fileno(), held))
         finally:
             theirs.close()
             cut(held)
@@ -88,7 +88,7 @@ class ForkServer:
         It is killed if need be; None when nobody knows.
         """
         with self._lock:
-            code = self._told(END + NUMBER.pack(pid), ())
+            code = self._ask(END + NUMBER.pack(pid), ())
         return None if code == UNKNOWN else code
 
     def close(self) -> None:
@@ -118,8 +118,8 @@ class ForkServer:
             theirs.close()
             cut(held)
 
-    def _told(self, request: bytes, files: tuple[int, ...]) -> int | None:
-        """What it answers; None when it has ended, and when it hangs, for which it is killed."""
+    def _ask(self, request: bytes, files: tuple[int, ...]) -> int | None:
+        """Its answer to a request; None when it has ended, and when it hangs, for which it is killed."""
         try:
             if not self._is_ready:
                 self._received()

@@ -99,8 +99,8 @@ class Sent:
         """The question, references in `arguments` told."""
         # First: an array that this question tells or refers to must outlast it.
         forget = self._forgotten()
-        told = tuple(self.encode(part) if isinstance(part, Mapping) else part for part in arguments)
-        return Question(agent, method, frames, region, told, self.next_number, forget)
+        encoded = tuple(self.encode(part) if isinstance(part, Mapping) else part for part in arguments)
+        return Question(agent, method, frames, region, encoded, self.next_number, forget)
 
     def encode(self, reference: Mapping[str, Any]) -> EncodedReference:
         """The reference, without the arrays that the worker has."""
@@ -116,11 +116,11 @@ class Sent:
                 arrays[name] = None, value
         return EncodedReference(arrays)
 
-    def decode(self, told: EncodedReference) -> dict[str, Array]:
+    def decode(self, encoded: EncodedReference) -> dict[str, Array]:
         """The reference that a worker made; what it keeps of it is noted."""
         reference: dict[str, Any] = {}
-        for name, (number, told_value) in told.arrays.items():
-            value = read_only(told_value)  # once: this very array is known to the worker by its number
+        for name, (number, encoded_value) in encoded.arrays.items():
+            value = read_only(encoded_value)  # once: this very array is known to the worker by its number
             if value is None:
                 assert number is not None
                 reference[name] = self._by_number[number]
@@ -156,11 +156,11 @@ class Received:
 
     arrays: dict[int, Array] = field(default_factory=dict)
 
-    def reference(self, told: EncodedReference) -> dict[str, Any]:
+    def reference(self, encoded: EncodedReference) -> dict[str, Any]:
         """The reference that was told."""
         reference: dict[str, Any] = {}
-        for name, (number, told_value) in told.arrays.items():
-            value = read_only(told_value)
+        for name, (number, encoded_value) in encoded.arrays.items():
+            value = read_only(encoded_value)
             if value is None and number is not None:
                 reference[name] = self.arrays[number]
             else:
@@ -180,8 +180,8 @@ class Received:
         """A reference that was made here of those `given`; their arrays are not sent back."""
         known = {
             id(self.arrays[number]): number
-            for told in given
-            for number, _ in told.arrays.values()
+            for encoded in given
+            for number, _ in encoded.arrays.values()
             if number is not None
         }
         arrays: dict[str, tuple[int | None, Array | None]] = {}

@@ -127,7 +127,7 @@ def _serve(channel: socket.socket, frames: int, is_limited: bool) -> None:
     from bayesnet_track.runtime.executors.wire import DISMISS, EMPLOY, receive, send
 
     host = AgentHost(FrameView(frames).get, is_limited)
-    told: dict[int | None, SharedFrame | None] = {None: None}
+    known_frames: dict[int | None, SharedFrame | None] = {None: None}
     while True:
         try:
             (kind, agent, *plain), values = receive(channel)
@@ -142,11 +142,11 @@ def _serve(channel: socket.socket, frames: int, is_limited: bool) -> None:
         method, numbers, where, next_number, forget, new = plain
         for known in reversed(new):
             frame = whole_of(known, values.pop())
-            told[frame.number] = frame
-            if len(told) > 4 * SLOTS:
-                for number in [n for n in told if n is not None and n <= frame.number - SLOTS]:
-                    del told[number]
-        both = None if numbers is None else (told[numbers[0]], told[numbers[1]])
+            known_frames[frame.number] = frame
+            if len(known_frames) > 4 * SLOTS:
+                for number in [n for n in known_frames if n is not None and n <= frame.number - SLOTS]:
+                    del known_frames[number]
+        both = None if numbers is None else (known_frames[numbers[0]], known_frames[numbers[1]])
         region = None if where is None else Region(*where)
         question = Question(agent, method, both, region, tuple(values), next_number, forget)
         answer = host.answer(question)

@@ -112,8 +112,8 @@ class Worker:
             numbers = tuple([None if one is None else one.number for one in frames])
             new = [parts_of(one) for one in frames if one is not None and self._is_new(one)]
         where = None if region is None else (region.x0, region.y0, region.x1, region.y1)
-        told = [plain for plain, _ in new]
-        plain = ASK, agent, method, numbers, where, question.next_number, question.forget, told
+        new_frames = [plain for plain, _ in new]
+        plain = ASK, agent, method, numbers, where, question.next_number, question.forget, new_frames
         self._send(plain, *question.arguments, *[others for _, others in new])
 
     def answer(self) -> Answer:

@@ -86,19 +86,19 @@ class Feed:
         for line in metrics:
             frames.setdefault(line.frame, []).append(to_json(line))
         clock = {line["frame"]: line for line in timings}
-        told = sorted(frames, reverse=True)
+        pending = sorted(frames, reverse=True)
 
-        def tell_up_to(frame: float) -> None:
-            while told and told[-1] < frame:
-                number = told.pop()
+        def emit_up_to(frame: float) -> None:
+            while pending and pending[-1] < frame:
+                number = pending.pop()
                 timing = clock.get(number, {"frame": number, "seconds": 0.0, "parts": {}})
                 self.frames += 1
                 self._write(f'{{"frames":[{",".join(frames[number])}],"timing":{json.dumps(timing)}}}')
 
         for event in events:
-            tell_up_to(getattr(event, "frame", -math.inf))
+            emit_up_to(getattr(event, "frame", -math.inf))
             self.event(event)
-        tell_up_to(math.inf)
+        emit_up_to(math.inf)
 
     def show_newest(self) -> None:
         """See to it that the newest frame has a picture: the run rests here."""

@@ -26,18 +26,18 @@ class Thumbnails:
     """Pictures of frames, encoded by a thread of their own. Who offers one never waits.
 
     Args:
-        told: called by that thread whenever there is a new one.
+        notify: called by that thread whenever there is a new one.
         budget: bytes that all may take together; beyond it, every other of the older half goes.
         per_second: how many are taken at most, besides those that must be.
     """
 
     def __init__(
         self,
-        told: Callable[[], None] = lambda: None,
+        notify: Callable[[], None] = lambda: None,
         budget: int = BUDGET,
         per_second: float = PER_SECOND,
     ) -> None:
-        self._told, self._budget, self._pause_s = told, budget, 1.0 / per_second
+        self._notify, self._budget, self._pause_s = notify, budget, 1.0 / per_second
         self._news = threading.Condition()
         self._waiting: deque[tuple[int, Image]] = deque()
         self._kept: dict[int, bytes] = {}
@@ -94,7 +94,7 @@ class Thumbnails:
                     self._order.insert(bisect_right(self._order, frame), frame)
                     self._size += len(data)
                     self._thin()
-            self._told()
+            self._notify()
 
     def _thin(self) -> None:
         """Every other of the older half goes; those that must be there only if nothing else is left to go."""

@@ -54,7 +54,7 @@ class LiveView:
     def __init__(self, host: str = "127.0.0.1", port: int | None = None) -> None:
         self.controls = Controls()
         self._news = self.controls.news
-        self._thumbnails = Thumbnails(self._tell)
+        self._thumbnails = Thumbnails(self._notify)
         self._feed = Feed(self._news, self._thumbnails)
         self._about: dict[str, Any] = {}
         self._asking, self._asked = 0, -GONE_S
@@ -196,7 +196,7 @@ class LiveView:
                 "about": self._about,
             }
 
-    def _tell(self) -> None:
+    def _notify(self) -> None:
         """There is a new picture: who looks at one that rests has waited for it."""
         with self._news:
             if self.controls.phase != "running":

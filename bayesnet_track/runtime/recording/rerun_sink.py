@@ -92,7 +92,7 @@ class RerunSink:
     def event(self, event: Event) -> None:
         """Keep an event for its frame, or log it where it is the last."""
         if isinstance(event, RunEnded):
-            self._tell(event)
+            self._log_event(event)
         else:
             self._events.append(event)
 
@@ -103,7 +103,7 @@ class RerunSink:
             self._recording.set_time("time", duration=result.targets[0].time_s)
         self._picture(result)
         for event in self._events:
-            self._tell(event)
+            self._log_event(event)
         self._events.clear()
         for metrics in result.targets:
             self._target(metrics)
@@ -144,6 +144,6 @@ class RerunSink:
         for agent, kl in metrics.kl.items():
             log(["kl", target, agent], rerun.Scalars(kl))
 
-    def _tell(self, event: Event) -> None:
+    def _log_event(self, event: Event) -> None:
         level = "WARN" if event_name(type(event)) in SERIOUS else "INFO"
         self._recording.log("events", self._rerun.TextLog(explain(event, name_target=True), level=level))
