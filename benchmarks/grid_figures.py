@@ -173,7 +173,7 @@ def matrices(out: Path, folder: Path | None = None, box: Floats | None = None) -
         Matching,
         Points,
         cut_patches,
-        displaced,
+        displace,
         flat_motion,
         moments,
     )
@@ -188,7 +188,7 @@ def matrices(out: Path, folder: Path | None = None, box: Floats | None = None) -
     still = np.zeros(2, dtype=np.int64)
     points = Points(at[whole], patches[whole], flat_motion(int(whole.sum()), matching), still)
     for picture in pictures[1:]:
-        now = displaced(points, picture, (0, 0), 1.0, still, matching)
+        now = displace(points, picture, (0, 0), 1.0, still, matching)
         if now is None:
             raise SystemExit("no point is seen again")
         before, points = points, now.points

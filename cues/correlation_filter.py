@@ -225,9 +225,9 @@ class CorrelationFilter:
         self, numerator: NDArray[np.complex64], denominator: Floats, size: Floats
     ) -> NDArray[np.float32]:
         """The filter under its window, so that it can be laid on any place of a frame."""
-        from bayesnet_track.vision.correlation import solved
+        from bayesnet_track.vision.correlation import solve
 
-        return np.asarray(solved(numerator, denominator, self.parameters.ridge) * self._window(size))
+        return np.asarray(solve(numerator, denominator, self.parameters.ridge) * self._window(size))
 
 
 def _answer(kernel: NDArray[np.float32], patch: NDArray[np.float32]) -> float:

@@ -29,7 +29,7 @@ from bayesnet_track.vision.displacement import (
     Matching,
     Points,
     cut_patches,
-    displaced,
+    displace,
     flat_motion,
 )
 from bayesnet_track.vision.planes.gray_plane import GrayPlane
@@ -190,7 +190,7 @@ class DisplacementCue:
             return None
         centre = np.rint((box[:2] - reference["box"][:2]) / dt).astype(np.int64)
         points = Points(reference["at"], reference["patches"], reference["motion"], reference["centre"])
-        return displaced(points, image, origin, dt, centre, self.matching)
+        return displace(points, image, origin, dt, centre, self.matching)
 
     def _corners(self, image: NDArray[np.uint8], origin: tuple[int, int], box: Floats) -> NDArray[np.int64]:
         """(N, 2) x, y of the strongest corners in the box, one to a cell of the frame's lattice at most."""

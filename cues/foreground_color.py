@@ -113,11 +113,11 @@ class ForegroundColor:
 
         p, frame = self.parameters, planes.frame
         cells, box = self._cells(frame), np.asarray(box, dtype=np.float64)
-        whole = f.counted(frame, cells, box)
+        whole = f.count_pixels(frame, cells, box)
         learnt = {
-            "foreground": f.shares(f.counted(frame, cells, box * [1, 1, p.inner, p.inner])),
-            "background": f.shares(f.counted(frame, cells, f.grown(box, p.surround)) - whole),
-            "memory": f.shares(f.counted(frame, cells, f.grown(box, p.wide)) - whole),
+            "foreground": f.shares(f.count_pixels(frame, cells, box * [1, 1, p.inner, p.inner])),
+            "background": f.shares(f.count_pixels(frame, cells, f.grow_boxes(box, p.surround)) - whole),
+            "memory": f.shares(f.count_pixels(frame, cells, f.grow_boxes(box, p.wide)) - whole),
             "size": np.array(box[2:]),
             SHARPER: np.array(1.0),
         }

@@ -29,13 +29,13 @@ from bayesnet_track.vision.point_tracking import (
     Following,
     Image,
     PointMotion,
-    agreed,
     clearest_mix,
     corners_in,
     correlations,
     cut,
+    find_agreement,
     followed,
-    mixed,
+    mix_channels,
     patches_at,
 )
 
@@ -205,9 +205,11 @@ class Klt:
         view = cut(image, Region(x, y, x + columns, y + rows))
         if view.size == 0:
             return None
-        now = mixed(view, mix)
-        there, clear = followed(mixed(reference["image"], mix), now, _origin(reference), guess, at, self.how)
-        motion = agreed(at, there, clear, self.how)
+        now = mix_channels(view, mix)
+        there, clear = followed(
+            mix_channels(reference["image"], mix), now, _origin(reference), guess, at, self.how
+        )
+        motion = find_agreement(at, there, clear, self.how)
         if motion is None:
             return None
         first = (_origin(reference)[0] + guess[0], _origin(reference)[1] + guess[1])
@@ -215,7 +217,7 @@ class Klt:
         alike = motion.kept & (correlations(reference["patches"], looks) >= p.min_correlation)
         if alike.sum() < max(p.min_seen * len(at), 1.0):
             return None
-        return agreed(at, there, alike, self.how)
+        return find_agreement(at, there, alike, self.how)
 
     def _carried(self, reference: Reference, motion: PointMotion) -> Floats:
         old = reference["box"]
@@ -227,7 +229,7 @@ class Klt:
     def _chosen(
         self, image: Image, origin: tuple[int, int], box: Floats, mix: Floats
     ) -> tuple[Floats, Floats]:
-        p, gray = self.parameters, mixed(image, mix)
+        p, gray = self.parameters, mix_channels(image, mix)
         at = corners_in(gray, origin, self._inner(box), p.min_gradient_gray, p.spacing_px, p.points)
         return at, patches_at(gray, origin, at, np.ones(len(at), dtype=np.complex128), _side(p))
 

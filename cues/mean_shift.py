@@ -135,7 +135,7 @@ class MeanShift:
         self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
     ) -> Floats | None:
         """(K, 4) windows it stood in: centre x, y and radii, px; None where no colour of the target is."""
-        from bayesnet_track.vision.kernels.mean_shift_kernels import shifted
+        from bayesnet_track.vision.kernels.mean_shift_kernels import shift
 
         p, model = self.parameters, reference["shares"]
         box = weights @ hypotheses.boxes
@@ -145,7 +145,7 @@ class MeanShift:
         radii = least + p.reach_sd * sd
         path = [(x, y, *radii)]
         while True:
-            x, y, steps = shifted(cells, model, x, y, radii[0], radii[1], p.tolerance_px, p.max_steps)
+            x, y, steps = shift(cells, model, x, y, radii[0], radii[1], p.tolerance_px, p.max_steps)
             if steps == 0:
                 return None
             path.append((x, y, *radii))

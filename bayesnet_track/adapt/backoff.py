@@ -21,10 +21,10 @@ MISSED_FRAMES = 3
 """Frames in a row without an answer after which an agent is out for a while: others wait for it."""
 
 
-def quarantined(net: TargetNet, frame: int, target: str, agent: str, reason: str) -> Quarantined:
+def quarantine(net: TargetNet, frame: int, target: str, agent: str, reason: str) -> Quarantined:
     """The decision that an agent which failed in `frame` is out, and for how long.
 
-    >>> first = quarantined(TargetNet("plate", frozenset("a")), 5, "1", "a", "raised")
+    >>> first = quarantine(TargetNet("plate", frozenset("a")), 5, "1", "a", "raised")
     >>> first.until, first.times
     (15, 1)
     """
@@ -45,7 +45,7 @@ def next_try(frame: int, before: Fault | None) -> tuple[int, int]:
     return frame + min(FIRST_WAIT * 2 ** min(times - 1, 20), LONGEST_WAIT), times
 
 
-def readmitted(now: Situation) -> list[Decision]:
+def readmit(now: Situation) -> list[Decision]:
     """The agents whose time is over, in the order of the plate."""
     decisions: list[Decision] = []
     for agent in now.plate.agents:
@@ -65,6 +65,6 @@ def give_up_on_missing(now: Situation, memory: Memory, decisions: list[Decision]
     for agent, count in list(missed.items()):
         if count >= MISSED_FRAMES:
             reason = f"gave no answer in {count} frames in a row, the last time: {now.missed[agent]}"
-            decisions.append(quarantined(now.net, now.frame, now.target, agent, reason))
+            decisions.append(quarantine(now.net, now.frame, now.target, agent, reason))
             del missed[agent]
     return replace(memory, missed=missed)

@@ -143,7 +143,7 @@ def decide_joins(
         rule = join_of(rules, kinds[first], kinds[second])
         if frozenset((first, second)) in known or rule is None or overlaps[i, k] < rules[rule].when.overlap:
             continue
-        pair = _ordered(rules[rule], kinds, first, second)
+        pair = _order_pair(rules[rule], kinds, first, second)
         overlap = float(overlaps[i, k])
         decisions.append(
             Joined(frame, *pair, (kinds[pair[0]], kinds[pair[1]]), rule, overlap, rules[rule].when.overlap)
@@ -162,7 +162,7 @@ def decide_joins(
             decisions.append(Parted(frame, *pair, overlap, when.overlap, len(apart), max(apart), together))
         else:
             pairs[pair] = replace(before, overlap=overlap, apart=apart)
-    return tuple(decisions), _kept(replace(memory, pairs=pairs), frozenset(names))
+    return tuple(decisions), _prune(replace(memory, pairs=pairs), frozenset(names))
 
 
 def spanning_tree(overlaps: Mapping[Pair, float]) -> tuple[tuple[Pair, ...], dict[Pair, tuple[str, ...]]]:
@@ -185,13 +185,13 @@ def spanning_tree(overlaps: Mapping[Pair, float]) -> tuple[tuple[Pair, ...], dic
     return tuple(taken), {pair: tuple(group[pair[0]]) for pair in rest}
 
 
-def _ordered(rule: Join, kinds: Mapping[str, str], first: str, second: str) -> Pair:
+def _order_pair(rule: Join, kinds: Mapping[str, str], first: str, second: str) -> Pair:
     """The pair, a carrier first."""
     carrier = rule.between[0] if rule.attachment is not None and rule.between is not None else None
     return (second, first) if carrier is not None and kinds[second] == carrier else (first, second)
 
 
-def _kept(memory: JoinMemory, live: frozenset[str]) -> JoinMemory:
+def _prune(memory: JoinMemory, live: frozenset[str]) -> JoinMemory:
     """The memory of live targets; what only joined ones have goes with their last join."""
     joined = {name for pair in memory.pairs for name in pair}
     return JoinMemory(

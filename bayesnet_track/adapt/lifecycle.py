@@ -136,16 +136,16 @@ def feed(
     kept: those seen most often, then those with the best scores.
     """
     confirm = rule.confirm
-    expected = np.array([_moved(one).box for one in candidates]).reshape(-1, 4)
+    expected = np.array([_move_on(one).box for one in candidates]).reshape(-1, 4)
     owner = pair_up(distances(boxes, expected), np.full((len(boxes), len(expected)), FOLLOW_BOX))
     found = {int(k): row for row, k in enumerate(owner) if k != NOBODY}
     kept = []
     for number, one in enumerate(candidates):
         row = found.get(number)
         if row is None:
-            after = _looked(_moved(one), None, confirm)
+            after = _add_look(_move_on(one), None, confirm)
         else:
-            after = _looked(one, float(scores[row]), confirm)
+            after = _add_look(one, float(scores[row]), confirm)
             after = replace(after, box=boxes[row].copy(), step=boxes[row, :2] - one.box[:2])
         if not _is_hopeless(after, confirm):
             kept.append(after)
@@ -161,11 +161,11 @@ def is_confirmed(candidate: Candidate, confirm: Confirm) -> bool:
     return candidate.looks[-1] is not None and candidate.seen >= confirm.hits
 
 
-def _looked(candidate: Candidate, score: float | None, confirm: Confirm) -> Candidate:
+def _add_look(candidate: Candidate, score: float | None, confirm: Confirm) -> Candidate:
     return replace(candidate, looks=(*candidate.looks, score)[-confirm.of :])
 
 
-def _moved(candidate: Candidate) -> Candidate:
+def _move_on(candidate: Candidate) -> Candidate:
     box = candidate.box.copy()
     box[:2] += candidate.step
     return replace(candidate, box=box)

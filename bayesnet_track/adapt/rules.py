@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from bayesnet_track.adapt.backoff import give_up_on_missing, readmitted
+from bayesnet_track.adapt.backoff import give_up_on_missing, readmit
 from bayesnet_track.adapt.conditions import Reading, Tested, apply_test, read_level
 from bayesnet_track.adapt.information import Worth, expected_per_ms, remembered_per_ms
 from bayesnet_track.adapt.memory import Memory, Quiet, Streak
@@ -25,7 +25,7 @@ def decide(now: Situation, memory: Memory) -> tuple[tuple[Decision, ...], Memory
     """The decisions of one frame for one target, and what the rules remember of it."""
     memory = _note_worth(now, memory.with_contributions(now.measures.contribution))
     memory = _note_quiet(now, memory)
-    decisions = readmitted(now)
+    decisions = readmit(now)
     memory = give_up_on_missing(now, memory, decisions)
     memory = _check_selves(now, memory, decisions)
     for node in now.plate.children:
@@ -149,8 +149,8 @@ def _govern(now: Situation, memory: Memory, node: str, rules: Adapt, decisions: 
             down = memory.deactivate.get(node, down).then(found.below, found.value, frames)
         if found is not None and down.count >= frames and not fired:
             index = _drop_index(now, memory, node, rules.deactivate.drop, decisions)
-            left = len(index) + _held_on(now, node)
-            agent = _dropped(now, memory, node, rules, index) if index and left > rules.keep else None
+            left = len(index) + _count_held_on(now, node)
+            agent = _choose_drop(now, memory, node, rules, index) if index and left > rules.keep else None
             if agent is not None:
                 cause = found.cause_below(frames, down.values)
                 rule = rules.deactivate
@@ -238,12 +238,12 @@ def _drop_index(
     return {agent: now.measures.contribution[agent] / now.costs_ms[agent] for agent in agents}
 
 
-def _held_on(now: Situation, node: str) -> int:
+def _count_held_on(now: Situation, node: str) -> int:
     """How many governed agents work because a person switched them on."""
     return sum(now.plate.governor[agent] == node and agent in now.net.active for agent in now.net.by_hand)
 
 
-def _dropped(
+def _choose_drop(
     now: Situation, memory: Memory, node: str, rules: Adapt, index: Mapping[str, float]
 ) -> str | None:
     """The agent to switch off by its index; None where none can be spared."""

@@ -39,7 +39,7 @@ def _in_streams(arguments: Sequence[str] | None, stop: StopRequest) -> int:
 
 def _main(arguments: Sequence[str] | None, stop: StopRequest) -> int:
     parser = make_parser()
-    options = parser.parse_args(as_what_if(_joined(sys.argv[1:] if arguments is None else arguments)))
+    options = parser.parse_args(as_what_if(_join(sys.argv[1:] if arguments is None else arguments)))
     if options.version:
         from importlib.metadata import version
 
@@ -91,7 +91,7 @@ def _streams() -> Iterator[None]:
         yield
 
 
-def _joined(arguments: Sequence[str]) -> list[str]:
+def _join(arguments: Sequence[str]) -> list[str]:
     """The arguments, with a box that starts with a minus tied to its --init: else it looks like an option."""
     joined: list[str] = []
     for argument in arguments:

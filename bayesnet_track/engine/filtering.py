@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
-from bayesnet_track.adapt.backoff import quarantined
+from bayesnet_track.adapt.backoff import quarantine
 from bayesnet_track.belief.contract import MotionModel, Posterior, Step
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.engine.frame_work import FrameWork
@@ -99,7 +99,7 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
         if not observer.broke_off:
             break
     work.charge("belief", started)
-    faults = tuple(quarantined(live, frame.index, target, agent, reason) for agent, reason in failed.items())
+    faults = tuple(quarantine(live, frame.index, target, agent, reason) for agent, reason in failed.items())
     plan, out = before.plan, failed.keys() | observer.missed.keys()
     if out:
         plan = compile_plan(compiled.plate, plan.active - out, compiled.cues)

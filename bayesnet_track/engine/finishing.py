@@ -25,7 +25,7 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.learning import learn
 from bayesnet_track.engine.score import most, probability, with_distractor
 from bayesnet_track.engine.starting import start_late
-from bayesnet_track.engine.state import TargetState, applied, inside_frame
+from bayesnet_track.engine.state import TargetState, apply_decisions, inside_frame
 from bayesnet_track.inference.guard import changes, watch
 from bayesnet_track.inference.learn import Lesson, learning_rate, over_frames
 from bayesnet_track.inference.measure import measure
@@ -56,7 +56,7 @@ def measure_target(work: FrameWork, filtered: Filtered, state: Floats) -> Measur
     root = compiled.plate.inference(compiled.plate.root)
     box = inside_frame(state[:4], work.frame)
     by_hand = work.by_hand.get(filtered.target, ())
-    net = applied(work.net, (*filtered.faults, *by_hand)).targets[filtered.target]
+    net = apply_decisions(work.net, (*filtered.faults, *by_hand)).targets[filtered.target]
     net = replace(net, active=net.active - filtered.missed.keys())
     measures = measure(compiled.plate, filtered.plan, filtered.step, float(box[2] * box[3]))
     scored = filtered.before.scored

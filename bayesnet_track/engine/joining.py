@@ -87,9 +87,9 @@ def join_targets(work: FrameWork, memory: JoinMemory, filtered: Mapping[str, Fil
     levels = {name: _level(memory.levels.get(name), one) for name, one in filtered.items()}
     tree = _tree(work, memory, filtered)
     marginals, orders = _marginals(work, tree, levels, filtered)
-    pairs, events = _after(work.frame.index, tree, orders)
+    pairs, events = _update_pairs(work.frame.index, tree, orders)
     carriers = carriers_of(work, memory)
-    steps, metrics, carried = _parted(carriers, marginals, pairs, filtered)
+    steps, metrics, carried = _split_joint(carriers, marginals, pairs, filtered)
     centres = {carrier: filtered[carrier].step.posterior.mean[:2] for carrier, _ in carriers.values()}
     levels = _levels_after(memory.levels, levels, metrics, filtered)
     after = replace(memory, pairs=pairs, levels=levels, carried=carried, centres=centres)
@@ -115,7 +115,7 @@ def _tree(work: FrameWork, memory: JoinMemory, of: Mapping[str, Filtered]) -> _T
     pairs: dict[Pair, PairMemory] = {}
     for pair in work.net.joins:
         known = memory.pairs.get(pair, PairMemory())
-        pairs[pair] = replace(known, first_in_front=_carried_on(known, rules[pair]))
+        pairs[pair] = replace(known, first_in_front=_predict_order(known, rules[pair]))
     sharing = {pair: one.overlap for pair, one in pairs.items() if rules[pair].shares_pixels}
     tree, left_out = spanning_tree(sharing)
     edges, closing = (
@@ -153,7 +153,7 @@ def _marginals(
     )
 
 
-def _after(
+def _update_pairs(
     frame: int, tree: _Tree, orders: Mapping[Pair, float]
 ) -> tuple[dict[Pair, PairMemory], list[Event]]:
     """What is remembered of each pair, and which are left out of a ring now, or no longer."""
@@ -167,14 +167,14 @@ def _after(
     return pairs, events
 
 
-def _parted(
+def _split_joint(
     carriers: Carriers,
     marginals: Mapping[str, Marginal],
     pairs: Mapping[Pair, PairMemory],
     of: Mapping[str, Filtered],
 ) -> tuple[Steps, dict[str, JoinMetrics], dict[str, CarriedHypotheses]]:
     """Each target's own step of the joint belief, what is written down, and which hypotheses are carried."""
-    steps = {name: _reweighted(one.step, marginals.get(name)) for name, one in of.items()}
+    steps = {name: _reweight(one.step, marginals.get(name)) for name, one in of.items()}
     carried: dict[str, CarriedHypotheses] = {}
     metrics: dict[str, JoinMetrics] = {}
     for name in dict.fromkeys(name for pair in pairs for name in pair):
@@ -228,12 +228,12 @@ def _logs_on(work: FrameWork, one: Filtered, others: Sequence[Filtered]) -> dict
     return {other.target: float(mean) for other, mean in zip(others, means, strict=True)}
 
 
-def _carried_on(one: PairMemory, rule: Join) -> float:
+def _predict_order(one: PairMemory, rule: Join) -> float:
     """P(first in front) before this frame's evidence: the chain's prediction."""
     return one.first_in_front * rule.stay + (1.0 - one.first_in_front) * (1.0 - rule.stay)
 
 
-def _reweighted(step: Step[Posterior], marginal: Marginal | None) -> Step[Posterior]:
+def _reweight(step: Step[Posterior], marginal: Marginal | None) -> Step[Posterior]:
     """The step with the weights of the joint belief; as it was where this leaves no hypothesis."""
     if marginal is None:
         return step

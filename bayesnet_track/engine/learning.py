@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from bayesnet_track.adapt.backoff import quarantined
+from bayesnet_track.adapt.backoff import quarantine
 from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.findings import Decided, Learnt
@@ -39,10 +39,10 @@ def learn(
                 continue
             moved[decision.node] = tuned
         kept.append(decision)
-    return Learnt(moved, watched, judged, (*kept, *_failed(decided.now, faults)), lesson.angle)
+    return Learnt(moved, watched, judged, (*kept, *_quarantine_failed(decided.now, faults)), lesson.angle)
 
 
-def _failed(now: Situation, faults: Mapping[str, str]) -> tuple[Quarantined, ...]:
+def _quarantine_failed(now: Situation, faults: Mapping[str, str]) -> tuple[Quarantined, ...]:
     return tuple(
-        quarantined(now.net, now.frame, now.target, agent, reason) for agent, reason in faults.items()
+        quarantine(now.net, now.frame, now.target, agent, reason) for agent, reason in faults.items()
     )

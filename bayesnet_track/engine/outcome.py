@@ -15,8 +15,8 @@ from bayesnet_track.engine.external_inputs import ExternalInputs
 from bayesnet_track.engine.findings import TargetResult
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.joining import JointBelief, reach_of
-from bayesnet_track.engine.shedding import balanced
-from bayesnet_track.engine.state import TargetState, applied, recompiled
+from bayesnet_track.engine.shedding import balance_load
+from bayesnet_track.engine.state import TargetState, apply_decisions, recompile
 from bayesnet_track.journal.events.basic import Event, FrameMetrics
 from bayesnet_track.journal.events.inputs import Input, LateFrame, SpareTime
 from bayesnet_track.journal.net.net import Net
@@ -67,15 +67,15 @@ class Outcome:
     external_inputs: tuple[Input, ...] = ()
 
 
-def carried_out(
+def carry_out(
     work: FrameWork, state: State, results: Mapping[str, TargetResult], joint: JointBelief
 ) -> Outcome:
     """The outcome of the targets' frames, in the order of `results`: decisions are carried out."""
     net, targets = work.net, {}
     events: list[Event] = [*joint.events]
     for target, result in results.items():
-        net = applied(net, result.decisions)
-        targets[target] = recompiled(work.engine, net, target, result.state)
+        net = apply_decisions(net, result.decisions)
+        targets[target] = recompile(work.engine, net, target, result.state)
         events += [*result.events, *result.decisions]
     return Outcome(
         replace(state, net=net, targets=targets, previous=work.frame, joins=joint.memory),
@@ -97,7 +97,7 @@ def with_joins(work: FrameWork, outcome: Outcome) -> Outcome:
     }
     decisions, memory = decide_joins(work.frame.index, joins, state.net, reaches, state.joins)
     work.charge("joins", started)
-    after = replace(state, net=applied(state.net, decisions), joins=memory)
+    after = replace(state, net=apply_decisions(state.net, decisions), joins=memory)
     return replace(outcome, state=after, events=(*outcome.events, *decisions), seconds=work.seconds)
 
 
@@ -107,9 +107,9 @@ def with_load(work: FrameWork, outcome: Outcome, timing: Iterable[LateFrame | Sp
     if not timing:
         return outcome
     state, engine = outcome.state, work.engine
-    decisions, load = balanced(engine, state.net, state.targets, timing, state.load, work.frame.index)
-    net = applied(state.net, decisions)
-    targets = {target: recompiled(engine, net, target, one) for target, one in state.targets.items()}
+    decisions, load = balance_load(engine, state.net, state.targets, timing, state.load, work.frame.index)
+    net = apply_decisions(state.net, decisions)
+    targets = {target: recompile(engine, net, target, one) for target, one in state.targets.items()}
     after = replace(state, net=net, targets=targets, load=load)
     return replace(outcome, state=after, events=(*outcome.events, *decisions))
 

@@ -21,7 +21,13 @@ from bayesnet_track.graph.settings.adapt import Level
 from bayesnet_track.graph.settings.motion import Relocalize
 from bayesnet_track.journal.events.life_events import DetectorFailed
 from bayesnet_track.journal.net.net import Fault
-from bayesnet_track.observation.detector import NOTHING, Detector, DetectorState, LearningDetector, checked
+from bayesnet_track.observation.detector import (
+    NOTHING,
+    Detector,
+    DetectorState,
+    LearningDetector,
+    check_detections,
+)
 from bayesnet_track.observation.guests import FAULTS, said
 from bayesnet_track.observation.planes import FramePair, PlaneCache, Region
 
@@ -162,7 +168,7 @@ def _relocalize(
     if finder is not None and state is not None and is_in:
         try:
             found, state = finder.detect(cache.frames, state)
-            found = checked(found)
+            found = check_detections(found)
         except FAULTS as error:  # a guest's code: whatever it raises must not end the run
             until, times = next_try(frame.index, fault)
             fault = Fault(times, frame.index, until, True)

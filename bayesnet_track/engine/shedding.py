@@ -18,7 +18,7 @@ LEAST_SHARE, LEAST = 8, 100
 """A fixed number of hypotheses is cut to an eighth at most, and never below this."""
 
 
-def balanced(
+def balance_load(
     engine: Engine,
     net: Net,
     targets: Mapping[str, TargetState],

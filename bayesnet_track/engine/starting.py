@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.backoff import next_try, quarantined
+from bayesnet_track.adapt.backoff import next_try, quarantine
 from bayesnet_track.adapt.memory import Memory, Streak
 from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.belief.contract import Posterior
@@ -78,7 +78,7 @@ def start(
     ]
     working = tuple(agent for agent in active if agent not in faults and agent not in availability.missed)
     born = TargetState(
-        belief=_placed(work, compiled, target, box),
+        belief=_start_belief(work, compiled, target, box),
         references=references,
         memory=Memory(),
         plan=compile_plan(compiled.plate, working, compiled.cues),
@@ -104,7 +104,7 @@ def start_late(
     net, frame, target = now.net, now.frame, now.target
     if net.status != "tracking" or not net.active:
         why = "gave no first reference, and the target is not tracked, which it could learn from"
-        return {}, tuple(quarantined(net, frame, target, agent, why) for agent in back)
+        return {}, tuple(quarantine(net, frame, target, agent, why) for agent in back)
     upright = replace(lesson, at=Hypotheses(lesson.at.boxes))
     learnt, faults = learn_first(upright, back)
     missed = lesson.availability_for("starting").missed
@@ -127,7 +127,7 @@ def restart(work: FrameWork, target: str, template: str, box: Floats, before: Ta
     learnt, _ = learn_first(lesson, [agent for agent in compiled.cues if agent not in compiled.looks])
     return replace(
         before,
-        belief=_placed(work, compiled, target, box),
+        belief=_start_belief(work, compiled, target, box),
         references={**before.references, **learnt},
         memory=replace(
             before.memory,
@@ -159,7 +159,7 @@ def _first_lesson(
     )
 
 
-def _placed(work: FrameWork, compiled: CompiledPlate, target: str, box: Floats) -> Posterior:
+def _start_belief(work: FrameWork, compiled: CompiledPlate, target: str, box: Floats) -> Posterior:
     """The belief of a target that fills `box`."""
     motion = Confined(compiled.motion, work.frame.width, work.frame.height)
     belief: Posterior = compiled.belief.start(box, motion, work.stream(target, compiled.plate.root))

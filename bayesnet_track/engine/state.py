@@ -47,14 +47,14 @@ class TargetState:
     scored: Scored = field(default_factory=Scored)
 
 
-def applied(net: Net, decisions: Iterable[Decision]) -> Net:
+def apply_decisions(net: Net, decisions: Iterable[Decision]) -> Net:
     """The net after the decisions, in their order."""
     for decision in decisions:
         net = apply(net, decision)
     return net
 
 
-def recompiled(engine: Engine, net: Net, target: str, state: TargetState) -> TargetState:
+def recompile(engine: Engine, net: Net, target: str, state: TargetState) -> TargetState:
     """The state with its plan compiled again when its active agents changed."""
     live = net.targets[target]
     return with_agents(engine.plates[live.template], state, live.active)

@@ -24,13 +24,13 @@ from bayesnet_track.engine.lifecycle.track_management import manage_tracks
 from bayesnet_track.engine.outcome import (
     Outcome,
     State,
-    carried_out,
+    carry_out,
     with_external_inputs,
     with_joins,
     with_load,
 )
 from bayesnet_track.engine.starting import start
-from bayesnet_track.engine.state import TargetState, applied
+from bayesnet_track.engine.state import TargetState, apply_decisions
 from bayesnet_track.engine.target_execution import collect_elsewhere, start_elsewhere
 from bayesnet_track.journal.events.basic import Event, FrameMetrics
 from bayesnet_track.journal.events.inputs import Input
@@ -81,7 +81,7 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
     # Measure, decide, learn, describe
     results = {target: finish_target(work, one) for target, one in joint.filtered.items()}
     results |= collect_elsewhere(work, elsewhere, before)
-    outcome = carried_out(work, state, {target: results[target] for target in before}, joint)
+    outcome = carry_out(work, state, {target: results[target] for target in before}, joint)
 
     # Targets start and end, join and part; load is shed
     outcome = manage_tracks(work, outcome, associated)
@@ -107,7 +107,7 @@ def start_all(work: FrameWork, state: State, starts: Mapping[str, tuple[str, Flo
     events: list[Event] = []
     for target, (template, box) in starts.items():
         born = start(work, target, template, box)
-        net, targets[target] = applied(net, born.decisions), born.state
+        net, targets[target] = apply_decisions(net, born.decisions), born.state
         metrics.append(born.metrics)
         events += born.decisions
     after = replace(state, net=net, targets=targets, previous=work.frame)

@@ -147,11 +147,11 @@ def leave_one_out(
             raise ValueError(f"without {video}: {error}") from None
         said = np.concatenate([score_of(fitted.logistic, one) for one in own])
         under = np.concatenate([mass_below(fitted, one) for one in own])
-        rows.append(_checked(video, own, said, under))
+        rows.append(_check(video, own, said, under))
         scores.append(said)
         below.append(under)
     everyone = [one for own in videos.values() for one in own]
-    return tuple(rows), _checked("all", everyone, np.concatenate(scores), np.concatenate(below))
+    return tuple(rows), _check("all", everyone, np.concatenate(scores), np.concatenate(below))
 
 
 def mass_below(fitted: Fitted, one: CalibrationData) -> Floats:
@@ -163,7 +163,7 @@ def mass_below(fitted: Fitted, one: CalibrationData) -> Floats:
     return np.asarray(p * near + (1.0 - p) * far)
 
 
-def _checked(name: str, own: Sequence[CalibrationData], said: Floats, below: Floats) -> Checked:
+def _check(name: str, own: Sequence[CalibrationData], said: Floats, below: Floats) -> Checked:
     iou = np.concatenate([one.iou for one in own])
     hits, sure = iou > ON_TARGET, (iou > ON_TARGET) | (iou < OFF_TARGET)
     off = np.abs(below - 0.5)

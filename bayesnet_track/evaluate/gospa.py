@@ -73,7 +73,7 @@ def gospa(pairs: Pairs, cutoff_px: float = CUTOFF_PX, order: float = ORDER) -> G
     check_metric(cutoff_px, order)
     localisation, matched = 0.0, 0
     for frame in pairs.frames:
-        cost, count = _matched(frame, cutoff_px, order)
+        cost, count = _match(frame, cutoff_px, order)
         localisation += cost
         matched += count
     missed, false = int(pairs.true_boxes.sum()) - matched, int(pairs.tracked_boxes.sum()) - matched
@@ -93,7 +93,7 @@ def check_metric(cutoff_px: float, order: float) -> None:
         raise ValueError(f"order {order:g}; expected a number from 1 on")
 
 
-def _matched(frame: FramePairs, cutoff_px: float, order: float) -> tuple[float, int]:
+def _match(frame: FramePairs, cutoff_px: float, order: float) -> tuple[float, int]:
     """Sum of d^p over the matched pairs, and their number."""
     costs = np.minimum(frame.distance, cutoff_px) ** order
     rows, columns = assign(cutoff_px**order - costs)  # a pair at c costs as much as both boxes alone

@@ -75,7 +75,7 @@ class Pairs:
 
 def pair(truth: Tracks, tracks: Tracks) -> Pairs:
     """Every true box beside every tracked box of its frame; of identities only equality matters."""
-    (true, true_boxes), (tracked, tracked_boxes) = _numbered(truth.ids), _numbered(tracks.ids)
+    (true, true_boxes), (tracked, tracked_boxes) = _number(truth.ids), _number(tracks.ids)
     centres, tracked_centres = centre_from_corner(truth.boxes), centre_from_corner(tracks.boxes)
     rows, tracked_rows = _rows_of_frames(truth.frames), _rows_of_frames(tracks.frames)
     nothing = np.empty(0, dtype=np.int64)
@@ -96,7 +96,7 @@ def assign(gains: Floats) -> tuple[Integers, Integers]:
     return np.asarray(rows, dtype=np.int64), np.asarray(columns, dtype=np.int64)
 
 
-def _numbered(ids: Integers) -> tuple[Integers, Integers]:
+def _number(ids: Integers) -> tuple[Integers, Integers]:
     _, numbers, counts = np.unique(ids, return_inverse=True, return_counts=True)
     return numbers.astype(np.int64), counts.astype(np.int64)
 

@@ -80,7 +80,7 @@ class Score:
         """One figure a line: its name and value, and with `explained` what it says."""
         lines = []
         for field in fields(self):
-            line = f"{field.name:<14} {_shown(getattr(self, field.name))}"
+            line = f"{field.name:<14} {_show(getattr(self, field.name))}"
             lines.append(f"{line:<26} {MEANINGS[field.name]}".rstrip() if explained else line)
         return "\n".join(lines)
 
@@ -220,7 +220,7 @@ def _cells(one: Score) -> list[str]:
     ]
 
 
-def _shown(value: object) -> str:
+def _show(value: object) -> str:
     if isinstance(value, tuple):
         return _pair(value)
     if isinstance(value, float):

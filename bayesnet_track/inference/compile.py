@@ -131,7 +131,7 @@ def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str
         target=target.name,
         root=target.root,
         active=working,
-        draws=tuple(_draw(target, name) for name in _drawn(target, messengers)),
+        draws=tuple(_draw(target, name) for name in _list_drawn(target, messengers)),
         observations=tuple(
             Observe(
                 name,
@@ -156,7 +156,7 @@ def _messengers(target: CheckedTarget, active: frozenset[str]) -> frozenset[str]
     return frozenset(found)
 
 
-def _drawn(target: CheckedTarget, messengers: frozenset[str]) -> list[str]:
+def _list_drawn(target: CheckedTarget, messengers: frozenset[str]) -> list[str]:
     """The latent nodes that send a message or are parts, and the latent ones above a part; parents first."""
     drawn: set[str] = set()
     for name in (name for name in reversed(target.order) if name in target.children):
@@ -219,7 +219,7 @@ def _with_inputs(planes: Iterable[Plane]) -> tuple[Plane, ...]:
     return tuple(ordered)
 
 
-def _given(step: Draw) -> str:
+def _describe_given(step: Draw) -> str:
     return f"a part of {step.given_from}" if step.given.is_part else step.given_from
 
 
@@ -227,7 +227,7 @@ def describe_plan(plan: Plan, agents: Mapping[str, AgentNode] | None = None) -> 
     """The plan as text, one step a line."""
     lines = [f"target {plan.target}"]
     lines += [f"  plane    {plane_words(plane)}" for plane in plan.planes]
-    lines += [f"  draw     {step.node} given {_given(step)}" for step in plan.draws]
+    lines += [f"  draw     {step.node} given {_describe_given(step)}" for step in plan.draws]
     for step in plan.observations:
         cue = "" if agents is None else f" ({agents[step.agent].agent.cue})"
         lines.append(f"  observe  {step.agent}{cue} at the hypotheses of {step.at}")

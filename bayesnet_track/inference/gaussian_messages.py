@@ -77,7 +77,7 @@ def latent_gaussian(
         return None
     # c = centre + shape u, with u of mean 0 and covariance 1 under the prior.
     shape, unshape = axes[:, kept] * np.sqrt(variance[kept]), axes[:, kept] / np.sqrt(variance[kept])
-    precision, shift = _matched(away @ unshape, prior_log, sampled)
+    precision, shift = _match(away @ unshape, prior_log, sampled)
     for message, power in gaussians.values():
         columns = [BOX_FIELDS.index(name) for name in message.fields if name in BOX_FIELDS]
         places = [k for k, name in enumerate(message.fields) if name in BOX_FIELDS]
@@ -110,7 +110,7 @@ class _Directions:
     unshape: Floats
 
 
-def _matched(places: Floats, prior_log: Floats, sampled: Floats | None) -> tuple[Floats, Floats]:
+def _match(places: Floats, prior_log: Floats, sampled: Floats | None) -> tuple[Floats, Floats]:
     """Precision (K, K) and precision times mean (K,) of a likelihood at `places`, whose prior is N(0, 1)."""
     n, k = places.shape
     nothing = np.zeros((k, k)), np.zeros(k)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from bayesnet_track.graph.spec import Guard
 from bayesnet_track.inference.availability import Missing
 from bayesnet_track.inference.executor import AgentUnavailable
-from bayesnet_track.inference.learn import Lesson, blended
+from bayesnet_track.inference.learn import Lesson, blend_reference
 from bayesnet_track.journal.events.basic import Event
 from bayesnet_track.journal.events.belief_events import ReferenceGuarded
 from bayesnet_track.observation.cue import Cue, Hypotheses, Reference, context_of
@@ -129,7 +129,7 @@ def guard(
         else:
             parted.pop(agent, None)
             share, old, new = 1.0 - (1.0 - rule.rate) ** rule.every, slow[agent], references[agent]
-        mixed = availability.misses(agent) or blended(lesson.cues[agent], old, new, share)
+        mixed = availability.misses(agent) or blend_reference(lesson.cues[agent], old, new, share)
         if isinstance(mixed, Missing):
             availability.note(agent, mixed)
         elif isinstance(mixed, str):

@@ -171,9 +171,9 @@ def joint_marginals(
     Raises:
         ValueError: the edges close a ring.
     """
-    members = {name: _bounded(one) for name, one in members.items()}
+    members = {name: _bound(one) for name, one in members.items()}
     near = _near(members, edges)
-    order, above = _rooted(near)
+    order, above = _root_tree(near)
     around = _near(members, (*closing, *edges))
     messages: dict[Pair, _Message] = {}
 
@@ -229,7 +229,7 @@ def draw_partners(
     return np.asarray(rng.permuted(chosen.reshape(pairings, size), axis=1))
 
 
-def _bounded(one: Member) -> Member:
+def _bound(one: Member) -> Member:
     best = one.log_likelihood.max()
     return replace(one, log_likelihood=np.maximum(one.log_likelihood, best - FARTHEST))
 
@@ -242,7 +242,7 @@ def _near(members: Iterable[str], edges: Iterable[Edge]) -> dict[str, dict[str, 
     return near
 
 
-def _rooted(near: Mapping[str, Mapping[str, Edge]]) -> tuple[list[str], dict[str, str | None]]:
+def _root_tree(near: Mapping[str, Mapping[str, Edge]]) -> tuple[list[str], dict[str, str | None]]:
     """All targets, parents before children, and each one's parent."""
     order: list[str] = []
     above: dict[str, str | None] = {}

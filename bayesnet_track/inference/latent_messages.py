@@ -62,18 +62,18 @@ def grid_message(
     cells = np.ceil(extent / cell).astype(int) + 2
     transfer = _transfer(parts, cell, cells)
 
-    parents = _shared((above.boxes[:, :2] / sd - low) / cell)
-    samples = _shared((own.boxes[:, :2] / sd - low) / cell)
+    parents = _share((above.boxes[:, :2] / sd - low) / cell)
+    samples = _share((own.boxes[:, :2] / sd - low) / cell)
     beta = np.exp(prior_log)
-    q = _read(_convolved(_collected(beta, parents, cells), transfer), samples)
+    q = _read(_convolve(_collect(beta, parents, cells), transfer), samples)
     share = np.zeros(len(beta))
     np.divide(beta, q, out=share, where=q > SPECTRAL_NOISE * q.max())
     top = float(np.max(log_likelihood))
     if not np.isfinite(top):
         return log_likelihood.copy()
-    total = _read(_convolved(_collected(share, samples, cells), transfer), parents)
+    total = _read(_convolve(_collect(share, samples, cells), transfer), parents)
     likelihood = np.exp(log_likelihood - top)
-    integral = _read(_convolved(_collected(share * likelihood, samples, cells), transfer), parents)
+    integral = _read(_convolve(_collect(share * likelihood, samples, cells), transfer), parents)
     seen = total > SPECTRAL_NOISE * total.max()
     message = log_likelihood.copy()
     least = SPECTRAL_NOISE * max(float(integral.max()), np.finfo(float).tiny)
@@ -84,7 +84,7 @@ def grid_message(
 Shares = tuple[NDArray[np.intp], Floats]
 
 
-def _shared(places: Floats) -> Shares:
+def _share(places: Floats) -> Shares:
     """(N, 4, 2) the four cells around each place, and (N, 4) their shares of it, bilinear."""
     first = np.floor(places).astype(np.intp)
     part = places - first
@@ -93,7 +93,7 @@ def _shared(places: Floats) -> Shares:
     return first[:, None] + corners, weights
 
 
-def _collected(values: Floats, shares: Shares, cells: NDArray[np.intp]) -> Floats:
+def _collect(values: Floats, shares: Shares, cells: NDArray[np.intp]) -> Floats:
     """(cells) the values (N,), each shared between four cells."""
     at, weights = shares
     flat = at[..., 0] * cells[1] + at[..., 1]
@@ -119,7 +119,7 @@ def _transfer(parts: list[tuple[float, float]], cell: float, cells: NDArray[np.i
     return np.asarray(np.sum(terms, axis=0))
 
 
-def _convolved(grid: Floats, transfer: Floats) -> Floats:
+def _convolve(grid: Floats, transfer: Floats) -> Floats:
     return np.asarray(np.fft.irfft2(np.fft.rfft2(grid) * transfer, s=grid.shape))
 
 

@@ -34,7 +34,7 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.guests import FAULTS, text_of
 from bayesnet_track.observation.planes import PlaneCache, region_of_boxes
-from bayesnet_track.observation.shared import sealed, shown
+from bayesnet_track.observation.shared import seal, shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,10 +126,10 @@ def learn_references(
     return {**references, **moved}, faults
 
 
-def blended(cue: AnyCue, old: Reference, new: Reference, rate: float) -> Reference | str | Missing:
+def blend_reference(cue: AnyCue, old: Reference, new: Reference, rate: float) -> Reference | str | Missing:
     """A reference between `old` (rate 0) and `new` (rate 1), or what went wrong."""
     try:
-        return _checked(cue.blend(shown(old), shown(new), rate))
+        return _check(cue.blend(shown(old), shown(new), rate))
     except AgentUnavailable as error:
         return Missing(str(error))
     except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
@@ -147,7 +147,7 @@ def adapt_reference(lesson: Lesson, agent: str, reference: Reference, attempt: i
         return None
     try:
         tuned = cue.adapt(shown(reference), attempt)
-        return None if tuned is None else _checked(tuned)
+        return None if tuned is None else _check(tuned)
     except AgentUnavailable as error:
         availability.note(agent, Missing(str(error)))
         return None
@@ -176,7 +176,7 @@ def _learnt(
     try:
         method, arguments = _to_learn(lesson, agent)
         seen = getattr(cue, method)(*arguments)
-        return _checked(cue.blend(shown(old[agent]), seen, rates[agent]) if agent in old else seen)
+        return _check(cue.blend(shown(old[agent]), seen, rates[agent]) if agent in old else seen)
     except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
         return _failure(error)
 
@@ -212,7 +212,7 @@ def _to_learn(lesson: Lesson, agent: str) -> tuple[str, tuple[Any, ...]]:
 
 def _collect(wait: Wait[Reference]) -> Reference | str | Missing:
     try:
-        return _checked(wait())
+        return _check(wait())
     except FAULTS as error:
         return _failure(error)
 
@@ -223,12 +223,12 @@ def _failure(error: BaseException) -> str | Missing:
     return f"raised {type(error).__name__} while learning: {text_of(error)}"
 
 
-def _checked(reference: Reference) -> Reference | str:
+def _check(reference: Reference) -> Reference | str:
     for name, values in reference.items():
         array = np.asarray(values)
         if array.dtype.kind in "fc" and not np.isfinite(array).all():
             return f"made a reference whose {name!r} is not finite"
-    return sealed(reference)
+    return seal(reference)
 
 
 def _split_faults(

@@ -17,8 +17,8 @@ from bayesnet_track.inference.messages import without
 from bayesnet_track.inference.part_measures import measure_parts
 from bayesnet_track.inference.parts import PartBelief, part_beliefs, part_of_agents
 from bayesnet_track.numerics.disc import weighted_mass_in_disc
-from bayesnet_track.numerics.divergence import selected, uncertainty_deviation
-from bayesnet_track.numerics.tilts import divergences, tilted
+from bayesnet_track.numerics.divergence import select, uncertainty_deviation
+from bayesnet_track.numerics.tilts import divergences, tilt
 from bayesnet_track.observation.cue import Hypotheses
 
 Floats = NDArray[np.float64]
@@ -37,7 +37,7 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
         for agent, governor in zip(agents, governors, strict=True)
     ]
     # All beliefs in one matrix: those of the nodes, then what is left without each agent.
-    logs = tilted(prior, _rows((*evidence.messages.values(), *left), len(prior)))
+    logs = tilt(prior, _rows((*evidence.messages.values(), *left), len(prior)))
     beliefs = dict(zip(nodes, logs[: len(nodes)], strict=True))
     beliefs[target.root] = root.log
 
@@ -117,7 +117,7 @@ def _columns_of(fields: tuple[str, ...]) -> tuple[int, ...]:
 
 
 def _ud(target: CheckedTarget, node: str, boxes: Floats, log: Floats, centre: Floats) -> float:
-    columns = selected(_columns(target, node))
+    columns = select(_columns(target, node))
     return uncertainty_deviation(boxes[:, columns], np.exp(log), centre[columns])
 
 
@@ -141,11 +141,11 @@ def _node_uds(
             best = boxes[int(np.argmax(beliefs[node]))]
             uds[node] = _ud(target, node, boxes, beliefs[node], best)
         else:
-            uds[node] = _inherited(target, node, step, beliefs, parts)
+            uds[node] = _inherit(target, node, step, beliefs, parts)
     return uds
 
 
-def _inherited(
+def _inherit(
     target: CheckedTarget,
     node: str,
     step: Step[Posterior],

@@ -21,7 +21,7 @@ from bayesnet_track.inference.observe import (
     Observer,
     Question,
     ask_ahead,
-    known_answer,
+    find_known_answer,
     observe,
     remember,
 )
@@ -57,7 +57,7 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
     measured: dict[str, Measurement | None] = {}
     faults: dict[str, str] = {}
     question = Question(at, prior_log, _region(at))
-    answers = {step: known[0] for step in plan.observations if (known := known_answer(step, observer))}
+    answers = {step: known[0] for step in plan.observations if (known := find_known_answer(step, observer))}
     unasked = [step for step in plan.observations if step not in answers]
     ahead, here = partial(ask_ahead, question, observer), partial(observe, question, observer)
     answers.update(each_at_once(observer.executor, ahead, here, unasked))
@@ -136,7 +136,7 @@ def join_messages(
                 }
                 rest = None if len(exact) == len(terms) else _rest(terms, rests, len(own))
                 matched = latent_gaussian(fusion.given, above, own, prior_log, exact, rest)
-                total, scale = _scaled(matched, above, prior_log, total)
+                total, scale = _scale(matched, above, prior_log, total)
                 rests[fusion.node] = scale
                 if matched is not None:
                     gaussians[fusion.node] = matched
@@ -163,7 +163,7 @@ def without(
     return join_messages(plan, said, measured, evidence.latent, hypotheses, prior_log).messages
 
 
-def _scaled(
+def _scale(
     matched: Measurement | None, above: Hypotheses, prior_log: Floats, total: Floats
 ) -> tuple[Floats, float]:
     """(N,) a latent node's Gaussian message, and what scales it so that its evidence is that of the draws."""

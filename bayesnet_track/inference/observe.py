@@ -98,7 +98,7 @@ class Question:
     region: Region
 
 
-def known_answer(step: Observe, observer: Observer) -> tuple[Answer] | None:
+def find_known_answer(step: Observe, observer: Observer) -> tuple[Answer] | None:
     """The answer of an agent that is not asked (again), in a tuple; None when it has to be asked."""
     key = (step.agent, step.at)
     if step.agent in observer.faults:
@@ -128,8 +128,8 @@ def observe(question: Question, observer: Observer, step: Observe) -> Answer:
         started, part = _charge(observer, part, started), agent
         reference = shown(observer.references[agent])
         if step.measures:
-            return _checked_measurement(cue.measure(planes, own, np.exp(question.prior_log), reference), own)
-        return _checked(real_numbers(cue.log_likelihood(planes, own, reference)), len(own))
+            return _check_measurement(cue.measure(planes, own, np.exp(question.prior_log), reference), own)
+        return _check(real_numbers(cue.log_likelihood(planes, own, reference)), len(own))
     except FAULTS as error:  # a cue is a guest's code: whatever it raises must not end the run
         return _failure(error)
     finally:
@@ -160,8 +160,8 @@ def _collect(step: Observe, observer: Observer, own: Hypotheses, wait: Wait[Any]
     try:
         answer = wait()
         if step.measures:
-            return _checked_measurement(answer, own)
-        return _checked(real_numbers(answer), len(own))
+            return _check_measurement(answer, own)
+        return _check(real_numbers(answer), len(own))
     except FAULTS as error:
         return _failure(error)
     finally:
@@ -195,7 +195,7 @@ def _charge(observer: Observer, part: str, started: float) -> float:
     return now
 
 
-def _checked_measurement(measured: Any, hypotheses: Hypotheses) -> Measurement | str | None:
+def _check_measurement(measured: Any, hypotheses: Hypotheses) -> Measurement | str | None:
     if measured is None:
         return None
     is_measurement = isinstance(measured, Measurement)
@@ -224,7 +224,7 @@ def _checked_measurement(measured: Any, hypotheses: Hypotheses) -> Measurement |
     return Measurement(fields, mean, covariance, float(measured.floor))
 
 
-def _checked(log_likelihood: Floats | str, size: int) -> Floats | str:
+def _check(log_likelihood: Floats | str, size: int) -> Floats | str:
     if isinstance(log_likelihood, str):
         return f"returned a value of type {log_likelihood}, not {size} real numbers"
     if log_likelihood.shape != (size,):

@@ -123,7 +123,7 @@ def part_beliefs(plan: Plan, evidence: Evidence, posterior: LogWeights) -> dict[
         further[step.node] = above + _quotient(plan, fusions.get(step.node), evidence)
         if step.given.is_part:
             found[step.node] = PartBelief(
-                evidence.latent[step.node].boxes, _weighted(posterior, further[step.node])
+                evidence.latent[step.node].boxes, _weigh(posterior, further[step.node])
             )
     return found
 
@@ -141,7 +141,7 @@ def _quotient(plan: Plan, fusion: Fusion | None, evidence: Evidence) -> Floats |
     return np.where(sent > -np.inf, received - np.where(sent > -np.inf, sent, 0.0), -np.inf)
 
 
-def _weighted(posterior: LogWeights, further: Floats | float) -> LogWeights:
+def _weigh(posterior: LogWeights, further: Floats | float) -> LogWeights:
     if isinstance(further, float):
         return posterior
     try:

@@ -51,9 +51,9 @@ def find_moments(
     theirs = _by_place(second, {b: (a, b) for a, b in pairs}, lambda target: ("", target))
     for place in dict.fromkeys([*mine, *theirs]):
         a, b = mine.get(place, []), theirs.get(place, [])
-        same, rest_a, rest_b = _matched(a, b, 0)
+        same, rest_a, rest_b = _match(a, b, 0)
         agreed += len(same)
-        shifted, rest_a, rest_b = _matched(rest_a, rest_b, SHIFT)
+        shifted, rest_a, rest_b = _match(rest_a, rest_b, SHIFT)
         moments += [Moment(min(x.frame, y.frame), *place, (x,), (y,)) for x, y in shifted]
         for frame in sorted({event.frame for event in (*rest_a, *rest_b)}):
             only_a = tuple(event for event in rest_a if event.frame == frame)
@@ -76,7 +76,7 @@ def _by_place(
     return found
 
 
-def _matched(
+def _match(
     a: Sequence[Decision], b: Sequence[Decision], within: int
 ) -> tuple[list[tuple[Decision, Decision]], list[Decision], list[Decision]]:
     """Decisions of the same effect at most `within` frames apart, the nearest first; and what is left."""

@@ -72,7 +72,7 @@ def spreading_matrix(size: int, factor: float, sd: float) -> Floats:
     return matrix
 
 
-def flattened(mass: Floats, k: float) -> Floats:
+def flatten(mass: Floats, k: float) -> Floats:
     """The distribution P^(1/k), normalised: exponentially less weight for older measurements (1.5).
 
     Right for masses of cells of one size, which are densities; a Gaussian's sd grows by sqrt(k). Raising the

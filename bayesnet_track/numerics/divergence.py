@@ -30,7 +30,7 @@ def kl(log_f: Floats, log_g: Floats) -> float:
     return max(0.0, float(np.dot(np.exp(f), f - g)))
 
 
-def selected(columns: Sequence[int]) -> slice | list[int]:
+def select(columns: Sequence[int]) -> slice | list[int]:
     """What selects these columns: a slice, which copies nothing, where they stand side by side."""
     first, size = columns[0], len(columns)
     if tuple(columns) == tuple(range(first, first + size)):

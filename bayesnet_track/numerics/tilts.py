@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 
-def tilted(prior_log: Floats, log_likelihoods: Floats) -> Floats:
+def tilt(prior_log: Floats, log_likelihoods: Floats) -> Floats:
     """(M, N) normalised log-weights: the prior (N,) times each likelihood (M, N).
 
     A likelihood that leaves nothing positive and finite says nothing: its row is the prior.
 
-    >>> np.exp(tilted(np.log([0.5, 0.5]), np.log([[1.0, 3.0]]))).round(2).tolist()
+    >>> np.exp(tilt(np.log([0.5, 0.5]), np.log([[1.0, 3.0]]))).round(2).tolist()
     [[0.25, 0.75]]
     """
     log = log_likelihoods + prior_log

@@ -2,7 +2,7 @@
 
 To load a file is to run its code, so that it is done only where a user names it. The module that it becomes
 has a name made of its SHA-256: what worker processes are sent refers to it by that name, and they load the
-same bytes (`packed`, `unpack`), whatever stands in the file by then.
+same bytes (`pack`, `unpack`), whatever stands in the file by then.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def file_of(declaration: CueDeclaration) -> CueFile | None:
     return next((file for file in _loaded.values() if file.declaration is declaration), None)
 
 
-def packed() -> bytes:
+def pack() -> bytes:
     """All cue files of this process, for one that works for it; no bytes where there are none."""
     files = [(file.path, file.content) for file in _loaded.values()]
     return pickle.dumps(files) if files else b""
@@ -140,7 +140,7 @@ def _loaded_from(path: str, content: bytes) -> CueFile:
     module.__file__ = path
     sys.modules[module.__name__] = module
     try:
-        exec(_compiled(path, content), module.__dict__)
+        exec(_compile(path, content), module.__dict__)
     except FAULTS as error:
         del sys.modules[module.__name__]
         if isinstance(error, CueError):
@@ -157,7 +157,7 @@ def _loaded_from(path: str, content: bytes) -> CueFile:
     return file
 
 
-def _compiled(path: str, content: bytes) -> Any:
+def _compile(path: str, content: bytes) -> Any:
     try:
         return compile(content, path, "exec", dont_inherit=True)
     except SyntaxError as error:

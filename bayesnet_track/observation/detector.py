@@ -77,7 +77,7 @@ NOTHING = Detections(np.empty((0, 4)), np.empty(0), ())
 """No detection."""
 
 
-def checked(found: Detections) -> Detections:
+def check_detections(found: Detections) -> Detections:
     """A detector's answer with boxes and scores as float64 arrays: a detector is a guest's code.
 
     Raises:

@@ -27,7 +27,7 @@ def read_only(array: Array) -> Array:
     return seen
 
 
-def sealed(reference: Mapping[str, Any]) -> dict[str, Any]:
+def seal(reference: Mapping[str, Any]) -> dict[str, Any]:
     """The names and read-only views of the arrays."""
     return {name: read_only(array) for name, array in reference.items()}
 
@@ -39,5 +39,5 @@ def shown(reference: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
     """
     for array in reference.values():
         if isinstance(array, np.ndarray) and array.flags.writeable:
-            return MappingProxyType(sealed(reference))
+            return MappingProxyType(seal(reference))
     return MappingProxyType(reference if isinstance(reference, dict) else dict(reference))

@@ -19,7 +19,7 @@ def nothing(frame: int) -> Sequence[Input]:
     return ()
 
 
-def replayed(path: Path, notice: Notice | None = None) -> InputsAt:
+def replay_inputs(path: Path, notice: Notice | None = None) -> InputsAt:
     """What came from outside in an earlier run, by its ``inputs.jsonl``.
 
     Raises:
@@ -34,10 +34,10 @@ def replayed(path: Path, notice: Notice | None = None) -> InputsAt:
 
 
 def as_inputs(given: str | PathLike[str] | InputsAt | None) -> InputsAt:
-    """A file as `replayed`, a function as it is, nothing for None."""
+    """A file as `replay_inputs`, a function as it is, nothing for None."""
     if given is None:
         return nothing
-    return given if callable(given) else replayed(Path(given))
+    return given if callable(given) else replay_inputs(Path(given))
 
 
 class Switchboard:

@@ -102,7 +102,7 @@ def run(
         engine: an engine made from `graph`, to share between runs; made here when None.
         inputs: files from outside that the engine reads, besides the source -> their SHA-256, to be told.
         external_inputs: asked before each frame for what came from outside, by the frame's index: a
-            `runtime.inputs.Switchboard` of a live view, or `runtime.inputs.replayed` of an earlier run.
+            `runtime.inputs.Switchboard` of a live view, or `runtime.inputs.replay_inputs` of an earlier run.
         deadline: the time that a frame may take: what is late is told to the engine, which sheds load.
         checkpointer: told after each frame how far the run is.
         after: go on from there: `source` was read so far, and sinks know already what was before.

@@ -25,7 +25,7 @@ from bayesnet_track.runtime.checkpoints.recipe import Recipe, file_sha256, make_
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import RETRIES, Executing, make_executor
 from bayesnet_track.runtime.inputs import InputsAt, as_inputs
-from bayesnet_track.runtime.recording.lock import locked
+from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.manifest import finish
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.replace import replace_run, settle
@@ -125,16 +125,18 @@ def track(
         else:
             opened = source
         check_starts(checked, starts, opened.width, opened.height)
-        engine = prepared(checked, seed, motion, detections)
+        engine = prepare_engine(checked, seed, motion, detections)
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
-        engine = placed(stack, executing, engine, None if motion is not None else checked, opened, budget_ms)
+        engine = place_cues(
+            stack, executing, engine, None if motion is not None else checked, opened, budget_ms
+        )
         all_sinks: list[Sink] = list(sinks)
         checkpointer: Checkpoints | None = None
         recorder: Recorder | None = None
         if out is not None:
             directory = RunDirectory.create(str(out), overwrite)
-            stack.enter_context(locked(directory))
+            stack.enter_context(lock_run(directory))
             settle(directory)
             directory.refuse(overwrite)  # before the lock was taken, another process could have written here
             recipe = make_recipe(
@@ -158,7 +160,7 @@ def track(
             recorder = Recorder(directory, checked, opened.frame_interval_s, video, before_first=take_place)
             stack.enter_context(recorder)
             all_sinks.append(recorder)
-            checkpointer = kept(directory, engine, recorder, recipe, checkpoint_every)
+            checkpointer = make_checkpointer(directory, engine, recorder, recipe, checkpoint_every)
             if checkpointer is not None:
                 stack.enter_context(checkpointer)
         yield from run(
@@ -178,7 +180,7 @@ def track(
             finish(directory, recorder.finish())
 
 
-def placed(
+def place_cues(
     stack: ExitStack,
     executing: Executing,
     engine: Engine,
@@ -197,7 +199,7 @@ def placed(
     return stack.enter_context(executing).engine(engine, graph, RETRIES if waits else 0)
 
 
-def prepared(
+def prepare_engine(
     graph: CheckedGraph, seed: int, motion: MotionModel | None, detections: str | PathLike[str] | None
 ) -> Engine:
     """The engine of a run; raises as `track`."""
@@ -224,7 +226,7 @@ def begin(directory: RunDirectory, files: Mapping[str, bytes]) -> None:
         write_atomically(directory.path / FILES[key], data)
 
 
-def kept(
+def make_checkpointer(
     directory: RunDirectory, engine: Engine, recorder: Recorder, recipe: Recipe, every_s: float
 ) -> Checkpoints | None:
     """Who makes checkpoints of a run; None where nobody does, or nothing could go on from them."""

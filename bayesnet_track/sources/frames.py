@@ -181,7 +181,7 @@ class Source:
                     return
             shape = now
             if first is not None:
-                image = _resized(image, first.width, first.height)
+                image = _resize(image, first.width, first.height)
             last = Frame(item.index, item.time, image, has_color, item.time_s, depth)
             first = first or last
             yield last
@@ -193,7 +193,7 @@ class Source:
         return SourceDamaged(index, reason)
 
 
-def _resized(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+def _resize(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
     if image.shape[:2] == (height, width):
         return image
     import cv2

@@ -127,7 +127,7 @@ def two_eyes(rectifier: Rectifier, index: int, second: Picture | None, image: Im
         right, _ = second.pixels()
     except PictureError as error:
         raise PictureError(f"right eye: {error}") from error
-    return _rectified(rectifier, image, right)
+    return _rectify(rectifier, image, right)
 
 
 def halves(rectifier: Rectifier, index: int, second: Picture | None, image: Image) -> Completed:
@@ -136,7 +136,7 @@ def halves(rectifier: Rectifier, index: int, second: Picture | None, image: Imag
     if odd:
         raise PictureError(f"{_size(image)} has no two halves of the same width")
     left, right = (np.ascontiguousarray(part) for part in (image[:, :half], image[:, half:]))
-    return _rectified(rectifier, left, right)
+    return _rectify(rectifier, left, right)
 
 
 def measured(
@@ -252,7 +252,7 @@ class _Eye:
                 yield replace(item, reason=f"{self.name} eye: {item.reason}")
 
 
-def _rectified(rectifier: Rectifier, left: Image, right: Image) -> Completed:
+def _rectify(rectifier: Rectifier, left: Image, right: Image) -> Completed:
     if left.shape != right.shape:
         raise PictureError(f"the left eye is {_size(left)}, the right one {_size(right)}")
     if left.shape[:2] != (rectifier.height, rectifier.width):

@@ -138,7 +138,7 @@ def _apart(distances: Sequence[Distance], x: _Scale, top: float) -> list[str]:
     if high == 0.0:
         return [*drawn, _text("never", LEFT + 8.0, top + APART_HEIGHT / 2, "soft")]
     drawn.append(_text(f"{high:.3g}", LEFT - 8.0, y(high) + 4.0, "soft", "end"))
-    points = _thinned([(x(one.frame), y(one.px)) for one in distances])
+    points = _thin([(x(one.frame), y(one.px)) for one in distances])
     outline = [(points[0][0], y(0.0)), *points, (points[-1][0], y(0.0))]
     return [*drawn, element("polygon", points=_path(outline), class_="apart")]
 
@@ -190,7 +190,7 @@ def _marks(moments: Sequence[Moment], pair: tuple[str, str], x: _Scale, bottom: 
 # ------------------------------------------------------------------------------------ small things
 
 
-def _thinned(points: Points) -> Points:
+def _thin(points: Points) -> Points:
     """At most two points per column: the lowest and the highest, in their order."""
     if len(points) <= 2 * COLUMNS:
         return points
@@ -203,7 +203,7 @@ def _thinned(points: Points) -> Points:
 
 
 def _curve(points: Points, look: str) -> str:
-    return element("polyline", points=_path(_thinned(points)), class_=look)
+    return element("polyline", points=_path(_thin(points)), class_=look)
 
 
 def _path(points: Points) -> str:

@@ -111,7 +111,7 @@ def _runs(first: RunRecord, second: RunRecord, settings: Sequence[str]) -> list[
 
 def _first_parting(first: RunRecord, second: RunRecord, compared: Comparison) -> list[str]:
     head, *parts = parting_lines(first, second, compared)
-    lines = [_sided(line.strip()) for line in parts]
+    lines = [_mark_sides(line.strip()) for line in parts]
     return [
         "<h2>Where they part first</h2>",
         '<div class="first">',
@@ -121,7 +121,7 @@ def _first_parting(first: RunRecord, second: RunRecord, compared: Comparison) ->
     ]
 
 
-def _sided(line: str) -> str:
+def _mark_sides(line: str) -> str:
     """A line that begins with A or B in that run's colour."""
     letter, _, rest = line.partition("  ")
     if letter in ("A", "B") and rest:
@@ -190,7 +190,7 @@ def _moments(first: RunRecord, second: RunRecord, compared: Comparison) -> list[
     parts = [f"<h2>{_capital(plural(len(compared.moments), 'parting'))}</h2>"]
     for number, moment in enumerate(compared.moments[:MOST_MOMENTS]):
         head = f"<h3>{text_of(_capital(place(moment, compared)))}</h3>"
-        body = "".join(_sided(line) for line in sides(first, second, moment))
+        body = "".join(_mark_sides(line) for line in sides(first, second, moment))
         parts.append(f'<div class="moment" id="moment-{number}">{head}{body}</div>')
     if len(compared.moments) > MOST_MOMENTS:
         parts.append(f"<p>… and {len(compared.moments) - MOST_MOMENTS} more.</p>")

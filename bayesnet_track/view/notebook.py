@@ -24,7 +24,7 @@ SHOWN_TARGETS, SHOWN_EVENTS = 3, 40
 def graph_html(graph: CheckedGraph) -> str:
     """The picture of each plate's net, under the graph's name and what it is for."""
     head = f"<p><b>{text_of(graph.spec.name)}</b> {text_of(graph.spec.about)}</p>"
-    return head + "".join(_framed(_plate_svg(graph, plate)) for plate in graph.targets)
+    return head + "".join(_frame(_plate_svg(graph, plate)) for plate in graph.targets)
 
 
 def spec_html(spec: GraphSpec) -> str:
@@ -59,7 +59,7 @@ def run_html(run: RunRecord) -> str:
         *([("seconds", f"{seconds:.3g} ({frames / seconds:.0f} frames per second)")] if seconds else []),
     ]
     drawn = [
-        _framed(_inline(draw_timeline(run.events, run.metrics, target))) for target in targets[:SHOWN_TARGETS]
+        _frame(_inline(draw_timeline(run.events, run.metrics, target))) for target in targets[:SHOWN_TARGETS]
     ]
     if len(targets) > SHOWN_TARGETS:
         drawn.append(f"<p>and {plural(len(targets) - SHOWN_TARGETS, 'more target')}</p>")
@@ -90,7 +90,7 @@ def _plate_svg(graph: CheckedGraph, plate: str) -> str:
     return _inline(graph_svg(target, {agent for agent in target.agents if target.agent(agent).active}))
 
 
-def _framed(svg: str) -> str:
+def _frame(svg: str) -> str:
     return f'<div style="overflow-x:auto">{svg}</div>'
 
 

@@ -50,12 +50,12 @@ def draw_overlay(image: Image, metrics: FrameMetrics, truth: ArrayLike | None = 
         drawn = cv2.addWeighted(veil, 0.45, drawn, 0.55, 0.0)
     if truth is not None and np.isfinite(np.asarray(truth, dtype=np.float64)).all():
         x, y, w, h = np.asarray(truth, dtype=np.float64)
-        _dashed(drawn, *_span((x, y), (x + w - 1, y + h - 1)), max(1, line - 1))
+        _dash(drawn, *_span((x, y), (x + w - 1, y + h - 1)), max(1, line - 1))
     for part in metrics.parts.values():
         if part.status == "seen":
             cv2.rectangle(drawn, *_corners(part.box), PART_COLOUR, max(1, line - 1))
         else:
-            _dashed(drawn, *_corners(part.box), max(1, line - 1), PART_COLOUR)
+            _dash(drawn, *_corners(part.box), max(1, line - 1), PART_COLOUR)
     low, high = _corners(metrics.box)
     for step in range(-1, line):  # a dark rim outside, the colour on the box's own pixels
         if 2 * step <= min(high[0] - low[0], high[1] - low[1]):
@@ -84,7 +84,7 @@ def _span(low: tuple[float, float], high: tuple[float, float]) -> tuple[Point, P
     return (a, b), (c, d)
 
 
-def _dashed(image: Image, low: Point, high: Point, thickness: int, colour: Colour = TRUTH_COLOUR) -> None:
+def _dash(image: Image, low: Point, high: Point, thickness: int, colour: Colour = TRUTH_COLOUR) -> None:
     import cv2
 
     dash = 4 * thickness
@@ -113,9 +113,9 @@ def _label(
         return int(cv2.getTextSize(text, font, size, weight)[0][0])
 
     head = f"{metrics.target} {metrics.status}  UD {_short(metrics.ud_px2)} px2"
-    lines = [_fitted([head], room, extent), _fitted(list(metrics.active) or ["no agent"], room, extent)]
+    lines = [_fit([head], room, extent), _fit(list(metrics.active) or ["no agent"], room, extent)]
     unseen = [f"{name} {part.status}" for name, part in metrics.parts.items() if part.status != "seen"]
-    lines += [_fitted(unseen, room, extent)] if unseen else []
+    lines += [_fit(unseen, room, extent)] if unseen else []
     step = round(cv2.getTextSize("Ag", font, size, weight)[0][1] * 1.6)
     plate_w, plate_h = max(map(extent, lines)) + 2 * pad, step * len(lines) + pad
     x = min(max(low[0], 0), max(width - plate_w, 0))
@@ -131,7 +131,7 @@ def _label(
         cv2.putText(image, text, at, font, size, ink, weight, cv2.LINE_AA)
 
 
-def _fitted(words: list[str], room: int, extent: Callable[[str], int]) -> str:
+def _fit(words: list[str], room: int, extent: Callable[[str], int]) -> str:
     """As many words as fit, then how many are left out; a single word is cut."""
     for kept in range(len(words), 0, -1):
         rest = len(words) - kept

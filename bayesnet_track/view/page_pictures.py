@@ -79,7 +79,7 @@ def gather(
                 total += len(data)
             while total > budget and len(kept) > 1:
                 step *= 2
-                kept = _thinned(kept, step, wanted)
+                kept = _thin(kept, step, wanted)
                 total = sum(map(len, kept.values()))
     frames = sorted(kept)
     return Pictures(tuple(frames), tuple(kept[frame] for frame in frames), step, annotated)
@@ -104,7 +104,7 @@ def _choose(sample: list[tuple[int, Image]], expected: int, budget: int) -> tupl
     return SIZES[-1]
 
 
-def _thinned(kept: dict[int, bytes], step: int, wanted: Set[int]) -> dict[int, bytes]:
+def _thin(kept: dict[int, bytes], step: int, wanted: Set[int]) -> dict[int, bytes]:
     left = {frame: data for frame, data in kept.items() if frame % step == 0 or frame in wanted}
     return left if len(left) < len(kept) else dict(list(kept.items())[::2])
 

@@ -45,7 +45,7 @@ def equations(sample: Singles, label: Floats) -> tuple[Spectra, Floats]:
     return numerator, np.sum(x.real**2 + x.imag**2, axis=0, dtype=np.float64)
 
 
-def solved(numerator: Spectra, denominator: Floats, ridge: float) -> Singles:
+def solve(numerator: Spectra, denominator: Floats, ridge: float) -> Singles:
     """(C, S, S) the filter; `ridge` is relative to the mean of the denominator."""
     side = numerator.shape[1]
     whole = denominator + max(ridge * float(denominator.mean()), 1e-9)

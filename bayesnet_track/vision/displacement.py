@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.numerics.distributions import flattened, gaussian_taps, nearest_probable
+from bayesnet_track.numerics.distributions import flatten, gaussian_taps, nearest_probable
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -94,7 +94,7 @@ class Displaced:
     covariance: Floats
 
 
-def displaced(
+def displace(
     points: Points, image: Bytes, origin: tuple[int, int], dt: float, centre: Ints, matching: Matching
 ) -> Displaced | None:
     """The points after `dt` frame intervals, found in a gray picture whose first pixel is at `origin` (x, y).
@@ -164,7 +164,7 @@ def predict_matrices(points: Points, dt: float, centre: Ints, matching: Matching
     moved[:, to_rows, to] = known[:, source_rows, source]
     total = moved.sum(axis=(1, 2), keepdims=True)
     moved = np.where(total > 0, moved / np.where(total > 0, total, 1.0), 1.0 / size**2)
-    return np.stack([flattened(matrix, matching.forget**dt) for matrix in moved])
+    return np.stack([flatten(matrix, matching.forget**dt) for matrix in moved])
 
 
 def _overlap(shift: int, size: int) -> slice:

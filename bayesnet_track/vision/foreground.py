@@ -53,7 +53,7 @@ def _tables(cells: Cells) -> NDArray[np.int32]:
     return np.stack([value * stride for stride in strides]).astype(np.int32)
 
 
-def counted(frame: Frame, cells: Cells, box: Floats) -> Floats:
+def count_pixels(frame: Frame, cells: Cells, box: Floats) -> Floats:
     """(cells,) visible pixels of the centre box (4,) in each cell."""
     counts = np.zeros(cells.count)
     count_cells(region_of_boxes(box[None]).within(frame).of(frame.image), cells.tables, counts)
@@ -65,7 +65,7 @@ def shares(counts: Floats) -> Floats:
     return np.asarray(counts / max(counts.sum(), 1.0))
 
 
-def grown(boxes: Floats, ring: float) -> Floats:
+def grow_boxes(boxes: Floats, ring: float) -> Floats:
     """Centre boxes (..., 4) with a ring of `ring` mean sides around them."""
     more = ring * (boxes[..., 2:3] + boxes[..., 3:4])
     return np.concatenate([boxes[..., :2], boxes[..., 2:] + more], axis=-1)
@@ -74,7 +74,7 @@ def grown(boxes: Floats, ring: float) -> Floats:
 def means(frame: Frame, cells: Cells, levels: Bytes, boxes: Floats, ring: float) -> Floats:
     """(N, 2) mean posterior, 0..1, inside each centre box (N, 4) and in a ring of `ring` mean sides."""
     boxes = np.ascontiguousarray(boxes, dtype=np.float64)
-    crop = region_of_boxes(grown(boxes, ring)).grown(1).within(frame)
+    crop = region_of_boxes(grow_boxes(boxes, ring)).grown(1).within(frame)
     found = np.zeros((len(boxes), 2))
     if crop.is_empty:
         return found

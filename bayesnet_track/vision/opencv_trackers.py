@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.observation.planes import Region, region_of_boxes
-from bayesnet_track.vision.point_tracking import GRAY, correlations, cut, mixed
+from bayesnet_track.vision.point_tracking import GRAY, correlations, cut, mix_channels
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -177,4 +177,4 @@ def _thumb(image: Image, box: Floats) -> Floats:
     if part.size == 0:
         return np.zeros((1, THUMB, THUMB))
     small = cv2.resize(part, (THUMB, THUMB), interpolation=cv2.INTER_AREA)
-    return mixed(np.asarray(small, np.uint8), GRAY)[None].astype(np.float64)
+    return mix_channels(np.asarray(small, np.uint8), GRAY)[None].astype(np.float64)

@@ -89,7 +89,7 @@ def cut(image: Image, region: Region) -> Image:
     return np.asarray(cv2.copyMakeBorder(image[y0:y1, x0:x1], *pads, cv2.BORDER_REPLICATE), np.uint8)
 
 
-def mixed(image: Image, mix: Floats) -> Image:
+def mix_channels(image: Image, mix: Floats) -> Image:
     """(rows, columns) uint8: the weighted sum of the channels."""
     import cv2
 
@@ -122,7 +122,7 @@ def corners_in(
 def clearest_mix(image: Image, origin: tuple[int, int], box: Floats, least: float) -> Floats:
     """(3,) weights of B, G, R: brightness, or the one channel in which the box's corners are far stronger."""
     mixes: list[Floats] = [GRAY, *np.eye(3)]
-    totals = [float(_scores(mixed(image, mix), origin, box, least)[0].sum()) for mix in mixes]
+    totals = [float(_scores(mix_channels(image, mix), origin, box, least)[0].sum()) for mix in mixes]
     best = int(np.argmax(totals))
     return mixes[best] if totals[best] > CLEARER * totals[0] else mixes[0]
 
@@ -197,7 +197,7 @@ def followed(
     return at + flows + guess, valid == 1
 
 
-def agreed(
+def find_agreement(
     source: Floats, target: Floats, candidates: NDArray[np.bool_], how: Following
 ) -> PointMotion | None:
     """The translation or similarity that most candidates follow, fitted to them by least squares; or None."""

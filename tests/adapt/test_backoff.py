@@ -2,7 +2,7 @@
 
 import pytest
 
-from bayesnet_track.adapt.backoff import MISSED_FRAMES, give_up_on_missing, next_try, quarantined, readmitted
+from bayesnet_track.adapt.backoff import MISSED_FRAMES, give_up_on_missing, next_try, quarantine, readmit
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.situation import Situation
@@ -47,7 +47,7 @@ def test_an_agent_that_worked_ten_times_as_long_as_it_was_out_has_not_failed_in_
 
 
 def test_the_decision_names_the_agent_and_the_reason():
-    one = quarantined(OUT, 25, "7", "a", "raised")
+    one = quarantine(OUT, 25, "7", "a", "raised")
     assert (one.frame, one.target, one.node, one.reason, one.until, one.times) == (
         25,
         "7",
@@ -56,26 +56,26 @@ def test_the_decision_names_the_agent_and_the_reason():
         105,
         4,
     )
-    two = quarantined(OUT, 25, "7", "b", "hung")
+    two = quarantine(OUT, 25, "7", "b", "hung")
     assert (two.until, two.times) == (35, 1)
 
 
 def test_it_is_back_in_the_first_frame_after_its_time(now):
-    assert readmitted(now(18)) == []
-    assert readmitted(now(19)) == [Readmitted(19, "7", "a", True, 3, 15)]
+    assert readmit(now(18)) == []
+    assert readmit(now(19)) == [Readmitted(19, "7", "a", True, 3, 15)]
 
 
 def test_a_person_has_the_last_word_and_some_never_come_back(now):
-    assert readmitted(now(19, TargetNet(**{**vars(OUT), "by_hand": {"a": False}})))[0].on is False
+    assert readmit(now(19, TargetNet(**{**vars(OUT), "by_hand": {"a": False}})))[0].on is False
     was_off = TargetNet(**{**vars(OUT), "faults": {"a": Fault(1, 5, 15, False)}})
-    assert readmitted(now(19, was_off))[0].on is False
+    assert readmit(now(19, was_off))[0].on is False
     for_good = TargetNet(**{**vars(OUT), "faults": {"a": Fault(1, 5, None, True)}})
-    assert readmitted(now(1000, for_good)) == []
+    assert readmit(now(1000, for_good)) == []
 
 
 def test_the_order_is_that_of_the_plate(now):
     both = TargetNet(**{**vars(OUT), "faults": {"b": Fault(1, 5, 15, True), "a": Fault(1, 6, 16, True)}})
-    assert [one.node for one in readmitted(now(40, both))] == ["a", "b"]
+    assert [one.node for one in readmit(now(40, both))] == ["a", "b"]
 
 
 def test_three_frames_in_a_row_without_an_answer(now):

@@ -8,7 +8,7 @@ import pytest
 from bayesnet_track.belief.grid.belief import _around_zero, _bounding_box, _heaviest
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice
 from bayesnet_track.belief.grid.reset import _nearest, unknown_velocity, window_around
-from bayesnet_track.belief.grid.window import Limits, Patch, kept, limits_of, stacked, within
+from bayesnet_track.belief.grid.window import Limits, Patch, find_kept, limits_of, stack_patches, within
 from bayesnet_track.belief.motion.bounds import Confined
 
 LATTICE = Lattice(
@@ -91,29 +91,29 @@ def test_boxes_are_drawn_evenly_inside_cells_by_their_mass(belief):
 
 def test_a_line_inside_its_bounds_keeps_what_counts():
     line = np.array([0.0, 0.0, 1.0, 3.0, 1.0, 0.0])
-    assert kept(line, 7, None, 10) == (9, slice(2, 5), (False, False))
-    assert kept(line, 7, (0, 20), 10) == (9, slice(2, 5), (False, False))
-    assert kept(line, 7, (7, 12), 10) == (9, slice(2, 5), (False, False))
+    assert find_kept(line, 7, None, 10) == (9, slice(2, 5), (False, False))
+    assert find_kept(line, 7, (0, 20), 10) == (9, slice(2, 5), (False, False))
+    assert find_kept(line, 7, (7, 12), 10) == (9, slice(2, 5), (False, False))
     negligible = np.array([1e-14, 1e-12, 1.0, 1e-12, 1e-14])
-    assert kept(negligible, 0, None, 10) == (1, slice(1, 4), (False, False))
+    assert find_kept(negligible, 0, None, 10) == (1, slice(1, 4), (False, False))
 
 
 def test_an_end_of_the_image_takes_what_lies_beyond():
     line = np.array([1.0, 2.0, 3.0, 2.0, 1.0])
-    assert kept(line, -2, (0, 10), 10) == (0, slice(2, 5), (True, False))
-    assert kept(line, 7, (0, 9), 10) == (7, slice(0, 3), (False, True))
-    assert kept(line, -2, (-1, 1), 10) == (-1, slice(1, 4), (True, True))
-    assert kept(line, 20, (0, 9), 10) == (9, slice(0, 1), (False, True))
-    assert kept(line, -20, (0, 9), 10) == (0, slice(4, 5), (True, False))
+    assert find_kept(line, -2, (0, 10), 10) == (0, slice(2, 5), (True, False))
+    assert find_kept(line, 7, (0, 9), 10) == (7, slice(0, 3), (False, True))
+    assert find_kept(line, -2, (-1, 1), 10) == (-1, slice(1, 4), (True, True))
+    assert find_kept(line, 20, (0, 9), 10) == (9, slice(0, 1), (False, True))
+    assert find_kept(line, -20, (0, 9), 10) == (0, slice(4, 5), (True, False))
 
 
 def test_of_too_many_cells_those_around_the_mean_are_kept():
     line = np.array([1.0, 1.0, 1.0, 1.0, 8.0, 8.0, 1.0])  # the mean is 84 / 21
-    assert kept(line, 0, None, 3) == (3, slice(3, 6), (False, False))
-    assert kept(line, 0, None, 7) == (0, slice(0, 7), (False, False))
-    assert kept(line, 0, None, 6) == (1, slice(1, 7), (False, False))
-    assert kept(line[::-1], 0, None, 6) == (0, slice(0, 6), (False, False))
-    assert kept(line, -1, (0, 20), 3) == (2, slice(3, 6), (False, False))
+    assert find_kept(line, 0, None, 3) == (3, slice(3, 6), (False, False))
+    assert find_kept(line, 0, None, 7) == (0, slice(0, 7), (False, False))
+    assert find_kept(line, 0, None, 6) == (1, slice(1, 7), (False, False))
+    assert find_kept(line[::-1], 0, None, 6) == (0, slice(0, 6), (False, False))
+    assert find_kept(line, -1, (0, 20), 3) == (2, slice(3, 6), (False, False))
 
 
 def test_masses_beyond_the_image_fold_onto_its_border(rng):
@@ -130,12 +130,12 @@ def test_masses_beyond_the_image_fold_onto_its_border(rng):
 
 def test_patches_are_laid_over_each_other(rng):
     one, two = Patch(rng.random((1, 2, 2, 3)), 4, -1), Patch(rng.random((1, 2, 3, 2)), 2, 0)
-    layers, column, row = stacked([one, two])
+    layers, column, row = stack_patches([one, two])
     assert (column, row, layers.shape) == (2, -1, (2, 1, 2, 4, 5))
     np.testing.assert_array_equal(layers[0, :, :, :2, 2:], one.mass)
     np.testing.assert_array_equal(layers[1, :, :, 1:, :2], two.mass)
     assert layers.sum() == pytest.approx(one.mass.sum() + two.mass.sum())
-    alone, column, row = stacked([one])
+    alone, column, row = stack_patches([one])
     assert (column, row) == (4, -1) and alone.shape == (1, 1, 2, 2, 3)
 
 

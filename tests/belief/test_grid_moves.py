@@ -10,8 +10,8 @@ from bayesnet_track.belief.grid.belief import GridFilter
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice
 from bayesnet_track.belief.grid.evidence import log_gaussian
 from bayesnet_track.belief.grid.gaps import Leap, Span, _leapt, leapt, moving
-from bayesnet_track.belief.grid.motion import _bounded, _change, axis_steps, predict_grid, scale_sd
-from bayesnet_track.belief.grid.reset import judged_in_box, judged_on_image
+from bayesnet_track.belief.grid.motion import _bound, _change, axis_steps, predict_grid, scale_sd
+from bayesnet_track.belief.grid.reset import judge_in_box, judge_on_image
 from bayesnet_track.belief.grid.window import Limits, Patch
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.graph import spec
@@ -141,7 +141,7 @@ def test_a_spread_is_that_of_anywhere_in_the_image_at_most(belief, motion_of):
     patch = Patch(belief.mass[0], 3, -4)
     change = _change(steps[0], VELOCITIES)
     for limits in (Limits((0, 20), (-10, 10), 64), Limits(None, None, 16)):
-        step = _bounded(0, patch, steps[0], (shares, change), LATTICE, limits)
+        step = _bound(0, patch, steps[0], (shares, change), LATTICE, limits)
         known = patch.mass.sum(axis=(0, 2))  # (V, columns)
         joint = change * known.sum(axis=1)
         old, new = VELOCITIES[None, :], VELOCITIES[:, None]
@@ -155,7 +155,7 @@ def test_a_spread_is_that_of_anywhere_in_the_image_at_most(belief, motion_of):
         assert spread == pytest.approx(most)
         assert step.second / step.first == pytest.approx(steps[0].second / steps[0].first)
     near = axis_steps(motion, belief.mean, 1.0)[0][1]
-    assert _bounded(1, patch, near, (shares, change), LATTICE, Limits((0, 20), (-10, 10), 64)) is near
+    assert _bound(1, patch, near, (shares, change), LATTICE, Limits((0, 20), (-10, 10), 64)) is near
 
 
 # ------------------------------------------------------------------------------------ gaps
@@ -308,15 +308,15 @@ def test_gamma_is_the_evidence_over_the_mean_likelihood(belief):
     log = np.log(np.array([[[0.5, 0.1, 0.2], [0.1, 0.1, 0.4]]]))
     gamma = (box * np.exp(log)).sum() / np.exp(log).mean()
     rule = spec.Reset(region="belief", below=1.0)
-    found = judged_in_box(rule, belief, box, log)
+    found = judge_in_box(rule, belief, box, log)
     event = found.report(3, "1")
     assert event.gamma == pytest.approx(gamma) and event.below == 1.0 and event.region_px2 == 24.0
     assert event.frame == 3 and event.target == "1" and event.region == "belief"
     assert found.mean == pytest.approx(np.log(np.exp(log).mean())) and found.peak is None
     assert (
-        judged_in_box(spec.Reset(region="belief", below=float(gamma) * 0.99), belief, box, log).report is None
+        judge_in_box(spec.Reset(region="belief", below=float(gamma) * 0.99), belief, box, log).report is None
     )
-    assert judged_in_box(rule, belief, box, np.full(box.shape, -np.inf)).report is None
+    assert judge_in_box(rule, belief, box, np.full(box.shape, -np.inf)).report is None
 
 
 def test_the_image_is_judged_at_places_of_its_own(belief):
@@ -327,7 +327,7 @@ def test_the_image_is_judged_at_places_of_its_own(belief):
         asked.append(states)
         return Evidence(-0.5 * ((states[:, :2] - place) ** 2).sum(axis=1) / 16.0)
 
-    found = judged_on_image(spec.Reset(region="image", below=1.0), belief, limits, np.log(0.02), ask)
+    found = judge_on_image(spec.Reset(region="image", below=1.0), belief, limits, np.log(0.02), ask)
     (states,) = asked
     assert (
         len(states) == 16 * 15
@@ -340,10 +340,10 @@ def test_the_image_is_judged_at_places_of_its_own(belief):
     assert event.gamma == pytest.approx(0.02 / mean) and event.region_px2 == 240 * 4
     assert found.mean == pytest.approx(np.log(mean)) and found.peak.tolist() == [60.0, 30.0]
     assert (
-        judged_on_image(
+        judge_on_image(
             spec.Reset(region="image", below=1.0), belief, limits, np.log(1.001 * mean), ask
         ).report
         is None
     )
-    free = judged_on_image(spec.Reset(region="image", below=1.0), belief, Limits(None, None, 32), -9.0, ask)
+    free = judge_on_image(spec.Reset(region="image", below=1.0), belief, Limits(None, None, 32), -9.0, ask)
     assert free.report is None and len(asked) == 2

@@ -11,7 +11,7 @@ from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.grid.belief import GridFilter
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice
 from bayesnet_track.belief.grid.motion import predict_grid
-from bayesnet_track.belief.grid.reset import judged_on_image
+from bayesnet_track.belief.grid.reset import judge_on_image
 from bayesnet_track.belief.grid.window import Limits
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.graph import spec
@@ -133,7 +133,7 @@ def coarse(rule, place, limits, log_evidence, mass=None, spoil=None):
         found = at(place, 9.0)(SeenBoxes(states), None)
         return found if spoil is None else spoil(found)
 
-    return judged_on_image(rule, belief, limits, log_evidence, ask), asked
+    return judge_on_image(rule, belief, limits, log_evidence, ask), asked
 
 
 @dataclass(frozen=True)

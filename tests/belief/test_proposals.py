@@ -8,13 +8,13 @@ import pytest
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.particles.adaptive_size import evaluate_sample, move
-from bayesnet_track.belief.particles.alternatives import auxiliary_pass, edit, mixture_pass, selected
+from bayesnet_track.belief.particles.alternatives import auxiliary_pass, edit, mixture_pass, select
 from bayesnet_track.belief.particles.fitted import (
     STRETCH,
     Message,
-    fitted_message,
-    fitted_proposal,
-    flattened,
+    fit_message,
+    fit_proposal,
+    flatten,
     paired_log_density,
 )
 from bayesnet_track.belief.particles.importance import proposal_of
@@ -22,9 +22,9 @@ from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
 from bayesnet_track.belief.particles.proposals import (
     Draws,
     combine,
-    fitted_draws,
+    draw_by_parents,
+    draw_fitted,
     mix_defensive,
-    parent_draws,
 )
 from bayesnet_track.belief.particles.weighted_sample import WeightedSample, concatenate, prior_of
 from bayesnet_track.graph import spec
@@ -153,7 +153,7 @@ def test_a_part_of_a_pass_has_its_part_of_all_evidence():
     latent = {"n": Hypotheses(np.arange(16.0).reshape(4, 4), {"v": np.arange(4.0)})}
     evidence = Evidence(np.arange(4.0), {"a": np.arange(4.0) + 10}, latent, sampled=np.arange(4.0) + 20)
     one = WeightedSample(np.arange(20.0).reshape(4, 5), -np.arange(4.0), np.array([3, 2, 1, 0]), evidence)
-    part = selected(one, np.array([2, 0]))
+    part = select(one, np.array([2, 0]))
     assert part.states.tolist() == [[10, 11, 12, 13, 14], [0, 1, 2, 3, 4]]
     assert part.prior_log.tolist() == [-2, 0] and part.ancestors.tolist() == [1, 3]
     assert part.evidence.log_likelihood.tolist() == [2, 0] and part.evidence.messages["a"].tolist() == [
@@ -164,7 +164,7 @@ def test_a_part_of_a_pass_has_its_part_of_all_evidence():
     assert part.evidence.latent["n"].fields["v"].tolist() == [2, 0]
     assert part.evidence.sampled.tolist() == [22, 20]
     assert (
-        selected(
+        select(
             WeightedSample(one.states, one.prior_log, one.ancestors, Evidence(np.arange(4.0))), [1]
         ).evidence.sampled
         is None
@@ -188,7 +188,7 @@ METHODS = {
         both_of(
             inputs,
             first,
-            parent_draws(inputs, first, SecondPassProposal(by="parents", neighbours=1)),
+            draw_by_parents(inputs, first, SecondPassProposal(by="parents", neighbours=1)),
             "second_only",
         ).whole
     ),
@@ -196,12 +196,12 @@ METHODS = {
         both_of(
             inputs,
             first,
-            parent_draws(inputs, first, SecondPassProposal(by="parents", neighbours=4)),
+            draw_by_parents(inputs, first, SecondPassProposal(by="parents", neighbours=4)),
             "separate",
         ).whole
     ),
     "fitted": lambda inputs, first: (
-        both_of(inputs, first, fitted_draws(inputs, first, SecondPassProposal()), "second_only").whole
+        both_of(inputs, first, draw_fitted(inputs, first, SecondPassProposal()), "second_only").whole
     ),
 }
 
@@ -261,7 +261,7 @@ def test_parents_that_did_well_are_drawn_more_often(inputs_of, first_of):
     inputs = inputs_of()
     first = first_of(inputs)
     likelihood = np.exp(look(first.states))
-    draws = parent_draws(inputs, first, SecondPassProposal(by="parents", neighbours=1, defensive=0.2))
+    draws = draw_by_parents(inputs, first, SecondPassProposal(by="parents", neighbours=1, defensive=0.2))
     ratio = 0.2 + 0.8 * likelihood / likelihood.mean()
     np.testing.assert_allclose(np.exp(draws.log_ratio_first), ratio)
     drawn_by = np.bincount(first.ancestors, ratio, SIZE)
@@ -338,7 +338,7 @@ def test_the_density_of_a_pair_is_the_motions_mixture(rng):
 
 def test_the_proposal_is_the_motion_times_the_message_normalised():
     """By a sum over a grid that both fill: 60 x 60 px in steps of a quarter of the least sd."""
-    proposal = fitted_proposal(TRANSITION, BETA, MESSAGE)
+    proposal = fit_proposal(TRANSITION, BETA, MESSAGE)
     line = np.arange(-30, 30, 0.25)
     grid = np.stack(np.meshgrid(line, line), axis=-1)
     message = np.exp(
@@ -364,7 +364,7 @@ def test_a_message_turns_the_priors_moments_into_the_posteriors(rng):
     points = rng.normal(0, 1, (400, 2)) @ np.array([[2.0, 0.5], [0.0, 1.0]]) + [5.0, 7.0]
     log = -0.5 * ((points - [6.0, 6.5]) ** 2 / [1.0, 0.5]).sum(axis=1)
     beta = LogWeights.normalise(0.3 * rng.standard_normal(400))[0]
-    message = fitted_message(points, beta, log, effective=4)
+    message = fit_message(points, beta, log, effective=4)
     posterior = beta.times(log)[0]
     centre, spread = weighted_moments(points, beta.weights)
     mean, covariance = weighted_moments(points, posterior.weights)
@@ -378,21 +378,21 @@ def test_directions_of_which_nothing_is_told_get_no_precision(rng):
     points = rng.normal(0, 1, (400, 2))
     points -= points.mean(axis=0)
     beta = LogWeights.uniform(400)
-    message = fitted_message(points, beta, np.zeros(400))
+    message = fit_message(points, beta, np.zeros(400))
     np.testing.assert_allclose(message.precision, 0.0, atol=1e-6)
-    wide = fitted_message(points, beta, 0.1 * points[:, 0] ** 2, effective=4)  # wider in x than the prior
+    wide = fit_message(points, beta, 0.1 * points[:, 0] ** 2, effective=4)  # wider in x than the prior
     assert abs(wide.precision[0, 0]) < 0.05
 
 
 def test_a_sharp_likelihood_is_flattened_until_enough_count_and_sharpened_twice_at_most(rng):
     points = rng.normal(0, 1, (100, 1))
     beta, log = LogWeights.uniform(100), -0.5 * ((points[:, 0] - 2.5) / 0.02) ** 2
-    power, weights = flattened(beta, log, 25.0)
+    power, weights = flatten(beta, log, 25.0)
     assert weights.ess >= 25.0 > beta.times(power / 0.8 * log)[0].ess
     assert np.log(power) / np.log(0.8) == pytest.approx(round(np.log(power) / np.log(0.8)))
-    assert flattened(beta, 0.01 * log / 2500, 25.0)[0] == 1.0
-    message = fitted_message(points, beta, log)
-    mild = fitted_message(points, beta, power * log, effective=1)
+    assert flatten(beta, 0.01 * log / 2500, 25.0)[0] == 1.0
+    message = fit_message(points, beta, log)
+    mild = fit_message(points, beta, power * log, effective=1)
     np.testing.assert_allclose(message.precision, STRETCH * mild.precision, rtol=1e-6)
 
 

@@ -14,8 +14,8 @@ from bayesnet_track.belief.particles.size_decision import (
     NOTABLE,
     SizeDecision,
     begin_with,
-    limit_of,
-    turning_of,
+    find_limit,
+    find_turning,
 )
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.belief_events import ParticlesResized
@@ -387,7 +387,7 @@ def test_at_the_turning_value_it_would_not_have_been_told(kind, asked):
     if not sizing.is_notable:
         sizing = SizeDecision(size, SizeMemory(1000, 100, before.wanted), sizing.halves_wanted, 100, 5000)
     assert sizing.is_notable
-    turning, (setting, level) = turning_of(sizing), size.tolerance
+    turning, (setting, level) = find_turning(sizing), size.tolerance
     power = {"error": -1, "error_px": -2, "threshold": 1}[setting]
     for share, stays in ((1e-3, True), (-1e-3, False)):
         factor = (turning / level) ** power
@@ -410,7 +410,7 @@ def test_at_the_turning_value_it_would_not_have_been_told(kind, asked):
 def test_what_kept_the_number_away_from_the_need(before, needs, particles, limit):
     first, second = (SampleSize(need, 50.0) for need in needs)
     sizing = SizeDecision(size_of("kld"), SizeMemory(400, 400, before), (first, second), 100, 5000)
-    assert (sizing.particles, limit_of(sizing)) == (particles, limit)
+    assert (sizing.particles, find_limit(sizing)) == (particles, limit)
 
 
 def test_nothing_turns_what_one_bin_asks_for():
@@ -421,4 +421,4 @@ def test_nothing_turns_what_one_bin_asks_for():
         100,
         5000,
     )
-    assert sizing.particles == 100 and turning_of(sizing) is None
+    assert sizing.particles == 100 and find_turning(sizing) is None

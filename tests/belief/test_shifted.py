@@ -29,7 +29,7 @@ def states_around(motion, rng, size=7):
 def test_a_background_point_stays_on_the_background(dt):
     shift = camera_shift(FLOW, dt)
     before = np.array([[40.0, 200.0, 10.0, 10.0]])
-    after = shift.shifted(before)[0, :2]
+    after = shift.apply(before)[0, :2]
     # The flow is told at the present place: x' - dt M (x', 1) is where the point was.
     np.testing.assert_allclose(after - dt * FLOW @ [*after, 1.0], before[0, :2], atol=1e-12)
     assert camera_shift(np.zeros((2, 3)), dt) is None
@@ -117,8 +117,8 @@ def test_densities_are_those_of_the_motion_from_the_shifted_states(motion_of, rn
     kept = revert_size(walk, SizeReversion(sd_scale=0.3, sd_aspect=0.2), np.array([30.0, 55.0]), 1.0)
     motion = ShiftedMotion(kept, camera_shift(FLOW, 1.0))
     old, new = states_around(walk, rng), states_around(walk, rng, 5)
-    once = camera_shift(FLOW, 1.0).shifted(old)
-    expected = kept.motion.log_density(new, kept.shift.shifted(once), 1.0)
+    once = camera_shift(FLOW, 1.0).apply(old)
+    expected = kept.motion.log_density(new, kept.shift.apply(once), 1.0)
     np.testing.assert_allclose(motion.log_density(new, old, 1.0), expected)
 
 

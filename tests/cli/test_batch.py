@@ -21,7 +21,7 @@ from bayesnet_track.cli.batch.work import ROW, do
 from bayesnet_track.cli.main import main
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue import installed_cues
-from bayesnet_track.runtime.recording.lock import locked
+from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.session import track
 from bayesnet_track.sources.scenes import make_scene
@@ -114,7 +114,7 @@ def test_a_run_that_was_asked_for_otherwise_is_not_taken_for_this_one(data: Path
 def test_a_run_that_another_process_writes_is_left_alone(data: Path, tmp_path: Path) -> None:
     truth = str(data / "one" / "groundtruth.txt")
     job = Job("two_squares", Video(str(data / "one" / "img"), "one", None, truth), 0, str(tmp_path / "run"))
-    with locked(RunDirectory.create(job.out)):
+    with lock_run(RunDirectory.create(job.out)):
         with pytest.raises(RunDirectoryError, match="another process is writing this run"):
             do(job, lambda done, expected: None)
         assert [path.name for path in (tmp_path / "run").iterdir()] == [".lock"]

@@ -20,7 +20,7 @@ from bayesnet_track.vision.correlation import (
     gaussian_label,
     hann,
     scaled_spectra,
-    solved,
+    solve,
     spectra,
 )
 from bayesnet_track.vision.planes.correlation_patches import CHANNELS, patch_at, turned_features
@@ -73,7 +73,7 @@ def test_the_filter_gives_the_wanted_answer_to_its_own_sample(x: float, y: float
     """Without a ridge the regression is exact: cyclic answers are the label, also between cells."""
     sample = np.random.default_rng(seed).normal(size=(3, 16, 16)).astype(np.float32)
     label = gaussian_label(16, 1.3, x, y)
-    kernel = solved(*equations(sample, label), 1e-9)
+    kernel = solve(*equations(sample, label), 1e-9)
     cyclic = np.fft.ifft2(np.sum(np.conj(np.fft.fft2(kernel)) * np.fft.fft2(sample), axis=0)).real
     np.testing.assert_allclose(cyclic, label, atol=1e-4)  # complex64 and a power of 16^2 * 3 per frequency
 

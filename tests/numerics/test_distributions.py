@@ -9,7 +9,7 @@ from bayesnet_track.numerics.distributions import (
     _peak_error,
     false_reset_level,
     feasibility,
-    flattened,
+    flatten,
     gaussian_taps,
     nearest_probable,
     spreading_matrix,
@@ -60,13 +60,13 @@ def test_velocities_decay_and_spread_without_loss(factor, sd):
 def test_flattening_acts_on_densities():
     """P^(1/2) of sd 1 has sd 1.41; the same power of equal weights of samples changes nothing."""
     at = np.linspace(-12, 12, 2401)
-    flat = flattened(gaussian(at, 0.0, 1.0), 2.0)
+    flat = flatten(gaussian(at, 0.0, 1.0), 2.0)
     assert np.sqrt(flat @ at**2) == pytest.approx(np.sqrt(2), rel=1e-9)
     assert flat.sum() == pytest.approx(1.0)
     known = gaussian(at, 0.0, 1.0)
-    assert flattened(known, 1.0) is known
+    assert flatten(known, 1.0) is known
     samples = np.random.default_rng(0).standard_normal(4000)
-    weights = flattened(np.full(4000, 1 / 4000), 2.0)
+    weights = flatten(np.full(4000, 1 / 4000), 2.0)
     assert np.sqrt(weights @ samples**2) == pytest.approx(1.0, abs=0.04)  # 3.5 sds of 1 / sqrt(2 N)
 
 

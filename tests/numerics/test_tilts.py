@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.numerics.log_weights import LogWeights
-from bayesnet_track.numerics.tilts import divergences, tilted
+from bayesnet_track.numerics.tilts import divergences, tilt
 
 
 def case(seed, rows=5, size=30):
@@ -20,14 +20,14 @@ def case(seed, rows=5, size=30):
 @given(st.integers(0, 10_000))
 def test_rows_are_beliefs_one_by_one(seed):
     prior, likelihoods = case(seed)
-    for row, likelihood in zip(tilted(prior.log, likelihoods), likelihoods, strict=True):
+    for row, likelihood in zip(tilt(prior.log, likelihoods), likelihoods, strict=True):
         np.testing.assert_allclose(row, prior.times(likelihood)[0].log, rtol=1e-12, atol=1e-12)
 
 
 @given(st.integers(0, 10_000))
 def test_divergences_are_those_one_by_one(seed):
     prior, likelihoods = case(seed)
-    rows = tilted(prior.log, likelihoods)
+    rows = tilt(prior.log, likelihoods)
     for f, g in ((rows[0], rows), (rows, prior.log), (rows, rows[::-1])):
         expected = [
             kl(*pair)
@@ -38,7 +38,7 @@ def test_divergences_are_those_one_by_one(seed):
 
 def test_a_likelihood_that_leaves_nothing_says_nothing():
     prior = LogWeights.normalise(np.log([0.2, 0.3, 0.5]))[0]
-    rows = tilted(
+    rows = tilt(
         prior.log, np.array([[-np.inf] * 3, [0.0, np.nan, 0.0], [0.0, np.inf, 0.0], [0.0, 0.0, -1e9]])
     )
     np.testing.assert_allclose(rows[:3], np.tile(prior.log, (3, 1)))
@@ -47,5 +47,5 @@ def test_a_likelihood_that_leaves_nothing_says_nothing():
 
 def test_no_row_at_all():
     prior = LogWeights.uniform(4)
-    assert tilted(prior.log, np.empty((0, 4))).shape == (0, 4)
+    assert tilt(prior.log, np.empty((0, 4))).shape == (0, 4)
     assert divergences(np.empty((0, 4)), prior.log).shape == (0,)

@@ -13,7 +13,7 @@ from bayesnet_track import CueDeclaration, Tracker, load_graph, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.observation import cue_files, plugins
 from bayesnet_track.observation.capabilities import CueError
-from bayesnet_track.observation.cue_files import load_cue_file, own_cues, packed, unpack
+from bayesnet_track.observation.cue_files import load_cue_file, own_cues, pack, unpack
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.runtime.executors import PlacingError, make_executor
@@ -322,12 +322,12 @@ def test_what_is_no_cue_is_refused():
 
 def test_a_worker_process_loads_the_same_bytes(folder):
     first = load_cue_file(write(folder, GLANCE))
-    content = packed()
+    content = pack()
     (folder / "glance.py").write_text("changed")
     cue_files._loaded.clear()
     unpack(content)
     (again,) = cue_files._loaded.values()
     assert again.content == first.content and again.declaration.name == "glance"
     cue_files._loaded.clear()
-    assert packed() == b""
+    assert pack() == b""
     unpack(b"")

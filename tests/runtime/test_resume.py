@@ -20,7 +20,7 @@ from bayesnet_track.runtime.checkpoints.recipe import RecipeError
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.runtime.checkpoints.standing import Standing, standing
 from bayesnet_track.runtime.inputs import Switchboard
-from bayesnet_track.runtime.recording.lock import locked
+from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.results import Result, Summary
 from bayesnet_track.sources.scene_source import SceneSource
@@ -326,14 +326,14 @@ def test_an_empty_folder_and_one_that_is_being_written_are_refused(tmp_path: Pat
     with pytest.raises(RecipeError, match=r"no run\.json"):
         list(resume(tmp_path))
     run = begun(tmp_path / "run", 2)
-    with locked(RunDirectory(run)), pytest.raises(RunDirectoryError, match="another process"):
+    with lock_run(RunDirectory(run)), pytest.raises(RunDirectoryError, match="another process"):
         list(resume(run))
 
 
 def test_a_run_that_is_being_written_is_not_overwritten(tmp_path: Path) -> None:
     run = begun(tmp_path / "run", 2)
     before = files(run)
-    with locked(RunDirectory(run)), pytest.raises(RunDirectoryError, match="another process"):
+    with lock_run(RunDirectory(run)), pytest.raises(RunDirectoryError, match="another process"):
         begun(run, 2, overwrite=True)
     assert files(run) == before
     (run / "checkpoint.previous").unlink(missing_ok=True)  # where two frames took a second

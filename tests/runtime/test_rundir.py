@@ -2,7 +2,7 @@
 
 import pytest
 
-from bayesnet_track.runtime.recording.lock import is_locked, locked
+from bayesnet_track.runtime.recording.lock import is_locked, lock_run
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory, RunDirectoryError
 
 
@@ -48,13 +48,13 @@ def test_clearing_removes_the_run_and_nothing_else(tmp_path):
     old_run(tmp_path)
     run = RunDirectory.create(tmp_path, overwrite=True)
     assert {(tmp_path / name).read_text() for name in FILES.values()} == {"old"}
-    with locked(run):
+    with lock_run(run):
         run.clear()
     assert sorted(entry.name for entry in tmp_path.iterdir()) == [".lock", "notes.txt"]
 
 
 def test_a_lock_file_alone_is_an_empty_folder(tmp_path):
-    with locked(RunDirectory.create(tmp_path)):
+    with lock_run(RunDirectory.create(tmp_path)):
         pass
     assert (tmp_path / ".lock").read_bytes() == b""
     assert RunDirectory.create(tmp_path).path == tmp_path
@@ -63,13 +63,13 @@ def test_a_lock_file_alone_is_an_empty_folder(tmp_path):
 def test_one_lock_at_a_time_before_there_is_a_run_and_after_it_was_cleared(tmp_path):
     run = RunDirectory.create(tmp_path / "run")
     for _ in range(2):
-        with locked(run):
+        with lock_run(run):
             assert is_locked(run)
-            with pytest.raises(RunDirectoryError, match="another process is writing this run"), locked(run):
+            with pytest.raises(RunDirectoryError, match="another process is writing this run"), lock_run(run):
                 pytest.fail("two at once")
             run.write_text(run.journal, "x")
             run.clear()
-            with pytest.raises(RunDirectoryError, match="another process"), locked(run):
+            with pytest.raises(RunDirectoryError, match="another process"), lock_run(run):
                 pytest.fail("two at once")
         assert not is_locked(run)
 
@@ -90,7 +90,7 @@ def test_a_folder_without_permission_is_a_clear_error(tmp_path, monkeypatch):
     run = RunDirectory.create(tmp_path / "run")
     with (
         pytest.raises(RunDirectoryError, match="cannot make the run directory: Permission denied"),
-        locked(run),
+        lock_run(run),
     ):
         pytest.fail("it cannot be locked")
 

@@ -15,7 +15,7 @@ from bayesnet_track import Start, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.checkpoints.resume import resume
 from bayesnet_track.runtime.checkpoints.standing import standing
-from bayesnet_track.runtime.recording.lock import locked
+from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.manifest import ManifestError, read_manifest
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.recording.verify import verify
@@ -148,7 +148,7 @@ def test_an_unfinished_run_is_said_to_be_so(tmp_path: Path, capsys: pytest.Captu
     run = tracked(tmp_path / "run", 2)
     assert main(["verify", str(run)]) == 5
     assert f"`bayesnet-track resume {run}` finishes it" in capsys.readouterr().out
-    with locked(RunDirectory(run)):
+    with lock_run(RunDirectory(run)):
         assert main(["verify", str(run)]) == 5
         assert "a process is writing it now" in capsys.readouterr().out
     list(resume(run))

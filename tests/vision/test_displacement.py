@@ -12,7 +12,7 @@ from bayesnet_track.vision.displacement import (
     Matching,
     Points,
     cut_patches,
-    displaced,
+    displace,
     flat_motion,
     moments,
     predict_matrices,
@@ -42,7 +42,7 @@ def test_points_stay_on_their_features_frame_after_frame(texture):
     start = points.at
     for frame in range(1, 13):
         image = np.roll(texture, (-2 * frame, 3 * frame), axis=(0, 1))
-        found = displaced(points, image, (0, 0), 1.0, np.array([frame % 3, -1]), matching)
+        found = displace(points, image, (0, 0), 1.0, np.array([frame % 3, -1]), matching)
         np.testing.assert_allclose(found.motion, [3, -2], atol=1e-2)
         points = found.points
         np.testing.assert_array_equal(points.at, start + frame * np.array([3, -2]))
@@ -52,7 +52,7 @@ def test_points_stay_on_their_features_frame_after_frame(texture):
 def test_a_gap_is_looked_over_at_the_speed_per_frame(texture):
     matching = Matching(reach=4)
     points = points_on(texture, [[50, 60], [70, 50]], matching)
-    found = displaced(points, np.roll(texture, (6, -9), axis=(0, 1)), (0, 0), 3.0, STILL, matching)
+    found = displace(points, np.roll(texture, (6, -9), axis=(0, 1)), (0, 0), 3.0, STILL, matching)
     np.testing.assert_allclose(found.motion, [-3, 2], atol=1e-2)
     np.testing.assert_array_equal(found.points.at, points.at + np.array([-9, 6]))
 
@@ -63,7 +63,7 @@ def test_a_point_on_an_edge_follows_the_object():
     image[20:60, 20:60] = 180  # a square: three corners and a point in the middle of its left side
     matching = Matching(reach=5, epsilon=0.3)
     points = points_on(image, [[20, 20], [59, 20], [20, 59], [20, 40]], matching)
-    found = displaced(points, np.roll(image, (3, 2), axis=(0, 1)), (0, 0), 1.0, STILL, matching)
+    found = displace(points, np.roll(image, (3, 2), axis=(0, 1)), (0, 0), 1.0, STILL, matching)
     edge = found.points.motion[3]
     assert edge.sum(axis=0)[5 + 2] > 0.99  # the edge moves by 2 across, whatever it does along
     assert edge.max() < 0.15 and np.sqrt(moments(edge)[1][1, 1]) > 2.5
@@ -82,7 +82,7 @@ def test_filtering_tells_what_one_frame_cannot():
     told = Points(free.at, free.patches, known, STILL)
     moved = np.roll(stripes, 1, axis=1)
     across = [
-        displaced(p, moved, (0, 0), 1.0, STILL, matching).points.motion[0].sum(axis=0) for p in (free, told)
+        displace(p, moved, (0, 0), 1.0, STILL, matching).points.motion[0].sum(axis=0) for p in (free, told)
     ]
     assert across[0][5 - 3] == pytest.approx(across[0][5 + 1]) and across[0][5 + 5] > 0.3
     assert across[1][5 + 1] > 0.999
@@ -92,8 +92,8 @@ def test_a_jump_of_the_velocity_starts_a_point_again(texture):
     matching = Matching(reach=8, sd_motion_px=0.3)
     points = points_on(texture, [[60, 60]], matching)
     for _ in range(3):
-        points = displaced(points, texture, (0, 0), 1.0, STILL, matching).points
-    found = displaced(points, np.roll(texture, 7, axis=1), (0, 0), 1.0, STILL, matching)
+        points = displace(points, texture, (0, 0), 1.0, STILL, matching).points
+    found = displace(points, np.roll(texture, 7, axis=1), (0, 0), 1.0, STILL, matching)
     np.testing.assert_array_equal(found.points.motion, found.measured)
     np.testing.assert_array_equal(found.points.at, [[67, 60]])
 
@@ -102,9 +102,9 @@ def test_what_fits_nowhere_says_nothing(texture):
     matching = Matching(reach=3)
     points = points_on(texture, [[60, 60]], matching)
     other = np.random.default_rng(6).integers(30, 220, texture.shape, dtype=np.uint8)
-    assert displaced(points, other, (0, 0), 1.0, STILL, matching) is None
-    assert displaced(points, np.full_like(texture, 128), (0, 0), 1.0, STILL, matching) is None
-    assert displaced(points, texture[:20, :20], (0, 0), 1.0, STILL, matching) is None
+    assert displace(points, other, (0, 0), 1.0, STILL, matching) is None
+    assert displace(points, np.full_like(texture, 128), (0, 0), 1.0, STILL, matching) is None
+    assert displace(points, texture[:20, :20], (0, 0), 1.0, STILL, matching) is None
 
 
 def test_the_prediction_adds_noise_and_moves_with_the_range():

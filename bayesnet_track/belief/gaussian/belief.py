@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, Evidence, MotionModel, Report, Step, Stream
 from bayesnet_track.belief.gaussian.predict import predict, require_linear
-from bayesnet_track.belief.gaussian.update import Asked, Gated, Taken, ask, fitted, log_message, matched, take
+from bayesnet_track.belief.gaussian.update import (
+    Asked,
+    Gated,
+    Taken,
+    ask,
+    fit_moments,
+    log_message,
+    match_moments,
+    take,
+)
 from bayesnet_track.belief.states import WeightedStates, hypotheses_of
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.basic import Event
@@ -105,7 +114,7 @@ class GaussianFilter:
         # Update
         sampled = evidence.log_likelihood if evidence.sampled is None else evidence.sampled
         try:
-            update = fitted if self.settings.likelihood == "sigma_points" else matched
+            update = fit_moments if self.settings.likelihood == "sigma_points" else match_moments
             mean, covariance, log_evidence = update(mean, covariance, asked, sampled)
         except DegenerateWeights as fault:
             posterior = _posterior(mean, covariance, prior.fields, len(asked.states))

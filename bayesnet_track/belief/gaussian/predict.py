@@ -37,8 +37,8 @@ def predict(
         mean, spread = free.drift(mean[None], dt)[0], transition @ covariance @ transition.T
     covariance = symmetric(spread + noise)
     if isinstance(motion, Confined):
-        mean = motion.confined(mean[None])[0]
-        covariance = _bounded(covariance, motion.spread_limit(mean))
+        mean = motion.confine(mean[None])[0]
+        covariance = _confine_moments(covariance, motion.spread_limit(mean))
     return mean, covariance
 
 
@@ -96,7 +96,7 @@ def _is_positive(covariance: Floats) -> bool:
     return bool(np.linalg.eigvalsh(symmetric(covariance / np.outer(scale, scale)))[0] > -1e-9)
 
 
-def _bounded(covariance: Floats, limits: Floats) -> Floats:
+def _confine_moments(covariance: Floats, limits: Floats) -> Floats:
     """The covariance with the sds of the first fields at most `limits`, correlations kept."""
     shrink = np.ones(len(covariance))
     sds = np.sqrt(np.diagonal(covariance)[: len(limits)])

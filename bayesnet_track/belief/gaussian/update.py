@@ -71,7 +71,7 @@ def ask(
     states = mean + unit @ lower.T
     np.maximum(states[:, 2:4], 1.0, out=states[:, 2:4])
     if isinstance(motion, Confined):
-        states = motion.confined(states)
+        states = motion.confine(states)
     return Asked(unit, lower, states, beta)
 
 
@@ -81,7 +81,7 @@ def is_flat(log_likelihood: Floats) -> bool:
     return high - low <= FLAT * max(1.0, abs(high))
 
 
-def matched(
+def match_moments(
     mean: Floats, covariance: Floats, asked: Asked, log_likelihood: Floats
 ) -> tuple[Floats, Floats, float]:
     """Mean, covariance and log-evidence after a likelihood (N,): the moments of the weighted hypotheses.
@@ -108,7 +108,7 @@ def matched(
     return mean + asked.lower @ shift, symmetric(asked.lower @ spread @ asked.lower.T), log_evidence
 
 
-def fitted(
+def fit_moments(
     mean: Floats, covariance: Floats, asked: Asked, log_likelihood: Floats
 ) -> tuple[Floats, Floats, float]:
     """The same from sigma points: log L is taken as a parabola along each axis, through its three points.

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Evaluate, Evidence, MotionModel, Report, Step, Stream
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice
-from bayesnet_track.belief.grid.evidence import asked_again, log_gaussian
+from bayesnet_track.belief.grid.evidence import ask_again, log_gaussian
 from bayesnet_track.belief.grid.motion import predict_grid, scale_sd
 from bayesnet_track.belief.grid.reset import (
     Verdict,
-    judged_in_box,
-    judged_on_image,
+    judge_in_box,
+    judge_on_image,
     unknown_velocity,
     window_around,
 )
@@ -28,7 +28,7 @@ from bayesnet_track.belief.grid.window import limits_of
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.states import WeightedStates, hypotheses_of
 from bayesnet_track.graph import spec
-from bayesnet_track.numerics.distributions import flattened, spreading_matrix
+from bayesnet_track.numerics.distributions import flatten, spreading_matrix
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 
@@ -82,7 +82,7 @@ class GridFilter:
         """
         # Predict
         moved = predict_grid(prior, motion, dt, self.settings.window)
-        moved = replace(moved, mass=flattened(moved.mass, self.settings.forget**dt))
+        moved = replace(moved, mass=flatten(moved.mass, self.settings.forget**dt))
 
         # Evaluate
         rule = self.settings.reset
@@ -117,14 +117,14 @@ class GridFilter:
     ) -> Verdict:
         if rule.region == "belief":
             masses, log_likelihood = asked.box_of(evidence)
-            return judged_in_box(rule, asked.belief, masses, log_likelihood)
+            return judge_in_box(rule, asked.belief, masses, log_likelihood)
         limits = limits_of(asked.belief.lattice, motion, self.settings.window)
-        return judged_on_image(
+        return judge_on_image(
             rule,
             asked.belief,
             limits,
             log_evidence,
-            partial(asked_again, evaluate, evidence, fields=asked.belief.fields),
+            partial(ask_again, evaluate, evidence, fields=asked.belief.fields),
         )
 
     def _reset(
@@ -139,7 +139,7 @@ class GridFilter:
             limits = limits_of(asked.belief.lattice, motion, self.settings.window)
             belief = window_around(asked.belief, verdict.peak, limits)
             fresh = _Asked(belief, _heaviest(belief.positions, 0.0))
-            evidence = asked_again(evaluate, evidence, fresh.states, belief.fields, fresh.prior.log)
+            evidence = ask_again(evaluate, evidence, fresh.states, belief.fields, fresh.prior.log)
         try:
             posterior, _ = fresh.updated(evidence)
         except DegenerateWeights as fault:

@@ -23,7 +23,7 @@ def log_gaussian(measured: Measurement, values: list[Floats]) -> Floats:
     return np.asarray(np.log(likelihood + 1e-300))  # finite far out, as products of masses need it
 
 
-def asked_again(
+def ask_again(
     evaluate: Evaluate,
     first: Evidence,
     states: Floats,

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.grid.window import Limits, Patch, kept
+from bayesnet_track.belief.grid.window import Limits, Patch, find_kept
 from bayesnet_track.numerics.distributions import SUBCELL, gaussian_taps
 
 Floats = NDArray[np.float64]
@@ -94,7 +94,7 @@ def _span(
     else:
         whole = Span(*bounds, (True, True))
     moved = [_leapt(lines[None, :, None], start, leap, whole).sum(axis=(0, 1, 2)) for leap in leaps]
-    low, keep, _ = kept(shares @ np.array(moved), whole.low, bounds, window)
+    low, keep, _ = find_kept(shares @ np.array(moved), whole.low, bounds, window)
     high = low + keep.stop - keep.start - 1
     return Span(low, high, (False, False) if bounds is None else (low == bounds[0], high == bounds[1]))
 

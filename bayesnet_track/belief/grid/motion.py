@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice, X, Y
 from bayesnet_track.belief.grid.gaps import Leap, leapt
-from bayesnet_track.belief.grid.window import Limits, Patch, limits_of, stacked, within
+from bayesnet_track.belief.grid.window import Limits, Patch, limits_of, stack_patches, within
 from bayesnet_track.numerics.distributions import gaussian_taps, spreading_matrix
 
 Floats = NDArray[np.float64]
@@ -65,8 +65,8 @@ def predict_grid(prior: GridBelief, motion: MotionModel, dt: float, window: int)
         state[2:4] = sizes[scale]
         steps, shares = axis_steps(motion, state, dt)
         patch = Patch(prior.mass[scale], lattice.column, lattice.row)
-        moved.append(_moved(patch, steps, shares, lattice, limits))
-    layers, column, row = stacked(moved)
+        moved.append(_move(patch, steps, shares, lattice, limits))
+    layers, column, row = stack_patches(moved)
     if len(held) < len(sizes):
         known, layers = layers, np.zeros((len(sizes), *layers.shape[1:]))
         layers[held] = known
@@ -116,13 +116,13 @@ def scale_sd(motion: MotionModel, state: Floats, dt: float) -> float:
     return float(np.sqrt(noise[0, 0]))
 
 
-def _moved(
+def _move(
     patch: Patch, steps: tuple[AxisStep, AxisStep], shares: Floats, lattice: Lattice, limits: Limits
 ) -> Patch:
     """One scale's masses after the motion. The wide part of the noise takes all axes together."""
     velocities, cell = lattice.velocities, lattice.cell_px
     changes = [_change(step, velocities) for step in steps]
-    across, down = (_bounded(k, patch, steps[k], (shares, changes[k]), lattice, limits) for k in (0, 1))
+    across, down = (_bound(k, patch, steps[k], (shares, changes[k]), lattice, limits) for k in (0, 1))
     leaps = [
         [
             Leap((step.first * velocities + step.offset) / cell, step.second * velocities / cell, change, sd)
@@ -137,7 +137,7 @@ def _moved(
         half = [min(step.variances) / 2 for step in (across, down)]
         patch = _spread(patch, X, across.first * velocities + across.offset, half[0], lattice)
         patch = _spread(patch, Y, down.first * velocities + down.offset, half[1], lattice)
-        patch = replace(patch, mass=_turned(patch.mass, changes[1], changes[0]))
+        patch = replace(patch, mass=_turn(patch.mass, changes[1], changes[0]))
     parts: list[Patch] = []
     for k, share in enumerate(shares):
         part = replace(patch, mass=patch.mass * share) if len(shares) > 1 else patch
@@ -145,7 +145,7 @@ def _moved(
         parts.append(_spread(part, Y, down.second * velocities, down.variances[k] - half[1], lattice))
     if len(parts) == 1:
         return parts[0]
-    layers, column, row = stacked(parts)
+    layers, column, row = stack_patches(parts)
     return Patch(layers.sum(axis=0), column, row)
 
 
@@ -158,7 +158,7 @@ def _change(step: AxisStep, velocities: Floats) -> Floats:
     return spreading_matrix(size, step.decay, sd)
 
 
-def _bounded(
+def _bound(
     axis: int,
     patch: Patch,
     step: AxisStep,
@@ -197,7 +197,7 @@ def _bounded(
     )
 
 
-def _turned(mass: Floats, down: Floats, across: Floats) -> Floats:
+def _turn(mass: Floats, down: Floats, across: Floats) -> Floats:
     """The masses after the velocities' step: new[a, b] = sum down[a, c] across[b, d] old[c, d]."""
     from bayesnet_track.numerics.kernels import grid_kernels
 

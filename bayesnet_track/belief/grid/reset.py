@@ -44,7 +44,7 @@ class Verdict:
     peak: Floats | None = None
 
 
-def judged_in_box(rule: spec.Reset, prior: GridBelief, box: Floats, log_likelihood: Floats) -> Verdict:
+def judge_in_box(rule: spec.Reset, prior: GridBelief, box: Floats, log_likelihood: Floats) -> Verdict:
     """gamma over the bounding box: prior masses and log-likelihoods of all its cells, (S, rows, columns)."""
     top = float(log_likelihood.max())
     if not np.isfinite(top):
@@ -57,7 +57,7 @@ def judged_in_box(rule: spec.Reset, prior: GridBelief, box: Floats, log_likeliho
     return Verdict(_report(rule, gamma, level, area), top + float(np.log(mean)))
 
 
-def judged_on_image(
+def judge_on_image(
     rule: spec.Reset, prior: GridBelief, limits: Limits, log_evidence: float, ask: Ask
 ) -> Verdict:
     """gamma over the image, whose mean likelihood is taken at up to `COARSE` places of its own.

@@ -51,14 +51,14 @@ def limits_of(lattice: Lattice, motion: MotionModel, window: int) -> Limits:
 def within(patch: Patch, limits: Limits, most: int) -> Patch:
     """The masses inside the image, without empty borders, and at most `most` cells to a side."""
     across = patch.mass.sum(axis=(0, 1, 2))
-    column, keep, ends = kept(across, patch.column, limits.columns, most)
-    mass = _folded(patch.mass, keep, ends)
+    column, keep, ends = find_kept(across, patch.column, limits.columns, most)
+    mass = _fold(patch.mass, keep, ends)
     down = mass.sum(axis=(0, 1, 3))
-    row, keep, ends = kept(down, patch.row, limits.rows, most)
-    return Patch(_folded(mass.swapaxes(2, 3), keep, ends).swapaxes(2, 3), column, row)
+    row, keep, ends = find_kept(down, patch.row, limits.rows, most)
+    return Patch(_fold(mass.swapaxes(2, 3), keep, ends).swapaxes(2, 3), column, row)
 
 
-def kept(
+def find_kept(
     line: Floats, start: int, bounds: tuple[int, int] | None, most: int
 ) -> tuple[int, slice, tuple[bool, bool]]:
     """First cell kept, the slice of the line that is kept, and whether the ends take what lies beyond."""
@@ -85,7 +85,7 @@ def kept(
     return at, slice(first, last + 1), (folds[0] and first == low, folds[1] and last == high)
 
 
-def _folded(mass: Floats, keep: slice, ends: tuple[bool, bool]) -> Floats:
+def _fold(mass: Floats, keep: slice, ends: tuple[bool, bool]) -> Floats:
     """The columns that are kept; an end that is the image's border takes the mass beyond it."""
     kept = mass[..., keep]
     if not any(ends):
@@ -98,7 +98,7 @@ def _folded(mass: Floats, keep: slice, ends: tuple[bool, bool]) -> Floats:
     return kept
 
 
-def stacked(patches: Sequence[Patch]) -> tuple[Floats, int, int]:
+def stack_patches(patches: Sequence[Patch]) -> tuple[Floats, int, int]:
     """(patches, vy, vx, rows, columns) on the smallest common window, and its first column and row."""
     column, row = min(p.column for p in patches), min(p.row for p in patches)
     columns = max(p.column + p.mass.shape[3] for p in patches) - column

@@ -44,17 +44,17 @@ class Confined:
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
     ) -> Floats:
         """As the model, then confined."""
-        return self.confined(self.motion.propagate(states, dt, rng, parents))
+        return self.confine(self.motion.propagate(states, dt, rng, parents))
 
     def drift(self, states: Floats, dt: float) -> Floats:
         """As the model, then confined."""
-        return self.confined(self.motion.drift(states, dt))
+        return self.confine(self.motion.drift(states, dt))
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """As the model."""
         return self.motion.linearise(state, dt)
 
-    def confined(self, moved: Floats) -> Floats:
+    def confine(self, moved: Floats) -> Floats:
         """`moved` (N, D), changed in place: centres on the image, sizes of 1 px to twice the image's."""
         # Imported here: a graph is validated without compiling anything.
         from bayesnet_track.numerics.kernels.kinematic_kernels import confine

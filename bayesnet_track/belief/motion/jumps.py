@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.noise import Transition
-from bayesnet_track.belief.particles.fitted import flattened
+from bayesnet_track.belief.particles.fitted import flatten
 from bayesnet_track.belief.particles.particle_set import Inputs
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.journal.events.jump_events import Reappeared
@@ -185,7 +185,7 @@ class Jumps:
     which: Ancestors
 
 
-def jumped(inputs: Inputs, jumping: Jumping, ancestors: Ancestors, beta_log: Floats) -> Jumps:
+def draw_jumps(inputs: Inputs, jumping: Jumping, ancestors: Ancestors, beta_log: Floats) -> Jumps:
     """Hypotheses from both components, each with as many as `search` says, weighted to be a sample of both.
 
     A hypothesis of the motion has the weight beta (1 - share) N / n, one that jumped beta share N / m times
@@ -207,7 +207,9 @@ def jumped(inputs: Inputs, jumping: Jumping, ancestors: Ancestors, beta_log: Flo
     return Jumps(states, prior_log, which)
 
 
-def reappeared(jumping: Jumping, jumps: Jumps, weights: LogWeights, before: Floats) -> Reappeared | None:
+def report_reappeared(
+    jumping: Jumping, jumps: Jumps, weights: LogWeights, before: Floats
+) -> Reappeared | None:
     """What is told when those that jumped hold more than half of the belief; frame and target left open."""
     own = weights.weights[jumps.which]
     held = float(own.sum())
@@ -237,7 +239,7 @@ def _places(inputs: Inputs, jumping: Jumping, states: Floats, rng: np.random.Gen
     """Where to look: mostly where the search finds something, else evenly."""
     search = jumping.search
     if search.probes:
-        found = _probed(inputs, jumping, states, rng)
+        found = _probe(inputs, jumping, states, rng)
     else:
         found = _of_boxes(jumping, search.boxes, search.scores)
     evenly = jumping.evenly()
@@ -261,7 +263,7 @@ def _of_boxes(jumping: Jumping, boxes: Floats, scores: Floats) -> Places | None:
     return Places(low[keep], high[keep], scores[keep] / scores[keep].sum())
 
 
-def _probed(inputs: Inputs, jumping: Jumping, states: Floats, rng: np.random.Generator) -> Places | None:
+def _probe(inputs: Inputs, jumping: Jumping, states: Floats, rng: np.random.Generator) -> Places | None:
     """Cells of a lattice over the frame, by what the net says of a box in each; None when it says nothing.
 
     The boxes are no hypotheses, so no evidence is used twice.
@@ -278,7 +280,7 @@ def _probed(inputs: Inputs, jumping: Jumping, states: Floats, rng: np.random.Gen
     equal = LogWeights.uniform(len(at))
     seen = inputs.evaluate(hypotheses_of(probes, inputs.prior.fields), equal.log)
     try:
-        weights = flattened(equal, seen.log_likelihood, min(LEAST_PLACES, len(at) / 2))[1]
+        weights = flatten(equal, seen.log_likelihood, min(LEAST_PLACES, len(at) / 2))[1]
     except DegenerateWeights:
         return None
     return Places(low, low + step, weights.weights)

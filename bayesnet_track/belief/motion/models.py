@@ -147,7 +147,7 @@ class KinematicMotion:
         """
         mean = self.drift(old, dt)
         chain = None if self.diffusion == 0 else _unmixing(self.dynamics, self.diffusion, dt)
-        keep = _kept(self)
+        keep = _find_noisy(self)
         same = _same_sds(self, dt)
         if same is None:
             sds = _sds(self, old[:, :4], dt)
@@ -234,7 +234,7 @@ def linear_gaussian(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]
 
 
 @lru_cache(maxsize=256)
-def _kept(motion: KinematicMotion) -> NDArray[np.intp]:
+def _find_noisy(motion: KinematicMotion) -> NDArray[np.intp]:
     """(K,) which of x, y, w, h, vx, vy, ... are coordinates with noise."""
     x, y, w, h = noisy(motion.noise)
     if motion.diffusion == 0:
@@ -250,7 +250,7 @@ def _sds(motion: KinematicMotion, old: Floats, dt: float) -> Floats:
         variances[:, :, :2] += pivots[0]
         further = np.broadcast_to(np.repeat(pivots[1:], 2), (*variances.shape[:2], 2 * motion.order - 2))
         variances = np.concatenate([variances, further], axis=2)
-    return np.asarray(np.sqrt(variances.take(_kept(motion), axis=2)))
+    return np.asarray(np.sqrt(variances.take(_find_noisy(motion), axis=2)))
 
 
 @lru_cache(maxsize=256)

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 class Shift(Protocol):
     """What happens to states before their motion, without chance."""
 
-    def shifted(self, states: Floats) -> Floats:
+    def apply(self, states: Floats) -> Floats:
         """(N, D) states after it, a copy."""
         ...
 
@@ -55,15 +55,15 @@ class ShiftedMotion:
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
     ) -> Floats:
         """Shifted, then as the model."""
-        return self.motion.propagate(self.shift.shifted(states), dt, rng, parents)
+        return self.motion.propagate(self.shift.apply(states), dt, rng, parents)
 
     def drift(self, states: Floats, dt: float) -> Floats:
         """Shifted, then as the model."""
-        return self.motion.drift(self.shift.shifted(states), dt)
+        return self.motion.drift(self.shift.apply(states), dt)
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """F G and Q: the derivatives of both, and the model's noise at the shifted state."""
-        drift, noise = self.motion.linearise(self.shift.shifted(state[None])[0], dt)
+        drift, noise = self.motion.linearise(self.shift.apply(state[None])[0], dt)
         return drift @ self.shift.jacobian(state), noise
 
     def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
@@ -72,7 +72,7 @@ class ShiftedMotion:
 
     def transition(self, old: Floats, dt: float) -> Transition:
         """Of the model from the shifted states."""
-        return self.motion.transition(self.shift.shifted(old), dt)
+        return self.motion.transition(self.shift.apply(old), dt)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ class CameraShift:
     linear: Floats
     offset: Floats
 
-    def shifted(self, states: Floats) -> Floats:
+    def apply(self, states: Floats) -> Floats:
         """(N, D) states where the camera's motion takes them."""
         moved = states.copy()
         # Sums written out: those of BLAS depend on threads.
@@ -135,7 +135,7 @@ class SizeShift:
     first: Floats
     keep: Floats
 
-    def shifted(self, states: Floats) -> Floats:
+    def apply(self, states: Floats) -> Floats:
         """(N, D) states with sizes drawn back."""
         moved = states.copy()
         log_w, log_h = np.log(states[:, 2]), np.log(states[:, 3])
@@ -149,7 +149,7 @@ class SizeShift:
         found = np.eye(len(state))
         to_log = np.array([[0.5, 0.5], [1.0, -1.0]])
         from_log = np.array([[1.0, 0.5], [1.0, -0.5]])
-        after = self.shifted(state[None])[0, 2:4]
+        after = self.apply(state[None])[0, 2:4]
         found[2:4, 2:4] = after[:, None] * (from_log @ np.diag(self.keep) @ to_log) / state[2:4]
         return found
 

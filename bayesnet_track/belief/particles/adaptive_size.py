@@ -16,10 +16,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.motion.jumps import Jumping, jumped, jumping_of, reappeared
+from bayesnet_track.belief.motion.jumps import Jumping, draw_jumps, jumping_of, report_reappeared
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
 from bayesnet_track.belief.particles.sample_size import SampleSize, SizeMemory, find_sample_size
-from bayesnet_track.belief.particles.size_decision import SizeDecision, begin_with, halve, report_of
+from bayesnet_track.belief.particles.size_decision import SizeDecision, begin_with, halve, make_report
 from bayesnet_track.belief.particles.weighted_sample import FrameSample, WeightedSample, concatenate
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.graph import spec
@@ -60,14 +60,14 @@ def resize_by(
 def _with_jumps(settings: spec.Particles, inputs: Inputs, size: int, jumping: Jumping) -> FrameSample:
     """The same where some jump, and what is told when they hold the belief."""
     ancestors, beta = _of_last(settings, inputs, size)
-    jumps = jumped(inputs, jumping, ancestors, beta.log)
+    jumps = draw_jumps(inputs, jumping, ancestors, beta.log)
     scaled = LogWeights.normalise(jumps.prior_log)[0].log
     one = replace(evaluate_sample(inputs, jumps.states, scaled, ancestors), prior_log=jumps.prior_log)
     try:
         weights, _ = LogWeights.normalise(jumps.prior_log + one.evidence.log_likelihood)
     except DegenerateWeights:
         return FrameSample(one)
-    event = reappeared(jumping, jumps, weights, inputs.prior.mean)
+    event = report_reappeared(jumping, jumps, weights, inputs.prior.mean)
     if event is None:
         return FrameSample(one)
     return FrameSample(one, reports=(lambda frame, target: replace(event, frame=frame, target=target),))
@@ -103,7 +103,7 @@ def adaptive_size(
     wanted = _find_size(size, inputs, one, slice(None))
     if not sizing.is_notable or len(one) != sizing.particles:  # the second look may not have joined the first
         return FrameSample(one, SizeMemory(len(one), before.reported, wanted))
-    return FrameSample(one, SizeMemory(len(one), sizing.particles, wanted), (report_of(sizing),))
+    return FrameSample(one, SizeMemory(len(one), sizing.particles, wanted), (make_report(sizing),))
 
 
 def _find_size(size: spec.AdaptiveSize, inputs: Inputs, one: WeightedSample, part: slice) -> SampleSize:

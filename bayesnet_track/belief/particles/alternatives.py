@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.particles.adaptive_size import evaluate_sample, move
-from bayesnet_track.belief.particles.fitted import flattened
+from bayesnet_track.belief.particles.fitted import flatten
 from bayesnet_track.belief.particles.kernels import Kernels, log_prior
 from bayesnet_track.belief.particles.particle_set import Inputs
 from bayesnet_track.belief.particles.proposals import (
@@ -98,11 +98,11 @@ def edit(inputs: Inputs, first: WeightedSample, settings: PriorEditing) -> Weigh
     log_kept[best] = 0.0  # at least its level, which may be -inf
     with np.errstate(divide="ignore"):
         kept = np.flatnonzero(np.log(inputs.stream("reject").random(len(whole))) < log_kept)
-    chosen = selected(whole, kept)
+    chosen = select(whole, kept)
     return reweight_sample(chosen, chosen.prior_log - log_kept[kept])
 
 
-def selected(one: WeightedSample, index: Ancestors) -> WeightedSample:
+def select(one: WeightedSample, index: Ancestors) -> WeightedSample:
     """Some of a pass' hypotheses, by index, with their evidence."""
     evidence = one.evidence
     part: Evidence = replace(
@@ -171,7 +171,7 @@ def refine(inputs: Inputs, first: WeightedSample, settings: IteratedProposal) ->
 def _around(points: Floats, whole: WeightedSample, bandwidth: float) -> Kernels:
     """Kernels around weighted hypotheses, by the normal reference rule for their effective size."""
     size = points.shape[1]
-    _, weights = flattened(prior_of(whole), whole.evidence.log_likelihood, LEAST_EFFECTIVE)
+    _, weights = flatten(prior_of(whole), whole.evidence.log_likelihood, LEAST_EFFECTIVE)
     spread = weighted_moments(points, weights.weights)[1]
     width = bandwidth * (4.0 / ((size + 2) * weights.ess)) ** (1.0 / (size + 4))
     scale = np.diag(np.maximum(np.diagonal(spread), 1e-12))
@@ -192,7 +192,7 @@ def mixture_pass(inputs: Inputs, size: int, settings: LikelihoodMixture) -> Weig
     usual = move(inputs, ancestors, "propagate")
     transition = inputs.motion.transition(inputs.prior.states, inputs.dt)
     part = round(settings.share * size)
-    kernels = _probed(inputs, usual, transition, settings.reach_sd, rng) if part else None
+    kernels = _probe(inputs, usual, transition, settings.reach_sd, rng) if part else None
     if kernels is None or transition.states is None:
         return evaluate_sample(inputs, usual, LogWeights.uniform(size).log, ancestors)
     # Which of the draws give way must not depend on where they went.
@@ -210,7 +210,7 @@ def mixture_pass(inputs: Inputs, size: int, settings: LikelihoodMixture) -> Weig
     )
 
 
-def _probed(
+def _probe(
     inputs: Inputs, usual: Floats, transition: Transition, reach_sd: float, rng: np.random.Generator
 ) -> Kernels | None:
     """Kernels in the motion's coordinates where probes are likely; None when none is, or nothing can move."""

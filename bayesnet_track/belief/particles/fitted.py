@@ -38,7 +38,7 @@ class Message:
     information: Floats
 
 
-def fitted_message(
+def fit_message(
     points: Floats, beta: LogWeights, log_likelihood: Floats, effective: float = EFFECTIVE[0]
 ) -> Message:
     """The Gaussian that turns the mean and covariance of a prior sample into those of its posterior.
@@ -56,7 +56,7 @@ def fitted_message(
     Raises:
         DegenerateWeights: no hypothesis has a positive, finite weight.
     """
-    power, posterior = flattened(beta, log_likelihood, min(effective, len(points) / 4))
+    power, posterior = flatten(beta, log_likelihood, min(effective, len(points) / 4))
     centre, spread = weighted_moments(points, beta.weights)
     mean, covariance = weighted_moments(points, posterior.weights)
     # In coordinates in which the prior has covariance 1.
@@ -74,7 +74,7 @@ def fitted_message(
     return Message(precision, back @ (stretch * gained_shift) + precision @ centre)
 
 
-def flattened(beta: LogWeights, log_likelihood: Floats, least: float) -> tuple[float, LogWeights]:
+def flatten(beta: LogWeights, log_likelihood: Floats, least: float) -> tuple[float, LogWeights]:
     """t in (0, 1] and beta L^t, normalised, with an effective size of at least `least` where it can be had.
 
     Raises:
@@ -122,7 +122,7 @@ class Fitted:
         return np.asarray(np.logaddexp.reduce(parts, axis=0))
 
 
-def fitted_proposal(transition: Transition, weights: LogWeights, message: Message) -> Fitted:
+def fit_proposal(transition: Transition, weights: LogWeights, message: Message) -> Fitted:
     """beta_k p(x | k) times a Gaussian likelihood, normalised: exact for what both Gaussians say.
 
     Args:

@@ -23,9 +23,9 @@ from bayesnet_track.belief.particles.particle_set import Inputs
 from bayesnet_track.belief.particles.proposals import (
     CombinedSample,
     combine,
-    fitted_draws,
+    draw_by_parents,
+    draw_fitted,
     log_sum,
-    parent_draws,
 )
 from bayesnet_track.belief.particles.weighted_sample import FrameSample, WeightedSample
 from bayesnet_track.graph import spec
@@ -153,8 +153,8 @@ def _draw_twice(
 def _second_pass(
     inputs: Inputs, first: WeightedSample, settings: SecondPassProposal
 ) -> CombinedSample | None:
-    draws = fitted_draws(inputs, first, settings) if settings.by == "fitted" else None
-    draws = parent_draws(inputs, first, settings) if draws is None else draws
+    draws = draw_fitted(inputs, first, settings) if settings.by == "fitted" else None
+    draws = draw_by_parents(inputs, first, settings) if draws is None else draws
     second = evaluate_sample(
         inputs, draws.states, LogWeights.normalise(draws.log_alone)[0].log, draws.ancestors
     )

@@ -13,7 +13,7 @@ from bayesnet_track.belief.contract import Evaluate, MotionModel, Stream
 from bayesnet_track.belief.particles.sample_size import SizeMemory
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.numerics.disc import weighted_mass_in_disc
-from bayesnet_track.numerics.divergence import selected, uncertainty_deviation
+from bayesnet_track.numerics.divergence import select, uncertainty_deviation
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.resampling import resample
 from bayesnet_track.observation.cue import Hypotheses
@@ -67,7 +67,7 @@ class ParticleSet:
 
     def uncertainty(self, about: Floats, columns: Sequence[int]) -> float:
         """UD = sum w |s - about|^2 over the columns of the state."""
-        chosen = selected(columns)
+        chosen = select(columns)
         return uncertainty_deviation(self.states[:, chosen], self.weights.weights, about[chosen])
 
     def mass_within(self, centre: Floats, radius: float) -> tuple[float, float]:
@@ -86,7 +86,7 @@ class ParticleSet:
     def _ordered(self) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
         """x, then y: values in ascending order and their cumulative weights. One sort for all regions."""
         weights = self.weights.weights
-        return _ordered(self.states[:, 0], weights), _ordered(self.states[:, 1], weights)
+        return _order(self.states[:, 0], weights), _order(self.states[:, 1], weights)
 
     def draw(self, size: int, rng: np.random.Generator) -> Floats:
         """(size, 4) boxes of hypotheses, drawn systematically."""
@@ -95,10 +95,10 @@ class ParticleSet:
 
 def weighted_quantiles(values: Floats, weights: Floats, shares: Floats) -> tuple[float, ...]:
     """The least value that has at least the share of the weight up to it, for each share."""
-    return _quantiles(*_ordered(values, weights), shares)
+    return _quantiles(*_order(values, weights), shares)
 
 
-def _ordered(values: Floats, weights: Floats) -> tuple[Floats, Floats]:
+def _order(values: Floats, weights: Floats) -> tuple[Floats, Floats]:
     order = values.argsort()
     return values[order], weights[order].cumsum()
 

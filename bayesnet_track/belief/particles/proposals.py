@@ -16,8 +16,8 @@ from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.particles.fitted import (
     EFFECTIVE,
-    fitted_message,
-    fitted_proposal,
+    fit_message,
+    fit_proposal,
     paired_log_density,
 )
 from bayesnet_track.belief.particles.particle_set import Inputs
@@ -98,7 +98,7 @@ def combine(
 
 def confine(motion: MotionModel, states: Floats) -> Floats:
     """`states` (N, D), changed in place to lie on the image where `motion` is confined to it."""
-    return motion.confined(states) if isinstance(motion, Confined) else states
+    return motion.confine(states) if isinstance(motion, Confined) else states
 
 
 def reweight_sample(one: WeightedSample, prior_log: Floats) -> WeightedSample:
@@ -114,7 +114,7 @@ def log_sum(log: Floats) -> float:
 # ------------------------------------------------------------------------------------ by a fitted Gaussian
 
 
-def fitted_draws(inputs: Inputs, first: WeightedSample, settings: SecondPassProposal) -> Draws | None:
+def draw_fitted(inputs: Inputs, first: WeightedSample, settings: SecondPassProposal) -> Draws | None:
     """Parents and states by the motion times a Gaussian likelihood that the first pass is fitted with.
 
     Pairs (parent, state) are drawn from beta_k p(x | k) G(x), normalised in closed form, over all hypotheses
@@ -133,7 +133,7 @@ def fitted_draws(inputs: Inputs, first: WeightedSample, settings: SecondPassProp
     points = transition.coordinates(first.states)[0]
     likelihood = first.evidence.log_likelihood
     proposals = [
-        fitted_proposal(transition, beta, fitted_message(points, prior_of(first), likelihood, effective))
+        fit_proposal(transition, beta, fit_message(points, prior_of(first), likelihood, effective))
         for effective in EFFECTIVE
     ]
 
@@ -176,7 +176,7 @@ def mix_defensive(log_ratio: Floats, defensive: float) -> Floats:
 # ------------------------------------------------------------------------------------ by the parents
 
 
-def parent_draws(inputs: Inputs, first: WeightedSample, settings: SecondPassProposal) -> Draws:
+def draw_by_parents(inputs: Inputs, first: WeightedSample, settings: SecondPassProposal) -> Draws:
     """Importance resampling: parents of hypotheses that did well, moved again (eqs. 5.23-5.26, corrected).
 
     j is drawn by v' among the parents of the first pass, each as often as it was drawn there, and weighted by

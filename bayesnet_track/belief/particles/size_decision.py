@@ -100,7 +100,7 @@ def halve(count: int) -> tuple[int, int]:
     return count - count // 2, count // 2
 
 
-def report_of(sizing: SizeDecision) -> Report:
+def make_report(sizing: SizeDecision) -> Report:
     """The event that says which number became which, and why."""
     cause, (setting, level) = sizing.cause, sizing.size.tolerance
     return lambda frame, target: ParticlesResized(
@@ -110,7 +110,7 @@ def report_of(sizing: SizeDecision) -> Report:
         before=sizing.before.reported,
         method=sizing.size.kind,
         need=cause.particles,
-        limit=limit_of(sizing),
+        limit=find_limit(sizing),
         early=any(sizing.more),
         field=cause.field,
         ess=cause.ess,
@@ -120,11 +120,11 @@ def report_of(sizing: SizeDecision) -> Report:
         sd_px=cause.sd_px,
         setting=setting,
         level=level,
-        turning=turning_of(sizing),
+        turning=find_turning(sizing),
     )
 
 
-def limit_of(sizing: SizeDecision) -> str:
+def find_limit(sizing: SizeDecision) -> str:
     """What kept the number from being as asked: max, min, ess (too few effective to save any), or nothing."""
     wanted, particles = sizing.cause, sizing.particles
     if wanted.particles > particles:
@@ -135,7 +135,7 @@ def limit_of(sizing: SizeDecision) -> str:
     return "min" if particles == sizing.low else "ess"
 
 
-def turning_of(sizing: SizeDecision) -> float | None:
+def find_turning(sizing: SizeDecision) -> float | None:
     """The value of the setting at which the number would not have moved notably; None when no value is it."""
     reported, has_risen = sizing.before.reported, sizing.particles > sizing.before.reported
 

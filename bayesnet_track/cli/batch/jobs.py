@@ -113,7 +113,7 @@ def videos_of(sources: Sequence[str], init_from: str | None = None, truth: str |
         found += names
     named = _unique([_name(source) for source in found])
     return [
-        Video(source, name, None, _filled(init_from, source, name), _filled(truth, source, name))
+        Video(source, name, None, _fill(init_from, source, name), _fill(truth, source, name))
         for source, name in zip(found, named, strict=True)
     ]
 
@@ -174,7 +174,7 @@ def _folder(source: str) -> Path:
     return path.parent if path.name in INNER or not path.is_dir() else path
 
 
-def _filled(pattern: str | None, source: str, name: str) -> str | None:
+def _fill(pattern: str | None, source: str, name: str) -> str | None:
     if pattern is None:
         return None
     try:

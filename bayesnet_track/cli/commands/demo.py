@@ -12,7 +12,7 @@ from bayesnet_track.cli.commands.answer import (
     users_mistake,
 )
 from bayesnet_track.cli.commands.tracking import track_source
-from bayesnet_track.cli.commands.viewing import viewed
+from bayesnet_track.cli.commands.viewing import open_view
 from bayesnet_track.cli.options.arguments import whole_number
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.runs import add_run_options
@@ -44,7 +44,7 @@ SCENE_GRAPHS = {
 
 def demo(options: argparse.Namespace) -> int:
     """Track in a built-in scene, then tell what happened and how well it went."""
-    with viewed(options) as view:
+    with open_view(options) as view:
         return _demo(options, view)
 
 

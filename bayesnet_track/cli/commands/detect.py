@@ -72,7 +72,7 @@ def detect(options: argparse.Namespace) -> int:
     if options.learn is not None and not isinstance(detector, LearningDetector):
         raise UsageError(f"--learn: {declaration.name} cannot be shown a target")
     with ExitStack() as stack:
-        source = stack.enter_context(_opened(options))
+        source = stack.enter_context(_open(options))
         try:
             declaration.check_source(source.has_color, source.has_depth)
         except DetectorError as error:
@@ -110,7 +110,7 @@ def _detect_all(
             continue
         pair = FramePair(item, previous)
         if previous is None:
-            state = _shown(options, name, detector, pair, state) if learns else state
+            state = _show(options, name, detector, pair, state) if learns else state
             if options.out is not None:
                 lines = stack.enter_context(LineFile(Path(options.out)))
             if options.video is not None:
@@ -130,7 +130,7 @@ def _detect_all(
     return OK
 
 
-def _opened(options: argparse.Namespace) -> Source:
+def _open(options: argparse.Namespace) -> Source:
     """The source, with depth where the options name a second eye or another sensor."""
     from bayesnet_track.sources.sources import open_source
     from bayesnet_track.sources.stereo_source import open_stereo_source
@@ -205,7 +205,7 @@ def _mistakes(error: Any, declaration: DetectorDeclaration | CueDeclaration, nea
     return list(dict.fromkeys(said))
 
 
-def _shown(
+def _show(
     options: argparse.Namespace, name: str, detector: Any, pair: FramePair, state: DetectorState
 ) -> DetectorState:
     """The state of a detector that learns, with the target of --learn."""

@@ -30,8 +30,8 @@ def fit(options: argparse.Namespace) -> int:
     from bayesnet_track.evaluate.fitting import fit as estimate
     from bayesnet_track.graph.text.load import load_graph
 
-    what = _chosen("--what", options.what, WHAT)
-    features = _chosen("--features", options.features, tuple(SIGNS))
+    what = _choose("--what", options.what, WHAT)
+    features = _choose("--features", options.features, tuple(SIGNS))
     graph, text = load_graph(options.graph), graph_text(options.graph)
     out = None if options.out is None else Path(options.out)
     if out is not None:
@@ -168,7 +168,7 @@ def calibration_table(rows: Sequence[Checked], everyone: Checked) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
-def _chosen(option: str, text: str, known: Sequence[str]) -> tuple[str, ...]:
+def _choose(option: str, text: str, known: Sequence[str]) -> tuple[str, ...]:
     names = tuple(name.strip() for name in text.split(",") if name.strip())
     for name in names:
         if name not in known:

@@ -44,7 +44,7 @@ def learn_stereo(options: argparse.Namespace) -> int:
     end = len(boxes) if options.end is None else min(options.end, len(boxes))
     if options.start >= end:
         raise UsageError(f"{options.truth}: no box from frame {options.start} on, of {end}")
-    with _opened(options, end) as source:
+    with _open(options, end) as source:
         frames, features = _examples(declaration.make(parameters), source, boxes, options.every)
     groups = np.zeros(len(frames), np.int64) if options.within is None else frames // options.within
     default = np.array([getattr(parameters, name) for name in ESTIMATED])
@@ -68,7 +68,7 @@ def learn_stereo(options: argparse.Namespace) -> int:
     return OK
 
 
-def _opened(options: argparse.Namespace, end: int) -> Source:
+def _open(options: argparse.Namespace, end: int) -> Source:
     from bayesnet_track.sources.stereo_source import open_stereo_source
 
     window = (options.source, options.start, end, options.allow_network, options.on_resize)

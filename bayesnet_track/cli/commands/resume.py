@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import OK, complain, say
 from bayesnet_track.cli.commands.tracking import executor_of
-from bayesnet_track.cli.commands.viewing import begin_again, viewed
+from bayesnet_track.cli.commands.viewing import begin_again, open_view
 from bayesnet_track.cli.following import follow
 from bayesnet_track.cli.options.checkpoints import add_checkpoints
 from bayesnet_track.cli.options.executors import add_executor_options
@@ -35,7 +35,7 @@ def resume(options: argparse.Namespace) -> int:
         say(f"{directory.path}: it is finished; there is nothing to do")
         return OK
     summary, expected = Summary(), _expected(directory)
-    with viewed(options) as view:
+    with open_view(options) as view:
         if view is not None:
             begin_again(options, view, directory, expected)
         results = resume(

@@ -17,7 +17,7 @@ from bayesnet_track.cli.commands.answer import (
     users_mistake,
 )
 from bayesnet_track.cli.commands.start_boxes import parse_start, read_start
-from bayesnet_track.cli.commands.viewing import begin, viewed
+from bayesnet_track.cli.commands.viewing import begin, open_view
 from bayesnet_track.cli.following import STOPPED, follow
 from bayesnet_track.cli.options.outside import add_outside_options
 from bayesnet_track.cli.options.plugins import add_plugins
@@ -53,14 +53,14 @@ def run(options: argparse.Namespace) -> int:
             "`birth`, whose detectors find the targets"
         )
     out = Path(options.out)
-    with viewed(options) as view, _opened(options) as source:
+    with open_view(options) as view, _open(options) as source:
         code = track_source(options, graph, source, starts, out, video=options.video, view=view)
     if code in (OK, INCOMPLETE) and sys.stdout.isatty() and not options.quiet:
         say(f"`bayesnet-track report {out}` makes a page, `bayesnet-track log {out}` tells its decisions")
     return code
 
 
-def _opened(options: argparse.Namespace) -> Source:
+def _open(options: argparse.Namespace) -> Source:
     """The source, with depth where the options name a second eye or another sensor."""
     from bayesnet_track.sources.sources import open_source
     from bayesnet_track.sources.stereo_source import open_stereo_source
@@ -91,7 +91,7 @@ def track_source(
     view: LiveView | None = None,
 ) -> int:
     """Track from the start boxes and write the run to `out`; the exit code."""
-    from bayesnet_track.runtime.inputs import replayed
+    from bayesnet_track.runtime.inputs import replay_inputs
     from bayesnet_track.runtime.recording.rerun_sink import rerun_sinks
     from bayesnet_track.runtime.results import Summary
     from bayesnet_track.runtime.session import track
@@ -104,7 +104,7 @@ def track_source(
     inputs = getattr(options, "inputs", None)
     if inputs is not None:
         with users_mistake():
-            replayed(Path(inputs))
+            replay_inputs(Path(inputs))
     if view is not None:
         chosen = begin(options, view, graph, source, starts, out)
         if chosen is None:

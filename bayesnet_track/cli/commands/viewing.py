@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def viewed(options: argparse.Namespace) -> Iterator[LiveView | None]:
+def open_view(options: argparse.Namespace) -> Iterator[LiveView | None]:
     """The view that the options ask for, or None; at the end it stays for as long as its page is open."""
     if options.view is None:
         if options.view_now or options.open:

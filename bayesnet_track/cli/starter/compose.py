@@ -5,7 +5,7 @@ from __future__ import annotations
 from shlex import quote
 
 from bayesnet_track.cli.starter.agents import agents_of, birth_of, camera_of
-from bayesnet_track.cli.starter.lines import Lines, indented, key, remark
+from bayesnet_track.cli.starter.lines import Lines, indent, key, remark
 from bayesnet_track.cli.starter.task import APART, HARD, SPEED, Task
 
 SIZES = {"little": 200, "usual": 500, "much": 1500}
@@ -29,7 +29,7 @@ def graph_text(task: Task, file: str = "") -> str:
         "the size of the box, so that they fit other sizes, too.",
         (*_belief(task), *_motion(task), *_fuse(task), *_estimate(task), *_adapt(task), *_learn(task)),
     )
-    nodes = ("nodes:", *indented((*root, *agents_of(task))))
+    nodes = ("nodes:", *indent((*root, *agents_of(task))))
     lines = (
         *_head(task, file or f"{task.name}.yaml"),
         "bayesnet: 1   # version of the language",
@@ -37,7 +37,7 @@ def graph_text(task: Task, file: str = "") -> str:
         f"about: {_about(task)}",
         "",
         "targets:",
-        *indented(
+        *indent(
             key(
                 "target:",
                 "A kind of target: each one gets a net of its own, as described here.",
@@ -131,7 +131,7 @@ def _motion(task: Task) -> Lines:
             "While it is unsure, some hypotheses look all over "
             "the frame, where the agents find something similar. Leave it out where others look the same.",
         )
-    return key("motion:", "Where it may be in the next frame.", ("random_walk:", *indented(inside)))
+    return key("motion:", "Where it may be in the next frame.", ("random_walk:", *indent(inside)))
 
 
 def _steady(task: Task) -> Lines:
@@ -152,7 +152,7 @@ def _steady(task: Task) -> Lines:
     return key(
         "motion:",
         "Where it may be in the next frame: on as fast as before.",
-        ("constant_velocity:", *indented(inside)),
+        ("constant_velocity:", *indent(inside)),
     )
 
 

@@ -12,7 +12,7 @@ Lines = tuple[str, ...]
 
 def key(text: str, comment: str, inside: Iterable[str] = ()) -> Lines:
     """A key with its comment above it, and the lines inside it, indented."""
-    return (*remark(comment), text, *indented(inside))
+    return (*remark(comment), text, *indent(inside))
 
 
 def remark(comment: str) -> Lines:
@@ -20,6 +20,6 @@ def remark(comment: str) -> Lines:
     return tuple(f"# {line}" for line in wrap(comment, WIDTH - 12))
 
 
-def indented(lines: Iterable[str]) -> Lines:
+def indent(lines: Iterable[str]) -> Lines:
     """The lines, two spaces further in."""
     return tuple(f"  {line}" if line else line for line in lines)

@@ -14,7 +14,13 @@ from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.journal.events.life_events import DetectorFailed
 from bayesnet_track.journal.net.net import Fault
-from bayesnet_track.observation.detector import Detections, Detector, DetectorState, LearningDetector, checked
+from bayesnet_track.observation.detector import (
+    Detections,
+    Detector,
+    DetectorState,
+    LearningDetector,
+    check_detections,
+)
 from bayesnet_track.observation.guests import FAULTS, said
 from bayesnet_track.observation.planes import FramePair
 
@@ -71,7 +77,7 @@ def look(
         shown = next((targets[0] for plate in plates if (targets := held(plate))), None)
         at = None if shown is None else boxes([shown])[0]
         try:
-            found[name], states[name] = _asked(engine.detectors[name], states.get(name), pair, at)
+            found[name], states[name] = _ask(engine.detectors[name], states.get(name), pair, at)
         except FAULTS as error:  # a detector is a guest's code: whatever it raises must not end the run
             until, times = next_try(frame.index, history.failed.get(name))
             word = _word(engine, plates[0])
@@ -88,14 +94,14 @@ def _is_in(history: TrackHistory, detector: str, frame: int) -> bool:
     return fault is None or fault.until is None or fault.until <= frame
 
 
-def _asked(
+def _ask(
     detector: Detector, state: DetectorState | None, pair: FramePair, shown: Floats | None
 ) -> tuple[Detections, DetectorState]:
     now = detector.start() if state is None else state
     if isinstance(detector, LearningDetector) and shown is not None and not detector.knows_target(now):
         now = detector.learn(pair, shown, now)
     found, after = detector.detect(pair, now)
-    found = checked(found)
+    found = check_detections(found)
     best = np.argsort(-found.scores, kind="stable")[:MOST_DETECTIONS]
     return Detections(found.boxes[best], found.scores[best], tuple(found.labels[k] for k in best)), after
 

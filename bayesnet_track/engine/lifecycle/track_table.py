@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.lifecycle import TrackHistory
-from bayesnet_track.engine.state import TargetState, applied
+from bayesnet_track.engine.state import TargetState, apply_decisions
 from bayesnet_track.journal.events.basic import Event, FrameMetrics
 from bayesnet_track.journal.net.net import Decision, Net
 
@@ -36,7 +36,7 @@ class TrackTable:
 
     def decide(self, *decisions: Decision) -> None:
         """Write decisions down and carry them out."""
-        self.net = applied(self.net, decisions)
+        self.net = apply_decisions(self.net, decisions)
         self.events += decisions
 
     def of_plate(self, plate: str) -> list[str]:

@@ -53,7 +53,7 @@ def check(spec: GraphSpec, at: Positions | None = None, cues: Cues | None = None
     if errors:
         raise GraphError(errors)
     kept = {name: own[name] for name in sorted(named) if name in own}
-    return CheckedGraph(spec, {plate.name: _resolved(plate) for plate in plates}, text, kept)
+    return CheckedGraph(spec, {plate.name: _resolve(plate) for plate in plates}, text, kept)
 
 
 def check_graph(graph: GraphSpec | Mapping[str, Any], cues: Cues | None = None) -> CheckedGraph:
@@ -95,7 +95,7 @@ def _failures(plate: Plate, checks: Iterable[Check]) -> list[GraphMessage]:
     return [message for check in checks for message in islice(check(plate), MAX_MESSAGES + 1)]
 
 
-def _resolved(plate: Plate) -> CheckedTarget:
+def _resolve(plate: Plate) -> CheckedTarget:
     return CheckedTarget(
         name=plate.name,
         spec=plate.spec,

@@ -71,7 +71,7 @@ def read_document(text: str | bytes, file: str) -> Document:
     Raises:
         GraphError: not UTF-8, not YAML, more than one document, or outside the limits.
     """
-    return _Building(file).document(_decoded(text, file))
+    return _Building(file).document(_decode(text, file))
 
 
 def plain_scalar(text: str) -> str | int | float | bool | None:
@@ -93,7 +93,7 @@ def plain_scalar(text: str) -> str | int | float | bool | None:
     return math.nan if text in _NAN else text
 
 
-def _decoded(source: str | bytes, file: str) -> str:
+def _decode(source: str | bytes, file: str) -> str:
     content = source if isinstance(source, bytes) else source.encode("utf-8", "surrogatepass")
     if len(content) > MAX_BYTES:
         raise _error(file, 1, 1, f"more than {MAX_BYTES} bytes", f"at most {MAX_BYTES} bytes")

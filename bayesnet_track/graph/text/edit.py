@@ -54,7 +54,7 @@ def set_value(text: str, path: tuple[str, ...], value: Any, comment: str = "") -
         end = _line_end(text, end)
         line = text.count("\n", 0, end) + 1
         text = f"{text[:end]}\n{' ' * first.column}{path[-1]}: {written}{text[end:]}"
-    return _commented(text, line or 0, comment)
+    return _comment(text, line or 0, comment)
 
 
 def _entry(holder: Any, name: str) -> tuple[Any, Any]:
@@ -85,7 +85,7 @@ def _line_end(text: str, index: int) -> int:
     return len(text) if found < 0 else found
 
 
-def _commented(text: str, line: int, comment: str) -> str:
+def _comment(text: str, line: int, comment: str) -> str:
     lines = text.split("\n")
     indent = lines[line][: len(lines[line]) - len(lines[line].lstrip())]
     begin = line

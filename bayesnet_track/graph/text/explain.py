@@ -41,10 +41,10 @@ class Shape:
 
 def shape_of(annotation: Any, constraints: Iterable[Any] = ()) -> Shape:
     """Strips `Annotated` and `None` off an annotation."""
-    flat = list(_flattened(constraints))
+    flat = list(_flatten(constraints))
     while True:
         if hasattr(annotation, "__metadata__"):
-            flat += _flattened(annotation.__metadata__)
+            flat += _flatten(annotation.__metadata__)
             annotation = annotation.__origin__
             continue
         members = [a for a in get_args(annotation) if a is not type(None)] if _is_union(annotation) else []
@@ -96,7 +96,7 @@ def explain(
     messages: dict[tuple[Path, str], GraphMessage] = {}
     for one in error.errors(include_url=False, include_context=False)[:MAX_EXPLAINED]:
         steps = _walk(one["loc"], model, data)
-        message = _explained(one["type"], one["msg"], steps, at, prefix)
+        message = _explain(one["type"], one["msg"], steps, at, prefix)
         messages.setdefault((message.path, message.found), message)
     return list(messages.values())
 
@@ -160,7 +160,7 @@ def _inside(kind: Any, part: str | int) -> Shape | None:
     return shape_of(arguments[1]) if len(arguments) == 2 else None
 
 
-def _explained(kind: str, said: str, steps: list[_Step], at: Positions, prefix: Path) -> GraphMessage:
+def _explain(kind: str, said: str, steps: list[_Step], at: Positions, prefix: Path) -> GraphMessage:
     last, parent = steps[-1], steps[max(len(steps) - 2, 0)]
     path = prefix + tuple(step.key for step in steps[1:] if step.key is not None and not step.is_key)
     owner = parent.shape.only if parent.shape is not None else None
@@ -194,7 +194,7 @@ def _explained(kind: str, said: str, steps: list[_Step], at: Positions, prefix: 
         allowed = "at least one"
     found = f"{name} is {shown(last.value)}" if last.value not in ({}, [], ()) else f"{name} is empty"
     word = last.value if isinstance(last.value, str) else ""
-    if word and (new := _renamed(f"{name}.{word}", owner, path)):
+    if word and (new := _explain_renamed(f"{name}.{word}", owner, path)):
         return at.message(path, f"{name} {shown(word)} has been renamed", new)
     return at.message(path, found, allowed or _said(said), word=word, near=_words(last.shape))
 
@@ -211,7 +211,7 @@ def _unknown_key(word: str, owner: Any, parent: _Step, path: Path, at: Positions
     elif owner is InferenceNode or owner is AgentNode:
         found += " of an agent node" if owner is AgentNode else " of an inference node"
         near = [*fields, "agent"]
-    if new := _renamed(word, owner, path):
+    if new := _explain_renamed(word, owner, path):
         what = (
             found.removeprefix("unknown ")
             .removesuffix(" of an inference node")
@@ -221,7 +221,7 @@ def _unknown_key(word: str, owner: Any, parent: _Step, path: Path, at: Positions
     return at.message(path, found, fields or "no settings", word=word, near=near, on_key=True)
 
 
-def _renamed(word: str, owner: Any, path: Path) -> str | None:
+def _explain_renamed(word: str, owner: Any, path: Path) -> str | None:
     """The new name of a key; a cue's parameters are known by the cue's name."""
     if not isinstance(owner, type):
         return None
@@ -291,7 +291,7 @@ def _limits(constraints: Iterable[Any]) -> Iterator[str]:
                 yield text.format(f"{bound:.15g}" if isinstance(bound, float) else bound)
 
 
-def _flattened(constraints: Iterable[Any]) -> Iterator[Any]:
+def _flatten(constraints: Iterable[Any]) -> Iterator[Any]:
     for constraint in constraints:
         if isinstance(constraint, FieldInfo):
             yield from constraint.metadata

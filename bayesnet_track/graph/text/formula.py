@@ -61,11 +61,11 @@ def formula_text(target: CheckedTarget, active: Iterable[str] | None = None) -> 
         f"p({root} | {before}): {_motion(target)}",
     ]
     for name, given, noise in _latent_nodes(target):
-        held = _held(target, name)
+        held = _describe_held(target, name)
         lines.append(
             f"p({_text_state(name)} | {_text_state(given)}): Gaussian{_place(noise)}, {_noise(noise)}{held}"
         )
-    left_out = _left_out(target, active)
+    left_out = _list_left_out(target, active)
     return "\n".join([*lines, f"left out (switched off): {', '.join(left_out)}"] if left_out else lines)
 
 
@@ -81,7 +81,7 @@ def formula_latex(target: CheckedTarget, active: Iterable[str] | None = None) ->
         rf"{predicted} &= \int p({root} \mid {before}) \, p({before} \mid e_{{1:t-1}}) \, d{before}",
         r"\end{align*}",
     ]
-    left_out = _left_out(target, active)
+    left_out = _list_left_out(target, active)
     return "\n".join([*lines, f"% left out (switched off): {', '.join(left_out)}"] if left_out else lines)
 
 
@@ -124,7 +124,7 @@ def _text(factor: Factor, inside: bool) -> str:
 def _latex(factor: Factor, inside: bool) -> str:
     match factor:
         case Likelihood(agent, state):
-            return rf"p(e_{{\mathrm{{{_escaped(agent)}}}}} \mid {_latex_state(state)})"
+            return rf"p(e_{{\mathrm{{{_escape(agent)}}}}} \mid {_latex_state(state)})"
         case Integral(own, given, inner):
             state = _latex_state(own)
             kernel = rf"p({state} \mid {_latex_state(given)})"
@@ -161,10 +161,10 @@ def _text_state(name: str) -> str:
 
 
 def _latex_state(name: str, time: str = "t") -> str:
-    return rf"\mathit{{{_escaped(name)}}}_{{{time}}}"
+    return rf"\mathit{{{_escape(name)}}}_{{{time}}}"
 
 
-def _escaped(name: str) -> str:
+def _escape(name: str) -> str:
     return name.replace("_", r"\_")
 
 
@@ -190,7 +190,7 @@ def _own_state(target: CheckedTarget, name: str) -> str:
     return f"{name}_own" if name == target.root else name
 
 
-def _held(target: CheckedTarget, state: str) -> str:
+def _describe_held(target: CheckedTarget, state: str) -> str:
     """How a latent state is held, where it is not by hypotheses."""
     belief = target.inference(state).belief if state in target.children else None
     if belief is None or belief.particles is not None:
@@ -244,6 +244,6 @@ def _noise(noise: Noise) -> str:
     return "sd " + ", ".join(said) if said else ""
 
 
-def _left_out(target: CheckedTarget, active: Iterable[str] | None) -> list[str]:
+def _list_left_out(target: CheckedTarget, active: Iterable[str] | None) -> list[str]:
     working = set(target.agents if active is None else active)
     return [agent for agent in target.agents if agent not in working]

@@ -97,10 +97,10 @@ def _scalar(value: Any) -> str:
         return repr(value)
     if _PLAIN_WORD.fullmatch(value) and isinstance(plain_scalar(value), str):
         return str(value)
-    return '"' + "".join(map(_escaped, value)) + '"'
+    return '"' + "".join(map(_escape, value)) + '"'
 
 
-def _escaped(character: str) -> str:
+def _escape(character: str) -> str:
     code = ord(character)
     if character in '"\\':
         return "\\" + character

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayesnet_track.journal.text.wording import decimals, distinct_texts, rounded
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, round_away
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class DistractorSeen:
 def distractor_seen(event: DistractorSeen) -> str:
     """The sentence, without the frame."""
     behind, within = distinct_texts(event.behind_nats, event.within_nats)
-    turning = rounded(event.behind_nats, decimals(event.behind_nats, event.within_nats), up=False)
+    turning = round_away(event.behind_nats, decimals(event.behind_nats, event.within_nats), up=False)
     return (
         f"look-alike at {event.x:.4g}, {event.y:.4g}, {event.away_box:.2g} box sides away, only {behind} < "
         f"{within} nats less likely than the target → score at most 0.5 for {event.hold} frames; ignored "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bayesnet_track.journal.text.wording import decimals, distinct_texts, rounded
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, round_away
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def reappeared(event: Reappeared) -> str:
     held, level = distinct_texts(event.held, event.level)
     ud, above = distinct_texts(event.ud_px2, event.above_px2)
     unsure = f"UD {ud} px² {'>' if event.ud_px2 > event.above_px2 else '≤'} {above}; "
-    turning = rounded(event.turning, decimals(event.turning, event.share), up=False)
+    turning = round_away(event.turning, decimals(event.turning, event.share), up=False)
     how = "evenly" if event.by == "uniform" else f"by {event.by}"
     return (
         f"{unsure if event.above_px2 > 0 else ''}{event.hypotheses} hypotheses looked over the whole frame, "

@@ -10,7 +10,7 @@ from bayesnet_track.journal.events.belief_events import (
     ParticlesResized,
     SecondPass,
 )
-from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, rounded
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, round_away
 
 
 def belief_reset(event: BeliefReset) -> str:
@@ -22,7 +22,7 @@ def belief_reset(event: BeliefReset) -> str:
         if event.action == "reset"
         else "the frame's evidence is ignored"
     )
-    turning = rounded(event.gamma, decimals(event.gamma, event.below), up=False)
+    turning = round_away(event.gamma, decimals(event.gamma, event.below), up=False)
     return f"γ {gamma} < {below} over {over} ({event.region_px2:.0f} px²) → {then}; not at below ≤ {turning}"
 
 
@@ -53,7 +53,7 @@ def _not_resized(event: ParticlesResized) -> str:
     if event.turning is None:
         return ""
     up = (event.particles > event.before) == (event.setting != "threshold")
-    turning = rounded(event.turning, decimals(event.turning, event.level), up)
+    turning = round_away(event.turning, decimals(event.turning, event.level), up)
     return f"; would have stayed near {event.before} at {event.setting} {'≥' if up else '≤'} {turning}"
 
 
@@ -76,7 +76,7 @@ def second_pass(event: SecondPass) -> str:
     """Hypotheses drawn a second time."""
     found, level = distinct_texts(event.kl, event.above_kl)
     how = "" if event.method == "second_pass" else f", by {event.method}"
-    turning = rounded(event.kl, decimals(event.kl, event.above_kl), up=True)
+    turning = round_away(event.kl, decimals(event.kl, event.above_kl), up=True)
     return (
         f"KL(posterior, prior) {found} nats > {level} → second pass of {event.particles} hypotheses{how}, "
         f"{event.ess_first:.0f} effective before, {event.ess:.0f} after; "

@@ -8,7 +8,7 @@ from bayesnet_track.journal.events.inputs import AgentMissed
 from bayesnet_track.journal.net.fault_decisions import Quarantined, Readmitted
 from bayesnet_track.journal.net.hand_decisions import Released, Toggled
 from bayesnet_track.journal.net.load_decisions import ParticlesLimited, Shed, TakenBack
-from bayesnet_track.journal.text.wording import plural, rounded
+from bayesnet_track.journal.text.wording import plural, round_away
 
 
 def by_hand(event: Toggled | Released) -> str:
@@ -52,7 +52,7 @@ def shed(event: Shed) -> str:
     if others:
         second = min(others, key=lambda name: others[name])
         least = f"{least} against {second} {others[second]:.2g}"
-    turning = rounded(event.turning_ms, max(2 - math.floor(math.log10(event.turning_ms)), 0), up=True)
+    turning = round_away(event.turning_ms, max(2 - math.floor(math.log10(event.turning_ms)), 0), up=True)
     return f"{late} → {event.node} off ({least}); would have stayed on at a budget ≥ {turning} ms"
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from bayesnet_track.journal.events.join_events import AttachmentChanged, OcclusionChanged, RingChanged
 from bayesnet_track.journal.net.join_decisions import Joined, Parted
-from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, rounded
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, round_away
 
 
 def joined(event: Joined) -> str:
     """`the beliefs of targets 1 and 2 overlap by 0.12 ≥ 0.05 → joined; ...`."""
     value, level = distinct_texts(event.overlap, event.above)
-    turning = rounded(event.overlap, decimals(event.overlap, event.above), up=True)
+    turning = round_away(event.overlap, decimals(event.overlap, event.above), up=True)
     kinds = " and ".join(dict.fromkeys(event.kinds))
     return (
         f"the beliefs of target {event.target} and target {event.other} ({kinds}) overlap by {value} "
@@ -21,7 +21,7 @@ def joined(event: Joined) -> str:
 def parted(event: Parted) -> str:
     """`the beliefs of targets 1 and 2 overlap by 0 < 0.05 for 5 frames → parted; ...`."""
     value, level = distinct_texts(event.overlap, event.below)
-    turning = rounded(event.turning, decimals(event.turning, event.below), up=False)
+    turning = round_away(event.turning, decimals(event.turning, event.below), up=False)
     stay = (
         f"overlap ≤ {turning} or apart_frames > {event.frames}"
         if float(turning)

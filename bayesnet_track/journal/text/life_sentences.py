@@ -12,7 +12,7 @@ from bayesnet_track.journal.net.life_decisions import (
     Returned,
     TargetDied,
 )
-from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, rounded
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, round_away
 
 
 def confirmed(event: CandidateConfirmed) -> str:
@@ -26,7 +26,7 @@ def confirmed(event: CandidateConfirmed) -> str:
     value, level = distinct_texts(near.probability, near.min_probability)
     if near.probability >= near.min_probability:
         return f"{found} (target {near.target} is taken for another detection)"
-    turning = rounded(near.probability, decimals(near.probability, near.min_probability), up=False)
+    turning = round_away(near.probability, decimals(near.probability, near.min_probability), up=False)
     return (
         f"{found}: it is target {near.target} with probability {value} < {level} ({_summands(near)}); "
         f"would have been target {near.target} at min_probability ≤ {turning}"
@@ -58,8 +58,8 @@ def died(event: TargetDied) -> str:
 def duplicate_ended(event: DuplicateEnded) -> str:
     """`its belief overlaps that of target 1 ... → target 3, the younger, ends`."""
     digits = decimals(event.overlap, event.level)
-    turning = min(1.0, float(rounded(event.overlap, digits, up=True)))
-    value = rounded(event.overlap, digits, up=False)
+    turning = min(1.0, float(round_away(event.overlap, digits, up=True)))
+    value = round_away(event.overlap, digits, up=False)
     return (
         f"its belief overlaps that of target {event.kept} by {value} ≥ {event.level:g} for "
         f"{plural(event.frames, 'frame')} → target {event.target}, the younger, ends; would have continued "
@@ -91,7 +91,7 @@ def _recognised(by: Recognition, then: str, otherwise: str) -> str:
     value, level = distinct_texts(by.probability, by.min_probability)
     # As many digits as tell it from 1, and rounded up, so that the level named would have refused it.
     digits = max(2, math.ceil(-math.log10(max(1.0 - by.probability, 1e-7))))
-    turning = float(rounded(by.probability, digits, up=True))
+    turning = float(round_away(by.probability, digits, up=True))
     but = f"; would have been {otherwise} at min_probability ≥ {turning:.9g}" if turning < 1 else ""
     relation = "≥" if by.probability > by.min_probability else "="
     rival = "a new target" if by.rival == "new" else f"target {by.rival}"

@@ -75,7 +75,7 @@ from bayesnet_track.journal.text.life_sentences import (
     returned,
 )
 from bayesnet_track.journal.text.switch_sentences import activated, deactivated, guarded
-from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, plural, rounded, turned_at
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, plural, round_away, show_turn
 
 
 def explain(event: Event, name_target: bool = False) -> str:
@@ -178,7 +178,7 @@ def happened(
             return (
                 f"{event.node}: its own {held(event.cause, '>')} → stopped itself; may be switched on again "
                 f"from frame {event.rests_until}; would have gone on at self_check ≥ "
-                f"{turned_at(event.cause, up=True)}"
+                f"{show_turn(event.cause, up=True)}"
             )
         case Quarantined():
             return quarantined(event)
@@ -249,7 +249,7 @@ def _status(event: StatusChanged) -> str:
         fits = f", and {event.reason}" if event.reason else ""
         return f"{held(event.cause, '≤')}{fits} → {result}"
     return (
-        f"{held(event.cause, '>')} → {result}; would have stayed at lost ≥ {turned_at(event.cause, up=True)}"
+        f"{held(event.cause, '>')} → {result}; would have stayed at lost ≥ {show_turn(event.cause, up=True)}"
     )
 
 
@@ -259,7 +259,7 @@ def _by_fit(cause: FitCause, result: str) -> str:
     found = f"the best hypothesis has a likelihood of {fit} of a perfect match < fit_below {level} {span}"
     if cause.turning is None:
         return f"{found} → {result}; would have been lost by its UD at any fit_below"
-    turning = rounded(cause.turning, decimals(cause.turning, cause.level), up=False)
+    turning = round_away(cause.turning, decimals(cause.turning, cause.level), up=False)
     return f"{found} → {result}; would have stayed at fit_below ≤ {turning}"
 
 
@@ -267,7 +267,7 @@ def _by_score(event: StatusChanged, cause: ScoreCause) -> str:
     score, level = distinct_texts(cause.score, cause.level)
     span = f"for {plural(cause.frames, 'frame')}"
     found = f"score {score} {'<' if cause.fell else '≥'} {level} {span}"
-    turning = rounded(cause.turning, decimals(cause.turning, cause.level), up=not cause.fell)
+    turning = round_away(cause.turning, decimals(cause.turning, cause.level), up=not cause.fell)
     key = "score_below" if event.status == "lost" else "uncertain_below"
     if cause.fell:
         return f"{found} → target {event.target} {event.status}; would have stayed at {key} ≤ {turning}"

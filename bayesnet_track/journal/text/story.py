@@ -51,17 +51,17 @@ def describe_life(events: Sequence[Event], metrics: Iterable[FrameMetrics], targ
     between: list[Event] = []
     for event in mine:
         if isinstance(event, CHAPTERS):
-            lines += _condensed(between)
+            lines += _condense(between)
             between = []
             lines.append(explain(event))
         else:
             between.append(event)
-    lines += _condensed(between)
+    lines += _condense(between)
     own = [line for line in metrics if line.target == target]
     return "\n".join([*lines, _ending(mine, own)])
 
 
-def _condensed(events: Iterable[Event]) -> list[str]:
+def _condense(events: Iterable[Event]) -> list[str]:
     """What the net did between two chapters, in one line."""
     switches = [event for event in events if isinstance(event, Switch)]
     tuned = Counter(event.node for event in events if isinstance(event, LocallyAdapted))

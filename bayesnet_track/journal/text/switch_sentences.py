@@ -7,7 +7,7 @@ import math
 from bayesnet_track.journal.events.belief_events import ReferenceGuarded
 from bayesnet_track.journal.net.net import Cause, Concentration
 from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
-from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, plural, rounded, turned_at
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, plural, round_away, show_turn
 
 
 def activated(event: Activated) -> str:
@@ -17,10 +17,10 @@ def activated(event: Activated) -> str:
     helped = "" if event.helpfulness is None else f" (helped most so far: {event.helpfulness:.2f} nats)"
     why = _expected_most(event) if event.expected else helped
     if isinstance(event.cause, Concentration):
-        stay = f"share ≤ {rounded(event.cause.turning, _share_digits(event.cause), up=False)}"
+        stay = f"share ≤ {round_away(event.cause.turning, _share_digits(event.cause), up=False)}"
         found = concentration(event.cause, sure=False)
         return f"{found} → {event.node} on{why}; would have stayed off at {stay}"
-    stay = f"activate ≥ {turned_at(event.cause, up=True)}"
+    stay = f"activate ≥ {show_turn(event.cause, up=True)}"
     return f"{held(event.cause, '>')} → {event.node} on{why}; would have stayed off at {stay}"
 
 
@@ -40,7 +40,7 @@ def guarded(event: ReferenceGuarded) -> str:
     if not event.parted:
         lasted = plural(event.frames, "frame")
         return f"{scored}: {gap} ≤ {level} apart after {lasted} → learns again"
-    turning = rounded(event.own - event.slow, decimals(event.own - event.slow, event.apart_nats), up=True)
+    turning = round_away(event.own - event.slow, decimals(event.own - event.slow, event.apart_nats), up=True)
     return (
         f"{scored}: {gap} > {level} apart → stops learning, pulled back by {event.pull:g} a frame; "
         f"would have learnt at apart_nats ≥ {turning}"
@@ -79,8 +79,8 @@ def _well(cause: Cause | Concentration) -> str:
 def _not_well(cause: Cause | Concentration) -> str:
     """The level at which it would not have been."""
     if isinstance(cause, Concentration):
-        return f"share > {rounded(cause.turning, _share_digits(cause), up=True)}"
-    return f"deactivate ≤ {turned_at(cause, up=False)}"
+        return f"share > {round_away(cause.turning, _share_digits(cause), up=True)}"
+    return f"deactivate ≤ {show_turn(cause, up=False)}"
 
 
 def _share_digits(cause: Concentration) -> int:

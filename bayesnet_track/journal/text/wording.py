@@ -21,13 +21,15 @@ def held(cause: Cause, relation: str) -> str:
     return f"UD {value}{unit} ({px} px²) {relation} {level}{unit} ({level_px} px²) {span}"
 
 
-def turned_at(cause: Cause, up: bool) -> str:
+def show_turn(cause: Cause, up: bool) -> str:
     """The turning level with as many digits as tell it from the level, rounded so that it does turn."""
-    value = rounded(cause.turning, decimals(cause.turning, cause.level), up)
+    value = round_away(cause.turning, decimals(cause.turning, cause.level), up)
     if cause.unit == "ud_px2":
         return value
     px = cause.turning * cause.scale_px2
-    return f"{value}{UNIT[cause.unit]} ({rounded(px, decimals(px, cause.level * cause.scale_px2), up)} px²)"
+    return (
+        f"{value}{UNIT[cause.unit]} ({round_away(px, decimals(px, cause.level * cause.scale_px2), up)} px²)"
+    )
 
 
 def distinct_texts(value: float, level: float) -> tuple[str, str]:
@@ -37,7 +39,7 @@ def distinct_texts(value: float, level: float) -> tuple[str, str]:
         first, second = f"{value:.{digits}f}", f"{level:.{digits}f}"
         if first != second or value == level:
             break
-    return trimmed(first), trimmed(second)
+    return trim(first), trim(second)
 
 
 def decimals(*values: float) -> int:
@@ -46,17 +48,17 @@ def decimals(*values: float) -> int:
     return min(max(2 - math.floor(math.log10(smallest)), 0), 12) if math.isfinite(smallest) else 0
 
 
-def rounded(value: float, digits: int, up: bool) -> str:
+def round_away(value: float, digits: int, up: bool) -> str:
     """The number with so many decimals, rounded away from where the rule fires."""
     if not math.isfinite(value):
         return str(value)
     scaled = value * 10.0**digits
     # A hair of rounding error must not move a whole number to the next one.
     whole = math.ceil(scaled - 1e-9 * abs(scaled)) if up else math.floor(scaled + 1e-9 * abs(scaled))
-    return trimmed(f"{whole / 10.0**digits:.{digits}f}")
+    return trim(f"{whole / 10.0**digits:.{digits}f}")
 
 
-def trimmed(text: str) -> str:
+def trim(text: str) -> str:
     """Without the zeros that say nothing."""
     return text.rstrip("0").rstrip(".") if "." in text else text
 

@@ -41,14 +41,14 @@ from bayesnet_track.runtime.checkpoints.unchanged import (
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.inputs import InputsAt, as_inputs
-from bayesnet_track.runtime.recording.lock import locked
+from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.manifest import finish, tidy
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.replace import settle, settle_broken
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary
 from bayesnet_track.runtime.run import Resumed, run
-from bayesnet_track.runtime.session import kept, opaque_agents, placed, prepared
+from bayesnet_track.runtime.session import make_checkpointer, opaque_agents, place_cues, prepare_engine
 
 __all__ = ["ResumeError", "resume"]
 
@@ -106,7 +106,7 @@ def resume(
     recipe = Recipe.read(directory)
     say: Notice = notice if notice is not None else lambda text: None
     with ExitStack() as stack:
-        stack.enter_context(locked(directory))
+        stack.enter_context(lock_run(directory))
         settle(directory)
         totals = summary if summary is not None else Summary()
         if standing(path).is_finished:
@@ -122,11 +122,13 @@ def resume(
         moves = permit_move(recipe, checkpoint, allow_other_machine, say)
         opened = stack.enter_context(recipe.opened()) if source is None else source
         detections = None if recipe.detections is None else recipe.detections.place
-        engine = prepared(graph, recipe.seed, motion, detections)
+        engine = prepare_engine(graph, recipe.seed, motion, detections)
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
         budget_ms = recipe.budget_ms
-        engine = placed(stack, executing, engine, None if motion is not None else graph, opened, budget_ms)
+        engine = place_cues(
+            stack, executing, engine, None if motion is not None else graph, opened, budget_ms
+        )
         asked = recipe.inputs.place if inputs is None and recipe.inputs is not None else inputs
         before = inputs_before(directory)
         external_inputs = _external_inputs(before, as_inputs(asked))
@@ -137,7 +139,7 @@ def resume(
         after: Resumed | None = None
         if checkpoint is not None:
             check_outputs(directory, checkpoint, say)
-            after = replace(_skipped(opened, checkpoint, engine, totals, say), events=moves)
+            after = replace(_skip(opened, checkpoint, engine, totals, say), events=moves)
         # From here on files are changed.
         keep_pending(directory, before, -1 if checkpoint is None else checkpoint.frame)
         _clear(directory, checkpoint)
@@ -156,7 +158,7 @@ def resume(
         if checkpoint is not None and recipe.has_video:
             with recipe.opened() as again:
                 recorder.redraw((item for item in again if isinstance(item, Frame)), checkpoint.frame)
-        checkpointer = kept(directory, engine, recorder, recipe, checkpoint_every)
+        checkpointer = make_checkpointer(directory, engine, recorder, recipe, checkpoint_every)
         if checkpointer is not None:
             stack.enter_context(checkpointer)
         results = run(
@@ -222,7 +224,7 @@ def _checkpoint(directory: RunDirectory, recipe: Recipe, say: Notice) -> Checkpo
     return checkpoint
 
 
-def _skipped(
+def _skip(
     source: FrameSource, checkpoint: Checkpoint, engine: Engine, summary: Summary, say: Notice
 ) -> Resumed:
     """Read the source up to the checkpoint's frame, and take up the state after it.

@@ -193,7 +193,7 @@ def _arrays(places: list[list[Any]], data: memoryview) -> list[Any]:
         count = math.prod(shape)
         array: Array = np.frombuffer(data, kind, count, at).reshape(shape)
         at += count * kind.itemsize
-        array = array.copy() if order == "C" else _laid_out(array, order)
+        array = array.copy() if order == "C" else _lay_out(array, order)
         array.setflags(write=is_writeable)
         found.append(array[()] if is_scalar else array)
     if at != len(data):
@@ -201,7 +201,7 @@ def _arrays(places: list[list[Any]], data: memoryview) -> list[Any]:
     return found
 
 
-def _laid_out(values: Array, strides: list[int]) -> Array:
+def _lay_out(values: Array, strides: list[int]) -> Array:
     """The values in memory as they were: with the same strides."""
     steps = [(size - 1) * stride for size, stride in zip(values.shape, strides, strict=True)]
     first = -sum(step for step in steps if step < 0)

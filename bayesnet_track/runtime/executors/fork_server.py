@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import IO
 
 from bayesnet_track.inference.executor import AgentUnavailable
-from bayesnet_track.observation.cue_files import packed
+from bayesnet_track.observation.cue_files import pack
 from bayesnet_track.sources.child import cut, python, tie
 
 MODULE = "bayesnet_track.runtime.executors.worker"
@@ -170,7 +170,7 @@ class ForkServer:
 @contextmanager
 def _cue_files() -> Iterator[int | IO[bytes]]:
     """What the fork server reads the engine's cue files from."""
-    content = packed()
+    content = pack()
     if not content:
         yield subprocess.DEVNULL
         return

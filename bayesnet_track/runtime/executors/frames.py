@@ -91,13 +91,13 @@ class FrameStore:
             if held is frame:
                 return shared
         other = pixels_of(frame.depth)
-        size = _aligned(frame.image.nbytes) + (0 if other is None else _aligned(other.nbytes))
+        size = _align(frame.image.nbytes) + (0 if other is None else _align(other.nbytes))
         if size > self._slot_size:
             self._grow(size)
         at = self._base + self._number % SLOTS * self._slot_size
         self._number += 1
         image = self._written(frame.image, at)
-        depth = None if other is None else self._written(other, at + _aligned(frame.image.nbytes))
+        depth = None if other is None else self._written(other, at + _align(frame.image.nbytes))
         geometry = frame.depth.geometry if isinstance(frame.depth, RightEye) else None
         shared = SharedFrame(
             self._number, frame.index, frame.time, frame.time_s, frame.has_color, image, depth, geometry
@@ -180,5 +180,5 @@ def pixels_of(depth: Depth | None) -> Array | None:
     return depth.image if isinstance(depth, RightEye) else depth.points
 
 
-def _aligned(size: int) -> int:
+def _align(size: int) -> int:
     return -(-size // ALIGNED) * ALIGNED

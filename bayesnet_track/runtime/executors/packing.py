@@ -10,10 +10,10 @@ NOTEWORTHY_S = 0.0005
 """... and it spends more than this on a frame."""
 
 
-def packed(costs: Mapping[str, float], workers: int) -> list[set[str]]:
+def pack(costs: Mapping[str, float], workers: int) -> list[set[str]]:
     """Agents for each worker: the dearest first, each to the worker that has least to do.
 
-    >>> [sorted(own) for own in packed({"a": 3.0, "b": 2.0, "c": 2.0}, 2)]
+    >>> [sorted(own) for own in pack({"a": 3.0, "b": 2.0, "c": 2.0}, 2)]
     [['a'], ['b', 'c']]
     """
     loads, own = [0.0] * workers, [set[str]() for _ in range(workers)]
@@ -29,9 +29,9 @@ def busiest(costs: Mapping[str, float], packing: Sequence[set[str]]) -> float:
     return max((sum(costs[agent] for agent in own) for own in packing), default=0.0)
 
 
-def repacked(costs: Mapping[str, float], packing: Sequence[set[str]]) -> list[set[str]] | None:
+def repack(costs: Mapping[str, float], packing: Sequence[set[str]]) -> list[set[str]] | None:
     """A better packing of the same agents, or None where moving them is not worth it."""
-    now, better = busiest(costs, packing), packed(costs, len(packing))
+    now, better = busiest(costs, packing), pack(costs, len(packing))
     if now < NOTEWORTHY_S or busiest(costs, better) >= WORTH_MOVING * now:
         return None
     return better

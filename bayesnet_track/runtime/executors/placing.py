@@ -11,7 +11,7 @@ from bayesnet_track.engine.step import Engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.observation.cue import CueDeclaration
 from bayesnet_track.runtime.executors.processes import PlacingError
-from bayesnet_track.runtime.executors.proxy import SentFrames, Transport, placed
+from bayesnet_track.runtime.executors.proxy import SentFrames, Transport, make_proxy
 from bayesnet_track.runtime.executors.target_host import make_net_host
 from bayesnet_track.runtime.executors.worker_pool import AgentSpec
 
@@ -140,7 +140,7 @@ def with_proxies(engine: Engine, places: Mapping[tuple[str, str], Place], transp
     plates = {}
     for plate, compiled in engine.plates.items():
         cues = {
-            agent: placed(_name(plate, agent), cue, transport, sent)
+            agent: make_proxy(_name(plate, agent), cue, transport, sent)
             if places[plate, agent] == "process"
             else cue
             for agent, cue in compiled.cues.items()

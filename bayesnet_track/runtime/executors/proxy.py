@@ -170,7 +170,7 @@ FURTHER: Mapping[str, Any] = {
 """Methods that a proxy has where its cue has them, so that it fulfils the same protocols."""
 
 
-def placed(agent: str, cue: AnyCue, transport: Transport, sent: SentFrames) -> AnyCue:
+def make_proxy(agent: str, cue: AnyCue, transport: Transport, sent: SentFrames) -> AnyCue:
     """A proxy of `cue`, which fulfils the runtime protocols that `cue` does."""
     own = {name: method for name, method in FURTHER.items() if hasattr(cue, name)}
     if hasattr(cue, "rule"):

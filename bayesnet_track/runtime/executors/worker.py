@@ -45,7 +45,7 @@ def main(control_number: int, frames: int, memory_mb: int) -> None:
         _fork_and_reap(control, children, frames, memory_mb)
     until = time.monotonic() + END_S
     for child in children:
-        _ended(child, until)
+        _wait_for_end(child, until)
 
 
 def _fork_and_reap(control: socket.socket, children: set[int], frames: int, memory_mb: int) -> None:
@@ -66,7 +66,7 @@ def _fork_and_reap(control: socket.socket, children: set[int], frames: int, memo
         else:
             (child,) = NUMBER.unpack(request[1:])
             children.discard(child)
-            control.sendall(NUMBER.pack(_ended(child, time.monotonic() + END_S)))
+            control.sendall(NUMBER.pack(_wait_for_end(child, time.monotonic() + END_S)))
 
 
 def _load(cue_files: bytes) -> None:
@@ -87,7 +87,7 @@ def _load(cue_files: bytes) -> None:
     gc.freeze()  # workers share that memory, and none looks through it again
 
 
-def _ended(child: int, until: float) -> int:
+def _wait_for_end(child: int, until: float) -> int:
     """The exit code of a child, minus the signal that killed it; after `until` it is killed.
 
     UNKNOWN where it is no child of this fork server but of one before it.

@@ -12,7 +12,7 @@ from typing import Any
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.observation.cue import AnyCue
 from bayesnet_track.runtime.executors.fork_server import ForkServer
-from bayesnet_track.runtime.executors.packing import packed, repacked
+from bayesnet_track.runtime.executors.packing import pack, repack
 from bayesnet_track.runtime.executors.workers import Late, Limits, Worker, WorkerLost
 
 IDLE_FRAMES = 30
@@ -63,7 +63,7 @@ class WorkerPool:
         self._slot_of: dict[str, Slot] = {}
         self._frames = 0
         self._is_closed = False
-        self._assign(packed(self._costs, len(self.slots)))
+        self._assign(pack(self._costs, len(self.slots)))
 
     def slot(self, agent: str) -> Slot:
         """Where the agent is, which is to be asked something."""
@@ -146,7 +146,7 @@ class WorkerPool:
                 self._slot_of.pop(agent).agents.discard(agent)
         if frames % REPACK_EVERY == 0:
             costs = {agent: self._costs[agent] for agent in self._slot_of}
-            better = repacked(costs, [slot.agents for slot in self.slots])
+            better = repack(costs, [slot.agents for slot in self.slots])
             if better is not None:
                 self._assign(better)
         for slot in self.slots:

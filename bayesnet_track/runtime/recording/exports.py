@@ -21,8 +21,8 @@ def as_mot(run: Run, lost: bool = False) -> str:
     numbers = _numbers(run)
     return "".join(
         f"{_whole(row['frame']) + 1},{numbers[str(row['target'])]},"
-        + ",".join(_fixed(row[name], 3) for name in "xywh")
-        + f",{_fixed(row['score'], 6)},-1,-1,-1\n"
+        + ",".join(_fix(row[name], 3) for name in "xywh")
+        + f",{_fix(row['score'], 6)},-1,-1,-1\n"
         for row in _rows(run, lost)
     )
 
@@ -64,10 +64,10 @@ def as_coco(run: Run, lost: bool = False) -> str:
             "image_id": _whole(row["frame"]) + 1,
             "category_id": plates[str(row["kind"])],
             "track_id": numbers[str(row["target"])],
-            "bbox": [_rounded(row[name]) for name in "xywh"],
-            "area": _rounded(_number(row["w"]) * _number(row["h"])),
+            "bbox": [_round(row[name]) for name in "xywh"],
+            "area": _round(_number(row["w"]) * _number(row["h"])),
             "iscrowd": 0,
-            "score": _rounded(row["score"], 6),
+            "score": _round(row["score"], 6),
             "status": row["status"],
         }
         for number, row in enumerate(_rows(run, lost), 1)
@@ -122,12 +122,12 @@ def _whole(value: object) -> int:
     return value
 
 
-def _rounded(value: object, digits: int = 3) -> float:
+def _round(value: object, digits: int = 3) -> float:
     return round(_number(value), digits) + 0.0
 
 
-def _fixed(value: object, digits: int) -> str:
-    return f"{_rounded(value, digits):.{digits}f}"
+def _fix(value: object, digits: int) -> str:
+    return f"{_round(value, digits):.{digits}f}"
 
 
 def _finite(value: object) -> object:

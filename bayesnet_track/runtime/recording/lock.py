@@ -21,7 +21,7 @@ AT_BYTE = 1 << 30
 
 
 @contextmanager
-def locked(directory: RunDirectory) -> Iterator[None]:
+def lock_run(directory: RunDirectory) -> Iterator[None]:
     """Inside it no other process writes the run.
 
     Some disks, of a network for example, have no locks: there it is not checked.
@@ -47,7 +47,7 @@ def is_locked(directory: RunDirectory) -> bool:
     if not directory.lock.is_file():
         return False
     try:
-        with locked(directory):
+        with lock_run(directory):
             return False
     except RunDirectoryError:
         return os.access(directory.lock, os.W_OK)

@@ -16,7 +16,7 @@ from typing import Any
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.atomic import PART, write_atomically
 from bayesnet_track.journal.writer import Position, output_error, read_position
-from bayesnet_track.runtime.recording.lock import locked
+from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 
 FORMAT = 1
@@ -122,7 +122,7 @@ def add_output(directory: RunDirectory, key: str) -> None:
     """
     if not directory.manifest.exists():
         return
-    with locked(directory):
+    with lock_run(directory):
         manifest = read_manifest(directory.manifest)
         if manifest is not None:
             path = directory.path / FILES[key]

@@ -18,7 +18,7 @@ from pathlib import Path
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.atomic import PART, write_atomically
 from bayesnet_track.journal.writer import output_error
-from bayesnet_track.runtime.recording.lock import locked
+from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.rundir import FILES, REPLACING, STAGED, RunDirectory
 
 
@@ -66,7 +66,7 @@ def settle_broken(directory: RunDirectory) -> None:
         OutputError: it cannot be done.
     """
     if directory.is_replacing:
-        with locked(directory):
+        with lock_run(directory):
             settle(directory)
 
 

@@ -40,7 +40,7 @@ class MotWriter(LineFile):
         if metrics.status == "lost" and not self._lost:
             return
         box = ",".join(_corner(metrics))
-        self.append(f"{metrics.frame + 1},{number},{box},{_fixed(metrics.score, 6)},-1,-1,-1")
+        self.append(f"{metrics.frame + 1},{number},{box},{_fix(metrics.score, 6)},-1,-1,-1")
 
 
 class CsvWriter(LineFile):
@@ -62,12 +62,12 @@ class CsvWriter(LineFile):
         csv.writer(line, lineterminator="").writerow(
             (
                 metrics.frame,
-                _fixed(metrics.time_s, 6),
+                _fix(metrics.time_s, 6),
                 metrics.target,
                 *_corner(metrics),
                 metrics.status,
-                _fixed(metrics.score, 6),
-                _fixed(metrics.ud_px2, 3),
+                _fix(metrics.score, 6),
+                _fix(metrics.ud_px2, 3),
                 " ".join(metrics.active),
             )
         )
@@ -75,11 +75,9 @@ class CsvWriter(LineFile):
 
 
 def _corner(metrics: FrameMetrics) -> list[str]:
-    return [
-        _fixed(float(value), 3) for value in corner_from_centre(np.asarray(metrics.box, dtype=np.float64))
-    ]
+    return [_fix(float(value), 3) for value in corner_from_centre(np.asarray(metrics.box, dtype=np.float64))]
 
 
-def _fixed(value: float, digits: int) -> str:
+def _fix(value: float, digits: int) -> str:
     # Adding 0.0 turns -0.0 into 0.0.
     return f"{round(float(value), digits) + 0.0:.{digits}f}"

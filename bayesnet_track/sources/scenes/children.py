@@ -32,7 +32,7 @@ def ball_between_children(seed: int = 0) -> Scene:
     rng = np.random.Generator(np.random.Philox(seed))
     left, right = _sway(LEFT, rng), _sway(RIGHT, rng)
     background = smooth_background(WIDTH, HEIGHT, 110.0, 18.0, rng)
-    thrown = _boxes(_thrown(left, right), BALL, BALL)
+    thrown = _boxes(_throw(left, right), BALL, BALL)
     sprites = (
         Sprite(_clothes(GREEN, rng), _boxes(left, *CHILD)),
         Sprite(_clothes(BLUE, rng), _boxes(right, *CHILD)),
@@ -50,7 +50,7 @@ def _sway(centre: tuple[float, float], rng: np.random.Generator) -> Floats:
     return np.asarray(np.array(centre) + np.array([4.0, 1.5]) * np.sin(turn))
 
 
-def _thrown(left: Floats, right: Floats) -> Floats:
+def _throw(left: Floats, right: Floats) -> Floats:
     """(FRAMES, 2) the ball's path: in a child's hands, or on an arc between them."""
     hands = np.array([24.0, -8.0])
     held = {True: left + hands, False: right + hands * [-1, 1]}

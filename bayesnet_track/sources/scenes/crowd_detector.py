@@ -83,7 +83,7 @@ def detections_text(reported: tuple[Reported, ...]) -> str:
 def _detect(boxes: Floats, crowd: Crowd, settings: DetectorSettings, rng: np.random.Generator) -> Reported:
     people = _groups(boxes, settings)
     seen = rng.random(len(people)) >= settings.missed
-    true = np.array([_merged(boxes[list(group)], settings) for group in people]).reshape(-1, 4)
+    true = np.array([_merge(boxes[list(group)], settings) for group in people]).reshape(-1, 4)
     true[:, :2] += settings.place_px * rng.standard_normal((len(true), 2))
     true[:, 2:] *= np.exp(settings.size * rng.standard_normal((len(true), 2)))
     false = _clutter(crowd, rng.poisson(settings.clutter), rng)
@@ -106,7 +106,7 @@ def _groups(boxes: Floats, settings: DetectorSettings) -> list[tuple[int, ...]]:
     return [tuple(present[labels == label].tolist()) for label in dict.fromkeys(labels.tolist())]
 
 
-def _merged(boxes: Floats, settings: DetectorSettings) -> Floats:
+def _merge(boxes: Floats, settings: DetectorSettings) -> Floats:
     """The one box of a group (n, 4), the last nearest to the camera."""
     if settings.merging == "hull":
         low = (boxes[:, :2] - boxes[:, 2:] / 2).min(axis=0)

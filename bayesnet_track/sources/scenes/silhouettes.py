@@ -36,10 +36,10 @@ PARTS = (
 
 def person(path: Floats, colour: Colour = CLOTHES) -> tuple[Sprite, ...]:
     """A standing person of one colour that fills the centre boxes `path` (n, 4)."""
-    return dressed(path, (flat(colour),) * len(PARTS))
+    return dress(path, (flat(colour),) * len(PARTS))
 
 
-def dressed(path: Floats, cells: Sequence[Floats]) -> tuple[Sprite, ...]:
+def dress(path: Floats, cells: Sequence[Floats]) -> tuple[Sprite, ...]:
     """A standing person that fills the centre boxes `path` (n, 4), with (rows, columns, 3) cells per part."""
     return tuple(
         Sprite(

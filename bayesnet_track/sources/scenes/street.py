@@ -67,7 +67,7 @@ def street(seed: int = 0, frames: int = 160, brighter_from: int = 100, gain: flo
     background: Floats = cells.repeat(8, axis=0).repeat(8, axis=1)
     sprites = (
         cart,
-        *(part for walk, jacket in zip(walks, JACKETS, strict=True) for part in _dressed(walk, jacket)),
+        *(part for walk, jacket in zip(walks, JACKETS, strict=True) for part in _dress(walk, jacket)),
     )
     feet = tuple(
         np.column_stack([walk[:, 0] + 34.0, walk[:, 1] + 36.0, np.full(frames, 76.0), np.full(frames, 15.0)])
@@ -80,7 +80,7 @@ def street(seed: int = 0, frames: int = 160, brighter_from: int = 100, gain: flo
     return replace(scene, frames=movie)
 
 
-def _dressed(path: Floats, jacket: tuple[float, float, float]) -> tuple[Sprite, ...]:
+def _dress(path: Floats, jacket: tuple[float, float, float]) -> tuple[Sprite, ...]:
     """A person in a jacket and trousers."""
     colours = (SKIN, jacket, jacket, jacket, TROUSERS, TROUSERS, TROUSERS)
     return tuple(

@@ -12,7 +12,7 @@ from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.sources.scenes.render import Movie, Sprite, Veil
 from bayesnet_track.sources.scenes.room import Room
 from bayesnet_track.sources.scenes.scene import Scene
-from bayesnet_track.sources.scenes.silhouettes import PARTS, dressed
+from bayesnet_track.sources.scenes.silhouettes import PARTS, dress
 from bayesnet_track.sources.scenes.stereo import CAMERA_HEIGHT_M, GEOMETRY, HEIGHT, NOISE_SD, WIDTH
 from bayesnet_track.sources.scenes.stereo_view import StereoView
 from bayesnet_track.sources.scenes.texture import shaded_cells
@@ -85,7 +85,7 @@ def two_people_color_stereo_shape(seed: int = 0, frames: int = 120) -> Scene:
 
     def movie(eye_m: float, noise: int) -> tuple[Movie, Floats]:
         background, depth = room.seen(GEOMETRY, eye_m, WIDTH, HEIGHT)
-        people = (*dressed(right.path(eye_m), tan), *dressed(left.path(eye_m), green))
+        people = (*dress(right.path(eye_m), tan), *dress(left.path(eye_m), green))
         return Movie(background, (Sprite(surface, panel.path(eye_m)), *people), NOISE_SD, noise, veils), depth
 
     (picture, depth), (other_eye, _) = movie(0.0, seed), movie(GEOMETRY.baseline_m, seed + (1 << 32))

@@ -141,7 +141,7 @@ def make_crowd(settings: CrowdSettings, seed: int = 0) -> Crowd:
         middle = int(rng.integers(LEG, settings.frames - LEG))
         encounters.append(Encounter(kind, len(walks), len(walks) + 1, middle))
         walks += [
-            _placed(path, middle - LEG, settings.frames)
+            _place(path, middle - LEG, settings.frames)
             for path in (_crossing if kind == "crossing" else _beside)(rng, settings)
         ]
     return Crowd(settings, seed, np.stack(walks, axis=1), tuple(encounters))
@@ -153,7 +153,7 @@ def _alone(rng: np.random.Generator, settings: CrowdSettings, start: int) -> Flo
     there = min(1 + int(rng.exponential(settings.life)), settings.frames - start)
     low, high = (size - 1) / 2, np.array([settings.width, settings.height]) - 1 - (size - 1) / 2
     path = winding(rng, there, low, high, SPEEDS_PX)
-    return _placed(np.column_stack([path, np.tile(size, (there, 1))]), start, settings.frames)
+    return _place(np.column_stack([path, np.tile(size, (there, 1))]), start, settings.frames)
 
 
 def _crossing(rng: np.random.Generator, settings: CrowdSettings) -> tuple[Floats, Floats]:
@@ -201,7 +201,7 @@ def _size(rng: np.random.Generator) -> Floats:
     return np.array([WIDTH_SHARE * height, height])
 
 
-def _placed(path: Floats, start: int, frames: int) -> Floats:
+def _place(path: Floats, start: int, frames: int) -> Floats:
     """(frames, 4): the path (n, 4) from frame `start` on, NaN before and after."""
     whole = np.full((frames, 4), np.nan)
     whole[start : start + len(path)] = path

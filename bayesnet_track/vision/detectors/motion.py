@@ -100,7 +100,7 @@ class MotionDetector:
         moved = moving(gray(frame.image), gray(before.image), frame.time - before.time, settings)
         found = regions((moved.evidence > 0).astype(np.uint8), settings)
         tight = [
-            _tightened(moved, found.numbers, int(number), corner)
+            _tighten(moved, found.numbers, int(number), corner)
             for number, corner in zip(found.kept[:MOST], found.corners, strict=False)
         ]
         rows = np.array([row for row in tight if row is not None]).reshape(-1, 5)
@@ -132,7 +132,7 @@ def moving(now: Bytes, then: Bytes, interval: float, settings: MotionParameters)
     return Moved(flow, evidence, cv2.absdiff(now, held) > settings.min_change)
 
 
-def _tightened(
+def _tighten(
     moved: Moved, numbers: NDArray[np.int32], number: int, corner: NDArray[np.int64]
 ) -> tuple[float, float, float, float, float] | None:
     """Centre box and score of a region; None when nothing in it has changed: without texture flow is a guess.

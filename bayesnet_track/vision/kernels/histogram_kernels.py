@@ -123,7 +123,7 @@ def color_distances(
     hue = float(shares[:-1].sum())
     difference, colored = _cumulative_differences(counts, np.cumsum(shares[:-1]) / (hue or 1.0))
     difference.sort(axis=1)  # NumPy sorts many short rows faster than compiled code
-    return _priced(_spread(difference), colored, visible, nominal, hue, float(shares[-1]), achromatic)
+    return _price(_spread(difference), colored, visible, nominal, hue, float(shares[-1]), achromatic)
 
 
 @compiled
@@ -159,7 +159,7 @@ def _spread(ordered: Floats) -> Floats:
 
 
 @compiled
-def _priced(
+def _price(
     circular: Floats,
     colored: Floats,
     visible: Floats,

@@ -46,7 +46,7 @@ def bhattacharyya(cells: Cells, model: Floats, x: float, y: float, rx: float, ry
 
 
 @compiled
-def shifted(
+def shift(
     cells: Cells, model: Floats, x: float, y: float, rx: float, ry: float, tolerance: float, most: int
 ) -> tuple[float, float, int]:
     """Mean shift of an ellipse toward the place whose colours are those of `model`; the place and the steps.

@@ -69,7 +69,7 @@ def learn_model(vectors: Floats, keep: float = KEEP) -> ShapeModel:
         return ShapeModel(mean, np.empty((0, mean.size)), np.empty(0), 1.0, len(examples))
     held = np.cumsum(variances) / total
     count = min(int(np.searchsorted(held, keep - 1e-12)) + 1, len(variances))
-    return ShapeModel(mean, _signed(axes[:count]), variances[:count], float(held[count - 1]), len(examples))
+    return ShapeModel(mean, _sign(axes[:count]), variances[:count], float(held[count - 1]), len(examples))
 
 
 def merge(old: ShapeModel, new: ShapeModel, rate: float, most: int) -> ShapeModel:
@@ -91,7 +91,7 @@ def merge(old: ShapeModel, new: ShapeModel, rate: float, most: int) -> ShapeMode
     variances, weights = np.linalg.eigh(np.einsum("ap,bp->ab", columns, columns))
     order = [k for k in np.argsort(-variances, kind="stable")[:most] if variances[k] > 1e-12]
     modes = np.einsum("ak,ap->kp", weights[:, order], columns) / np.sqrt(variances[order])[:, None]
-    return ShapeModel(mean, _signed(modes), variances[order], 1.0, old.examples + new.examples)
+    return ShapeModel(mean, _sign(modes), variances[order], 1.0, old.examples + new.examples)
 
 
 def save_model(path: str | Path, model: ShapeModel) -> None:
@@ -139,7 +139,7 @@ def load_model(path: str | Path) -> ShapeModel:
                 raise ShapeModelError(
                     f"{path} is a shape model of version {version}; this program reads version {VERSION}"
                 )
-            return _checked(path, {name: file[name] for name in _FIELDS})
+            return _check(path, {name: file[name] for name in _FIELDS})
     except FileNotFoundError:
         raise ShapeModelError(f"{path} is not there; `bayesnet-track learn-shape` makes one") from None
     except OSError as error:
@@ -153,7 +153,7 @@ def load_model(path: str | Path) -> ShapeModel:
 _FIELDS = ("mean", "modes", "variances", "explained", "examples")
 
 
-def _checked(path: str | Path, arrays: dict[str, NDArray[np.generic]]) -> ShapeModel:
+def _check(path: str | Path, arrays: dict[str, NDArray[np.generic]]) -> ShapeModel:
     mean, modes, variances = (np.array(arrays[name], dtype=np.float64) for name in _FIELDS[:3])
     side = round(float(np.sqrt(mean.size)))
     fits = mean.ndim == 1 and side * side == mean.size and side >= 4
@@ -171,7 +171,7 @@ def _checked(path: str | Path, arrays: dict[str, NDArray[np.generic]]) -> ShapeM
     return ShapeModel(mean, modes, variances, float(arrays["explained"]), int(arrays["examples"]))
 
 
-def _signed(modes: Floats) -> Floats:
+def _sign(modes: Floats) -> Floats:
     """The modes (K, P), each turned so that its largest entry is positive."""
     if len(modes) == 0:
         return np.asarray(modes)

@@ -1,6 +1,6 @@
 """Lines of a commented YAML file."""
 
-from bayesnet_track.cli.starter.lines import WIDTH, indented, key, remark
+from bayesnet_track.cli.starter.lines import WIDTH, indent, key, remark
 
 
 def test_a_key_stands_below_its_comment_and_before_what_is_inside():
@@ -16,4 +16,4 @@ def test_a_key_stands_below_its_comment_and_before_what_is_inside():
 def test_comments_are_broken_where_they_would_be_too_wide():
     lines = remark("word " * 60)
     assert len(lines) > 2 and all(line.startswith("# word") and len(line) <= WIDTH - 10 for line in lines)
-    assert indented(indented(["x"])) == ("    x",)
+    assert indent(indent(["x"])) == ("    x",)

@@ -17,7 +17,7 @@ from bayesnet_track.journal.net.net import Quarantined
 from bayesnet_track.journal.net.rule_decisions import StatusChanged
 from bayesnet_track.journal.reader import read_inputs
 from bayesnet_track.runtime.deadline import WARM_UP, Deadline
-from bayesnet_track.runtime.inputs import replayed
+from bayesnet_track.runtime.inputs import replay_inputs
 
 pytestmark = pytest.mark.slow
 
@@ -160,7 +160,7 @@ def test_no_frame_waits_for_an_agent_ten_times_slower_than_the_budget(placed, fi
                 agents,
                 tmp_path / f"{attempt} again",
                 50,
-                external_inputs=replayed(out / "inputs.jsonl"),
+                external_inputs=replay_inputs(out / "inputs.jsonl"),
             )
         assert files(tmp_path / f"{attempt} again") == files(out)
         missed = [one for one in told if isinstance(one, AgentMissed)]
@@ -202,6 +202,6 @@ def test_with_all_processes_dead_there_is_prediction_only(placed, files, tmp_pat
             agents,
             tmp_path / "again",
             40,
-            external_inputs=replayed(tmp_path / "run" / "inputs.jsonl"),
+            external_inputs=replay_inputs(tmp_path / "run" / "inputs.jsonl"),
         )
     assert files(tmp_path / "again") == files(tmp_path / "run")

@@ -21,7 +21,7 @@ from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Regi
 from bayesnet_track.runtime.executors.frames import FrameStore, FrameView
 from bayesnet_track.runtime.executors.host import AgentHost
 from bayesnet_track.runtime.executors.proxy import SentFrames
-from bayesnet_track.runtime.executors.proxy import placed as place
+from bayesnet_track.runtime.executors.proxy import make_proxy as place
 from bayesnet_track.runtime.executors.questions import LEAST_BYTES, EncodedReference, Sent
 
 PROTOCOLS = (Cue, MeasuringCue, AssociatingCue, LocallyAdaptable, Turnable)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.runtime.executors.packing import busiest, packed, repacked
+from bayesnet_track.runtime.executors.packing import busiest, pack, repack
 
 costs = st.dictionaries(st.text("abcdef", min_size=1, max_size=3), st.floats(0.001, 1.0), max_size=8)
 
 
 @given(costs, st.integers(1, 4))
 def test_everyone_is_in_one_place_and_nobody_waits_for_more_than_the_bound_of_the_rule(costs, workers):
-    packing = packed(costs, workers)
+    packing = pack(costs, workers)
     assert sorted(agent for own in packing for agent in own) == sorted(costs)
     # Graham: the longest processing time first is at most 4/3 of the best, which is at least this.
     least = max([sum(costs.values()) / workers, *costs.values()])
@@ -25,6 +25,6 @@ def two_must_share(costs, workers):
 
 
 def test_agents_move_only_when_it_is_worth_it():
-    assert repacked({"a": 1.0, "b": 1.0}, [{"a", "b"}, set()]) == [{"a"}, {"b"}]
-    assert repacked({"a": 1.0, "b": 0.9, "c": 0.1}, [{"a", "c"}, {"b"}]) is None
-    assert repacked({"a": 1e-5, "b": 1e-5}, [{"a", "b"}, set()]) is None
+    assert repack({"a": 1.0, "b": 1.0}, [{"a", "b"}, set()]) == [{"a"}, {"b"}]
+    assert repack({"a": 1.0, "b": 0.9, "c": 0.1}, [{"a", "c"}, {"b"}]) is None
+    assert repack({"a": 1e-5, "b": 1e-5}, [{"a", "b"}, set()]) is None
