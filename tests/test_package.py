@@ -57,8 +57,8 @@ def test_what_is_heavy_is_not_imported(steps, absent):
         f"{step}\nimport sys; print('after', sorted(set(sys.modules) & {absent!r}), {step!r})\n"
         for step in steps
     )
-    told = [line for line in python("-c", code, check=True).stdout.splitlines() if line.startswith("after ")]
-    assert told == [f"after [] {step}" for step in steps]
+    lines = [line for line in python("-c", code, check=True).stdout.splitlines() if line.startswith("after ")]
+    assert lines == [f"after [] {step}" for step in steps]
 
 
 def test_the_command_and_the_module_are_the_same():

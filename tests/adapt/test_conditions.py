@@ -110,7 +110,7 @@ def test_a_cause_has_all_numbers_of_the_test_and_where_it_turns():
     """On at the largest share that was vouched for in the streak, off at the smallest."""
     test = Concentrated(share=0.8, within_box=0.4, confidence=0.99)
     found = apply_test(test, Inside(0.9, 50.0, 12.5), 33.0)
-    told = {
+    numbers = {
         "share": 0.8,
         "within_box": 0.4,
         "confidence": 0.99,
@@ -122,6 +122,6 @@ def test_a_cause_has_all_numbers_of_the_test_and_where_it_turns():
         "ud_px2": 33.0,
     }
     values = (0.7, 0.75, 0.72)
-    assert found.cause_above(3, values) == Concentration(**told, turning=0.75)
-    assert found.cause_below(3, values) == Concentration(**told, turning=0.7)
+    assert found.cause_above(3, values) == Concentration(**numbers, turning=0.75)
+    assert found.cause_below(3, values) == Concentration(**numbers, turning=0.7)
     assert found.value == pytest.approx(stats.beta.ppf(0.01, 45, 6), rel=1e-6)

@@ -60,13 +60,13 @@ def test_overlap_is_of_the_smaller_reach():
 
 
 def test_they_are_joined_at_once_and_parted_after_a_while():
-    net, memory, told = net_of(a="t", b="t"), JoinMemory(), []
+    net, memory, decided = net_of(a="t", b="t"), JoinMemory(), []
     for frame, x in enumerate([200.0, 68.5, 68.0, 69.9, 80.0, 68.0, 80.0, 81.0, 90.0, 90.0], 1):
         decisions, memory = decide_joins(frame, (NEAR,), net, {"a": reach(50), "b": reach(x)}, memory)
-        told += decisions
+        decided += decisions
         for decision in decisions:
             net = apply(net, decision)
-    assert told == [
+    assert decided == [
         Joined(3, "a", "b", ("t", "t"), 0, pytest.approx(0.1), 0.1),
         Parted(9, "a", "b", 0.0, 0.1, 3, 0.0, 6),
     ]

@@ -28,15 +28,15 @@ def running(fakes):
 
 def play(one, timing, load=Load()):  # noqa: B008
     """What is decided when so much is told in turn: (frame, input)."""
-    told = []
+    chosen = []
     for frame, inputs in timing:
         decisions, load = balance(frame, inputs, {"1": one}, load)
         net = Net({"1": one.net})
         for decision in decisions:
             net = apply(net, decision)
         one = replace(one, net=net.targets["1"])
-        told += decisions
-    return told, one, load
+        chosen += decisions
+    return chosen, one, load
 
 
 def late(first, count, spent=11.0, budget=10.0):
@@ -48,9 +48,9 @@ def early(first, spent, count=1, budget=10.0):
 
 
 def test_the_agent_that_says_least_per_ms_goes_first(running):
-    told, one, _ = play(running, late(20, 3))
+    chosen, one, _ = play(running, late(20, 3))
     index = {"a": 0.1, "b": 0.05, "c": 0.5}
-    assert told == [Shed(22, "1", "b", 11.0, 10.0, 3, 10, 11.0, pytest.approx(index))]
+    assert chosen == [Shed(22, "1", "b", 11.0, 10.0, 3, 10, 11.0, pytest.approx(index))]
     assert one.net.shed == ("b",) and one.net.active == {"a", "c"}
 
 
@@ -70,16 +70,16 @@ def test_the_budget_at_which_it_would_have_stayed_is_told(running):
 
 def test_as_much_goes_at_once_as_declared_costs_ask_for(running):
     """A frame that takes twice the budget: half of 6 ms has to go, b alone saves 1, so a goes, too."""
-    told, one, _ = play(running, late(20, 3, 20.0))
-    assert [d.node for d in told] == ["b", "a"] and one.net.active == {"c"}
+    chosen, one, _ = play(running, late(20, 3, 20.0))
+    assert [d.node for d in chosen] == ["b", "a"] and one.net.active == {"c"}
 
 
 def test_what_a_rule_keeps_and_a_person_holds_stays_and_hypotheses_go_instead(running):
     held = replace(running, net=replace(running.net, by_hand={"a": True, "b": True, "c": True}))
-    told, one, load = play(held, late(20, 3, 20.0))
-    assert told == [ParticlesLimited(22, "1", 400, 800, 20.0, 10.0)]
-    told, one, load = play(one, late(23, 9, 50.0), load)
-    assert [d.most for d in told] == [200]
+    chosen, one, load = play(held, late(20, 3, 20.0))
+    assert chosen == [ParticlesLimited(22, "1", 400, 800, 20.0, 10.0)]
+    chosen, one, load = play(one, late(23, 9, 50.0), load)
+    assert [d.most for d in chosen] == [200]
     assert one.net.most_particles == 200, "never below the least number"
 
 
@@ -90,8 +90,8 @@ def test_there_is_nothing_left_to_shed(running):
 
 def test_it_comes_back_when_it_fits_hypotheses_first(running):
     net = replace(running.net, active=frozenset("c"), shed=("b", "a"), most_particles=400)
-    told, _, _ = play(replace(running, net=net), early(100, 2.0, 3))
-    assert told == [
+    chosen, _, _ = play(replace(running, net=net), early(100, 2.0, 3))
+    assert chosen == [
         ParticlesLimited(100, "1", None, 400, 2.0, 10.0),
         # a costs four times what is on: 2 ms would become 10; b is shed earlier and fits.
         TakenBack(150, "1", "b", 2.0, 4.0, 10.0, 50),
@@ -106,7 +106,7 @@ def test_it_does_not_come_back_where_it_would_be_late_again(running):
 
 def test_it_does_not_flap(running):
     """In time without b, late with it, for 20,000 frames: it comes back more and more rarely."""
-    one, load, told, calm = running, Load(), [], 0
+    one, load, chosen, calm = running, Load(), [], 0
     for frame in range(20_000):
         calm = 0 if "b" in one.net.active else calm + 1
         inputs = ()
@@ -115,8 +115,8 @@ def test_it_does_not_flap(running):
         elif calm % 50 == 0:
             inputs = (SpareTime(frame, 5.0, 10.0, 50),)
         decided, one, load = play(one, [(frame, inputs)], load)
-        told += decided
-    back = [d.frame for d in told if isinstance(d, TakenBack)]
+        chosen += decided
+    back = [d.frame for d in chosen if isinstance(d, TakenBack)]
     gaps = [b - a for a, b in pairwise(back)]
     assert gaps[0] == pytest.approx(2 * CALM, abs=10) and gaps == sorted(gaps)
     assert len(back) < 20

@@ -82,10 +82,10 @@ class Asked:
 
 
 def _every_belief():
-    told = yaml.safe_load((Path(__file__).parent / "beliefs.yaml").read_text())
-    yield from (Asked(name, says, None) for name, says in told["sampled"].items())
-    yield from (Asked(name, each["belief"], each["to"]) for name, each in told["exact"].items())
-    yield from (Asked(name, says, float("nan")) for name, says in told["other"].items())
+    listed = yaml.safe_load((Path(__file__).parent / "beliefs.yaml").read_text())
+    yield from (Asked(name, says, None) for name, says in listed["sampled"].items())
+    yield from (Asked(name, each["belief"], each["to"]) for name, each in listed["exact"].items())
+    yield from (Asked(name, says, float("nan")) for name, says in listed["other"].items())
 
 
 BELIEFS = tuple(_every_belief())

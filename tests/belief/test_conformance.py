@@ -274,10 +274,10 @@ def test_gaussian_messages_say_what_their_likelihood_says(asked_exactly, kind, m
             assert max(np.abs(away).max(), np.abs(spread).max(), abs(log)) < 1e-9
         return
     places = places_of(motion, TRACKS[0])
-    sampled, told = (followed(belief, motion, places, 3, measured=told)[-1] for told in (False, True))
-    np.testing.assert_allclose(told.posterior.mean, sampled.posterior.mean, atol=1e-9)
-    np.testing.assert_allclose(told.posterior.covariance, sampled.posterior.covariance, atol=1e-9)
-    assert told.log_evidence == pytest.approx(sampled.log_evidence, abs=1e-9)
+    sampled, exact = (followed(belief, motion, places, 3, measured=exact)[-1] for exact in (False, True))
+    np.testing.assert_allclose(exact.posterior.mean, sampled.posterior.mean, atol=1e-9)
+    np.testing.assert_allclose(exact.posterior.covariance, sampled.posterior.covariance, atol=1e-9)
+    assert exact.log_evidence == pytest.approx(sampled.log_evidence, abs=1e-9)
 
 
 # ------------------------------------------------------------------------------------ without evidence

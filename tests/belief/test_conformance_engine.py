@@ -29,11 +29,11 @@ def scene():
 
 def graph_with(**beliefs):
     """The graph of the crossing squares with a plate for each belief."""
-    told = {"bayesnet": 1, "name": "conformance", "targets": {}}
+    graph = {"bayesnet": 1, "name": "conformance", "targets": {}}
     for plate, belief in beliefs.items():
-        told["targets"][plate] = copy.deepcopy(SQUARES["targets"]["square"])
-        told["targets"][plate]["nodes"]["square"]["belief"] = belief
-    return GraphSpec.model_validate(told)
+        graph["targets"][plate] = copy.deepcopy(SQUARES["targets"]["square"])
+        graph["targets"][plate]["nodes"]["square"]["belief"] = belief
+    return GraphSpec.model_validate(graph)
 
 
 def play(graph, scene, starts, frames=FRAMES, **settings):

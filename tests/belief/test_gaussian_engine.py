@@ -121,8 +121,8 @@ def test_an_outlier_is_written_down_and_not_followed(finder_engine, fakes):
     engine, _ = finder_engine({10: 110.0})
     outcomes = fakes.play(engine, 14)
     assert max(errors(outcomes)) < 2.0
-    told = [event for outcome in outcomes for event in outcome.events if not hasattr(event, "template")]
-    (event,) = told
+    events = [event for outcome in outcomes for event in outcome.events if not hasattr(event, "template")]
+    (event,) = events
     assert isinstance(event, MeasurementGated)
     assert (event.frame, event.target, event.node, event.used, event.degrees) == (10, "1", "finder", 0, 2)
     assert event.d2 > event.limit == pytest.approx(-2 * np.log(0.01))

@@ -407,13 +407,13 @@ def test_a_teleport_in_a_run_is_a_reset_and_an_event():
     }
     tracker = Tracker(GraphSpec.model_validate(graph))
     tracker.init(scene.frames[0], scene.start_box)
-    jump, told = np.array([90.0, -60.0]), []
+    jump, events = np.array([90.0, -60.0]), []
     for k in range(1, 16):
         picture = scene.frames[k]
         picture = np.roll(picture, (-60, 90), axis=(0, 1)) if k >= 12 else picture
         box = np.array(tracker.update(picture)[1])
-        told += tracker.events
+        events += tracker.events
         truth = scene.truth[k, :2] + (jump if k >= 12 else 0)
         assert np.abs(box[:2] - truth).max() < 6, k
-    (event,) = (event for event in told if isinstance(event, BeliefReset))
+    (event,) = (event for event in events if isinstance(event, BeliefReset))
     assert event.frame == 12 and event.gamma < event.below and event.action == "reset"

@@ -18,7 +18,7 @@ from bayesnet_track.sources.scenes.scene import assemble
 from bayesnet_track.sources.scenes.texture import ORANGE, shaded_cells, smooth_background
 
 
-class Told:
+class EventSink:
     def __init__(self):
         self.events = []
 
@@ -50,9 +50,9 @@ def track(scene, size, importance, seed):
         "intensity": {"parent": "square", "agent": {"intensity": {"floor": 0.001}}},
     }
     graph = GraphSpec.model_validate({"bayesnet": 1, "name": "g", "targets": {"square": {"nodes": nodes}}})
-    told, source = Told(), SceneSource(scene, "scene:leaping")
-    results = list(run(load_graph(graph), source, [Start(scene.start_box)], seed=seed, sinks=[told]))
-    return results, [event for event in told.events if isinstance(event, SecondPass)]
+    sink, source = EventSink(), SceneSource(scene, "scene:leaping")
+    results = list(run(load_graph(graph), source, [Start(scene.start_box)], seed=seed, sinks=[sink]))
+    return results, [event for event in sink.events if isinstance(event, SecondPass)]
 
 
 def test_a_leap_brings_a_second_pass_into_the_journal():

@@ -149,16 +149,16 @@ def test_looking_where_agents_see_something_costs_fewer_hypotheses(jumping, stre
 def test_a_jump_that_holds_the_belief_is_told_and_the_map_counts_its_prior(jumping, stream_of):
     step = one_step(jumping(0.05, "agents"), stream_of(3, 1))
     (report,) = step.reports
-    told = report(7, "1")
-    assert isinstance(told, Reappeared)
-    assert (told.frame, told.target, told.by, told.hypotheses) == (7, "1", "agents", 60)
-    assert np.hypot(told.x - TRUE[0], told.y - TRUE[1]) < R
+    event = report(7, "1")
+    assert isinstance(event, Reappeared)
+    assert (event.frame, event.target, event.by, event.hypotheses) == (7, "1", "agents", 60)
+    assert np.hypot(event.x - TRUE[0], event.y - TRUE[1]) < R
     assert np.hypot(*(step.map_state[:2] - TRUE)) < R
     # With a prior of exactly `turning` they would hold half.
-    again = jumping(told.turning, "agents")
+    again = jumping(event.turning, "agents")
     halved = one_step(again, stream_of(3, 1))
     assert not halved.reports or halved.reports[0](7, "1").held == pytest.approx(0.5, abs=1e-6)
-    slightly = one_step(jumping(1.01 * told.turning, "agents"), stream_of(3, 1))
+    slightly = one_step(jumping(1.01 * event.turning, "agents"), stream_of(3, 1))
     assert slightly.reports[0](7, "1").held == pytest.approx(0.5025, abs=1e-3)
 
 

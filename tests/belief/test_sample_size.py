@@ -347,14 +347,14 @@ def test_what_is_asked_for_is_rounded_up_and_kept_in_bounds(asked, number):
 # ------------------------------------------------------------------------------------ the report
 
 
-def told(steps):
+def reports_of(steps):
     return [report(frame, "1") for frame, (step, _) in enumerate(steps, 1) for report in step.reports]
 
 
 def test_changes_are_told_with_their_cause(walk, stream_of):
     columns = [160.0] * 8 + [195.0] + [195.0] * 8
     steps = follow(in_x("kld_revised"), walk, columns, stream_of)
-    events = told(steps)
+    events = reports_of(steps)
     assert all(isinstance(event, ParticlesResized) for event in events)
     known = 100
     for frame, (step, calls) in enumerate(steps, 1):

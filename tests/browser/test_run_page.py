@@ -49,9 +49,9 @@ def test_clicking_an_event_shows_its_frame_and_its_sentence(browser, demo):
     browser.run(
         "[...document.querySelectorAll('.events b')].find(b => b.textContent === 'motion on').click()"
     )
-    told = browser.wait("return document.querySelector('.told.on')?.innerText")
-    assert "motion on" in told and "UD" in told and "> 130 for 1 frame" in told
-    assert "would have stayed off at activate ≥" in told
+    sentence = browser.wait("return document.querySelector('.told.on')?.innerText")
+    assert "motion on" in sentence and "UD" in sentence and "> 130 for 1 frame" in sentence
+    assert "would have stayed off at activate ≥" in sentence
     browser.wait_for_frame(browser.frame)
     lit = browser.run("return [...document.querySelectorAll('.node.agent.on .name')].map(n => n.textContent)")
     # The decision works from the next frame on.

@@ -81,12 +81,12 @@ def test_a_job_is_begun_gone_on_with_and_found_finished(data: Path, tmp_path: Pa
     results = track("two_squares", video.source, box, out=job.out)
     next(results), next(results)
     results.close()
-    told: list[int] = []
-    first = do(job, lambda done, expected: told.append(done))
-    assert told == [3, 4, 5, 6]
+    progress: list[int] = []
+    first = do(job, lambda done, expected: progress.append(done))
+    assert progress == [3, 4, 5, 6]
     assert (first["status"], first["frames"], first["lost_frames"]) == ("finished", 6, 0)
     assert isinstance(first["auc"], float) and first["auc"] > 0.5
-    assert do(job, lambda done, expected: told.append(done)) == first and len(told) == 4
+    assert do(job, lambda done, expected: progress.append(done)) == first and len(progress) == 4
 
 
 def test_a_run_that_was_asked_for_otherwise_is_not_taken_for_this_one(data: Path, tmp_path: Path) -> None:

@@ -303,8 +303,8 @@ def test_several_targets_with_plates(cli, images, two_plates, tmp_path):
         ("3", "ball"),
     ]
     assert {line.split(",")[1] for line in lines_of(out / "tracks.txt")} == {"1", "2", "3"}
-    told = [line for line in cli("log", out)[1].splitlines() if line.startswith("frame ")]
-    assert told and all(re.search("target [123]", line) for line in told)
+    output = [line for line in cli("log", out)[1].splitlines() if line.startswith("frame ")]
+    assert output and all(re.search("target [123]", line) for line in output)
 
 
 @pytest.mark.parametrize("init", ["--init -3,14,16,12", "--init=-3,14,16,12", "--init ' -3, 14, 16, 12'"])
@@ -360,7 +360,7 @@ NOTICE_COMPILING = commands.notice_compiling
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "output"),
     [
         ("list", f"{commands.COMPILING}\n"),
         ("demo --quiet", ""),
@@ -368,7 +368,7 @@ NOTICE_COMPILING = commands.notice_compiling
         ("score x --json", ""),
     ],
 )
-def test_it_is_said_once_that_kernels_are_compiled(cli, monkeypatch, line, told):
+def test_it_is_said_once_that_kernels_are_compiled(cli, monkeypatch, line, output):
     def command(options):
         for kernel in ("one", "two"):
             WATCH.begins(kernel)
@@ -377,7 +377,7 @@ def test_it_is_said_once_that_kernels_are_compiled(cli, monkeypatch, line, told)
 
     monkeypatch.setattr(commands, "COMMANDS", dict.fromkeys(commands.COMMANDS, command))
     monkeypatch.setattr(commands, "notice_compiling", NOTICE_COMPILING)
-    assert cli(line) == (0, "", told)
+    assert cli(line) == (0, "", output)
     monkeypatch.setattr(commands, "COMMANDS", dict.fromkeys(commands.COMMANDS, lambda options: 0))
     assert cli(line) == (0, "", ""), "nothing is compiled"
 

@@ -101,8 +101,8 @@ def test_a_checkout_that_shadows_what_is_installed(site):
 
 def test_an_editable_installation_is_where_it_says(site):
     home = Path(bayesnet_track.__file__).parents[1]
-    told = json.dumps({"url": home.as_uri(), "dir_info": {"editable": True}})
-    distribution(site, "bayesnet-track", "0.0.1", direct_url__json=told)
+    origin = json.dumps({"url": home.as_uri(), "dir_info": {"editable": True}})
+    distribution(site, "bayesnet-track", "0.0.1", direct_url__json=origin)
     assert only(packages.check_this_package()).level == "ok"
 
 

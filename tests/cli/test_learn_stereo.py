@@ -161,9 +161,9 @@ def test_mistakes_are_told(
     options: list[str], code: int, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["learn-stereo", *options]) == code
-    told = capsys.readouterr()
-    assert told.err == said
-    assert told.out == ""
+    captured = capsys.readouterr()
+    assert captured.err == said
+    assert captured.out == ""
 
 
 @pytest.mark.usefixtures("work")
@@ -177,9 +177,9 @@ def test_a_right_eye_that_ends_early_is_told_and_the_rest_is_used(
         (tmp_path / "right" / path.name).write_bytes(b"not a picture" if broken else path.read_bytes())
     options = ["--source", "left", "--right", str(tmp_path / "right"), "--calibration", "pair.yml"]
     assert main(["learn-stereo", *options, *TRUTH, *SET]) == 5
-    told = capsys.readouterr()
-    assert "source damaged; learnt from what could be read" in told.err
-    assert yaml.safe_load(told.out)["stereo"]["sd_depth_m"] > 0
+    captured = capsys.readouterr()
+    assert "source damaged; learnt from what could be read" in captured.err
+    assert yaml.safe_load(captured.out)["stereo"]["sd_depth_m"] > 0
 
 
 @pytest.mark.parametrize("option", [["--within", "1"], ["--prior", "-1"], ["--every", "0"], []])

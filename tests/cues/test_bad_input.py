@@ -89,18 +89,18 @@ def graph(cue: str, **parameters: object) -> GraphSpec:
 
 def tracked(cue: str, source: Pictures, box: tuple[float, ...]) -> SimpleNamespace:
     """A whole run: its results, its events, why the tested agent is out (or None). All numbers are finite."""
-    told: list[object] = []
-    sink = SimpleNamespace(event=told.append, frame=lambda result: None)
+    events: list[object] = []
+    sink = SimpleNamespace(event=events.append, frame=lambda result: None)
     results = list(track(graph(cue), source, box, sinks=[sink]))
     assert [result.frame.index for result in results] == list(range(len(source.images)))
     for result in results:
         (target,) = result.targets
         assert np.isfinite([*target.box, *target.sd, *target.ud_nodes.values()]).all()
         assert np.isfinite(result.covariances.get("1", np.zeros(1))).all()
-    out = {event.node: event.reason for event in told if isinstance(event, Quarantined)}
+    out = {event.node: event.reason for event in events if isinstance(event, Quarantined)}
     assert "other" not in out
     assert ("tested" in results[-1].targets[0].active) == ("tested" not in out)
-    return SimpleNamespace(results=results, events=told, out=out.get("tested"))
+    return SimpleNamespace(results=results, events=events, out=out.get("tested"))
 
 
 def first_of(values: list[tuple[int, ...]], count: int = 1) -> list[object]:

@@ -174,10 +174,10 @@ def test_a_thousand_boxes_a_frame_fill_the_plate_and_no_more():
     outcomes = play(plain(max_targets=6), FileDetector(says), 8)
     assert max(len(outcome.metrics) for outcome in outcomes) == 6
     assert all(len(one) <= 12 for outcome in outcomes for one in outcome.state.history.candidates.values())
-    told = [
+    refusals = [
         event.refused for outcome in outcomes for event in outcome.events if isinstance(event, BirthsRefused)
     ]
-    assert told and len(told) <= 3  # at the 1st, 10th, 100th
+    assert refusals and len(refusals) <= 3  # at the 1st, 10th, 100th
 
 
 def test_no_detection_no_target_no_event():

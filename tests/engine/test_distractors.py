@@ -49,14 +49,14 @@ def test_on_black_frames_general_is_not_sure_for_one_frame():
 def test_general_does_not_say_tracking_on_the_other_of_two_equal_squares(seed):
     """The graph has no agent that tells them apart, and is on the other one to the end."""
     scene = make_scene("two_squares", seed=seed)
-    tracker, wrong, told = Tracker("general", seed), [], 0
+    tracker, wrong, count = Tracker("general", seed), [], 0
     for index, frame in enumerate(scene.frames):
         if index == 0:
             tracker.init(frame, tuple(scene.truth[0]))
             continue
         tracker.update(frame)
-        told += sum(isinstance(event, DistractorSeen) for event in tracker.events)
+        count += sum(isinstance(event, DistractorSeen) for event in tracker.events)
         true = centre_from_corner(scene.truth[index])
         found = float(overlap(np.array(tracker.metrics.box)[None], true[None])[0])
         wrong.append(found < 0.1 and tracker.status == "tracking")
-    assert told == 1 and longest_run(wrong) <= 5
+    assert count == 1 and longest_run(wrong) <= 5

@@ -8,11 +8,11 @@ from bayesnet_track.journal.events.join_events import JoinMetrics
 
 
 def test_a_target_is_told_to_be_hidden_once_and_to_be_seen_once():
-    memory, told = JoinMemory(), []
+    memory, events = JoinMemory(), []
     for frame, hidden in enumerate([0.4, 0.6, 0.4, 0.7, 0.3, 0.4]):
         metrics = {"1": JoinMetrics(("2",), hidden, "2", {"2": 0.25}, None, 10.0)}
-        memory = report_hidden(frame, metrics, memory, told)
-    assert [(one.frame, one.other, one.hidden, one.share) for one in told] == [
+        memory = report_hidden(frame, metrics, memory, events)
+    assert [(one.frame, one.other, one.hidden, one.share) for one in events] == [
         (1, "2", True, 0.6),
         (4, "2", False, 0.3),
     ]

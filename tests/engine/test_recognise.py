@@ -132,5 +132,5 @@ def test_a_target_is_taken_once_and_what_is_left_is_new():
 
 
 def test_refusals_are_told_at_powers_of_ten():
-    told = [n for n in range(1, 2000) if is_refusal_notable(n - 1, n)]
-    assert told == [1, 10, 100, 1000] and is_refusal_notable(7, 400) and not is_refusal_notable(100, 999)
+    notable = [n for n in range(1, 2000) if is_refusal_notable(n - 1, n)]
+    assert notable == [1, 10, 100, 1000] and is_refusal_notable(7, 400) and not is_refusal_notable(100, 999)

@@ -116,8 +116,8 @@ def test_a_target_is_born_when_it_was_seen_often_enough(looks, of, born):
     says = lambda frame: ((50, 40),) if frame in (0, 2, 4, 5, 6) else ()  # noqa: E731
     engine = engine_of(says, birth={"confirm": {"hits": looks, "of": of}})
     outcomes = play(engine, still(8, (50, 40, 200)))
-    (told,) = events_of(outcomes, CandidateConfirmed)
-    assert (told.frame, told.target, told.seen, told.nearest) == (born, "1", looks, None)
+    (event,) = events_of(outcomes, CandidateConfirmed)
+    assert (event.frame, event.target, event.seen, event.nearest) == (born, "1", looks, None)
     (started,) = events_of(outcomes, TargetStarted)
     assert (started.frame, started.target, started.box) == (born, "1", (50.0, 40.0, SIDE, SIDE))
     assert [len(o.metrics) for o in outcomes] == [int(n >= born) for n in range(8)]

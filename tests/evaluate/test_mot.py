@@ -253,11 +253,11 @@ def test_truth_and_tracks_exchanged(scene):
 
 def test_text_and_json_say_the_same():
     score = score_mot(*generated(1, 20, 4000, 20), trajectories=True)
-    told, lines = json.loads(score.json()), score.text(explained=True).splitlines()
-    assert told == json.loads(json.dumps(asdict(score)))
+    shown, lines = json.loads(score.json()), score.text(explained=True).splitlines()
+    assert shown == json.loads(json.dumps(asdict(score)))
     assert [line.split()[0] for line in lines] == list(MEANINGS)
-    assert all(float(line.split()[1]) == round(told[line.split()[0]], 4) for line in lines)
-    assert len(told["alphas"]) == len(told["hota_at"]) == 19
+    assert all(float(line.split()[1]) == round(shown[line.split()[0]], 4) for line in lines)
+    assert len(shown["alphas"]) == len(shown["hota_at"]) == 19
 
 
 def test_figures_of_distances():
@@ -279,5 +279,5 @@ def test_a_truth_without_boxes_is_refused():
 
 def test_scipy_is_loaded_only_when_scores_are_asked_for():
     code = "import sys, bayesnet_track.evaluate.mot; print('scipy' in sys.modules)"
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert told == "False\n"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert shown == "False\n"

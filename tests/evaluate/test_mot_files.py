@@ -85,8 +85,8 @@ def test_score_of_several_targets(cli, write, of_a_run):
     write("run/journal.jsonl", "")
     given = tracks.parent if of_a_run else tracks
     code, out, err = cli("score", given, "--truth", truth, "--json")
-    told = json.loads(out)
-    assert (code, err) == (0, "") and {name: told[name] for name in FIGURES} == FIGURES
+    shown = json.loads(out)
+    assert (code, err) == (0, "") and {name: shown[name] for name in FIGURES} == FIGURES
     code, out, _ = cli("score", given, "--truth", truth)
     assert code == 0 and "\nidsw           1           identity switches\n" in out
 
@@ -95,9 +95,9 @@ def test_the_cut_off_and_trajectories_are_set_by_options(cli, write):
     """The two tracks are exact, and the third box is nowhere: 1 missed, 1 false, 1 switch in 2 frames."""
     tracks, truth, single = write("tracks.txt", TRACKS), write("gt.txt", TRUTH), write("one.txt", "1,2,3,4\n")
     code, out, _ = cli("score", tracks, "--truth", truth, "--cutoff", 10, "--trajectories", "--json")
-    told = json.loads(out)
-    assert code == 0 and told["cutoff_px"] == 10 and told["gospa"] == pytest.approx(50**0.5)
-    assert told["tgospa"] == pytest.approx(75**0.5) and told["tgospa_switch"] == pytest.approx(25**0.5)
+    shown = json.loads(out)
+    assert code == 0 and shown["cutoff_px"] == 10 and shown["gospa"] == pytest.approx(50**0.5)
+    assert shown["tgospa"] == pytest.approx(75**0.5) and shown["tgospa_switch"] == pytest.approx(25**0.5)
     write("run/journal.jsonl", "")
     for option in (["--cutoff", 10], ["--trajectories"]):
         code, _, err = cli("score", single.parent / "run", "--truth", single, *option)

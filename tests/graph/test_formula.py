@@ -53,8 +53,8 @@ def test_product_over_pool(target):
 def test_the_noise_of_velocities_is_told(target):
     nodes = _fusion()
     nodes["s"]["motion"] = {"constant_velocity": {"sd_px": {"x": 2}, "sd_velocity_px": 1.5}}
-    told = "p(s_t | s_t-1): constant velocity, sd x 2 px, sd velocity 1.5 px/frame"
-    assert formula_text(target(nodes)).splitlines()[-1] == told
+    expected = "p(s_t | s_t-1): constant velocity, sd x 2 px, sd velocity 1.5 px/frame"
+    assert formula_text(target(nodes)).splitlines()[-1] == expected
 
 
 def test_what_a_motion_depends_on_is_told(target):

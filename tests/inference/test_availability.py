@@ -102,9 +102,9 @@ def test_one_that_misses_three_frames_in_a_row_is_out_for_a_while(fakes):
     """Each frame waits for it; so it is tried more and more rarely."""
     engine = fakes.engine(nodes_of("particles"), {"a": fakes.flat(), "b": dying(fakes, range(2, 99))})[0]
     outcomes = play(fakes, engine, 18)
-    told = [e for o in outcomes for e in o.events if isinstance(e, Quarantined | Readmitted)]
+    events = [e for o in outcomes for e in o.events if isinstance(e, Quarantined | Readmitted)]
     reason = "gave no answer in 3 frames in a row, the last time: its process died"
-    assert told == [
+    assert events == [
         Quarantined(4, "1", "b", reason, 14, 1),
         Readmitted(13, "1", "b", True, 1, 10),
         Quarantined(16, "1", "b", reason, 36, 2),
@@ -145,9 +145,9 @@ def test_one_that_gave_no_first_reference_learns_it_later(fakes):
 
     see = {"a": fakes.gaussian(52, 41, 6), "b": fakes.Oracle(fakes.gaussian(52, 41, 6), reference=learn)}
     outcomes = play(fakes, fakes.engine(nodes_of("particles"), see)[0], 34)
-    told = [e for o in outcomes for e in o.events if isinstance(e, Quarantined | Readmitted)]
+    events = [e for o in outcomes for e in o.events if isinstance(e, Quarantined | Readmitted)]
     reason = "gave no first reference: its process died"
-    assert told == [
+    assert events == [
         Quarantined(0, "1", "b", reason, 10, 1),
         Readmitted(9, "1", "b", True, 1, 10),
         Quarantined(9, "1", "b", reason, 29, 2),

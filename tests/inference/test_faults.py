@@ -266,8 +266,8 @@ def assert_survives(fakes, belief, cases):
             assert not np.isnan([*metrics.kl.values(), *metrics.contribution.values()]).any()
         out = outcomes[-1].state.net.targets["1"].quarantined
         assert not (valid and "c" in out)
-        told = [e.node for outcome in outcomes for e in outcome.events if isinstance(e, Quarantined)]
-        assert sorted(told) == sorted(out)
+        events = [e.node for outcome in outcomes for e in outcome.events if isinstance(e, Quarantined)]
+        assert sorted(events) == sorted(out)
         stopped += len(out)
         if valid and {e.node for e in outcomes[1].events if isinstance(e, Quarantined)} == {"a", "b"}:
             clean = fakes.play(fakes.engine(alone, {"c": good}, seed=run)[0], 3)
@@ -333,9 +333,9 @@ def test_an_agent_that_failed_is_tried_again_after_longer_and_longer_waits(fakes
     sees = {"a": fakes.gaussian(52, 41, 9), "b": fakes.gaussian(49, 37, 14)}
     without = fakes.play(fakes.engine(small(product()), sees)[0], 75)
     outcomes = fakes.play(fakes.engine(small({**product(), "bad": "root"}), {**sees, "bad": raising})[0], 75)
-    told = [e for o in outcomes for e in o.events if isinstance(e, Quarantined | Readmitted)]
+    events = [e for o in outcomes for e in o.events if isinstance(e, Quarantined | Readmitted)]
     reason = HOSTILE["raises"][1]
-    assert told == [
+    assert events == [
         Quarantined(1, "1", "bad", reason, 11, 1),
         Readmitted(10, "1", "bad", True, 1, 10),
         Quarantined(11, "1", "bad", reason, 31, 2),
@@ -359,8 +359,8 @@ def test_an_agent_that_recovers_is_on_again_and_begins_anew(fakes):
     sees = {"a": fakes.gaussian(52, 41, 9), "b": fakes.gaussian(49, 37, 14), "bad": recovering}
     outcomes = fakes.play(fakes.engine(nodes, sees)[0], 113)
     assert [o.metrics[0].active for o in outcomes[10:12]] == [("a", "b"), ("a", "b", "bad")]
-    told = [(e.frame, e.times) for o in outcomes for e in o.events if isinstance(e, Quarantined)]
-    assert told == [(1, 1), (112, 1)]
+    events = [(e.frame, e.times) for o in outcomes for e in o.events if isinstance(e, Quarantined)]
+    assert events == [(1, 1), (112, 1)]
 
 
 def test_with_every_agent_failing_the_target_is_lost_and_never_sure(fakes):

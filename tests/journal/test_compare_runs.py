@@ -26,7 +26,7 @@ def higher(run):
     return out
 
 
-def told(capsys, *arguments):
+def run_command(capsys, *arguments):
     capsys.readouterr()
     code = main([str(one) for one in arguments])
     return code, *capsys.readouterr()
@@ -34,7 +34,7 @@ def told(capsys, *arguments):
 
 def test_what_if_tells_where_it_parts(run, higher, capsys, tmp_path):
     page = tmp_path / "page.html"
-    code, out, _ = told(capsys, "compare", run, higher, "--html", page)
+    code, out, _ = run_command(capsys, "compare", run, higher, "--html", page)
     assert code == 0
     assert "targets.square.nodes.square.adapt.activate.above.ud_px2: 130 → 400" in out
     assert "they part first at frame 25, motion\n  A  frame 25: UD 187 px² > 130" in out
@@ -46,15 +46,15 @@ def test_no_page_is_written_over_another_file_unasked(run, higher, capsys, tmp_p
     page = tmp_path / "notes.html"
     page.write_text("mine")
     for command in (("compare", run, higher), ("what-if", run, "--seed", "1", "--out", tmp_path / "new")):
-        code, _, err = told(capsys, *command, "--html", page)
+        code, _, err = run_command(capsys, *command, "--html", page)
         assert code == 6 and f"{page}: it is there already; --overwrite replaces it" in err
     assert page.read_text() == "mine" and not (tmp_path / "new").exists()
-    assert told(capsys, "compare", run, higher, "--html", page, "--overwrite")[0] == 0
+    assert run_command(capsys, "compare", run, higher, "--html", page, "--overwrite")[0] == 0
     assert page.read_text() != "mine"
 
 
 def test_as_json(run, higher, capsys):
-    code, out, _ = told(capsys, "compare", run, higher, "--json")
+    code, out, _ = run_command(capsys, "compare", run, higher, "--json")
     read = json.loads(out)
     assert code == 0 and read["moments"][0]["frame"] == 25
     assert read["moments"][0]["first"][0]["event"] == "activated"
@@ -62,13 +62,13 @@ def test_as_json(run, higher, capsys):
 
 
 def test_nothing_changed_gives_the_same_bytes(run, capsys, tmp_path):
-    code, out, _ = told(capsys, "run", "--what-if", run, "--quiet", "--out", tmp_path / "again")
+    code, out, _ = run_command(capsys, "run", "--what-if", run, "--quiet", "--out", tmp_path / "again")
     assert code == 0 and "they never part" in out
     assert (tmp_path / "again" / "journal.jsonl").read_bytes() == (run / "journal.jsonl").read_bytes()
 
 
 def test_another_seed_and_no_adaptation(run, capsys, tmp_path):
-    code, out, _ = told(
+    code, out, _ = run_command(
         capsys, "what-if", run, "--seed", "4", "--no-adaptation", "--quiet", "--out", tmp_path / "always"
     )
     assert code == 0 and "seed: 0 → 4" in out
@@ -78,9 +78,9 @@ def test_another_seed_and_no_adaptation(run, capsys, tmp_path):
 def test_runs_over_other_pictures_are_refused(run, capsys, tmp_path):
     other = tmp_path / "other"
     assert main(["demo", "--seed", "1", "--end", "8", "--quiet", "--out", str(other)]) == 0
-    code, _, err = told(capsys, "compare", run, other)
+    code, _, err = run_command(capsys, "compare", run, other)
     assert code == 2 and "scene:two_squares of seed 0 and scene:two_squares of seed 1" in err
-    assert told(capsys, "compare", run, other, "--force")[0] == 0
+    assert run_command(capsys, "compare", run, other, "--force")[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -91,13 +91,13 @@ def test_runs_over_other_pictures_are_refused(run, capsys, tmp_path):
     ],
 )
 def test_what_if_refuses(run, capsys, arguments, said):
-    code, _, err = told(capsys, "what-if", run, *(one.format(run=run) for one in arguments))
+    code, _, err = run_command(capsys, "what-if", run, *(one.format(run=run) for one in arguments))
     assert code == 2 and said in err
 
 
 def test_a_run_without_its_recipe_cannot_be_run_again(run, capsys, tmp_path):
     shutil.copytree(run, tmp_path / "old")
     (tmp_path / "old" / "run.json").unlink()
-    code, _, err = told(capsys, "what-if", tmp_path / "old")
+    code, _, err = run_command(capsys, "what-if", tmp_path / "old")
     assert code == 2 and "no run.json in it" in err
-    assert told(capsys, "compare", run, tmp_path / "old")[0] == 0  # by the source's name
+    assert run_command(capsys, "compare", run, tmp_path / "old")[0] == 0  # by the source's name

@@ -418,8 +418,8 @@ def test_sentences(event, sentence):
 
 
 def test_every_kind_of_event_has_a_sentence():
-    told = {type(event) for event, _ in GOLDEN}
-    assert told == {*get_args(Event)}
+    explained = {type(event) for event, _ in GOLDEN}
+    assert explained == {*get_args(Event)}
 
 
 def test_an_event_without_a_sentence_is_not_told_as_another():
@@ -523,8 +523,8 @@ def test_why():
 
 
 def test_why_tells_who_saw_nothing():
-    told = why([STARTED, BORN], [replace(METRICS, silent=("hue",))], 29)
-    assert "  hue        on   did not see the target\n" in told
+    explained = why([STARTED, BORN], [replace(METRICS, silent=("hue",))], 29)
+    assert "  hue        on   did not see the target\n" in explained
 
 
 def test_why_of_a_frame_that_is_not_there():

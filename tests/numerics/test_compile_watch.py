@@ -32,33 +32,33 @@ def module_of(path):
 def test_spans_within_a_span_do_not_count_twice_and_what_failed_is_forgotten():
     times = iter([10.0, 11.0, 12.0, 13.0, 20.0, 20.5])
     watch = CompileWatch(lambda: next(times))
-    told = []
-    with watch.notifying(lambda: told.append(1)):
+    calls = []
+    with watch.notifying(lambda: calls.append(1)):
         watch.begins("outer")
         watch.begins("inner")
         watch.ends("inner")
         watch.begins("wrong types")
         watch.ends("outer")
-    assert watch.seconds == 3.0 and len(told) == 3
+    assert watch.seconds == 3.0 and len(calls) == 3
     watch.begins("another")
     watch.ends("another")
     watch.ends("nothing began")
-    assert watch.seconds == 3.5 and len(told) == 3
+    assert watch.seconds == 3.5 and len(calls) == 3
 
 
 def test_a_kernel_is_compiled_once_and_then_comes_from_the_cache(tmp_path):
     (tmp_path / "kernels.py").write_text(KERNELS)
-    told, before = [], WATCH.seconds
-    with WATCH.notifying(lambda: told.append(1)):
+    calls, before = [], WATCH.seconds
+    with WATCH.notifying(lambda: calls.append(1)):
         module = module_of(tmp_path / "kernels.py")
-        assert not told, "nothing is compiled before it is called"
+        assert not calls, "nothing is compiled before it is called"
         assert module.outer(np.ones(3)) == 4.0
-        assert len(told) >= 1 and WATCH.seconds > before
+        assert len(calls) >= 1 and WATCH.seconds > before
         spent = WATCH.seconds
-        told.clear()
+        calls.clear()
         assert module.outer(np.ones(3)) == 4.0
         assert module_of(tmp_path / "kernels.py").outer(np.ones(3)) == 4.0, "from the cache on disk"
-    assert told == [] and WATCH.seconds == spent
+    assert calls == [] and WATCH.seconds == spent
 
 
 def test_the_clock_of_an_agent_stands_still_while_its_own_thread_compiles(monkeypatch):

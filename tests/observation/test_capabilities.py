@@ -92,10 +92,10 @@ def test_a_flag_without_its_method_names_cue_flag_and_method(flag):
     settings = {flag: True, **({"measures": True} if base is Measures else {})}
     if flag == "measures":
         base = type("Neither", (), {"needs": (), "learn": Plain.learn})
-    with pytest.raises(CueError) as told:
+    with pytest.raises(CueError) as raised:
         make_cue(CueDeclaration("half", make=base, **settings), None)
     method = METHODS[flag]
-    assert str(told.value) == (
+    assert str(raised.value) == (
         f"cue 'half' declares {flag}=True and has no method {method!r}: write it, or remove the flag"
     )
 
@@ -103,9 +103,9 @@ def test_a_flag_without_its_method_names_cue_flag_and_method(flag):
 @pytest.mark.parametrize("flag", METHODS)
 def test_a_method_without_its_flag_names_cue_flag_and_method(flag):
     base = Measures if flag == "measures" else with_method(Plain, METHODS[flag])
-    with pytest.raises(CueError) as told:
+    with pytest.raises(CueError) as raised:
         make_cue(CueDeclaration("more", make=base), None)
-    assert str(told.value) == (
+    assert str(raised.value) == (
         f"cue 'more' has the method {METHODS[flag]!r} and does not declare {flag}=True: "
         "add the flag to its CueDeclaration, or rename the method"
     )
@@ -118,9 +118,9 @@ def test_a_cue_that_measures_and_scores_is_refused():
 
 
 def test_what_every_cue_needs_is_named():
-    with pytest.raises(CueError) as told:
+    with pytest.raises(CueError) as raised:
         make_cue(CueDeclaration("empty", make=object), None)
-    said = str(told.value).splitlines()
+    said = str(raised.value).splitlines()
     assert [line.split("'")[3] for line in said] == ["needs", "learn", "blend", "log_likelihood"]
 
 
@@ -133,7 +133,7 @@ def test_what_make_raises_is_shown():
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "message"),
     [
         ({"name": "a b", "make": Plain}, "cue 'a b': a name of letters, digits and _ is needed"),
         ({"name": "", "make": Plain}, "cue '': a name"),
@@ -141,6 +141,6 @@ def test_what_make_raises_is_shown():
         ({"name": "plain", "make": Plain()}, "cue 'plain': no `make`"),
     ],
 )
-def test_a_declaration_without_name_or_make_is_refused(settings, told):
-    with pytest.raises(ValueError, match=told):
+def test_a_declaration_without_name_or_make_is_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
         CueDeclaration(**settings)

@@ -121,13 +121,13 @@ BROKEN = {
 
 @pytest.mark.parametrize("case", BROKEN)
 def test_a_file_that_is_no_cue_is_told_by_its_line(folder, capsys, case):
-    text, told = BROKEN[case]
+    text, message = BROKEN[case]
     if text is not None:
         write(folder, text)
     before = set(sys.modules)
     assert main(["validate", "glanced.yaml", "--cue-file", "glance.py"]) == 2
     said = capsys.readouterr().err
-    assert re.fullmatch(f"bayesnet-track validate: {told}\n", said), said
+    assert re.fullmatch(f"bayesnet-track validate: {message}\n", said), said
     left = [name for name in sys.modules.keys() - before if name.startswith(cue_files.MODULE)]
     assert len(left) == (case == "built_in")
 
@@ -185,11 +185,11 @@ WRONG_ANSWERS = {
 
 @pytest.mark.parametrize("case", WRONG_ANSWERS)
 def test_a_wrong_answer_stops_that_agent_and_the_run_goes_on(folder, case):
-    wrong, told = WRONG_ANSWERS[case]
+    wrong, message = WRONG_ANSWERS[case]
     write(folder, "import numpy as np\n" + re.sub(r"return floored.*", wrong, GLANCE))
     assert run("--cue-file", "glance.py") == 0
     faults = [line for line in journal(folder).splitlines() if "quarantined" in line]
-    assert faults and told in faults[0], journal(folder)
+    assert faults and message in faults[0], journal(folder)
 
 
 def test_a_cue_file_is_recorded_and_needed_to_resume(folder, capsys):
@@ -203,9 +203,9 @@ def test_a_cue_file_is_recorded_and_needed_to_resume(folder, capsys):
     digest = was.sha256[:12]
 
     def refused(*cues):
-        with pytest.raises(ResumeError) as told:
+        with pytest.raises(ResumeError) as raised:
             list(resume("run", cues=cues))
-        return str(told.value)
+        return str(raised.value)
 
     assert refused() == (
         f"its cue 'glance' is the code in glance.py (SHA-256 {digest}), which is run only when it is named: "
@@ -307,9 +307,9 @@ def test_a_cue_of_the_program_that_runs_cannot_be_in_a_worker_process(folder, mo
     made = declaration.make.make
     monkeypatch.setattr(made, "__module__", "__main__")
     monkeypatch.setattr(sys.modules["__main__"], "Glance", made, raising=False)
-    with pytest.raises(PlacingError) as told:
+    with pytest.raises(PlacingError) as raised:
         next(track("glanced.yaml", "img", BOX, cues=[declaration], executor="processes"))
-    assert str(told.value) == (
+    assert str(raised.value) == (
         "agent thing.one cannot be in a process: its cue is defined in the program that runs, which workers "
         "do not import; put it into a file of its own, and give its path: cues=['my_cue.py']"
     )

@@ -195,7 +195,7 @@ def test_a_full_disk_at_every_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """It is told, whole lines are left, and with room again the run goes on."""
-    at, told = 0, 0
+    at, count = 0, 0
     while True:
         at += 1
         folder = tmp_path / str(at)
@@ -206,7 +206,7 @@ def test_a_full_disk_at_every_step(
             try:
                 begin(folder)
             except (OutputError, RunDirectoryError) as error:
-                told += 1
+                count += 1
                 assert "No space left" in str(error)
         for name, read in (("journal.jsonl", read_events), ("frames.jsonl", read_metrics)):
             if (folder / name).exists():
@@ -218,4 +218,4 @@ def test_a_full_disk_at_every_step(
         assert files(folder) == whole, at
         if counted.calls < at:
             break
-    assert told > 20
+    assert count > 20

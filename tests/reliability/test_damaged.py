@@ -61,14 +61,14 @@ def read_all(original, folder, count):
         try:
             while True:
                 # The first line waits for imports.
-                told = lines.next(60.0 if began == at else HANG_S)
-                if told is None:
+                line = lines.next(60.0 if began == at else HANG_S)
+                if line is None:
                     break
-                if "begin" in told:
-                    at = told["begin"]
+                if "begin" in line:
+                    at = line["begin"]
                 else:
-                    found[told["seed"]] = told["found"]
-                    at = told["seed"] + 1
+                    found[line["seed"]] = line["found"]
+                    at = line["seed"] + 1
         except TimeoutError:
             hung.append(at)
             at += 1

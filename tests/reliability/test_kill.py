@@ -86,8 +86,8 @@ def killed(number: int, nursery: Nursery, folder: Path, took: float, whole: dict
         if code == 0:
             break
         if code != -9:
-            told = folder.with_name(f"{folder.name}.error")
-            return f"{number}: {told.read_text() if told.exists() else f'exit code {code}'}"
+            error_file = folder.with_name(f"{folder.name}.error")
+            return f"{number}: {error_file.read_text() if error_file.exists() else f'exit code {code}'}"
         try:
             standing(folder)
             work = "resume"

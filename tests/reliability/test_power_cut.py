@@ -260,7 +260,7 @@ def pictures(nursery: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> d
 
 def every_cut(tape: Tape, tmp_path: Path, check: Callable[[Path], str]) -> Counter[str]:
     """What `check` says of the disk after each step, with each way to lose what was not synced."""
-    told: Counter[str] = Counter()
+    outcomes: Counter[str] = Counter()
     for count in range(len(tape.steps) + 1):
         ways: dict[str, tuple[Keeps, Keeps]] = {
             "all that was not synced is lost": (nothing, nothing),
@@ -274,11 +274,11 @@ def every_cut(tape: Tape, tmp_path: Path, check: Callable[[Path], str]) -> Count
             folder = tmp_path / f"{count}-{number}"
             build(tape.after(count), folder, *way)
             try:
-                told[check(folder)] += 1
+                outcomes[check(folder)] += 1
             except (AssertionError, OSError, ValueError) as error:
                 raise AssertionError(f"step {count} of {len(tape.steps)}, {name}: {error}") from error
             shutil.rmtree(folder)
-    return told
+    return outcomes
 
 
 def recovered(folder: Path, go_on: Work, begin: Work, whole: dict[str, str]) -> str:
@@ -336,7 +336,7 @@ def test_a_power_cut_after_every_step(
         return recovered(folder, go_on, begin, whole)
 
     (tmp_path / "cuts").mkdir()
-    told = every_cut(tape, tmp_path / "cuts", check)
-    print(f"{of}: {len(tape.steps)} steps, {dict(told)}")
-    assert len(tape.steps) > 30 and told["resumed"] > 100
-    assert (told["not begun"] > 0) == (of == "a run") and (told["as before"] > 0) == bool(old)
+    outcomes = every_cut(tape, tmp_path / "cuts", check)
+    print(f"{of}: {len(tape.steps)} steps, {dict(outcomes)}")
+    assert len(tape.steps) > 30 and outcomes["resumed"] > 100
+    assert (outcomes["not begun"] > 0) == (of == "a run") and (outcomes["as before"] > 0) == bool(old)

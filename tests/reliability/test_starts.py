@@ -38,12 +38,12 @@ def command(given: Path, out: Path, *more: str) -> list[str]:
     return ["run", graph, *where, "--quiet", "--checkpoint-every", "0.001", *more]
 
 
-def at_once(commands: Sequence[Sequence[str]], told: Path, apart_s: float = 0.0) -> list[tuple[int, str]]:
+def at_once(commands: Sequence[Sequence[str]], texts: Path, apart_s: float = 0.0) -> list[tuple[int, str]]:
     """Exit code and errors of each, started together, or one after the other by `apart_s` seconds."""
     start = time.time() + 0.02
     children = []
     for number, arguments in enumerate(commands):
-        said = told / f"said{number}"
+        said = texts / f"said{number}"
         child = os.fork()
         if child == 0:
             code = 1

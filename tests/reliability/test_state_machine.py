@@ -287,10 +287,10 @@ class Machine(RuleBasedStateMachine):
         call: Callable[[Callable[[int], Any]], Results],
     ) -> bool:
         """Begin or resume `run`, and bring the model up to date; whether `run` is on the disk then."""
-        life, told, done = self.given.steps.Life(how.killed_at), list[int](), list[int]()
+        life, asked_frames, done = self.given.steps.Life(how.killed_at), list[int](), list[int]()
 
         def inputs(frame: int) -> tuple[Toggled | Released, ...]:
-            told.append(frame)
+            asked_frames.append(frame)
             return switches.get(frame, ())
 
         with pytest.MonkeyPatch.context() as patch:
@@ -315,7 +315,7 @@ class Machine(RuleBasedStateMachine):
         if not is_there:
             return False
         if not self.is_replacing:
-            run.switches = self._kept(run.switches, switches, told, done)
+            run.switches = self._kept(run.switches, switches, asked_frames, done)
         is_stopped = len(done) == how.stopped_after and not life.is_dead
         if done and (how.every_s == 1e-6 or (is_stopped and how.every_s)):
             run.goes_on = done[-1] + 1
@@ -337,7 +337,7 @@ class Machine(RuleBasedStateMachine):
         run.is_finished = "manifest.json" in commits
         return True
 
-    def _kept(self, known: Switches, asked: Switches, told: list[int], done: list[int]) -> Switches:
+    def _kept(self, known: Switches, asked: Switches, asked_frames: list[int], done: list[int]) -> Switches:
         """The switches on the disk: all of those known, of those asked for each in a frame that was done."""
         found: Mapping[int, Any] = inputs_before(RunDirectory(self.folder))
         now = {frame: tuple(given) for frame, given in found.items()}
@@ -345,7 +345,7 @@ class Machine(RuleBasedStateMachine):
         for frame in range(FRAMES):
             if frame in known or (frame not in asked and frame not in now):
                 continue
-            given = asked.get(frame, ()) if frame in told else ()
+            given = asked.get(frame, ()) if frame in asked_frames else ()
             length = len(given) if frame in done else len(now.get(frame, ()))
             assert now.get(frame, ()) == given[:length], frame
         return now

@@ -41,8 +41,8 @@ def test_a_cut_video_ends_with_its_exit_code_and_how_far_it_came(videos, graph, 
         ended = events[-1]
         assert isinstance(ended, RunEnded)
         assert (code, ended.complete, ended.reason) == (5, False, "source_truncated")
-        told = [event.reason for event in events if isinstance(event, SourceDamaged)][-1]
-        assert re.search(rf"truncated: read \d+ of {FRAMES} frames", told) and told in said
+        reason = [event.reason for event in events if isinstance(event, SourceDamaged)][-1]
+        assert re.search(rf"truncated: read \d+ of {FRAMES} frames", reason) and reason in said
         read.append(ended.frames)
     assert read == sorted(read)
     # Without its index, which it has at the end, an MP4 cannot be opened at all.

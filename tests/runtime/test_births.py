@@ -61,8 +61,8 @@ def test_a_run_by_detections_from_a_file(pictures, found, tmp_path):
     events = list(read_events(out / "journal.jsonl"))
     assert isinstance(events[0], RunStarted)
     assert events[0].inputs == {str(found): hashlib.sha256(found.read_bytes()).hexdigest()}
-    (told,) = [event for event in events if isinstance(event, CandidateConfirmed)]
-    assert (told.frame, told.detector, told.score) == (3, "detections", pytest.approx(0.8))
+    (confirmed,) = [event for event in events if isinstance(event, CandidateConfirmed)]
+    assert (confirmed.frame, confirmed.detector, confirmed.score) == (3, "detections", pytest.approx(0.8))
     assert len((out / "tracks.txt").read_text().splitlines()) == 5
     assert (out / "video.mkv").stat().st_size > 0
 

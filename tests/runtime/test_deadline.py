@@ -29,26 +29,26 @@ class Clock:
 
 
 def frames(deadline, clock, times_ms, net=SHORT):
-    told = []
+    inputs = []
     for index, spent in enumerate(times_ms):
-        told += deadline.inputs_for(index, net)
+        inputs += deadline.inputs_for(index, net)
         deadline.begin()
         clock.now += spent / 1000.0
         deadline.end()
-    return told
+    return inputs
 
 
 def test_late_frames_are_told_with_the_next_one_and_the_first_ones_are_not_counted():
     clock = Clock()
-    told = frames(Deadline(10.0, clock=clock), clock, [90.0] * WARM_UP + [9.0, 12.0, 9.0, 9.0])
-    assert told == [LateFrame(WARM_UP + 2, pytest.approx(12.0), 10.0)]
+    inputs = frames(Deadline(10.0, clock=clock), clock, [90.0] * WARM_UP + [9.0, 12.0, 9.0, 9.0])
+    assert inputs == [LateFrame(WARM_UP + 2, pytest.approx(12.0), 10.0)]
 
 
 def test_spare_time_is_told_only_while_something_is_done_without():
     clock = Clock()
     times = [5.0] * 48 + [7.0] + [5.0] * 60
-    told = frames(Deadline(10.0, clock=clock), clock, times)
-    assert told == [
+    inputs = frames(Deadline(10.0, clock=clock), clock, times)
+    assert inputs == [
         SpareTime(50, pytest.approx(7.0), 10.0, 50),
         SpareTime(100, pytest.approx(5.0), 10.0, 50),
     ]
@@ -83,8 +83,8 @@ def test_a_run_that_is_too_slow_sheds_and_repeats_from_its_inputs(tmp_path):
     cut = {d.frame: d.most for r in results for d in r.decisions if isinstance(d, ParticlesLimited)}
     for frame, most in cut.items():
         assert results[min(frame + 1, 13)].targets[0].particles == most or frame == 13
-    told = list(read_inputs(tmp_path / "live" / "inputs.jsonl"))
-    assert [one.frame for one in told] == list(range(WARM_UP + 2, 14))
+    inputs = list(read_inputs(tmp_path / "live" / "inputs.jsonl"))
+    assert [one.frame for one in inputs] == list(range(WARM_UP + 2, 14))
     play(tmp_path / "again", inputs=tmp_path / "live" / "inputs.jsonl")
     for name in FILES:
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "live" / name).read_bytes(), name

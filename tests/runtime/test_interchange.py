@@ -118,10 +118,10 @@ def test_csv_and_json_lines_hold_the_same_rows(run):
     assert ",".join(head) == COLUMNS and len(rows) == len(run.metrics)
     lines = [json.loads(line) for line in as_jsonl(run).splitlines()]
     for row, line in zip(rows, lines, strict=True):
-        told = dict(zip(head, row, strict=True))
-        assert told["active"].split() == line["active"]
-        assert float(told["x"]) == line["x"] and told["target"] == line["target"]
-        assert told["quiet_px2"] == "" or line["quiet_px2"] is not None
+        cells = dict(zip(head, row, strict=True))
+        assert cells["active"].split() == line["active"]
+        assert float(cells["x"]) == line["x"] and cells["target"] == line["target"]
+        assert cells["quiet_px2"] == "" or line["quiet_px2"] is not None
 
 
 def test_coco_holds_together(run):

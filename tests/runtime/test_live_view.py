@@ -35,7 +35,7 @@ def play(out, **more):
     return track("two_squares", opened, box, out=out, **more)
 
 
-def told(view):
+def page_state(view):
     """Everything that a page which comes now is told."""
     lines, status = [], {"version": 0}
     while True:
@@ -67,7 +67,7 @@ def watched(tmp_path_factory):
             assert not view.hold()
             phases.append((view.controls.phase, time.monotonic() - began > 0.03))
         view.controls.to("ended")
-        lines, status = told(view)
+        lines, status = page_state(view)
     return out, lines, status, phases
 
 
@@ -104,7 +104,7 @@ def test_a_run_that_goes_on_tells_the_page_what_was_before(watched):
     with LiveView() as view:
         view.shows(load_graph("two_squares"))
         view.recall(events[:-1], metrics, timings)
-        again, status = told(view)
+        again, status = page_state(view)
     assert status["frames"] == FRAMES and status["pictured"] == -1
     assert again == lines[:-1]
 
@@ -121,7 +121,7 @@ def test_who_only_watches_changes_nothing(tmp_path):
     with LiveView() as view:
         for _ in play(tmp_path / "seen", sinks=[view], inputs=view):
             view.hold()
-        assert told(view)[0][0]["header"]["plates"] == {}
+        assert page_state(view)[0][0]["header"]["plates"] == {}
     assert written(tmp_path / "seen") == written(tmp_path / "alone")
 
 
@@ -134,7 +134,7 @@ def test_a_stopped_run_is_closed_in_order(tmp_path):
             if view.hold():
                 break
         results.close()
-        assert told(view)[0][-1] == {"ended": {"complete": False, "reason": "interrupted"}}
+        assert page_state(view)[0][-1] == {"ended": {"complete": False, "reason": "interrupted"}}
     assert list(read_events(tmp_path / "run" / "journal.jsonl"))[-1].frames == 5
 
 

@@ -71,8 +71,8 @@ def test_what_one_frame_gave_is_there_before_the_next(graph, tmp_path):
             assert len(list(read_metrics(directory.frames))) == seen
             assert len(directory.mot.read_text().splitlines()) == seen
             assert len(directory.timings.read_text().splitlines()) == seen
-            told = [type(event) for event in read_events(directory.journal)]
-            assert told[:2] == [RunStarted, TargetStarted] and RunEnded not in told
+            kinds = [type(event) for event in read_events(directory.journal)]
+            assert kinds[:2] == [RunStarted, TargetStarted] and RunEnded not in kinds
 
 
 @linux_only

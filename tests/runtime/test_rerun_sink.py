@@ -86,8 +86,8 @@ def test_events_belong_to_their_frame_and_the_end_is_told_at_once(made):
     assert [entity.kind for path, entity, _ in made[0].logged if path == "events"] == []
     sink.frame(result(1, "1"))
     sink.event(RunEnded(2, 2, True, "end_of_source"))
-    told = [(entity.level, times["frame"]) for path, entity, times in made[0].logged if path == "events"]
-    assert told == [("WARN", {"sequence": 1}), ("INFO", {"sequence": 1})]
+    logged = [(entity.level, times["frame"]) for path, entity, times in made[0].logged if path == "events"]
+    assert logged == [("WARN", {"sequence": 1}), ("INFO", {"sequence": 1})]
     assert made[0].calls == [("spawn",)]
 
 

@@ -48,7 +48,7 @@ def recorded(tmp_path_factory):
     return out, record(out)
 
 
-class Told:
+class EventSink:
     """A sink that remembers what it was told."""
 
     def __init__(self):
@@ -181,10 +181,10 @@ def test_the_stored_graph_runs_again_to_the_same_tracks(recorded, tmp_path):
 
 
 def test_what_is_wrong_before_the_first_frame_comes_after_the_first_line(general):
-    damaged, told = SourceDamaged(0, "the first picture is missing"), Told()
-    list(run(general, Listed([damaged, frame(1), frame(2)]), [Start((2, 5, 10, 10))], sinks=[told]))
-    assert [type(e) for e in told.events[:3]] == [RunStarted, SourceDamaged, TargetStarted]
-    assert told.frames == [1, 2]
+    damaged, sink = SourceDamaged(0, "the first picture is missing"), EventSink()
+    list(run(general, Listed([damaged, frame(1), frame(2)]), [Start((2, 5, 10, 10))], sinks=[sink]))
+    assert [type(e) for e in sink.events[:3]] == [RunStarted, SourceDamaged, TargetStarted]
+    assert sink.frames == [1, 2]
 
 
 # ------------------------------------------------------------------------------------ early ends
@@ -202,32 +202,32 @@ def test_a_caller_may_stop_early(tmp_path):
 
 
 def test_an_error_of_a_sink_ends_the_run_and_the_journal_says_so(general):
-    class Failing(Told):
+    class Failing(EventSink):
         def frame(self, result):
             if result.frame.index == 2:
                 raise OSError("the other side hung up")
 
-    told = Failing()
+    sink = Failing()
     with pytest.raises(OSError, match="hung up"):
-        list(run(general, Listed([frame(n) for n in range(5)]), [Start(SQUARE)], sinks=[told]))
-    assert told.events[-1] == RunEnded(3, None, False, "error")
+        list(run(general, Listed([frame(n) for n in range(5)]), [Start(SQUARE)], sinks=[sink]))
+    assert sink.events[-1] == RunEnded(3, None, False, "error")
 
 
 def test_nothing_is_told_when_no_target_can_start(general):
-    told, source = Told(), Listed([frame(0)])
+    sink, source = EventSink(), Listed([frame(0)])
     with pytest.raises(StartError, match="lies outside the 64x48 frame"):
-        list(run(general, source, [Start((64, 0, 9, 9))], sinks=[told]))
-    assert told.events == [] and source.given == []
+        list(run(general, source, [Start((64, 0, 9, 9))], sinks=[sink]))
+    assert sink.events == [] and source.given == []
 
 
 def test_the_source_decides_whether_it_was_whole(general):
     """What it declares may be an estimate: a video of uneven rate has fewer frames than its length says."""
     for reason in ("end_of_source", "source_truncated"):
-        told, summary = Told(), Summary()
+        sink, summary = EventSink(), Summary()
         source = Listed([frame(n) for n in range(3)], expected_frames=5, end_reason=reason)
-        list(run(general, source, [Start(SQUARE)], sinks=[told], summary=summary))
+        list(run(general, source, [Start(SQUARE)], sinks=[sink], summary=summary))
         assert (summary.complete, summary.reason) == (reason == "end_of_source", reason)
-        assert told.events[-1] == RunEnded(3, 5, reason == "end_of_source", reason)
+        assert sink.events[-1] == RunEnded(3, 5, reason == "end_of_source", reason)
 
 
 def test_the_summary_counts_reconfigurations_and_lost_frames(recorded):

@@ -58,8 +58,8 @@ def test_the_manifest_lists_every_output(run: Path, capsys: pytest.CaptureFixtur
     assert main(["verify", str(run)]) == 0
     assert f"{run}: verified: 9 files, result " in capsys.readouterr().out
     assert main(["verify", str(run), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["status"] == "verified" and told["outputs"] == dict.fromkeys(sorted(OUTPUTS), "ok")
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["status"] == "verified" and answer["outputs"] == dict.fromkeys(sorted(OUTPUTS), "ok")
     held = json.loads((run / "manifest.json").read_text())
     assert {name: one["size"] for name, one in held["outputs"].items()} == {
         name: (run / name).stat().st_size for name in OUTPUTS

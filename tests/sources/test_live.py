@@ -70,8 +70,8 @@ def test_a_slow_tracker_gets_the_newest_picture_and_the_rest_is_counted():
     frames = [item for item in items if isinstance(item, Frame)]
     assert 5 <= len(frames) <= 25
     assert frames[-1].index == 59, "the index counts every picture that came"
-    told = [item.dropped for item in items if isinstance(item, FramesDropped)]
-    assert told and sum(told) <= 60 - len(frames)
+    dropped = [item.dropped for item in items if isinstance(item, FramesDropped)]
+    assert dropped and sum(dropped) <= 60 - len(frames)
     assert not [item for item in items if isinstance(item, FramesMissing)], "dropped ones are not missing"
     # The first was read when the source was opened; a busy machine may hold the thread up once.
     assert np.median(ages[1:]) < 2 * INTERVAL_S
@@ -150,8 +150,8 @@ def test_two_eyes_are_paired_by_what_is_newest():
 
 def test_drops_are_told_seldom():
     drops = _Drops()
-    told = [(n, drops.take_due(n / 10.0, 1)) for n in range(1200)]
-    lines = [(n, count) for n, count in told if count]
+    counts = [(n, drops.take_due(n / 10.0, 1)) for n in range(1200)]
+    lines = [(n, count) for n, count in counts if count]
     assert [n for n, _ in lines[:5]] == [0, 10, 30, 70, 150]
     assert sum(count for _, count in lines) == lines[-1][0] + 1
 

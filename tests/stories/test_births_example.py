@@ -17,7 +17,7 @@ HIDDEN = range(18, 31)
 """Frames in which the gray square covers some of the orange one, and those in which the net reacts."""
 
 
-class Told:
+class EventSink:
     """A sink that keeps events and metrics."""
 
     def __init__(self):
@@ -31,18 +31,18 @@ class Told:
 
 
 def run(seed, frames=None):
-    told, scene = Told(), make_scene("orange_and_gray", seed=seed)
+    sink, scene = EventSink(), make_scene("orange_and_gray", seed=seed)
     source = SceneSource(scene, "scene:orange_and_gray", frames)
-    results = list(track("orange_and_gray_detected", source, seed=seed, sinks=[told]))
-    return told, results[-1], centre_from_corner(scene.truth[(frames or 100) - 1])
+    results = list(track("orange_and_gray_detected", source, seed=seed, sinks=[sink]))
+    return sink, results[-1], centre_from_corner(scene.truth[(frames or 100) - 1])
 
 
 def goes_as_in_the_thesis(seed):
-    told, last, truth = run(seed)
-    born = {event.target: event.template for event in told.events if isinstance(event, TargetStarted)}
+    sink, last, truth = run(seed)
+    born = {event.target: event.template for event in sink.events if isinstance(event, TargetStarted)}
     called = {
         event.node
-        for event in told.events
+        for event in sink.events
         if isinstance(event, Activated) and event.target == "1" and event.frame in HIDDEN
     }
     ends = {line.target: line for line in last.targets}
@@ -55,16 +55,16 @@ def goes_as_in_the_thesis(seed):
 
 
 def test_the_hidden_square_is_found_again_with_its_identity():
-    told, last, truth = run(1, frames=40)
-    (found,) = [event for event in told.events if isinstance(event, Reacquired)]
+    sink, last, truth = run(1, frames=40)
+    (found,) = [event for event in sink.events if isinstance(event, Reacquired)]
     assert found.target == "1" and found.recognition.probability > 0.5
     assert set(found.recognition.agents) == {"color", "intensity"}
     assert overlap(last.targets[0].box, truth) > 0.5
-    decisions = [event for event in told.events if isinstance(event, Decision)]
+    decisions = [event for event in sink.events if isinstance(event, Decision)]
     assert {t: one.active for t, one in replay(decisions).targets.items()} == {
         line.target: frozenset(line.active) for line in last.targets
     }
-    story = describe_life(told.events, told.metrics, "1").splitlines()
+    story = describe_life(sink.events, sink.metrics, "1").splitlines()
     assert story[0].startswith("frame 2: color_backprojection saw it in 3 of 3 looks since frame 0")
     assert story[-1].startswith("summary: 38 frames, lost in ")
 

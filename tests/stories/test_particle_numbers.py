@@ -96,8 +96,8 @@ def test_an_error_at_the_turning_value_keeps_the_number(directory: Path) -> None
 def test_commands_tell_it(directory: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sentences = [explain(event) for event in resizings(directory)]
     assert main(["log", str(directory)]) == 0
-    told = capsys.readouterr().out
-    assert all(sentence.partition(": ")[2] in told for sentence in sentences)
+    output = capsys.readouterr().out
+    assert all(sentence.partition(": ")[2] in output for sentence in sentences)
     assert main(["log", str(directory), "--kind", "particles_resized"]) == 0
     assert len(capsys.readouterr().out.splitlines()) == len(sentences)
 

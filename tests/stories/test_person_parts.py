@@ -56,11 +56,11 @@ def test_the_hidden_part_is_told_from_the_other(scene: Scene, results: list[Resu
     away = errors(scene, results, name)
     assert away[hidden].mean() < 4.3
     assert away.max() < 11
-    told = [result.targets[0].parts[name] for result in results]
-    uds = np.array([part.ud_px2 for part in told])
+    parts = [result.targets[0].parts[name] for result in results]
+    uds = np.array([part.ud_px2 for part in parts])
     whole = scene.parts[name].visible > 0.95
     assert uds[hidden].mean() > 1.5 * uds[whole].mean()
-    statuses = np.array([part.status for part in told])
+    statuses = np.array([part.status for part in parts])
     assert (statuses[hidden] == "hidden").all()
     assert (statuses[whole] == "seen").mean() > 0.95
 

@@ -125,5 +125,5 @@ def test_the_log_tells_the_story(benchmark: Any, name: str, runs: int, claimed: 
     """docs/figures.md, each below its figure."""
     script = benchmark("stories")
     played = [script.STORIES[name].played(seed) for seed in range(FRESH, FRESH + runs)]
-    told = [script.STORIES[name].is_told(run) and script.causes_hold(run) for run in played]
-    check(told, claimed)
+    outcomes = [script.STORIES[name].is_told(run) and script.causes_hold(run) for run in played]
+    check(outcomes, claimed)

@@ -79,10 +79,11 @@ def test_filtering_tells_what_one_frame_cannot():
     free = points_on(stripes, [[40, 30]], matching)
     known = np.zeros_like(free.motion)
     known[0, :, 5 + 1] = 1.0 / 11
-    told = Points(free.at, free.patches, known, STILL)
+    informed = Points(free.at, free.patches, known, STILL)
     moved = np.roll(stripes, 1, axis=1)
     across = [
-        displace(p, moved, (0, 0), 1.0, STILL, matching).points.motion[0].sum(axis=0) for p in (free, told)
+        displace(p, moved, (0, 0), 1.0, STILL, matching).points.motion[0].sum(axis=0)
+        for p in (free, informed)
     ]
     assert across[0][5 - 3] == pytest.approx(across[0][5 + 1]) and across[0][5 + 5] > 0.3
     assert across[1][5 + 1] > 0.999
@@ -137,10 +138,10 @@ def test_the_graph_holds_its_target_through_bounces(seed):
     scene = make_scene("gray_square", seed)
     tracker = Tracker("grid_displacement", seed=seed)
     tracker.init(scene.frames[0], scene.start_box)
-    boxes, told = [], []
+    boxes, events = [], []
     for k in range(1, 90):
         boxes.append(tracker.update(scene.frames[k])[1])
-        told += tracker.events
+        events += tracker.events
     held = overlap(centre_from_corner(np.array(boxes)), centre_from_corner(scene.truth[1:90]))
     assert held.mean() > 0.9 and held.min() > 0.7
-    assert not any(isinstance(event, BeliefReset | Quarantined) for event in told)
+    assert not any(isinstance(event, BeliefReset | Quarantined) for event in events)

@@ -106,7 +106,7 @@ def placed(monkeypatch, fakes):
 
 
 @pytest.fixture
-def told():
+def reports_of():
     """What an outcome says, to be compared bit by bit."""
 
     def of(outcomes):

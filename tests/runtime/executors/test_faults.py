@@ -30,8 +30,8 @@ ATTEMPTS = 3
 
 def waited_ms():
     """For how long the threads of this process have waited for a processor."""
-    told = [path.read_text().split() for path in Path("/proc/self/task").glob("*/schedstat")]
-    return sum(float(delay) for _, delay, _ in told) / 1e6
+    waits = [path.read_text().split() for path in Path("/proc/self/task").glob("*/schedstat")]
+    return sum(float(delay) for _, delay, _ in waits) / 1e6
 
 
 class Watched(Deadline):
@@ -106,9 +106,11 @@ def test_live_a_frame_without_an_agent_is_that_of_the_agent_off(placed, files, t
     agents = {**TWO, "c": ("placed", {"how": "die", "at": 7, "times": str(left)})}
     with placed.executing(agents, "processes", workers=2, retries=0) as (engine, _):
         live = placed.record(engine, agents, tmp_path / "live")
-    told = list(read_inputs(tmp_path / "live" / "inputs.jsonl"))
+    recorded = list(read_inputs(tmp_path / "live" / "inputs.jsonl"))
     reason = "its process was killed by SIGKILL"
-    assert AgentMissed(7, "1", "c", reason, "observing") in told and {one.frame for one in told} == {7}
+    assert AgentMissed(7, "1", "c", reason, "observing") in recorded and {one.frame for one in recorded} == {
+        7
+    }
     assert [result.targets[0].active for result in live[6:9]] == [
         ("a", "b", "c"),
         ("a", "b"),
@@ -116,7 +118,7 @@ def test_live_a_frame_without_an_agent_is_that_of_the_agent_off(placed, files, t
     ]
     with placed.executing(agents, "serial") as (engine, _):
         placed.record(
-            engine, agents, tmp_path / "off", external_inputs=lambda frame: told if frame == 7 else ()
+            engine, agents, tmp_path / "off", external_inputs=lambda frame: recorded if frame == 7 else ()
         )
     assert files(tmp_path / "off") == files(tmp_path / "live")
     # What the others say in that frame is, bit for bit, what a net without the agent says there.
@@ -152,7 +154,7 @@ def test_no_frame_waits_for_an_agent_ten_times_slower_than_the_budget(placed, fi
             deadline = Watched(BUDGET_MS, executor.processes)
             results = placed.record(engine, agents, out, 50, deadline=deadline)
         spent = np.array(deadline.own_ms[WARM_UP:])
-        told = list(read_inputs(out / "inputs.jsonl"))
+        recorded = list(read_inputs(out / "inputs.jsonl"))
         # Whatever the machine did: a late answer is used in no frame, since the same inputs give the same.
         with placed.executing(agents, "serial") as (engine, _):
             placed.record(
@@ -163,7 +165,7 @@ def test_no_frame_waits_for_an_agent_ten_times_slower_than_the_budget(placed, fi
                 external_inputs=replay_inputs(out / "inputs.jsonl"),
             )
         assert files(tmp_path / f"{attempt} again") == files(out)
-        missed = [one for one in told if isinstance(one, AgentMissed)]
+        missed = [one for one in recorded if isinstance(one, AgentMissed)]
         slow = {one.frame for one in missed if one.node == "c" and one.during == "observing"}
         assert len(slow) >= 6 and all("c" not in results[frame].targets[0].active for frame in slow)
         others = {one.frame for one in missed if one.node != "c" and one.during == "observing"}

@@ -15,7 +15,7 @@ TWO = {"a": ("placed", {}), "b": ("placed_measurer", {})}
 
 
 @pytest.mark.slow
-def test_the_same_to_the_last_bit_though_workers_are_killed_in_every_frame(placed, told):
+def test_the_same_to_the_last_bit_though_workers_are_killed_in_every_frame(placed, reports_of):
     with placed.executing(TWO, "processes", workers=2) as (engine, executor):
 
         def kill(frame):
@@ -24,33 +24,39 @@ def test_the_same_to_the_last_bit_though_workers_are_killed_in_every_frame(place
             for pid in workers:
                 os.kill(pid, signal.SIGKILL)
 
-        assert told(placed.play(engine, before=kill)) == told(placed.run(TWO))
+        assert reports_of(placed.play(engine, before=kill)) == reports_of(placed.run(TWO))
 
 
 def test_all_agents_are_asked_before_the_first_is_heard(placed, monkeypatch):
-    told, ask, answer = [], Worker.ask, Worker.answer
-    monkeypatch.setattr(Worker, "ask", lambda worker, *asked: told.append(asked[0]) or ask(worker, *asked))
-    monkeypatch.setattr(Worker, "answer", lambda worker: told.append("answer") or answer(worker))
+    calls, ask, answer = [], Worker.ask, Worker.answer
+    monkeypatch.setattr(Worker, "ask", lambda worker, *asked: calls.append(asked[0]) or ask(worker, *asked))
+    monkeypatch.setattr(Worker, "answer", lambda worker: calls.append("answer") or answer(worker))
     with placed.executing(TWO, "processes", workers=2) as (engine, _):
-        placed.play(engine, 3, before=lambda frame: told.clear())
+        placed.play(engine, 3, before=lambda frame: calls.clear())
     both, heard = {"plate.a", "plate.b"}, ["answer", "answer"]
-    assert [set(told[0:2]), told[2:4], set(told[4:6]), told[6:8], told[8:]] == [both, heard, both, heard, []]
+    assert [set(calls[0:2]), calls[2:4], set(calls[4:6]), calls[6:8], calls[8:]] == [
+        both,
+        heard,
+        both,
+        heard,
+        [],
+    ]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["die", "exit"])
-def test_a_worker_that_dies_once_is_asked_again(placed, told, tmp_path, how):
+def test_a_worker_that_dies_once_is_asked_again(placed, reports_of, tmp_path, how):
     left = tmp_path / "left"
     left.write_text("once\nand again")
     agents = {**TWO, "c": ("placed", {"how": how, "times": str(left)})}
     outcomes = placed.run(agents, "processes", workers=2)
     assert left.read_text() == ""
-    assert told(outcomes) == told(placed.run(agents))
+    assert reports_of(outcomes) == reports_of(placed.run(agents))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("big", [0, 100_000])
-def test_a_worker_that_is_stopped_is_replaced(placed, told, big):
+def test_a_worker_that_is_stopped_is_replaced(placed, reports_of, big):
     agents = {"a": ("placed", {"big": big}), "b": ("placed_measurer", {})}
     limits = Limits(answer_s=2.0, first_s=5.0)
     with placed.executing(agents, "processes", workers=2, limits=limits) as (engine, executor):
@@ -59,7 +65,7 @@ def test_a_worker_that_is_stopped_is_replaced(placed, told, big):
             for pid in executor.processes.workers() if frame == 3 else ():
                 os.kill(pid, signal.SIGSTOP)
 
-        assert told(placed.play(engine, before=stop)) == told(placed.run(agents))
+        assert reports_of(placed.play(engine, before=stop)) == reports_of(placed.run(agents))
 
 
 TOO_LONG = "gave no answer in 4 s, and was killed"
@@ -103,27 +109,27 @@ def test_what_cannot_be_had_is_told_with_the_reason(placed, monkeypatch, how):
 @pytest.mark.parametrize(
     "how", ["raise", "own error", "mute", "leave", "short", "words", "complex", "masked", "objects"]
 )
-def test_a_fault_is_told_in_the_same_words(placed, told, how):
+def test_a_fault_is_told_in_the_same_words(placed, reports_of, how):
     agents = {"a": ("placed", {"how": how, "engine": 0}), "b": ("placed_measurer", {})}
     outcomes = placed.run(agents, "processes", workers=1)
     faults = [event.reason for outcome in outcomes for event in outcome.events if hasattr(event, "reason")]
     assert len(faults) == 1
-    assert told(outcomes) == told(placed.run(agents))
+    assert reports_of(outcomes) == reports_of(placed.run(agents))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["paint", "bend", "rename"])
-def test_a_cue_that_writes_into_what_others_see_is_out_on_every_executor(placed, told, how):
+def test_a_cue_that_writes_into_what_others_see_is_out_on_every_executor(placed, reports_of, how):
     """It writes in frame 3; the others go on as without it, and all executors tell the same."""
     agents = {**TWO, "c": ("placed", {"how": how, "engine": 0})}
     expected = placed.run(agents)
     (out,) = [event for outcome in expected for event in outcome.events if hasattr(event, "reason")]
     assert (out.node, out.frame) == ("c", 3)
     for kind, workers in (("threads", 2), ("processes", 1), ("processes", 2)):
-        assert told(placed.run(agents, kind, workers=workers)) == told(expected)
+        assert reports_of(placed.run(agents, kind, workers=workers)) == reports_of(expected)
 
 
-def test_a_worker_that_died_while_it_had_nothing_to_do_costs_no_attempt(placed, told):
+def test_a_worker_that_died_while_it_had_nothing_to_do_costs_no_attempt(placed, reports_of):
     with placed.executing(TWO, "processes", workers=2, retries=0) as (engine, executor):
         killed = []
 
@@ -134,5 +140,5 @@ def test_a_worker_that_died_while_it_had_nothing_to_do_costs_no_attempt(placed, 
             while any(pid in executor.processes.workers() for pid in killed):
                 time.sleep(0.001)
 
-        assert told(placed.play(engine, before=kill)) == told(placed.run(TWO))
+        assert reports_of(placed.play(engine, before=kill)) == reports_of(placed.run(TWO))
         assert len(killed) == 2

@@ -74,8 +74,8 @@ def test_values_arrive_as_they_were():
 def test_what_cues_are_asked_and_say_arrives_whole():
     hypotheses = Hypotheses(VALUES[:, :4].copy(), {"angle": VALUES[:, 5]})
     measurement = Measurement(("x", "y"), VALUES[0, :2], VALUES[:2, :2], "floor")
-    told = EncodedReference({"new": (3, VALUES), "known": (4, None), "small": (None, VALUES[0])})
-    asked, said, reference = across(hypotheses, measurement, told)
+    encoded = EncodedReference({"new": (3, VALUES), "known": (4, None), "small": (None, VALUES[0])})
+    asked, said, reference = across(hypotheses, measurement, encoded)
     assert asked.boxes.tobytes() == hypotheses.boxes.tobytes() and list(asked.fields) == ["angle"]
     assert asked.fields["angle"].tobytes() == VALUES[:, 5].tobytes()
     assert (said.fields, said.floor) == (("x", "y"), "floor")
