@@ -143,7 +143,7 @@ class Source:
         for item in self._reader:
             if isinstance(item, Damage):
                 if item.index >= self._start:
-                    yield self._damaged(item.index, item.reason, item.truncated)
+                    yield self._report_damage(item.index, item.reason, item.truncated)
                 continue
             if item.index < self._start:
                 continue
@@ -154,7 +154,7 @@ class Source:
                 yield SourceStalled(item.index, item.seconds, item.reason, item.attempt)
                 continue
             if last is not None and not item.time > last.time:
-                yield self._damaged(
+                yield self._report_damage(
                     item.index,
                     f"time runs backwards or stands still: {item.time_s:.6f} s after {last.time_s:.6f} s",
                 )
@@ -165,7 +165,7 @@ class Source:
                 if item.complete is not None:
                     image, depth = item.complete(image)
             except PictureError as error:
-                yield self._damaged(item.index, str(error))
+                yield self._report_damage(item.index, str(error))
                 continue
             # Pictures that were dropped are not missing: the steps between all that came count.
             steps = item.skipped + 1
@@ -188,7 +188,7 @@ class Source:
             if self._end is not None and item.index + 1 >= self._end:
                 return
 
-    def _damaged(self, index: int, reason: str, truncated: bool = False) -> SourceDamaged:
+    def _report_damage(self, index: int, reason: str, truncated: bool = False) -> SourceDamaged:
         self.end_reason = "source_truncated" if truncated else "source_damaged"
         return SourceDamaged(index, reason)
 

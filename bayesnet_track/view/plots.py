@@ -57,7 +57,7 @@ def plot_kl(ax: Any, run: RunRecord, target: str | None = None, agents: Sequence
         values = [line.kl.get(agent, math.nan) for line in lines]
         ax.plot([line.frame for line in lines], values, lw=1.2, label=agent)
     ax.set(xlabel="frame", ylabel="KL(belief ‖ agent), nats")
-    _named(ax)
+    _name(ax)
     return ax
 
 
@@ -132,7 +132,7 @@ def plot_tracks(
         ax.invert_yaxis()
     ax.set_aspect("equal")
     ax.set(xlabel="x, px", ylabel="y, px")
-    _named(ax)
+    _name(ax)
     return ax
 
 
@@ -174,7 +174,7 @@ def _level(ax: Any, events: Sequence[Switch], lines: Sequence[FrameMetrics], col
         ax.step(frames, [*(level for _, level in levels), levels[-1][1]], where="post", **look)
 
 
-def _named(ax: Any) -> None:
+def _name(ax: Any) -> None:
     """A legend, where anything has a name."""
     if ax.get_legend_handles_labels()[1]:
         ax.legend(loc="best", fontsize="small")

@@ -72,10 +72,10 @@ def test_what_is_carried_goes_where_the_carrier_goes(motion):
 
 
 def test_half_a_frame_twice_is_one_frame():
-    once = attached()._carried(np.zeros(10000, dtype=bool), 1.0, np.random.default_rng(2)).mean()
+    once = attached()._draw_carried(np.zeros(10000, dtype=bool), 1.0, np.random.default_rng(2)).mean()
     half = attached()
     rng = np.random.default_rng(3)
-    twice = half._carried(half._carried(np.zeros(10000, dtype=bool), 0.5, rng), 0.5, rng).mean()
+    twice = half._draw_carried(half._draw_carried(np.zeros(10000, dtype=bool), 0.5, rng), 0.5, rng).mean()
     assert once == pytest.approx(0.1, abs=2e-4)
     assert twice == pytest.approx(once, abs=5 * np.sqrt(0.1 / 10000))
 

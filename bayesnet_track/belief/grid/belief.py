@@ -93,20 +93,20 @@ class GridFilter:
 
         # Reweight
         try:
-            posterior, log_evidence = asked.updated(evidence)
+            posterior, log_evidence = asked.update(evidence)
         except DegenerateWeights as fault:
             return asked.step(evidence, moved, -np.inf, asked.prior, degenerate=str(fault))
 
         # Detect
         if rule is not None:
-            verdict = self._judged(rule, asked, evidence, log_evidence, motion, evaluate)
+            verdict = self._judge(rule, asked, evidence, log_evidence, motion, evaluate)
             if verdict.report is not None:
                 if rule.then == "ignore":
                     return asked.step(evidence, moved, log_evidence, asked.prior, report=verdict.report)
                 return self._reset(asked, evidence, verdict, motion, evaluate)
         return asked.step(evidence, posterior, log_evidence, asked.weights_of(posterior))
 
-    def _judged(
+    def _judge(
         self,
         rule: spec.Reset,
         asked: _Asked,
@@ -141,7 +141,7 @@ class GridFilter:
             fresh = _Asked(belief, _heaviest(belief.positions, 0.0))
             evidence = ask_again(evaluate, evidence, fresh.states, belief.fields, fresh.prior.log)
         try:
-            posterior, _ = fresh.updated(evidence)
+            posterior, _ = fresh.update(evidence)
         except DegenerateWeights as fault:
             return fresh.step(evidence, fresh.belief, -np.inf, fresh.prior, degenerate=str(fault))
         return fresh.step(
@@ -169,7 +169,7 @@ class _Asked:
     def hypotheses(self) -> Hypotheses:
         return hypotheses_of(self.states, self.belief.fields)
 
-    def updated(self, evidence: Evidence) -> tuple[GridBelief, float]:
+    def update(self, evidence: Evidence) -> tuple[GridBelief, float]:
         """The posterior and the log-evidence sum beta L; what was measured of velocities acts on their cells.
 
         Raises:
@@ -181,7 +181,7 @@ class _Asked:
                 (log_gaussian(m, self._fields(m)) for n, m in evidence.gaussians.items() if n not in fast),
                 evidence.sampled,
             )
-            belief = self._measured(list(fast.values()))
+            belief = self._measure(list(fast.values()))
             share = belief.positions.ravel()[self.cells] / self.belief.positions.ravel()[self.cells]
             with np.errstate(divide="ignore", invalid="ignore"):
                 effective = slow + np.where(share > 0, np.log(share), -np.inf)
@@ -230,7 +230,7 @@ class _Asked:
     def _fields(self, measured: Measurement) -> list[Floats]:
         return [self.states[:, self.belief.fields.index(name)] for name in measured.fields]
 
-    def _measured(self, measured: list[Measurement]) -> GridBelief:
+    def _measure(self, measured: list[Measurement]) -> GridBelief:
         """The belief, not normalised, with the cells' velocities weighed by what was measured of them."""
         shapes = {"x": 4, "y": 3, "w": 0, "h": 0, "vx": 2, "vy": 1}
         mass = self.belief.mass

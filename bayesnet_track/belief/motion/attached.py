@@ -60,7 +60,7 @@ class Attached:
         """(N, D) states after `dt` frame intervals."""
         old = states if parents is None else states[parents]
         moved = self.motion.propagate(np.ascontiguousarray(old[:, :-1]), dt, rng)
-        carried = self._carried(old[:, -1] > 0, dt, rng)
+        carried = self._draw_carried(old[:, -1] > 0, dt, rng)
         count = int(carried.sum())
         noise = rng.standard_normal((count, 2)) * (self.sd_px * np.sqrt(dt))
         moved[carried, :2] = old[carried, :2] + self.displacement + noise
@@ -71,7 +71,7 @@ class Attached:
 
     def drift(self, states: Floats, dt: float) -> Floats:
         """(N, D) states after `dt` frame intervals without noise, carried or not as before."""
-        moved = self.motion.drift(np.ascontiguousarray(self._seeded(states, dt)), dt)
+        moved = self.motion.drift(np.ascontiguousarray(self._seed_velocity(states, dt)), dt)
         return with_column(moved, states[:, -1])
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
@@ -83,11 +83,11 @@ class Attached:
 
     def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
         """(M, N) that of the model, from where what is carried would be without its noise."""
-        return self.motion.log_density(new[:, :-1], self._seeded(old, dt), dt)
+        return self.motion.log_density(new[:, :-1], self._seed_velocity(old, dt), dt)
 
     def transition(self, old: Floats, dt: float) -> Transition:
         """As `log_density`; `states` keeps the last field of the state it is given."""
-        own = self.motion.transition(self._seeded(old, dt), dt)
+        own = self.motion.transition(self._seed_velocity(old, dt), dt)
 
         def coordinates(states: Floats) -> tuple[Floats, Floats]:
             return own.coordinates(np.ascontiguousarray(states[:, :-1]))
@@ -98,7 +98,7 @@ class Attached:
 
         return replace(own, coordinates=coordinates, states=None if own.states is None else states_at)
 
-    def _seeded(self, states: Floats, dt: float) -> Floats:
+    def _seed_velocity(self, states: Floats, dt: float) -> Floats:
         """The states without the last field, those carried so that `motion` takes them with the carrier."""
         seeded = states[:, :-1].copy()
         carried = states[:, -1] > 0
@@ -114,7 +114,9 @@ class Attached:
         """Columns of a state up to its last derivative: an angle stays what it is."""
         return len(self.motion.fields) - (ANGLE in self.motion.fields)
 
-    def _carried(self, before: NDArray[np.bool_], dt: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    def _draw_carried(
+        self, before: NDArray[np.bool_], dt: float, rng: np.random.Generator
+    ) -> NDArray[np.bool_]:
         """(N,) whether each is carried now: the chain over `dt`, its changes drawn systematically."""
         rest = self.start_share / (self.start_share + 1.0 - self.stay_share)
         memory = (self.stay_share - self.start_share) ** dt if self.stay_share > self.start_share else 0.0

@@ -122,14 +122,14 @@ class ForkServer:
         """Its answer to a request; None when it has ended, and when it hangs, for which it is killed."""
         try:
             if not self._is_ready:
-                self._received()
+                self._receive()
                 self._is_ready = True
             socket.send_fds(self._control, [request], files)
-            return self._received()
+            return self._receive()
         except (OSError, ValueError):  # ValueError: closed here
             return None
 
-    def _received(self) -> int:
+    def _receive(self) -> int:
         """The next number that it sends; raises OSError."""
         began = time.monotonic()
         poll = select.poll()

@@ -96,8 +96,8 @@ class FrameStore:
             self._grow(size)
         at = self._base + self._number % SLOTS * self._slot_size
         self._number += 1
-        image = self._written(frame.image, at)
-        depth = None if other is None else self._written(other, at + _align(frame.image.nbytes))
+        image = self._write(frame.image, at)
+        depth = None if other is None else self._write(other, at + _align(frame.image.nbytes))
         geometry = frame.depth.geometry if isinstance(frame.depth, RightEye) else None
         shared = SharedFrame(
             self._number, frame.index, frame.time, frame.time_s, frame.has_color, image, depth, geometry
@@ -124,7 +124,7 @@ class FrameStore:
             self._memory.close()
         self._memory = mmap.mmap(self.descriptor, self._base + SLOTS * size)
 
-    def _written(self, array: Array, offset: int) -> Block:
+    def _write(self, array: Array, offset: int) -> Block:
         block = Block(offset, array.shape, array.dtype.str)
         assert self._memory is not None
         target = np.frombuffer(self._memory, array.dtype, array.size, offset).reshape(array.shape)

@@ -53,7 +53,7 @@ class AgentHost:
         """What the cue says; whatever it raises is told, not raised."""
         started = time.perf_counter()
         try:
-            value = self._asked(question)
+            value = self._ask(question)
             return Answer(value, seconds=time.perf_counter() - started)
         except FAULTS as error:  # a guest's code: the engine decides what comes of it
             seconds = time.perf_counter() - started
@@ -61,7 +61,7 @@ class AgentHost:
                 return Answer(out_of_memory=True, seconds=seconds)
             return Answer(raised=(type(error).__name__, text_of(error)), seconds=seconds)
 
-    def _asked(self, question: Question) -> Any:
+    def _ask(self, question: Question) -> Any:
         received = self._received
         received.forget(question.forget)
         cue: Any = self._cues[question.agent]

@@ -90,7 +90,7 @@ class Processes:
         patience = None if method == ADVANCE else self.patience
         pending = Pending((agent, method, frames, region, arguments), patience)
         with self._asking:
-            if not self._forwarded(pending):
+            if not self._forward(pending):
                 self._unsent.append(pending)
         return partial(self._collect, pending)
 
@@ -111,7 +111,7 @@ class Processes:
             while len(pending.lost) <= self.retries:
                 began = time.monotonic()
                 try:
-                    answer = self._answered(pending)
+                    answer = self._take_answer(pending)
                 except Late:
                     self._pool.spent(agent, time.monotonic() - (pending.sent_at or began))
                     raise
@@ -132,7 +132,7 @@ class Processes:
         tries = f", {len(pending.lost)} times" if len(pending.lost) > 1 else ""
         raise AgentUnavailable(f"{pending.lost[-1]}{tries}")
 
-    def _answered(self, pending: Pending) -> Answer:
+    def _take_answer(self, pending: Pending) -> Answer:
         """The answer to one attempt; raises WorkerLost, Late or AgentUnavailable."""
         if not pending.is_sent and pending.outcome is None:
             if pending in self._unsent:
@@ -155,13 +155,13 @@ class Processes:
         elif busy_with is not None:
             self._pool.set_apart(slot, busy_with)
         while not pending.is_sent:
-            worker = self._pool.awaited(slot, until)
+            worker = self._pool.await_answer(slot, until)
             if until is not None and until <= time.monotonic():
                 raise Late("there was no time left to ask it")
             with suppress(WorkerGone):  # a fresh one is never that
                 self._hand_over(pending, slot, worker, until)
 
-    def _forwarded(self, pending: Pending) -> bool:
+    def _forward(self, pending: Pending) -> bool:
         """Whether the question could be sent without waiting for anything."""
         slot = self._pool.slot(pending.agent)
         if slot.asked is not None or (slot.worker is not None and slot.worker.busy_with is not None):
@@ -210,7 +210,7 @@ class Processes:
             if not ready and left < COMING_S:
                 self._give_up(working)
             if self._unsent:
-                self._unsent = [one for one in self._unsent if not self._forwarded(one)]
+                self._unsent = [one for one in self._unsent if not self._forward(one)]
 
     def _receive(self, slot: Slot) -> None:
         """Take the answer that is there."""

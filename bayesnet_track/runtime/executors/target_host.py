@@ -76,13 +76,13 @@ class NetHost:
             return b""
         net = Net({target: one.net for target, one in given.items()})
         work = FrameWork(self._engine, net, cache)
-        made = {target: self._advanced(work, target, one) for target, one in given.items()}
+        made = {target: self._advance(work, target, one) for target, one in given.items()}
         self._held = {target: one.done.state for target, one in made.items()}
         return pickle.dumps(
             {target: _without_plan(one) for target, one in made.items()}, protocol=pickle.HIGHEST_PROTOCOL
         )
 
-    def _advanced(self, work: FrameWork, target: str, asked: TargetRequest) -> Advanced:
+    def _advance(self, work: FrameWork, target: str, asked: TargetRequest) -> Advanced:
         state = self._held[target] if asked.state is None else asked.state
         return advance(work, target, replace(state, plan=self._plan(asked.net)))
 

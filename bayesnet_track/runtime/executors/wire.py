@@ -136,9 +136,9 @@ def _whole(flat: Any, body: bytearray, arrays_at: int) -> Any:
         return flat
     kind = flat[0]
     if kind == SMALL_ARRAY:
-        return _shaped(np.array(np.frombuffer(flat[4], flat[1])), flat[2], flat[3])
+        return _shape(np.array(np.frombuffer(flat[4], flat[1])), flat[2], flat[3])
     if kind == ARRAY:
-        return _shaped(np.frombuffer(body, flat[1], flat[5], arrays_at + flat[4]), flat[2], flat[3])
+        return _shape(np.frombuffer(body, flat[1], flat[5], arrays_at + flat[4]), flat[2], flat[3])
     if kind == HYPOTHESES:
         own = {_whole(name, body, arrays_at): _whole(values, body, arrays_at) for name, values in flat[2]}
         return Hypotheses(_whole(flat[1], body, arrays_at), own)
@@ -160,7 +160,7 @@ def _whole(flat: Any, body: bytearray, arrays_at: int) -> Any:
     return pickle.loads(flat[1])
 
 
-def _shaped(values: Array, shape: tuple[int, ...], is_turned: bool) -> Array:
+def _shape(values: Array, shape: tuple[int, ...], is_turned: bool) -> Array:
     if len(shape) == 1:
         return values
     return values.reshape(shape[::-1]).T if is_turned else values.reshape(shape)

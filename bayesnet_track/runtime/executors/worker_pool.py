@@ -99,7 +99,7 @@ class WorkerPool:
                 slot.coming, slot.worker = None, coming.result()
         return slot.worker
 
-    def awaited(self, slot: Slot, until: float | None) -> Worker:
+    def await_answer(self, slot: Slot, until: float | None) -> Worker:
         """The slot's worker; raises Late when it is not there by `until`, and AgentUnavailable."""
         worker = self.come(slot)
         if worker is not None:

@@ -55,7 +55,7 @@ class Controls:
         """The run is in another phase."""
         with self.news:
             self.phase = phase
-            self._changed()
+            self._change()
 
     def choose(self, check: Check, give_up: GiveUp = never) -> tuple[Start, ...] | None:
         """Wait for start boxes that `check` lets pass; None when the person stopped, or on `give_up`."""
@@ -91,7 +91,7 @@ class Controls:
             raise Refused("no such thing to do")
         with self.news:
             do(what)
-            self._changed()
+            self._change()
 
     def _do_pause(self, what: Mapping[str, Any]) -> None:
         """Wait behind the frame that is under way."""
@@ -121,11 +121,11 @@ class Controls:
         on = what.get("on")
         if not isinstance(on, bool):
             raise Refused("on or off?")
-        self.board.switch(*self._named(what), on=on)
+        self.board.switch(*self._find_named(what), on=on)
 
     def _do_release(self, what: Mapping[str, Any]) -> None:
         """`target`, `agent`: give an agent back to the rules."""
-        self.board.release(*self._named(what))
+        self.board.release(*self._find_named(what))
 
     def _do_start(self, what: Mapping[str, Any]) -> None:
         """`boxes`: `[{"box": [x, y, w, h], "plate": NAME or null}, ...]`; begin with them."""
@@ -141,7 +141,7 @@ class Controls:
             raise Refused(str(error)) from error
         self._starts = starts
 
-    def _named(self, what: Mapping[str, Any]) -> tuple[str, str]:
+    def _find_named(self, what: Mapping[str, Any]) -> tuple[str, str]:
         target, agent = what.get("target"), what.get("agent")
         if not self.can_switch:
             raise Refused("this run repeats an earlier one: what was switched then is switched now")
@@ -155,7 +155,7 @@ class Controls:
         while not is_due() and not give_up():
             self.news.wait(POLL_S)
 
-    def _changed(self) -> None:
+    def _change(self) -> None:
         self.version += 1
         self.news.notify_all()
 
