@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import socket
 import sys
 import threading
 from contextlib import suppress
@@ -18,6 +19,9 @@ REPEAT_S = 0.1
 PATIENCE_S = 1.0
 """Seconds that a frame may take to end: what takes longer compiles kernels, or has an agent that hangs."""
 
+LEFT = b"\0"
+"""What is sent in place of a signal when the request is left."""
+
 
 class Terminated(KeyboardInterrupt):
     """SIGTERM arrived: wind up as for Ctrl-C, with another exit code."""
@@ -29,6 +33,10 @@ class StopRequest:
     Python gives up what is raised in a callback from C, in a finalizer and wherever C code clears errors. So
     it is raised again and again, without a traceback of each that was given up, until the request is left;
     never while one of them passes through, which would cut short the closing of files.
+
+    Python runs a handler between two of its own instructions: a signal that arrives just before a call that
+    waits, or in another thread, is seen when that call ends. So a thread of its own is told of each signal
+    by the system, and sends it again until the handler has run.
 
     Outside the main thread, where Python handles no signals, nothing changes.
 
@@ -63,6 +71,9 @@ class StopRequest:
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
             self._hooks = sys.unraisablehook, sys.excepthook
+            self._arrivals, self._arrived = socket.socketpair()
+            self._arrived.setblocking(False)
+            self._wakeup_fd = signal.set_wakeup_fd(self._arrived.fileno(), warn_on_full_buffer=False)
             self._repeater.start()
             try:
                 sys.unraisablehook, sys.excepthook = self._given_up, self._printed
@@ -92,8 +103,13 @@ class StopRequest:
     def _leave(self) -> None:
         self._is_over = True
         self._pending.put(None)
+        with suppress(BlockingIOError):  # full of signals, each of which says as much
+            self._arrived.send(LEFT)
         # Once it has ended, no repetition can reach the handlers that are put back.
         self._repeater.join()
+        signal.set_wakeup_fd(self._wakeup_fd)
+        self._arrivals.close()
+        self._arrived.close()
         sys.unraisablehook, sys.excepthook = self._hooks
         for number, before in self._before.items():
             signal.signal(number, before)
@@ -111,15 +127,20 @@ class StopRequest:
             raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
 
     def _repeat(self) -> None:
-        pending = self._pending.get()
+        pending: tuple[int, float] | None = (self._wait_for_signal(), REPEAT_S)
         while pending is not None:
             number, seconds = pending
             try:
                 pending = self._pending.get(timeout=seconds)
             except Empty:
-                self._is_repeat = True
+                self._is_repeat = self.signal is not None
                 _send(number)
                 pending = number, REPEAT_S
+
+    def _wait_for_signal(self) -> int:
+        while (number := self._arrivals.recv(1)[0]) not in (*self._before, *LEFT):
+            pass  # a signal that others handle
+        return number
 
     def _given_up(self, what: sys.UnraisableHookArgs) -> None:
         """Once interrupted, other errors are silent, too: what is left half made complains when it goes."""

@@ -2,7 +2,9 @@
 
 import ctypes
 import gc
+import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -138,6 +140,36 @@ def test_a_signal_that_another_thread_gets_acts_in_the_main_thread(often):
         thread.start()
         wait_for_more()
     thread.join()
+
+
+def test_a_signal_that_another_thread_gets_ends_a_call_that_waits(often):
+    """Python runs no handler before the call has ended: as for a signal that arrives just before the call."""
+    reading, writing = os.pipe()
+    let_go = threading.Timer(HANG_S, os.write, (writing, b"too late"))
+    let_go.daemon = True
+    let_go.start()
+    thread = threading.Timer(0.05, lambda: signal.pthread_kill(threading.get_ident(), signal.SIGTERM))
+    with pytest.raises(Terminated), StopRequest():
+        thread.start()
+        os.read(reading, 8)
+    assert let_go.is_alive()
+    let_go.cancel()
+    thread.join()
+    os.close(reading)
+    os.close(writing)
+
+
+def test_the_file_descriptor_of_others_that_signals_wake_is_put_back(often):
+    ours, theirs = socket.socketpair()
+    theirs.setblocking(False)
+    before = signal.set_wakeup_fd(theirs.fileno())
+    try:
+        with StopRequest():
+            pass
+    finally:
+        assert signal.set_wakeup_fd(before) == theirs.fileno()
+        ours.close()
+        theirs.close()
 
 
 # ------------------------------------------------------------------------------------ given up by Python
