@@ -25,7 +25,7 @@ from traces import Trace, mean_shift, trace
 
 from bayesnet_track.graph.spec import AgentNode
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.net.net import LocallyAdapted, SelfStopped
+from bayesnet_track.journal.events.self_checks import LocallyAdapted, SelfStopped
 from bayesnet_track.runtime.run import Start
 from bayesnet_track.sources.scenes import Scene, make_scene
 

@@ -34,7 +34,7 @@ from matplotlib.figure import Figure
 from traces import Trace, trace
 
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.net.net import SelfStopped
+from bayesnet_track.journal.events.self_checks import SelfStopped
 from bayesnet_track.runtime.run import Start
 from bayesnet_track.sources.scenes import Scene, make_scene
 

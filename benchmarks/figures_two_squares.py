@@ -32,7 +32,7 @@ from two_squares import held_to_the_end, without_adaptation
 
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.net.rule_decisions import Activated
+from bayesnet_track.journal.events.switches import Activated
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, region_of_boxes

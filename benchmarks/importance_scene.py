@@ -17,8 +17,8 @@ import numpy as np
 
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.events.basic import Event
-from bayesnet_track.journal.events.belief_events import SecondPass
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.sample_sizes import SecondPass
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.results import Result
 from bayesnet_track.runtime.run import Start, run

@@ -36,8 +36,8 @@ from bayesnet_track import Tracker
 from bayesnet_track.evaluate.scores import score
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.net.net import SelfStopped
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
+from bayesnet_track.journal.events.self_checks import SelfStopped
+from bayesnet_track.journal.events.switches import Activated, Deactivated
 
 SEEDLESS = ("CSRT", "KCF")
 SWITCHES = (Activated, Deactivated, SelfStopped)

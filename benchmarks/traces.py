@@ -14,7 +14,7 @@ from bayesnet_track.engine.starts import Start, start_targets
 from bayesnet_track.engine.step import Engine, Outcome, make_engine, step
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.events.basic import FrameMetrics
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.numerics.resampling import resample

@@ -17,7 +17,7 @@ import numpy as np
 
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
+from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.results import Result
 from bayesnet_track.runtime.run import Start, run

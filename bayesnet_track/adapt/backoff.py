@@ -6,7 +6,9 @@ from dataclasses import replace
 
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.situation import Situation
-from bayesnet_track.journal.net.net import Decision, Fault, Quarantined, Readmitted, TargetNet
+from bayesnet_track.journal.events.faults import Quarantined, Readmitted
+from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.net.target_net import Fault, TargetNet
 
 FIRST_WAIT = 10
 """Frames for which an agent is out at its first failure."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bayesnet_track.graph.spec import Concentrated, Level
-from bayesnet_track.journal.net.net import Cause, Concentration
+from bayesnet_track.journal.net.causes import Cause, Concentration
 from bayesnet_track.numerics.binomial import vouched_share
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.graph.settings.joins import Join, join_of
-from bayesnet_track.journal.net.join_decisions import Joined, Parted
+from bayesnet_track.journal.events.joins import Joined, Parted
 from bayesnet_track.journal.net.net import Net
 
 Floats = NDArray[np.float64]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.association import NOBODY, distances, pair_up
 from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, MergeDuplicates
-from bayesnet_track.journal.net.net import Fault
+from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.detector import DetectorState
 

@@ -17,8 +17,10 @@ from bayesnet_track.adapt.memory import Memory, Quiet, Streak
 from bayesnet_track.adapt.situation import Situation, active_below, quiet_level, read_ud, read_ud_beside_more
 from bayesnet_track.adapt.status import judge_status
 from bayesnet_track.graph.spec import Adapt, Condition, Level
-from bayesnet_track.journal.net.net import Decision, LocallyAdapted, Readmitted, SelfStopped
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
+from bayesnet_track.journal.events.faults import Readmitted
+from bayesnet_track.journal.events.self_checks import LocallyAdapted, SelfStopped
+from bayesnet_track.journal.events.switches import Activated, Deactivated
+from bayesnet_track.journal.net.net import Decision
 
 
 def decide(now: Situation, memory: Memory) -> tuple[tuple[Decision, ...], Memory]:

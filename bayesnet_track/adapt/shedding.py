@@ -14,8 +14,9 @@ from statistics import median
 
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.graph.checked import CheckedTarget
-from bayesnet_track.journal.events.inputs import LateFrame, SpareTime
-from bayesnet_track.journal.net.net import Decision, ParticlesLimited, Shed, TakenBack, TargetNet
+from bayesnet_track.journal.events.load import LateFrame, ParticlesLimited, Shed, SpareTime, TakenBack
+from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.net.target_net import TargetNet
 
 LATE, WITHIN = 3, 10
 """So many late frames among so many: time to shed."""

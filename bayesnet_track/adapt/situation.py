@@ -10,7 +10,7 @@ from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import Memory, Quiet
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Level
-from bayesnet_track.journal.net.net import TargetNet
+from bayesnet_track.journal.net.target_net import TargetNet
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,9 @@ from dataclasses import replace
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.situation import Situation, read_ud
 from bayesnet_track.graph.spec import Lost
-from bayesnet_track.journal.net.net import Cause, Decision, FitCause, ScoreCause
-from bayesnet_track.journal.net.rule_decisions import StatusChanged
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.net.causes import Cause, FitCause, ScoreCause
+from bayesnet_track.journal.net.net import Decision
 
 
 def judge_status(now: Situation, memory: Memory, decisions: list[Decision]) -> Memory:

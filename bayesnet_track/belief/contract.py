@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.motion.noise import Transition
-from bayesnet_track.journal.events.basic import Event
+from bayesnet_track.journal.events.event import Event
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 

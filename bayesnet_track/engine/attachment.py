@@ -17,8 +17,9 @@ from bayesnet_track.engine.filtering import Filtered, Ride
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.joins import Attachment
-from bayesnet_track.journal.events.basic import Event
-from bayesnet_track.journal.events.join_events import AttachmentChanged, JoinMetrics
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.joint_beliefs import AttachmentChanged
+from bayesnet_track.journal.metrics import JoinMetrics
 
 Floats = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import numpy as np
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.graph.settings.scores import Distractors
-from bayesnet_track.journal.events.distractor_events import DistractorSeen
+from bayesnet_track.journal.events.distractors import DistractorSeen
 
 
 def find_distractor(

@@ -15,8 +15,8 @@ from bayesnet_track.engine.shedding import within
 from bayesnet_track.engine.state import TargetState, with_agents
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
-from bayesnet_track.journal.events.join_events import JoinMetrics
-from bayesnet_track.journal.net.net import Quarantined
+from bayesnet_track.journal.events.faults import Quarantined
+from bayesnet_track.journal.metrics import JoinMetrics
 
 
 @dataclass(frozen=True, eq=False)

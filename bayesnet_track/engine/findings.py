@@ -14,9 +14,11 @@ from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.engine.score import Scored
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.inference.guard import Judged, Watched
-from bayesnet_track.journal.events.basic import Event, FrameMetrics
-from bayesnet_track.journal.events.distractor_events import DistractorSeen
-from bayesnet_track.journal.net.net import Decision, TargetNet
+from bayesnet_track.journal.events.distractors import DistractorSeen
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.observation.cue import Reference
 
 Floats = NDArray[np.float64]

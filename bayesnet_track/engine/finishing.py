@@ -30,8 +30,8 @@ from bayesnet_track.inference.guard import changes, watch
 from bayesnet_track.inference.learn import Lesson, learning_rate, over_frames
 from bayesnet_track.inference.measure import measure
 from bayesnet_track.inference.part_measures import part_rates
-from bayesnet_track.journal.events.basic import Event
-from bayesnet_track.journal.events.belief_events import DegenerateBelief
+from bayesnet_track.journal.events.beliefs import DegenerateBelief
+from bayesnet_track.journal.events.event import Event
 
 Floats = NDArray[np.float64]
 

@@ -12,8 +12,7 @@ from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.findings import Decided, Learnt, Measured
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.score import blur_regions
-from bayesnet_track.journal.events.basic import FrameMetrics
-from bayesnet_track.journal.events.part_metrics import PartMetrics
+from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.observation.planes import Frame
 

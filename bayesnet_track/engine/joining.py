@@ -31,8 +31,9 @@ from bayesnet_track.engine.occlusion import report_hidden
 from bayesnet_track.graph.settings.joins import Join
 from bayesnet_track.inference.joint import Edge, Marginal, Member, Pair, joint_marginals
 from bayesnet_track.inference.messages import Observer, evaluate
-from bayesnet_track.journal.events.basic import Event
-from bayesnet_track.journal.events.join_events import JoinMetrics, RingChanged
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.joint_beliefs import RingChanged
+from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import resample
 

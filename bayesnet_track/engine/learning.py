@@ -11,7 +11,9 @@ from bayesnet_track.engine.findings import Decided, Learnt
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.inference.guard import guard, judge
 from bayesnet_track.inference.learn import Lesson, adapt_reference, learn_references
-from bayesnet_track.journal.net.net import Decision, LocallyAdapted, Quarantined
+from bayesnet_track.journal.events.faults import Quarantined
+from bayesnet_track.journal.events.self_checks import LocallyAdapted
+from bayesnet_track.journal.net.net import Decision
 
 
 def learn(

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from bayesnet_track.adapt.joins import JoinMemory
-from bayesnet_track.journal.events.basic import Event
-from bayesnet_track.journal.events.join_events import JoinMetrics, OcclusionChanged
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.joint_beliefs import OcclusionChanged
+from bayesnet_track.journal.metrics import JoinMetrics
 
 HIDDEN, SEEN = 0.5, 0.3
 """Hidden share above which a target is reported as hidden, and at or below which to be seen again."""

@@ -17,8 +17,10 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.joining import JointBelief, reach_of
 from bayesnet_track.engine.shedding import balance_load
 from bayesnet_track.engine.state import TargetState, apply_decisions, recompile
-from bayesnet_track.journal.events.basic import Event, FrameMetrics
-from bayesnet_track.journal.events.inputs import Input, LateFrame, SpareTime
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.events.load import LateFrame, SpareTime
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.observation.planes import Frame
 

@@ -19,8 +19,8 @@ from bayesnet_track.belief.motion.shifted import ShiftedMotion, camera_shift, re
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.graph.settings.adapt import Level
 from bayesnet_track.graph.settings.motion import Relocalize
-from bayesnet_track.journal.events.life_events import DetectorFailed
-from bayesnet_track.journal.net.net import Fault
+from bayesnet_track.journal.events.births import DetectorFailed
+from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.observation.detector import (
     NOTHING,
     Detector,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.graph.spec import Localization, Logistic
-from bayesnet_track.journal.events.distractor_events import DistractorSeen
+from bayesnet_track.journal.events.distractors import DistractorSeen
 from bayesnet_track.numerics.mixtures import mixture_quantiles
 
 Floats = NDArray[np.float64]

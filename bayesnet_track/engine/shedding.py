@@ -11,7 +11,7 @@ from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Particles
-from bayesnet_track.journal.events.inputs import LateFrame, SpareTime
+from bayesnet_track.journal.events.load import LateFrame, SpareTime
 from bayesnet_track.journal.net.net import Decision, Net
 
 LEAST_SHARE, LEAST = 8, 100

@@ -32,8 +32,9 @@ from bayesnet_track.engine.outcome import (
 from bayesnet_track.engine.starting import start
 from bayesnet_track.engine.state import TargetState, apply_decisions
 from bayesnet_track.engine.target_execution import collect_elsewhere, start_elsewhere
-from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 
 __all__ = [

@@ -16,7 +16,7 @@ from bayesnet_track.engine.step import Engine, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.write import as_plain
-from bayesnet_track.journal.events.basic import FrameMetrics
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from bayesnet_track.evaluate.scores import Score, score
 from bayesnet_track.evaluate.truth import read_truth
-from bayesnet_track.journal.events.basic import FrameMetrics
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.reader import read_metrics
 from bayesnet_track.journal.timings import read_seconds
 from bayesnet_track.numerics.boxes import corner_from_centre

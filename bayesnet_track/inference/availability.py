@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from bayesnet_track.journal.events.inputs import AgentMissed
+from bayesnet_track.journal.events.faults import AgentMissed
 
 Key = tuple[str, str, str]
 

@@ -15,8 +15,8 @@ from bayesnet_track.graph.spec import Guard
 from bayesnet_track.inference.availability import Missing
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.inference.learn import Lesson, blend_reference
-from bayesnet_track.journal.events.basic import Event
-from bayesnet_track.journal.events.belief_events import ReferenceGuarded
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.references import ReferenceGuarded
 from bayesnet_track.observation.cue import Cue, Hypotheses, Reference, context_of
 from bayesnet_track.observation.guests import FAULTS, text_of
 from bayesnet_track.observation.planes import region_of_boxes

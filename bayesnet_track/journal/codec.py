@@ -18,8 +18,10 @@ from functools import cache
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from bayesnet_track.journal.encoder import NON_FINITE, JournalError, members_encoder, short
-from bayesnet_track.journal.events.basic import JOURNAL_VERSION, Event, FrameMetrics, RunStarted
+from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.events.runs import JOURNAL_VERSION, RunStarted
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.renamed import EVENTS, in_new_words
 
 __all__ = ["JournalError", "event_classes", "event_name", "from_json", "to_json", "type_hints"]

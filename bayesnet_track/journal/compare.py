@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from bayesnet_track.journal.compare_moments import Moment, find_moments
-from bayesnet_track.journal.events.basic import Event, FrameMetrics
-from bayesnet_track.journal.events.life_events import CandidateConfirmed
-from bayesnet_track.journal.net.life_decisions import Returned
-from bayesnet_track.journal.net.net import Decision, Switch, TargetStarted
+from bayesnet_track.journal.events.births import CandidateConfirmed, TargetStarted
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.reidentification import Returned
+from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.net.net import Decision, Switch
 
 NEAR = 0.5
 """Two boxes hold the same target when their centres are nearer than this share of their mean size."""

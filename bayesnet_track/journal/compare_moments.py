@@ -6,10 +6,11 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from bayesnet_track.journal.net.join_decisions import Joined, Parted
-from bayesnet_track.journal.net.life_decisions import Returned
-from bayesnet_track.journal.net.net import Decision, TargetStarted
-from bayesnet_track.journal.net.rule_decisions import StatusChanged
+from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.joins import Joined, Parted
+from bayesnet_track.journal.events.reidentification import Returned
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.net.net import Decision
 
 SHIFT = 10
 """Frames by which the same decision may come earlier or later and still count as the same moment."""

@@ -11,12 +11,12 @@ from typing import Any, get_args
 
 from bayesnet_track.journal.codec import event_name, type_hints
 from bayesnet_track.journal.encoder import FLOAT_DIGITS
-from bayesnet_track.journal.events.basic import JOURNAL_VERSION, Event, FrameMetrics
+from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
-from bayesnet_track.journal.events.join_events import JoinMetrics
-from bayesnet_track.journal.events.part_metrics import PartMetrics
-from bayesnet_track.journal.net.life_decisions import Recognition
-from bayesnet_track.journal.net.net import Cause, Concentration
+from bayesnet_track.journal.events.reidentification import Recognition
+from bayesnet_track.journal.events.runs import JOURNAL_VERSION
+from bayesnet_track.journal.metrics import FrameMetrics, JoinMetrics, PartMetrics
+from bayesnet_track.journal.net.causes import Cause, Concentration
 
 _FIELD = re.compile(r"^    (\w+): (.*)$")
 

@@ -9,7 +9,7 @@ from functools import cache
 from typing import Any
 
 from bayesnet_track.journal.encoder import JournalError, short
-from bayesnet_track.journal.events.part_metrics import PartMetrics
+from bayesnet_track.journal.metrics import PartMetrics
 
 MOST = 2**31 - 1
 """Largest frame, count or size in pixels: what the columns of a page hold."""

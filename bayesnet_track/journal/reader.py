@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from bayesnet_track.journal.codec import JournalError, event_name, from_json
-from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.line_checks import check_line
+from bayesnet_track.journal.metrics import FrameMetrics
 
 Notice = Callable[[str], None]
 

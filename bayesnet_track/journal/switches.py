@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from bayesnet_track.journal.net.net import Readmitted, Switch, TakenBack, Toggled
-from bayesnet_track.journal.net.rule_decisions import Activated
+from bayesnet_track.journal.events.by_hand import Toggled
+from bayesnet_track.journal.events.faults import Readmitted
+from bayesnet_track.journal.events.load import TakenBack
+from bayesnet_track.journal.events.switches import Activated
+from bayesnet_track.journal.net.net import Switch
 
 
 def turns_on(event: Switch) -> bool:

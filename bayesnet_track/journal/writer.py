@@ -11,8 +11,9 @@ from typing import Self
 
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.codec import to_json
-from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.metrics import FrameMetrics
 
 
 class OutputError(OSError):

@@ -9,8 +9,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.recording.interchange import Detections

@@ -11,7 +11,8 @@ from typing import Protocol
 from bayesnet_track.engine.starts import Start, StartError, check_started, check_starts, start_targets
 from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.journal.events.basic import JOURNAL_VERSION, Event, RunEnded, RunStarted
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.runs import JOURNAL_VERSION, RunEnded, RunStarted
 from bayesnet_track.journal.net.net import Decision, Switch
 from bayesnet_track.numerics.compile_watch import WATCH
 from bayesnet_track.observation.planes import Frame

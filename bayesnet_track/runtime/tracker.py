@@ -15,7 +15,8 @@ from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue

@@ -20,7 +20,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.journal.events.source_events import (
+from bayesnet_track.journal.events.sources import (
     FramesDropped,
     FrameSizeChanged,
     FramesMissing,

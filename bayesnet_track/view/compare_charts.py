@@ -10,8 +10,9 @@ from collections.abc import Iterable, Sequence
 
 from bayesnet_track.journal.compare import Comparison, Distance, RunRecord
 from bayesnet_track.journal.compare_moments import Moment
-from bayesnet_track.journal.events.basic import FrameMetrics
-from bayesnet_track.journal.net.net import Switch, TargetStarted
+from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.view.scales import decades, stretches, ticks
 from bayesnet_track.view.svg import element, text_of

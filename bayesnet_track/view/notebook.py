@@ -10,7 +10,7 @@ from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.compare import RunRecord
-from bayesnet_track.journal.events.basic import RunEnded, RunStarted
+from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.journal.text.explain import explain, has_several_targets
 from bayesnet_track.journal.text.wording import plural

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayesnet_track.journal.events.basic import FrameMetrics
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.boxes import corner_from_centre
 
 Image = NDArray[np.uint8]

@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.journal.events.basic import Event, FrameMetrics, RunEnded, RunStarted
-from bayesnet_track.journal.net.life_decisions import Returned
-from bayesnet_track.journal.net.net import TargetStarted
+from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.reidentification import Returned
+from bayesnet_track.journal.events.runs import RunEnded, RunStarted
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.view.page_columns import short_floats
 from bayesnet_track.view.page_events import event_rows
 from bayesnet_track.view.page_net import plates

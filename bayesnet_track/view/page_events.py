@@ -7,12 +7,15 @@ from collections.abc import Iterable
 from typing import Any
 
 from bayesnet_track.journal.codec import event_name
-from bayesnet_track.journal.events.basic import Event, RunEnded, RunStarted
-from bayesnet_track.journal.net.hand_decisions import Released, Toggled
-from bayesnet_track.journal.net.join_decisions import Joined, Parted
-from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
-from bayesnet_track.journal.net.net import Switch, TargetStarted
-from bayesnet_track.journal.net.rule_decisions import StatusChanged
+from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.by_hand import Released, Toggled
+from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.joins import Joined, Parted
+from bayesnet_track.journal.events.reidentification import Reacquired, Returned
+from bayesnet_track.journal.events.runs import RunEnded, RunStarted
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.journal.switches import turns_on
 from bayesnet_track.journal.text.sentences import explain
 

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesnet_track.journal.compare import RunRecord
-from bayesnet_track.journal.events.basic import FrameMetrics
-from bayesnet_track.journal.net.net import Cause, Switch
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
+from bayesnet_track.journal.events.switches import Activated, Deactivated
+from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.net.causes import Cause
+from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.journal.switches import turns_on
 from bayesnet_track.numerics.boxes import corner_from_centre
 

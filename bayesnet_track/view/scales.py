@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence, Set
 
-from bayesnet_track.journal.events.basic import FrameMetrics
+from bayesnet_track.journal.metrics import FrameMetrics
 
 
 def ticks(first: int, last: int, most: int = 10) -> list[int]:

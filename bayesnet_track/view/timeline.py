@@ -6,9 +6,14 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from bayesnet_track.journal.events.basic import Event, FrameMetrics
-from bayesnet_track.journal.net.net import Cause, Shed, Switch, TargetStarted
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
+from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.load import Shed
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.events.switches import Activated, Deactivated
+from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.net.causes import Cause
+from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.journal.switches import turns_on
 from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.view.scales import decades, stretches, ticks

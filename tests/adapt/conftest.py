@@ -7,7 +7,8 @@ import pytest
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.rules import Situation, decide
-from bayesnet_track.journal.net.net import Net, TargetNet, apply
+from bayesnet_track.journal.net.net import Net, apply
+from bayesnet_track.journal.net.target_net import TargetNet
 
 
 class Drive:

@@ -6,7 +6,8 @@ from bayesnet_track.adapt.backoff import MISSED_FRAMES, give_up_on_missing, next
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.situation import Situation
-from bayesnet_track.journal.net.net import Fault, Readmitted, TargetNet
+from bayesnet_track.journal.events.faults import Readmitted
+from bayesnet_track.journal.net.target_net import Fault, TargetNet
 
 OUT = TargetNet(
     "plate",

@@ -7,7 +7,7 @@ import pytest
 
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.messages import GraphError
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
+from bayesnet_track.journal.events.switches import Activated, Deactivated
 
 ADAPT = {
     "activate": {"above": {"ud_px2": 20.0}},

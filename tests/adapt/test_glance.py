@@ -5,9 +5,12 @@ from __future__ import annotations
 import pytest
 
 from bayesnet_track.inference.learn import over_frames
+from bayesnet_track.journal.events.by_hand import Toggled
+from bayesnet_track.journal.events.faults import Quarantined
+from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.net.net import Net as LiveNets
-from bayesnet_track.journal.net.net import Quarantined, TargetNet, Toggled, apply
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
+from bayesnet_track.journal.net.net import apply
+from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.journal.text.sentences import explain
 
 ADAPT = {

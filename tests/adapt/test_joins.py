@@ -19,9 +19,10 @@ from bayesnet_track.adapt.joins import (
     spanning_tree,
 )
 from bayesnet_track.graph.spec import Join
-from bayesnet_track.journal.net.join_decisions import Joined, Parted
-from bayesnet_track.journal.net.life_decisions import TargetDied
-from bayesnet_track.journal.net.net import Net, TargetStarted, apply, replay
+from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.endings import TargetDied
+from bayesnet_track.journal.events.joins import Joined, Parted
+from bayesnet_track.journal.net.net import Net, apply, replay
 
 NEAR = Join.model_validate({"exclusion": {}, "when": {"overlap": 0.1, "apart_frames": 3}})
 CARRY = Join.model_validate({"between": ["person", "box"], "attachment": {}})

@@ -13,8 +13,11 @@ from hypothesis import strategies as st
 from bayesnet_track.adapt.conditions import read_level
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.graph.spec import Level
-from bayesnet_track.journal.net.net import Cause, FitCause, LocallyAdapted, SelfStopped, TargetNet
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
+from bayesnet_track.journal.events.self_checks import LocallyAdapted, SelfStopped
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.events.switches import Activated, Deactivated
+from bayesnet_track.journal.net.causes import Cause, FitCause
+from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.journal.text.explain import explain
 
 NEVER_LOST = {"above": {"ud_px2": 1e9}}

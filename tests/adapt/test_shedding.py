@@ -9,8 +9,9 @@ import pytest
 
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.shedding import CALM, Load, Running, balance
-from bayesnet_track.journal.events.inputs import LateFrame, SpareTime
-from bayesnet_track.journal.net.net import Net, ParticlesLimited, Shed, TakenBack, TargetNet, apply
+from bayesnet_track.journal.events.load import LateFrame, ParticlesLimited, Shed, SpareTime, TakenBack
+from bayesnet_track.journal.net.net import Net, apply
+from bayesnet_track.journal.net.target_net import TargetNet
 
 ADAPT = {"activate": {"above": {"ud_px2": 200}}, "deactivate": {"below": {"ud_px2": 100}}}
 

@@ -11,8 +11,10 @@ from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.adapt.situation import Situation
-from bayesnet_track.journal.net.net import Net, ScoreCause, TargetNet, apply
-from bayesnet_track.journal.net.rule_decisions import StatusChanged
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.net.causes import ScoreCause
+from bayesnet_track.journal.net.net import Net, apply
+from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.journal.text.explain import explain
 
 LEVELS = {"score_below": 0.25, "uncertain_below": 0.6, "frames": 2}

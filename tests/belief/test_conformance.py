@@ -7,7 +7,7 @@ from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.journal.codec import from_json, to_json
-from bayesnet_track.journal.events.basic import Event
+from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.streams import Streams

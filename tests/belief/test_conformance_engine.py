@@ -8,8 +8,8 @@ import yaml
 
 from bayesnet_track import GraphSpec, Start, track
 from bayesnet_track.graphs import find_graph
-from bayesnet_track.journal.events.belief_events import DegenerateBelief
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
+from bayesnet_track.journal.events.beliefs import DegenerateBelief
+from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.text.explain import why
 from bayesnet_track.journal.text.sentences import explain

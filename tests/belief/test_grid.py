@@ -13,7 +13,7 @@ from bayesnet_track.belief.grid.motion import predict_grid
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.journal.events.belief_events import BeliefReset
+from bayesnet_track.journal.events.beliefs import BeliefReset
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.observation.cue import Measurement
 from bayesnet_track.sources.scenes import make_scene

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli.main import main
-from bayesnet_track.journal.net.net import FitCause
-from bayesnet_track.journal.net.rule_decisions import StatusChanged
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.net.causes import FitCause
 
 pytestmark = pytest.mark.slow
 

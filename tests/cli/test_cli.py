@@ -27,7 +27,7 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.cli.parser import EXIT_CODES
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.graphs import find_graph, graph_names
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
+from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.numerics.compile_watch import WATCH, CompileWatch
 from bayesnet_track.observation.cue import installed_cues

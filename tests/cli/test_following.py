@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from bayesnet_track.cli.following import SHOWN_NOTICES, follow
-from bayesnet_track.journal.events.source_events import FramesMissing
+from bayesnet_track.journal.events.sources import FramesMissing
 from bayesnet_track.runtime.results import Summary
 from bayesnet_track.runtime.stop import StopRequest
 

@@ -16,7 +16,7 @@ from bayesnet_track.engine.starts import StartError
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
-from bayesnet_track.journal.net.net import Quarantined
+from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.observation.cue import installed_cues
 from bayesnet_track.observation.depth import RightEye, StereoGeometry
 from bayesnet_track.observation.planes import Frame

@@ -9,7 +9,7 @@ from bayesnet_track import Tracker
 from bayesnet_track.engine.score import Scored, most, with_distractor
 from bayesnet_track.evaluate.calibration import longest_run
 from bayesnet_track.graph.spec import Distractors, Logistic
-from bayesnet_track.journal.events.distractor_events import DistractorSeen
+from bayesnet_track.journal.events.distractors import DistractorSeen
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.sources.scenes import make_scene
 

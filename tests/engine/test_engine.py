@@ -10,16 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bayesnet_track.engine.step import State, start_target, step
-from bayesnet_track.journal.events.belief_events import DegenerateBelief
-from bayesnet_track.journal.net.net import (
-    FitCause,
-    LocallyAdapted,
-    Quarantined,
-    SelfStopped,
-    TargetStarted,
-    replay,
-)
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
+from bayesnet_track.journal.events.beliefs import DegenerateBelief
+from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.faults import Quarantined
+from bayesnet_track.journal.events.self_checks import LocallyAdapted, SelfStopped
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.events.switches import Activated, Deactivated
+from bayesnet_track.journal.net.causes import FitCause
+from bayesnet_track.journal.net.net import replay
 from bayesnet_track.observation.planes import region_of_boxes
 
 TWO = {"root": {"fuse": "product", "ud_fields": ["x", "y"]}, "a": "root", "b": "root"}

@@ -10,8 +10,9 @@ from bayesnet_track.engine.step import first_look, make_engine, step
 from bayesnet_track.graph.checks.run import check
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.codec import from_json, to_json
-from bayesnet_track.journal.events.basic import AttachmentChanged, OcclusionChanged
-from bayesnet_track.journal.net.net import Decision, Joined, Parted, replay
+from bayesnet_track.journal.events.joins import Joined, Parted
+from bayesnet_track.journal.events.joint_beliefs import AttachmentChanged, OcclusionChanged
+from bayesnet_track.journal.net.net import Decision, replay
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.scenes import make_scene

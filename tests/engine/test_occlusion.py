@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bayesnet_track.adapt.joins import JoinMemory
 from bayesnet_track.engine.occlusion import report_hidden
-from bayesnet_track.journal.events.join_events import JoinMetrics
+from bayesnet_track.journal.metrics import JoinMetrics
 
 
 def test_a_target_is_told_to_be_hidden_once_and_to_be_seen_once():

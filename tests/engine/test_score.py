@@ -10,7 +10,7 @@ from bayesnet_track.belief.particles.belief import ParticleSet
 from bayesnet_track.engine.score import FEATURES, blur_regions, probability
 from bayesnet_track.graph.spec import Localization, Logistic
 from bayesnet_track.journal.codec import from_json, to_json
-from bayesnet_track.journal.net.rule_decisions import StatusChanged
+from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.numerics.log_weights import LogWeights
 
 TWO = {"root": {"fuse": "product", "ud_fields": ["x", "y"]}, "a": "root", "b": "root"}

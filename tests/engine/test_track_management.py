@@ -11,10 +11,16 @@ import pytest
 from bayesnet_track.engine.outcome import Outcome, State
 from bayesnet_track.engine.step import first_look, make_engine, start_target, step
 from bayesnet_track.graph.checks.run import check_graph
-from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
-from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
-from bayesnet_track.journal.net.net import Decision, TargetStarted, replay
-from bayesnet_track.journal.net.rule_decisions import StatusChanged
+from bayesnet_track.journal.events.births import (
+    BirthsRefused,
+    CandidateConfirmed,
+    DetectorFailed,
+    TargetStarted,
+)
+from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
+from bayesnet_track.journal.events.reidentification import Reacquired, Returned
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.net.net import Decision, replay
 from bayesnet_track.observation.cue import CueDeclaration, CueParameters
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame

@@ -7,7 +7,7 @@ import pytest
 
 from bayesnet_track.evaluate import format_truth, score_run
 from bayesnet_track.journal.codec import to_json
-from bayesnet_track.journal.events.basic import FrameMetrics
+from bayesnet_track.journal.metrics import FrameMetrics
 
 
 def metrics(frame, corner, target="1", status="tracking", active=("hue",)) -> FrameMetrics:

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from bayesnet_track.journal.net.net import Quarantined, Readmitted
+from bayesnet_track.journal.events.faults import Quarantined, Readmitted
 
 GIVEN = {"sd_px": {"x": 5.0, "y": 5.0}}
 

@@ -11,7 +11,8 @@ from bayesnet_track.graph.spec import Guard
 from bayesnet_track.inference.guard import Watched, judge
 from bayesnet_track.inference.learn import Lesson
 from bayesnet_track.journal.codec import from_json, to_json
-from bayesnet_track.journal.net.rule_decisions import Activated, StatusChanged
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.events.switches import Activated
 from bayesnet_track.observation.cue import Hypotheses
 
 WHOLE = (60.0, 50.0, 20.0, 40.0)

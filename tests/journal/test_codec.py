@@ -21,10 +21,12 @@ from bayesnet_track.journal.codec import (
     type_hints,
 )
 from bayesnet_track.journal.encoder import FLOAT_DIGITS
-from bayesnet_track.journal.events.basic import JOURNAL_VERSION, FrameMetrics, RunEnded, RunStarted
-from bayesnet_track.journal.events.source_events import SourceDamaged
-from bayesnet_track.journal.net.net import Cause
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
+from bayesnet_track.journal.events.runs import JOURNAL_VERSION, RunEnded, RunStarted
+from bayesnet_track.journal.events.sources import SourceDamaged
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.events.switches import Activated, Deactivated
+from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.net.causes import Cause
 
 SIMPLE = {
     float: st.floats(),

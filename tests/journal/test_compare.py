@@ -5,10 +5,11 @@ from dataclasses import dataclass, field, replace
 import pytest
 
 from bayesnet_track.journal.compare import compare
-from bayesnet_track.journal.events.basic import FrameMetrics
-from bayesnet_track.journal.events.life_events import CandidateConfirmed
-from bayesnet_track.journal.net.net import Cause, TargetStarted
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
+from bayesnet_track.journal.events.births import CandidateConfirmed, TargetStarted
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.events.switches import Activated, Deactivated
+from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.net.causes import Cause
 from bayesnet_track.journal.text.compare_text import compare_text
 
 BOX = (50.0, 40.0, 20.0, 10.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bayesnet_track.journal.compare_moments import SHIFT, Moment, find_moments
-from bayesnet_track.journal.net.life_decisions import TargetDied
+from bayesnet_track.journal.events.endings import TargetDied
 
 
 def died(frame, target):

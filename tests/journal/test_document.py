@@ -6,7 +6,7 @@ import pytest
 
 from bayesnet_track.journal.codec import event_classes, event_name, type_hints
 from bayesnet_track.journal.document import document_events, parts_of
-from bayesnet_track.journal.net.net import Cause, Concentration
+from bayesnet_track.journal.net.causes import Cause, Concentration
 
 KINDS = [*event_classes().values(), Cause, Concentration]
 COMMITTED = Path(__file__).parents[2] / "docs" / "journal.md"

@@ -8,50 +8,38 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.journal.events.basic import Event, FrameMetrics, RunEnded, RunStarted
-from bayesnet_track.journal.events.belief_events import (
-    BeliefReset,
-    DegenerateBelief,
-    MeasurementGated,
-    ParticlesResized,
-    ReferenceGuarded,
-    SecondPass,
+from bayesnet_track.journal.events.beliefs import BeliefReset, DegenerateBelief, MeasurementGated
+from bayesnet_track.journal.events.births import (
+    BirthsRefused,
+    CandidateConfirmed,
+    DetectorFailed,
+    TargetStarted,
 )
-from bayesnet_track.journal.events.distractor_events import DistractorSeen
-from bayesnet_track.journal.events.inputs import AgentMissed, InputRefused
-from bayesnet_track.journal.events.join_events import AttachmentChanged, OcclusionChanged, RingChanged
-from bayesnet_track.journal.events.jump_events import Reappeared
-from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
-from bayesnet_track.journal.events.machine_events import MachineChanged
-from bayesnet_track.journal.events.source_events import (
+from bayesnet_track.journal.events.by_hand import InputRefused, Released, Toggled
+from bayesnet_track.journal.events.distractors import DistractorSeen
+from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.faults import AgentMissed, Quarantined, Readmitted
+from bayesnet_track.journal.events.joins import Joined, Parted
+from bayesnet_track.journal.events.joint_beliefs import AttachmentChanged, OcclusionChanged, RingChanged
+from bayesnet_track.journal.events.jumps import Reappeared
+from bayesnet_track.journal.events.load import ParticlesLimited, Shed, TakenBack
+from bayesnet_track.journal.events.references import ReferenceGuarded
+from bayesnet_track.journal.events.reidentification import Reacquired, Recognition, Returned
+from bayesnet_track.journal.events.runs import MachineChanged, RunEnded, RunStarted
+from bayesnet_track.journal.events.sample_sizes import ParticlesResized, SecondPass
+from bayesnet_track.journal.events.self_checks import LocallyAdapted, SelfStopped
+from bayesnet_track.journal.events.sources import (
     FramesDropped,
     FrameSizeChanged,
     FramesMissing,
     SourceDamaged,
     SourceStalled,
 )
-from bayesnet_track.journal.net.join_decisions import Joined, Parted
-from bayesnet_track.journal.net.life_decisions import (
-    DuplicateEnded,
-    Reacquired,
-    Recognition,
-    Returned,
-    TargetDied,
-)
-from bayesnet_track.journal.net.net import (
-    Cause,
-    LocallyAdapted,
-    ParticlesLimited,
-    Quarantined,
-    Readmitted,
-    Released,
-    SelfStopped,
-    Shed,
-    TakenBack,
-    TargetStarted,
-    Toggled,
-)
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.events.switches import Activated, Deactivated
+from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.net.causes import Cause
 from bayesnet_track.journal.text.explain import Filter, explain, has_several_targets, why
 
 STARTED = RunStarted(1, "two_squares", "ab" * 32, 0, "scene:two_squares", 320, 240, True, 200, 0.04)

@@ -19,7 +19,7 @@ from bayesnet_track.journal.codec import (
     type_hints,
 )
 from bayesnet_track.journal.document import words_of
-from bayesnet_track.journal.events.basic import JOURNAL_VERSION
+from bayesnet_track.journal.events.runs import JOURNAL_VERSION
 from bayesnet_track.journal.renamed import EVENTS, FIELDS
 
 FORMAT = Path(__file__).with_name("format_2.json")

@@ -9,11 +9,12 @@ from typing import Any
 import pytest
 
 from bayesnet_track.journal.codec import from_json, to_json
-from bayesnet_track.journal.events.basic import SecondPass
-from bayesnet_track.journal.events.distractor_events import DistractorSeen
-from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed
-from bayesnet_track.journal.net.life_decisions import Recognition
-from bayesnet_track.journal.net.net import Cause, Deactivated
+from bayesnet_track.journal.events.births import BirthsRefused, CandidateConfirmed
+from bayesnet_track.journal.events.distractors import DistractorSeen
+from bayesnet_track.journal.events.reidentification import Recognition
+from bayesnet_track.journal.events.sample_sizes import SecondPass
+from bayesnet_track.journal.events.switches import Deactivated
+from bayesnet_track.journal.net.causes import Cause
 from bayesnet_track.journal.renamed import EVENTS, FIELDS, VALUES
 
 NEAR = Recognition("2", 0.4, 0.5, 9.0, 4.0, -1.0, 2.0, 0.5, (), "new", 0.6)

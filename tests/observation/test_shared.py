@@ -9,7 +9,7 @@ from bayesnet_track import Tracker
 from bayesnet_track.graph.spec import Guard
 from bayesnet_track.inference.guard import judge, watch
 from bayesnet_track.inference.learn import Lesson
-from bayesnet_track.journal.net.net import Quarantined
+from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.depth import PointMap, RightEye
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region

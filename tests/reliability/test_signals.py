@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesnet_track.journal.events.basic import RunEnded
+from bayesnet_track.journal.events.runs import RunEnded
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 

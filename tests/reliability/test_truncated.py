@@ -6,8 +6,8 @@ import av
 import pytest
 
 from bayesnet_track.cli.main import main
-from bayesnet_track.journal.events.basic import RunEnded
-from bayesnet_track.journal.events.source_events import SourceDamaged
+from bayesnet_track.journal.events.runs import RunEnded
+from bayesnet_track.journal.events.sources import SourceDamaged
 from bayesnet_track.journal.reader import read_events
 
 pytestmark = pytest.mark.reliability

@@ -9,8 +9,10 @@ from types import SimpleNamespace
 import pytest
 
 from bayesnet_track.inference.executor import AgentUnavailable
-from bayesnet_track.journal.events.inputs import AgentMissed, LateFrame, SpareTime
-from bayesnet_track.journal.net.net import Net, ParticlesLimited, TargetNet
+from bayesnet_track.journal.events.faults import AgentMissed
+from bayesnet_track.journal.events.load import LateFrame, ParticlesLimited, SpareTime
+from bayesnet_track.journal.net.net import Net
+from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.journal.reader import read_inputs
 from bayesnet_track.runtime.deadline import FOR_AGENTS, FOR_ONE, WARM_UP, Deadline
 from bayesnet_track.runtime.session import track

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from bayesnet_track.journal.events.inputs import InputRefused, Released
-from bayesnet_track.journal.net.net import Toggled, replay
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
+from bayesnet_track.journal.events.by_hand import InputRefused, Released, Toggled
+from bayesnet_track.journal.events.switches import Activated, Deactivated
+from bayesnet_track.journal.net.net import replay
 from bayesnet_track.journal.reader import read_events, read_inputs
 from bayesnet_track.runtime.inputs import Switchboard
 from bayesnet_track.runtime.session import track

@@ -14,8 +14,7 @@ import pytest
 
 from bayesnet_track import Start, track
 from bayesnet_track.cli.main import main
-from bayesnet_track.journal.events.basic import RunEnded
-from bayesnet_track.journal.events.machine_events import MachineChanged
+from bayesnet_track.journal.events.runs import MachineChanged, RunEnded
 from bayesnet_track.journal.reader import read_events
 from bayesnet_track.runtime.checkpoints.machine import describe_machine, name_differences
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume

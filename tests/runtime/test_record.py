@@ -10,8 +10,8 @@ import av
 import pytest
 
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.events.basic import RunEnded, RunStarted
-from bayesnet_track.journal.net.net import TargetStarted
+from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.writer import LineFile, OutputError
 from bayesnet_track.runtime import session

@@ -11,7 +11,7 @@ import pytest
 from bayesnet_track import Result, Start, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal import disk
-from bayesnet_track.journal.events.basic import Event
+from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.runtime.checkpoints.resume import resume
 from bayesnet_track.runtime.checkpoints.standing import standing

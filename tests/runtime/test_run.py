@@ -12,10 +12,11 @@ import pytest
 
 from bayesnet_track import Tracker
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.events.basic import RunEnded, RunStarted
-from bayesnet_track.journal.events.source_events import FrameSizeChanged, FramesMissing, SourceDamaged
-from bayesnet_track.journal.net.net import Decision, TargetStarted, replay
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
+from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.runs import RunEnded, RunStarted
+from bayesnet_track.journal.events.sources import FrameSizeChanged, FramesMissing, SourceDamaged
+from bayesnet_track.journal.events.switches import Activated, Deactivated
+from bayesnet_track.journal.net.net import Decision, replay
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.planes import Frame

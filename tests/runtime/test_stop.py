@@ -17,7 +17,7 @@ import pytest
 
 from bayesnet_track.cli import dispatch as commands
 from bayesnet_track.cli.main import main
-from bayesnet_track.journal.events.basic import RunEnded
+from bayesnet_track.journal.events.runs import RunEnded
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.runtime import stop as module
 from bayesnet_track.runtime.recording.rundir import RunDirectory

@@ -4,7 +4,7 @@ import csv
 
 import pytest
 
-from bayesnet_track.journal.events.basic import FrameMetrics
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.runtime.recording.tracks import CSV_COLUMNS, CsvWriter, MotWriter
 
 

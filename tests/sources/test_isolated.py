@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli.main import main
-from bayesnet_track.journal.events.source_events import SourceDamaged
+from bayesnet_track.journal.events.sources import SourceDamaged
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.frames import Source
 from bayesnet_track.sources.isolated import IsolatedReader

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from bayesnet_track.journal.events.source_events import FramesMissing, SourceDamaged
+from bayesnet_track.journal.events.sources import FramesMissing, SourceDamaged
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.sources import SourceError, open_source
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.journal.events.source_events import FrameSizeChanged, FramesMissing, SourceDamaged
+from bayesnet_track.journal.events.sources import FrameSizeChanged, FramesMissing, SourceDamaged
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.images import to_bgr
 from bayesnet_track.sources.sources import SourceError, open_source

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from bayesnet_track.journal.net.life_decisions import Reacquired
-from bayesnet_track.journal.net.net import Decision, TargetStarted, replay
-from bayesnet_track.journal.net.rule_decisions import Activated
+from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.reidentification import Reacquired
+from bayesnet_track.journal.events.switches import Activated
+from bayesnet_track.journal.net.net import Decision, replay
 from bayesnet_track.journal.text.story import describe_life
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.runtime.session import track

@@ -9,7 +9,7 @@ import pytest
 
 from bayesnet_track import Start, track
 from bayesnet_track.graphs import find_graph
-from bayesnet_track.journal.net.rule_decisions import StatusChanged
+from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene

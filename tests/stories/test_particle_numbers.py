@@ -10,7 +10,7 @@ import pytest
 
 from bayesnet_track import GraphSpec, Start, track
 from bayesnet_track.cli.main import main
-from bayesnet_track.journal.events.belief_events import ParticlesResized
+from bayesnet_track.journal.events.sample_sizes import ParticlesResized
 from bayesnet_track.journal.net.net import Decision, replay
 from bayesnet_track.journal.reader import read_events, read_metrics
 from bayesnet_track.journal.text.explain import why

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Start, track
-from bayesnet_track.journal.net.rule_decisions import Activated, StatusChanged
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.events.switches import Activated
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.runtime.results import Result
 from bayesnet_track.sources.scene_source import SceneSource

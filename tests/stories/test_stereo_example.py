@@ -8,8 +8,8 @@ import pytest
 
 from bayesnet_track import Start, Tracker, track
 from bayesnet_track.cli.main import main
-from bayesnet_track.journal.net.net import Quarantined
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
+from bayesnet_track.journal.events.faults import Quarantined
+from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.reader import read_metrics
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.depth import PointMap

@@ -24,7 +24,8 @@ from bayesnet_track import (
     track,
 )
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.observation.cue import Cue, CueDeclaration, CueParameters, Hypotheses, Reference
 from bayesnet_track.observation.planes import Plane, Planes
 

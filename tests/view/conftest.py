@@ -4,7 +4,7 @@ import pytest
 
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import InferenceNode, Target
-from bayesnet_track.journal.events.basic import FrameMetrics
+from bayesnet_track.journal.metrics import FrameMetrics
 
 
 @pytest.fixture

@@ -8,8 +8,9 @@ from types import SimpleNamespace
 import pytest
 
 from bayesnet_track.journal.compare import compare
-from bayesnet_track.journal.net.net import Cause, TargetStarted
-from bayesnet_track.journal.net.rule_decisions import Activated
+from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.switches import Activated
+from bayesnet_track.journal.net.causes import Cause
 from bayesnet_track.view.compare_page import compare_page
 
 HOSTILE = '"><script>alert(1)</script><img src=x onerror=alert(2)>'

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bayesnet_track.journal.events.part_metrics import PartMetrics
+from bayesnet_track.journal.metrics import PartMetrics
 from bayesnet_track.view.overlay import PART_COLOUR, STATUS_COLOUR, TRUTH_COLOUR, draw_overlay
 
 GRAY = np.full((240, 320, 3), 100, dtype=np.uint8)

@@ -14,17 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.events.basic import RunStarted
-from bayesnet_track.journal.net.net import (
-    Cause,
-    Quarantined,
-    Readmitted,
-    Shed,
-    TakenBack,
-    TargetStarted,
-    Toggled,
-)
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
+from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.by_hand import Toggled
+from bayesnet_track.journal.events.faults import Quarantined, Readmitted
+from bayesnet_track.journal.events.load import Shed, TakenBack
+from bayesnet_track.journal.events.runs import RunStarted
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.events.switches import Activated, Deactivated
+from bayesnet_track.journal.net.causes import Cause
 from bayesnet_track.view.page_columns import pack, short_floats, unpack
 from bayesnet_track.view.page_data import CLOUD_POINTS, read_timings, run_data
 from bayesnet_track.view.page_events import event_row, event_rows

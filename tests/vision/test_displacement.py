@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Tracker
-from bayesnet_track.journal.events.belief_events import BeliefReset
-from bayesnet_track.journal.net.net import Quarantined
+from bayesnet_track.journal.events.beliefs import BeliefReset
+from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.vision.displacement import (

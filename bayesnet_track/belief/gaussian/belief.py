@@ -25,8 +25,8 @@ from bayesnet_track.belief.gaussian.update import (
 )
 from bayesnet_track.belief.states import WeightedStates, hypotheses_of
 from bayesnet_track.graph import spec
-from bayesnet_track.journal.events.basic import Event
-from bayesnet_track.journal.events.belief_events import MeasurementGated
+from bayesnet_track.journal.events.beliefs import MeasurementGated
+from bayesnet_track.journal.events.event import Event
 from bayesnet_track.numerics.disc import gaussian_mass_in_disc
 from bayesnet_track.numerics.gaussian import root
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights

@@ -16,7 +16,7 @@ from bayesnet_track.belief.contract import Evidence, Report
 from bayesnet_track.belief.grid.cells import GridBelief
 from bayesnet_track.belief.grid.window import Limits
 from bayesnet_track.graph import spec
-from bayesnet_track.journal.events.belief_events import BeliefReset
+from bayesnet_track.journal.events.beliefs import BeliefReset
 from bayesnet_track.numerics.distributions import false_reset_level, feasibility
 
 Floats = NDArray[np.float64]

@@ -13,7 +13,7 @@ from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.particles.fitted import flatten
 from bayesnet_track.belief.particles.particle_set import Inputs
 from bayesnet_track.belief.states import hypotheses_of
-from bayesnet_track.journal.events.jump_events import Reappeared
+from bayesnet_track.journal.events.jumps import Reappeared
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import systematic
 

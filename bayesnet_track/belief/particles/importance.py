@@ -36,7 +36,7 @@ from bayesnet_track.graph.settings.proposals import (
     PriorEditing,
     SecondPassProposal,
 )
-from bayesnet_track.journal.events.belief_events import SecondPass
+from bayesnet_track.journal.events.sample_sizes import SecondPass
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 

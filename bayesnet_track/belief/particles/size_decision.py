@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from bayesnet_track.belief.contract import Report
 from bayesnet_track.belief.particles.sample_size import SampleSize, SizeMemory
 from bayesnet_track.graph.settings.particles import AdaptiveSize
-from bayesnet_track.journal.events.belief_events import ParticlesResized
+from bayesnet_track.journal.events.sample_sizes import ParticlesResized
 
 ENLARGED = 1.25
 """A half is enlarged when it is asked for this many times its number: a second evaluation costs time."""

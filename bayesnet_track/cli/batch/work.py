@@ -81,7 +81,7 @@ def row_of(job: Job) -> Row:
     """The row of a finished run; raises OSError, ValueError when its files do not make one."""
     from bayesnet_track.evaluate.runs import score_run
     from bayesnet_track.evaluate.scores import frames_per_second
-    from bayesnet_track.journal.events.basic import RunEnded
+    from bayesnet_track.journal.events.runs import RunEnded
     from bayesnet_track.journal.net.net import Switch
     from bayesnet_track.runtime.recording.run_reader import open_run
 

@@ -22,7 +22,7 @@ Data = tuple[dict[str, Any], dict[str, Any]]
 
 def report(options: argparse.Namespace) -> int:
     """Write the page of a run."""
-    from bayesnet_track.journal.events.basic import RunStarted
+    from bayesnet_track.journal.events.runs import RunStarted
     from bayesnet_track.journal.reader import read_events, read_metrics
     from bayesnet_track.runtime.recording.pictures import pictures_of
     from bayesnet_track.runtime.recording.rundir import RunDirectory

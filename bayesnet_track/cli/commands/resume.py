@@ -54,7 +54,7 @@ def resume(options: argparse.Namespace) -> int:
 def _expected(directory: RunDirectory) -> int | None:
     """How many frames the journal says are to be tracked."""
     from bayesnet_track.journal.codec import JournalError
-    from bayesnet_track.journal.events.basic import RunStarted
+    from bayesnet_track.journal.events.runs import RunStarted
     from bayesnet_track.journal.reader import read_events
 
     try:

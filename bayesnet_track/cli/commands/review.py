@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from bayesnet_track.cli.commands.answer import OK, UsageError, complain, say, users_mistake
 
 if TYPE_CHECKING:
-    from bayesnet_track.journal.events.basic import Event
+    from bayesnet_track.journal.events.event import Event
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
 

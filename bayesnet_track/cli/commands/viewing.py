@@ -86,7 +86,7 @@ def begin_again(
     options: argparse.Namespace, view: LiveView, directory: RunDirectory, expected: int | None
 ) -> None:
     """Show what the run that goes on has behind it, and wait for the page."""
-    from bayesnet_track.journal.events.basic import RunEnded, RunStarted
+    from bayesnet_track.journal.events.runs import RunEnded, RunStarted
     from bayesnet_track.journal.reader import read_events, read_metrics
     from bayesnet_track.runtime.checkpoints.recipe import Recipe
     from bayesnet_track.runtime.checkpoints.standing import standing

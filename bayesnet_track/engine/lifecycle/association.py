@@ -26,7 +26,7 @@ from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
-from bayesnet_track.journal.events.life_events import DetectorFailed
+from bayesnet_track.journal.events.births import DetectorFailed
 from bayesnet_track.observation.cue import OWN_DETECTION, AssociationRule, Hypotheses
 
 Floats = NDArray[np.float64]

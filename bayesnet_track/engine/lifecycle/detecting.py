@@ -12,8 +12,8 @@ from bayesnet_track.adapt.backoff import next_try
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.journal.events.life_events import DetectorFailed
-from bayesnet_track.journal.net.net import Fault
+from bayesnet_track.journal.events.births import DetectorFailed
+from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.observation.detector import (
     Detections,
     Detector,

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.lifecycle import AppearanceMemory
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.graph.settings.lifecycle import Reidentify
-from bayesnet_track.journal.net.life_decisions import Recognition
+from bayesnet_track.journal.events.reidentification import Recognition
 from bayesnet_track.numerics.boxes import overlap
 
 Floats = NDArray[np.float64]

@@ -37,8 +37,9 @@ from bayesnet_track.engine.outcome import Outcome
 from bayesnet_track.engine.starting import restart, start
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.lifecycle import Birth, LifeRules
-from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed
-from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
+from bayesnet_track.journal.events.births import BirthsRefused, CandidateConfirmed
+from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
+from bayesnet_track.journal.events.reidentification import Reacquired, Returned
 from bayesnet_track.observation.planes import Frame
 
 Floats = NDArray[np.float64]

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.engine.state import TargetState, apply_decisions
-from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision, Net
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,7 @@ from itertools import islice, takewhile
 
 from bayesnet_track.journal.compare import Comparison, RunRecord, Total
 from bayesnet_track.journal.compare_moments import Moment
-from bayesnet_track.journal.events.basic import RunStarted
+from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.journal.text.wording import plural

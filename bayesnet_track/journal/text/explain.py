@@ -7,17 +7,14 @@ from dataclasses import dataclass
 from typing import get_args
 
 from bayesnet_track.journal.codec import event_name
-from bayesnet_track.journal.events.basic import Event, FrameMetrics
-from bayesnet_track.journal.net.net import (
-    Cause,
-    Concentration,
-    FitCause,
-    ScoreCause,
-    SelfStopped,
-    Switch,
-    TargetStarted,
-)
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
+from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.self_checks import SelfStopped
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.events.switches import Activated, Deactivated
+from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.net.causes import Cause, Concentration, FitCause, ScoreCause
+from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.journal.text.wording import UNIT
 

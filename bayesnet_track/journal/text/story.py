@@ -6,21 +6,15 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import assert_never
 
-from bayesnet_track.journal.events.basic import Event, FrameMetrics
-from bayesnet_track.journal.events.life_events import CandidateConfirmed
-from bayesnet_track.journal.net.life_decisions import DuplicateEnded, Reacquired, Returned, TargetDied
-from bayesnet_track.journal.net.net import (
-    LocallyAdapted,
-    Quarantined,
-    Readmitted,
-    SelfStopped,
-    Shed,
-    Switch,
-    TakenBack,
-    TargetStarted,
-    Toggled,
-)
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated, StatusChanged
+from bayesnet_track.journal.events import by_hand, faults, load, self_checks, switches
+from bayesnet_track.journal.events.births import CandidateConfirmed, TargetStarted
+from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.reidentification import Reacquired, Returned
+from bayesnet_track.journal.events.self_checks import LocallyAdapted
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.journal.text.wording import plural
 
@@ -80,25 +74,17 @@ def _condense(events: Iterable[Event]) -> list[str]:
 
 
 def _what(event: Switch) -> str:
-    match event:
-        case Activated():
-            return "on"
-        case Deactivated():
-            return "off"
-        case Shed():
-            return "off for want of time"
-        case TakenBack():
-            return "on again"
-        case SelfStopped():
-            return "stopped itself"
-        case Readmitted():
-            return "on again" if event.on else "let in again"
-        case Toggled():
-            return f"{'on' if event.on else 'off'} by hand"
-        case Quarantined():
-            return "failed"
-        case _:
-            assert_never(event)
+    if isinstance(event, switches.Switches):
+        return switches.shorten(event)
+    if isinstance(event, self_checks.Switches):
+        return self_checks.shorten(event)
+    if isinstance(event, faults.Switches):
+        return faults.shorten(event)
+    if isinstance(event, by_hand.Switches):
+        return by_hand.shorten(event)
+    if isinstance(event, load.Switches):
+        return load.shorten(event)
+    assert_never(event)
 
 
 def _more(done: Sequence[Event]) -> str:

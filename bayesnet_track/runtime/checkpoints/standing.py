@@ -7,7 +7,8 @@ from os import PathLike
 from pathlib import Path
 
 from bayesnet_track.journal.codec import JournalError, from_json
-from bayesnet_track.journal.events.basic import Event, RunEnded
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.runs import RunEnded
 from bayesnet_track.runtime.checkpoints.checkpoint import (
     newest_checkpoint,
 )

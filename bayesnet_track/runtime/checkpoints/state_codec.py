@@ -32,8 +32,9 @@ from bayesnet_track.engine.score import Scored
 from bayesnet_track.engine.step import Engine, State, TargetState
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.guard import Watched
-from bayesnet_track.journal.net.join_decisions import Joined
-from bayesnet_track.journal.net.net import Fault, Net, TargetNet
+from bayesnet_track.journal.events.joins import Joined
+from bayesnet_track.journal.net.net import Net
+from bayesnet_track.journal.net.target_net import Fault, TargetNet
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.planes import Frame
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from bayesnet_track.belief.contract import MotionModel
-from bayesnet_track.journal.events.machine_events import MachineChanged
+from bayesnet_track.journal.events.runs import MachineChanged
 from bayesnet_track.journal.reader import Notice
 from bayesnet_track.journal.writer import read_position
 from bayesnet_track.observation.cue import ENTRY_POINT_GROUP

@@ -19,7 +19,8 @@ from bayesnet_track.engine.step import make_engine
 from bayesnet_track.engine.target_execution import Advanced, advance
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.inference.compile import Plan, compile_plan
-from bayesnet_track.journal.net.net import Net, TargetNet
+from bayesnet_track.journal.net.net import Net
+from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.observation.detector import GIVEN
 from bayesnet_track.observation.planes import Array, FramePair, Plane, PlaneCache, Planes, Region
 

@@ -12,7 +12,9 @@ from typing import Any
 
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.codec import to_json
-from bayesnet_track.journal.events.basic import Event, FrameMetrics, RunEnded, RunStarted
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.runs import RunEnded, RunStarted
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.runtime.live_view.event_buffer import EventBuffer
 from bayesnet_track.runtime.live_view.thumbnails import Thumbnails
 from bayesnet_track.runtime.results import Result

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.journal.events.basic import FrameMetrics
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.boxes import corner_from_centre
 
 DATA = ("target", "class_name", "status", "ud_px2", "frame", "time_s")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.journal.events.basic import RunStarted
+from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.sources.paths import SourceError

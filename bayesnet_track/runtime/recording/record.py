@@ -14,8 +14,9 @@ from bayesnet_track.engine.starts import has_births
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.codec import from_json, to_json
-from bayesnet_track.journal.events.basic import Event, FrameMetrics
+from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.reader import read_metrics
 from bayesnet_track.journal.writer import (
     JournalWriter,

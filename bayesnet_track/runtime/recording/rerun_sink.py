@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.journal.codec import event_name
-from bayesnet_track.journal.events.basic import Event, FrameMetrics, RunEnded
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.runs import RunEnded
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.numerics.boxes import corner_from_centre

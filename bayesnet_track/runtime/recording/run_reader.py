@@ -13,9 +13,11 @@ from bayesnet_track.graph.spec import AgentNode, GraphSpec
 from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.graph.text.recorded import recorded_text
 from bayesnet_track.journal.codec import JournalError
-from bayesnet_track.journal.events.basic import Event, FrameMetrics, RunStarted
-from bayesnet_track.journal.net.life_decisions import Returned
-from bayesnet_track.journal.net.net import TargetStarted
+from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.reidentification import Returned
+from bayesnet_track.journal.events.runs import RunStarted
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.reader import Notice, read_events, read_metrics
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.journal.timings import read_seconds

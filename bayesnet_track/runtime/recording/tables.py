@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from bayesnet_track.journal.events.basic import FrameMetrics
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.boxes import corner_from_centre
 
 Value = int | float | str | bool | None

@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from bayesnet_track.journal.events.basic import FrameMetrics
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.numerics.boxes import corner_from_centre
 

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track.inference.executor import AgentUnavailable
-from bayesnet_track.journal.events.inputs import AgentMissed
-from bayesnet_track.journal.net.net import Quarantined
-from bayesnet_track.journal.net.rule_decisions import StatusChanged
+from bayesnet_track.journal.events.faults import AgentMissed, Quarantined
+from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.reader import read_inputs
 from bayesnet_track.runtime.deadline import WARM_UP, Deadline
 from bayesnet_track.runtime.inputs import replay_inputs

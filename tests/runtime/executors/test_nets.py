@@ -12,7 +12,7 @@ from bayesnet_track.engine.step import State, make_engine, step
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.codec import to_json
-from bayesnet_track.journal.events.inputs import Toggled
+from bayesnet_track.journal.events.by_hand import Toggled
 from bayesnet_track.runtime.executors import make_executor
 from bayesnet_track.runtime.executors.placing import PlacingError
 from bayesnet_track.runtime.executors.target_executor import ProcessTargetExecutor

@@ -1,4 +1,4 @@
-"""The event of a belief that finds its target again by a jump, and its sentence."""
+"""A belief that finds its target again by a jump."""
 
 from __future__ import annotations
 
@@ -42,8 +42,11 @@ class Reappeared:
     above_px2: float
 
 
-def reappeared(event: Reappeared) -> str:
-    """The sentence, without the frame."""
+Events = Reappeared
+
+
+def describe(event: Events) -> str:
+    """The sentence of an event, without its frame."""
     held, level = distinct_texts(event.held, event.level)
     ud, above = distinct_texts(event.ud_px2, event.above_px2)
     unsure = f"UD {ud} px² {'>' if event.ud_px2 > event.above_px2 else '≤'} {above}; "

@@ -1,126 +1,48 @@
-"""The journal's events besides decisions. The docstrings here are the documentation of the file format.
-
-A line of ``journal.jsonl`` is ``{"event": <snake_case class name>, <field>: <value>, ...}``, keys in the
-order of the class. Decisions (`bayesnet_track.journal.net.net`) are written in the same way.
-"""
+"""What was measured in a frame: the lines of ``frames.jsonl``."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from bayesnet_track.journal.events.belief_events import (
-    BeliefReset,
-    DegenerateBelief,
-    MeasurementGated,
-    ParticlesResized,
-    ReferenceGuarded,
-    SecondPass,
-)
-from bayesnet_track.journal.events.distractor_events import DistractorSeen
-from bayesnet_track.journal.events.inputs import AgentMissed, InputRefused
-from bayesnet_track.journal.events.join_events import (
-    AttachmentChanged,
-    JoinMetrics,
-    OcclusionChanged,
-    RingChanged,
-)
-from bayesnet_track.journal.events.jump_events import Reappeared
-from bayesnet_track.journal.events.life_events import BirthsRefused, CandidateConfirmed, DetectorFailed
-from bayesnet_track.journal.events.machine_events import MachineChanged
-from bayesnet_track.journal.events.part_metrics import PartMetrics
-from bayesnet_track.journal.events.source_events import (
-    FramesDropped,
-    FrameSizeChanged,
-    FramesMissing,
-    SourceDamaged,
-    SourceStalled,
-)
-from bayesnet_track.journal.net.net import Decision
 
-JOURNAL_VERSION = 2
+@dataclass(frozen=True)
+class PartMetrics:
+    """What was measured for one part of a target in one frame.
+
+    Attributes:
+        box: estimate, the mean of the part's belief given all that was seen, centre box x, y, w, h in px.
+        sd: posterior sd of x, y, w, h in px.
+        ud_px2: uncertainty deviation about the estimate; the same as in `ud_nodes`.
+        status: seen; hidden (its agents look, and see nothing like it) or unwatched (none of them is active),
+            and then told from the rest of the target.
+    """
+
+    box: tuple[float, ...]
+    sd: tuple[float, ...]
+    ud_px2: float
+    status: str
 
 
 @dataclass(frozen=True)
-class RunStarted:
-    """First line of every journal.
+class JoinMetrics:
+    """What a joint belief says of one target in one frame.
 
     Attributes:
-        journal: version of the file format.
-        graph: the graph's name.
-        graph_sha256: hash of the graph's canonical text, which stands in graph.yaml.
-        seed: seed of all random streams.
-        source: the source as given.
-        width: columns of the first frame.
-        height: rows of the first frame.
-        has_color: False for a gray source.
-        declared_frames: number of frames that the source declares, or None.
-        frame_interval_s: nominal seconds between frames (1 time unit).
-        costs_ms: declared cost of each cue, which rules weigh with.
-        versions: of Python and of the libraries that touch numbers.
-        inputs: files from outside besides the source (of detections), each with its SHA-256; left out when
-            there are none.
+        others: targets that it is joined with.
+        hidden: expected share of its box that is hidden by one of them.
+        behind: the one that most probably hides it, or empty.
+        in_front: the other -> probability that this target is in front of it.
+        attached: probability that it is carried; None when nothing may carry it.
+        ess_own: effective hypotheses before the joint belief.
     """
 
-    journal: int
-    graph: str
-    graph_sha256: str
-    seed: int
-    source: str
-    width: int
-    height: int
-    has_color: bool
-    declared_frames: int | None
-    frame_interval_s: float
-    costs_ms: Mapping[str, float] = field(default_factory=dict)
-    versions: Mapping[str, str] = field(default_factory=dict)
-    inputs: Mapping[str, str] = field(default_factory=dict, metadata={"left_out_when_empty": True})
-
-
-@dataclass(frozen=True)
-class RunEnded:
-    """Last line of a journal that was closed in order.
-
-    Attributes:
-        frames: frames read.
-        declared_frames: what the source declared, or None.
-        complete: False when the source ended early, was damaged, or the run was stopped.
-        reason: end_of_source, source_truncated, source_damaged, frame_size_changed, interrupted, error.
-    """
-
-    frames: int
-    declared_frames: int | None
-    complete: bool
-    reason: str
-
-
-Event = (
-    RunStarted
-    | FramesMissing
-    | FrameSizeChanged
-    | SourceDamaged
-    | MachineChanged
-    | FramesDropped
-    | SourceStalled
-    | DegenerateBelief
-    | MeasurementGated
-    | BeliefReset
-    | ParticlesResized
-    | SecondPass
-    | Reappeared
-    | ReferenceGuarded
-    | DistractorSeen
-    | CandidateConfirmed
-    | BirthsRefused
-    | DetectorFailed
-    | AgentMissed
-    | InputRefused
-    | OcclusionChanged
-    | AttachmentChanged
-    | RingChanged
-    | RunEnded
-    | Decision
-)
+    others: tuple[str, ...]
+    hidden: float
+    behind: str
+    in_front: Mapping[str, float]
+    attached: float | None
+    ess_own: float
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,12 @@
-"""Decisions about a target's life: it is recognised again, or its net ends (`journal.net.net` applies it)."""
+"""Targets that are recognised in a detection."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import assert_never
+
+from bayesnet_track.journal.text.wording import distinct_texts, plural, round_away
 
 
 @dataclass(frozen=True)
@@ -78,43 +82,45 @@ class Reacquired:
     recognition: Recognition
 
 
-@dataclass(frozen=True)
-class TargetDied:
-    """A net ends: its target was lost, or not detected, for too long.
-
-    Attributes:
-        frame: last frame of the net.
-        target: target id.
-        reason: lost or unseen.
-        frames: for how many consecutive frames.
-        limit: the rule's number of frames.
-        remembered: whether the target can be recognised later.
-    """
-
-    frame: int
-    target: str
-    reason: str
-    frames: int
-    limit: int
-    remembered: bool
+Decisions = Returned | Reacquired
+Events = Decisions
 
 
-@dataclass(frozen=True)
-class DuplicateEnded:
-    """A net ends: its belief overlapped that of an older net for too long, so that both hold one target.
+def describe(event: Events) -> str:
+    """The sentence of an event, without its frame."""
+    match event:
+        case Returned():
+            then = f"target {event.target} is back{_at(event.box)}"
+            return _describe_recognition(event.recognition, then, "a new target")
+        case Reacquired():
+            then = f"target {event.target} found again{_at(event.box)}"
+            return _describe_recognition(event.recognition, then, "left alone")
+        case _:
+            assert_never(event)
 
-    Attributes:
-        frame: last frame of the net.
-        target: id of the younger one, which ends.
-        kept: id of the older one.
-        overlap: least Bhattacharyya coefficient of their beliefs over these frames.
-        level: the rule's least overlap.
-        frames: for how many consecutive frames.
-    """
 
-    frame: int
-    target: str
-    kept: str
-    overlap: float
-    level: float
-    frames: int
+def _describe_recognition(by: Recognition, then: str, otherwise: str) -> str:
+    value, level = distinct_texts(by.probability, by.min_probability)
+    # As many digits as tell it from 1, and rounded up, so that the level named would have refused it.
+    digits = max(2, math.ceil(-math.log10(max(1.0 - by.probability, 1e-7))))
+    turning = float(round_away(by.probability, digits, up=True))
+    but = f"; would have been {otherwise} at min_probability ≥ {turning:.9g}" if turning < 1 else ""
+    relation = "≥" if by.probability > by.min_probability else "="
+    rival = "a new target" if by.rival == "new" else f"target {by.rival}"
+    return (
+        f"a detection is target {by.target} with probability {value} {relation} {level} ({explain_odds(by)}; "
+        f"next {rival}, {by.rival_probability:.2g}) → {then}{but}"
+    )
+
+
+def explain_odds(by: Recognition) -> str:
+    """The log-odds' parts."""
+    whom = f" by {', '.join(by.agents)}" if by.agents else ""
+    return (
+        f"{plural(by.away, 'frame')} away {by.fading:+.2f}, {by.distance_px:.0f} px off {by.place:+.2f}, "
+        f"looks{whom} {by.appearance:+.2f} nats"
+    )
+
+
+def _at(box: tuple[float, float, float, float]) -> str:
+    return f", centre {box[0]:.4g}, {box[1]:.4g}, {box[2]:.4g} x {box[3]:.4g} px"

@@ -1,16 +1,106 @@
-"""Why an agent was switched, as a sentence: the numbers, the choice, and what would have kept it."""
+"""Agents that a rule switches on and off."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import assert_never
 
-from bayesnet_track.journal.events.belief_events import ReferenceGuarded
-from bayesnet_track.journal.net.net import Cause, Concentration
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
-from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, plural, round_away, show_turn
+from bayesnet_track.journal.net.causes import Cause, Concentration
+from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.text.wording import distinct_texts, held, plural, round_away, show_turn
 
 
-def activated(event: Activated) -> str:
+@dataclass(frozen=True)
+class Activated:
+    """An inference node switched an agent on.
+
+    Attributes:
+        frame: frame whose numbers caused it; it works from the next frame on.
+        target: target id.
+        node: the agent.
+        governor: the inference node whose rule fired.
+        cause: the numbers; None when it was switched on because no agent was active.
+        helpfulness: mean contribution (nats) over the frames in which it was active; None when never measured
+            or when the rule does not go by it.
+        expected: agent -> expected information per declared cost, nats per ms, for every inactive agent it
+            was chosen among by `information_per_ms`; infinite for one that was never active; else empty.
+    """
+
+    frame: int
+    target: str
+    node: str
+    governor: str
+    cause: Cause | Concentration | None
+    helpfulness: float | None = None
+    expected: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Deactivated:
+    """An inference node switched an agent off.
+
+    Attributes:
+        frame: frame whose numbers caused it.
+        target: target id.
+        node: the agent.
+        governor: the inference node whose rule fired.
+        cause: the numbers.
+        drop: which index chose it: largest_kl, min_contribution_per_ms, min_information_per_ms or
+            most_expensive_redundant, most_expensive.
+        index: agent -> that index, for every active agent it was chosen among.
+        sample_every: it is still evaluated in frames whose number this divides; 0 when it is not.
+    """
+
+    frame: int
+    target: str
+    node: str
+    governor: str
+    cause: Cause | Concentration
+    drop: str
+    index: Mapping[str, float] = field(default_factory=dict)
+    sample_every: int = 0
+
+
+Decisions = Activated | Deactivated
+Switches = Decisions
+Events = Decisions
+
+
+def describe(event: Events) -> str:
+    """The sentence of an event, without its frame."""
+    match event:
+        case Activated():
+            return _describe_on(event)
+        case Deactivated():
+            return _describe_off(event)
+        case _:
+            assert_never(event)
+
+
+def shorten(event: Switches) -> str:
+    """The switch in a word, for a summary."""
+    return "on" if isinstance(event, Activated) else "off"
+
+
+def change(net: TargetNet, decision: Decisions) -> TargetNet:
+    """The net of a target after a decision."""
+    match decision:
+        case Activated():
+            return replace(net, active=net.active | {decision.node}, shed=net.shed_without(decision.node))
+        case Deactivated():
+            sampled = (
+                {**net.sampled, decision.node: decision.sample_every}
+                if decision.sample_every
+                else net.sampled
+            )
+            return replace(net, active=net.active - {decision.node}, sampled=sampled)
+        case _:
+            assert_never(decision)
+
+
+def _describe_on(event: Activated) -> str:
     """`... → motion on (...); would have stayed off at ...`."""
     if event.cause is None:
         return f"no agent was active → {event.node} on"
@@ -18,32 +108,17 @@ def activated(event: Activated) -> str:
     why = _expected_most(event) if event.expected else helped
     if isinstance(event.cause, Concentration):
         stay = f"share ≤ {round_away(event.cause.turning, _share_digits(event.cause), up=False)}"
-        found = concentration(event.cause, sure=False)
+        found = _describe_concentration(event.cause, sure=False)
         return f"{found} → {event.node} on{why}; would have stayed off at {stay}"
     stay = f"activate ≥ {show_turn(event.cause, up=True)}"
     return f"{held(event.cause, '>')} → {event.node} on{why}; would have stayed off at {stay}"
 
 
-def deactivated(event: Deactivated) -> str:
+def _describe_off(event: Deactivated) -> str:
     """`... → motion off (...); would have stayed on at ...`."""
     return (
         f"{_well(event.cause)} → {event.node} off{_chosen_among(event)}{_sampled(event)}; "
         f"would have stayed on at {_not_well(event.cause)}"
-    )
-
-
-def guarded(event: ReferenceGuarded) -> str:
-    """Why an agent stopped learning, or goes on."""
-    gap, level = distinct_texts(event.own - event.slow, event.apart_nats)
-    own, slow = f"{event.own:.2f} nats by its reference", f"{event.slow:.2f} by its slow one"
-    scored = f"{event.node}: the estimate scores {own}, {slow}"
-    if not event.parted:
-        lasted = plural(event.frames, "frame")
-        return f"{scored}: {gap} ≤ {level} apart after {lasted} → learns again"
-    turning = round_away(event.own - event.slow, decimals(event.own - event.slow, event.apart_nats), up=True)
-    return (
-        f"{scored}: {gap} > {level} apart → stops learning, pulled back by {event.pull:g} a frame; "
-        f"would have learnt at apart_nats ≥ {turning}"
     )
 
 
@@ -59,7 +134,7 @@ def _expected_most(event: Activated) -> str:
     return f" ({what} against {second} {behind})"
 
 
-def concentration(cause: Concentration, sure: bool) -> str:
+def _describe_concentration(cause: Concentration, sure: bool) -> str:
     """What the test found, and whether it can say that the belief lies around one mode."""
     exact = not math.isfinite(cause.trials)
     of = "exactly" if exact else f"of {_count_text(cause.trials)} effective hypotheses"
@@ -73,7 +148,7 @@ def concentration(cause: Concentration, sure: bool) -> str:
 
 def _well(cause: Cause | Concentration) -> str:
     """What let an agent be switched off."""
-    return concentration(cause, sure=True) if isinstance(cause, Concentration) else held(cause, "<")
+    return _describe_concentration(cause, sure=True) if isinstance(cause, Concentration) else held(cause, "<")
 
 
 def _not_well(cause: Cause | Concentration) -> str:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import assert_never
+
+from bayesnet_track.journal.text.wording import plural
 
 
 @dataclass(frozen=True)
@@ -76,3 +79,26 @@ class SourceStalled:
     seconds: float
     reason: str
     attempt: int
+
+
+Events = FramesMissing | FrameSizeChanged | SourceDamaged | FramesDropped | SourceStalled
+
+
+def describe(event: Events) -> str:
+    """The sentence of an event, without its frame."""
+    match event:
+        case FramesMissing():
+            gap = plural(event.missing, "frame interval")
+            return f"{gap} missing before it; the belief is predicted over the gap"
+        case FrameSizeChanged():
+            then = "the run stops" if event.action == "stop" else "they are scaled to the first frame's size"
+            return f"the frame size changes to {event.width}x{event.height}; {then}"
+        case SourceDamaged():
+            return f"the source is damaged: {event.reason}"
+        case FramesDropped():
+            return f"{plural(event.dropped, 'frame')} dropped, because newer ones had arrived"
+        case SourceStalled():
+            silent = f"no picture for {event.seconds:.1f} s: {event.reason}"
+            return f"{silent}; connecting again, attempt {event.attempt}"
+        case _:
+            assert_never(event)

@@ -1,4 +1,4 @@
-"""The event of a distractor, something that looks like the target, and its sentence."""
+"""A distractor, something that looks like the target."""
 
 from __future__ import annotations
 
@@ -36,8 +36,11 @@ class DistractorSeen:
     hold: int
 
 
-def distractor_seen(event: DistractorSeen) -> str:
-    """The sentence, without the frame."""
+Events = DistractorSeen
+
+
+def describe(event: Events) -> str:
+    """The sentence of an event, without its frame."""
     behind, within = distinct_texts(event.behind_nats, event.within_nats)
     turning = round_away(event.behind_nats, decimals(event.behind_nats, event.within_nats), up=False)
     return (

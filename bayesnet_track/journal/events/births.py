@@ -1,0 +1,159 @@
+"""Targets that are born from a start or a detection, and births that are refused."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import assert_never
+
+from bayesnet_track.journal.events.reidentification import Recognition, explain_odds
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, round_away
+
+
+@dataclass(frozen=True)
+class TargetStarted:
+    """A net is born: a copy of the plate `template` for the target inside `box`.
+
+    Attributes:
+        frame: frame at which it starts.
+        target: the new target's id.
+        template: name of the plate.
+        box: centre box x, y, w, h in px.
+        active: agents that are switched on.
+    """
+
+    frame: int
+    target: str
+    template: str
+    box: tuple[float, float, float, float]
+    active: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class CandidateConfirmed:
+    """What a detector found was seen often enough and is no target that is remembered: a new one is born.
+
+    Attributes:
+        frame: the frame.
+        target: id of the new target; its `target_started` follows.
+        template: name of the plate.
+        detector: name of the detector.
+        first_frame: frame in which it was first detected.
+        seen: in how many looks it was seen.
+        looks: of how many.
+        score: mean score of these detections, 0..1.
+        nearest: the remembered target that it was most likely to be, or null when none is remembered.
+    """
+
+    frame: int
+    target: str
+    template: str
+    detector: str
+    first_frame: int
+    seen: int
+    looks: int
+    score: float
+    nearest: Recognition | None
+
+
+@dataclass(frozen=True)
+class BirthsRefused:
+    """Detections got no net, for a plate has as many live targets as it may. Told at 1, 10, 100, ... of them.
+
+    Attributes:
+        frame: the frame.
+        template: name of the plate.
+        detector: name of the detector.
+        live: live targets of the plate.
+        max_targets: the rule's number.
+        refused: confirmed detections refused so far; one that stays counts in every look.
+        waiting: confirmed detections refused in this frame.
+    """
+
+    frame: int
+    template: str
+    detector: str
+    live: int
+    max_targets: int
+    refused: int
+    waiting: int
+
+
+@dataclass(frozen=True)
+class DetectorFailed:
+    """A detector failed and is out for a while, longer with each failure in a row; it finds no targets then.
+
+    Attributes:
+        frame: frame at which it failed.
+        detector: its name.
+        reason: what it raised or returned.
+        until: first frame in which it is tried again; None when it never is.
+        times: how many times in a row it has failed.
+    """
+
+    frame: int
+    detector: str
+    reason: str
+    until: int | None = None
+    times: int = 1
+
+
+Decisions = TargetStarted
+Events = Decisions | CandidateConfirmed | BirthsRefused | DetectorFailed
+
+
+def describe(event: Events) -> str:
+    """The sentence of an event, without its frame."""
+    match event:
+        case TargetStarted():
+            x, y, w, h = event.box
+            active = ", ".join(event.active) or "no agent"
+            return (
+                f"target {event.target} starts as {event.template}, centre {x:.4g}, {y:.4g}, "
+                f"{w:.4g} x {h:.4g} px → {active} on"
+            )
+        case CandidateConfirmed():
+            return _describe_confirmed(event)
+        case BirthsRefused():
+            return _describe_refused(event)
+        case DetectorFailed():
+            return _describe_failed(event)
+        case _:
+            assert_never(event)
+
+
+def _describe_confirmed(event: CandidateConfirmed) -> str:
+    """`gray_level saw it in 3 of 4 looks ...  → target 3 is new`."""
+    seen = f"{event.detector} saw it in {event.seen} of {plural(event.looks, 'look')}"
+    since = f" since frame {event.first_frame}" if event.first_frame < event.frame else ""
+    found = f"{seen}{since}, mean score {event.score:.2f} → target {event.target} is new"
+    near = event.nearest
+    if near is None:
+        return found
+    value, level = distinct_texts(near.probability, near.min_probability)
+    if near.probability >= near.min_probability:
+        return f"{found} (target {near.target} is taken for another detection)"
+    turning = round_away(near.probability, decimals(near.probability, near.min_probability), up=False)
+    return (
+        f"{found}: it is target {near.target} with probability {value} < {level} ({explain_odds(near)}); "
+        f"would have been target {near.target} at min_probability ≤ {turning}"
+    )
+
+
+def _describe_refused(event: BirthsRefused) -> str:
+    """`20 targets of square live, the most → births refused`."""
+    so_far = f", {event.refused} so far" if event.refused > event.waiting else ""
+    return (
+        f"{plural(event.live, 'target')} of {event.template} live, the maximum → "
+        f"{plural(event.waiting, 'birth')} refused{so_far}; would have been born at max_targets ≥ "
+        f"{event.live + event.waiting}"
+    )
+
+
+def _describe_failed(event: DetectorFailed) -> str:
+    """`motion failed: ... → out for 10 frames, tried again in frame 14`."""
+    out = "the rest of the run"
+    if event.until is not None:
+        waits = plural(event.until - event.frame, "frame")
+        out = f"{waits} after {event.times} failures in a row" if event.times > 1 else waits
+        out += f", tried again in frame {event.until}"
+    return f"detector {event.detector} failed: {event.reason} → out for {out}"

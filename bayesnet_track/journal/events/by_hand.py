@@ -1,0 +1,95 @@
+"""What a person who watches a run asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import assert_never
+
+from bayesnet_track.journal.net.target_net import TargetNet
+
+
+@dataclass(frozen=True)
+class Toggled:
+    """A person switched an agent on or off. It stays so until it is released: no rule switches it.
+
+    Attributes:
+        frame: frame with which it was said; it works from the next frame on.
+        target: target id.
+        node: the agent.
+        on: true when it was switched on.
+    """
+
+    frame: int
+    target: str
+    node: str
+    on: bool
+
+
+@dataclass(frozen=True)
+class Released:
+    """A person gave an agent back to the rules. It stays as it is until one of them switches it.
+
+    Attributes:
+        frame: frame with which it was said; rules may switch it in the next frame.
+        target: target id.
+        node: the agent.
+    """
+
+    frame: int
+    target: str
+    node: str
+
+
+@dataclass(frozen=True)
+class InputRefused:
+    """What a person asked for cannot be done; the net stays as it is.
+
+    Attributes:
+        frame: the frame with which it was asked.
+        target: target id.
+        node: the agent.
+        reason: why not.
+    """
+
+    frame: int
+    target: str
+    node: str
+    reason: str
+
+
+Decisions = Toggled | Released
+Switches = Toggled
+Events = Decisions | InputRefused
+
+
+def describe(event: Events) -> str:
+    """The sentence of an event, without its frame."""
+    match event:
+        case Toggled():
+            how = "on" if event.on else "off"
+            return f"a person switched {event.node} → {how}; no rule switches it until it is released"
+        case Released():
+            return f"a person released {event.node} → the rules may switch it again"
+        case InputRefused():
+            return f"the request for {event.node} is refused: {event.reason}"
+        case _:
+            assert_never(event)
+
+
+def shorten(event: Switches) -> str:
+    """The switch in a word, for a summary."""
+    return f"{'on' if event.on else 'off'} by hand"
+
+
+def change(net: TargetNet, decision: Decisions) -> TargetNet:
+    """The net of a target after a decision."""
+    match decision:
+        case Toggled():
+            active = net.active | {decision.node} if decision.on else net.active - {decision.node}
+            by_hand = {**net.by_hand, decision.node: decision.on}
+            return replace(net, active=active, by_hand=by_hand, shed=net.shed_without(decision.node))
+        case Released():
+            held_by_hand = {agent: on for agent, on in net.by_hand.items() if agent != decision.node}
+            return replace(net, by_hand=held_by_hand)
+        case _:
+            assert_never(decision)

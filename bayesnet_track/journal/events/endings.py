@@ -1,0 +1,88 @@
+"""Nets that end: their target was lost or not detected, or two nets held one target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import assert_never
+
+from bayesnet_track.journal.text.wording import decimals, plural, round_away
+
+
+@dataclass(frozen=True)
+class TargetDied:
+    """A net ends: its target was lost, or not detected, for too long.
+
+    Attributes:
+        frame: last frame of the net.
+        target: target id.
+        reason: lost or unseen.
+        frames: for how many consecutive frames.
+        limit: the rule's number of frames.
+        remembered: whether the target can be recognised later.
+    """
+
+    frame: int
+    target: str
+    reason: str
+    frames: int
+    limit: int
+    remembered: bool
+
+
+@dataclass(frozen=True)
+class DuplicateEnded:
+    """A net ends: its belief overlapped that of an older net for too long, so that both hold one target.
+
+    Attributes:
+        frame: last frame of the net.
+        target: id of the younger one, which ends.
+        kept: id of the older one.
+        overlap: least Bhattacharyya coefficient of their beliefs over these frames.
+        level: the rule's least overlap.
+        frames: for how many consecutive frames.
+    """
+
+    frame: int
+    target: str
+    kept: str
+    overlap: float
+    level: float
+    frames: int
+
+
+Decisions = TargetDied | DuplicateEnded
+Events = Decisions
+
+
+def describe(event: Events) -> str:
+    """The sentence of an event, without its frame."""
+    match event:
+        case TargetDied():
+            return _describe_death(event)
+        case DuplicateEnded():
+            return _describe_duplicate(event)
+        case _:
+            assert_never(event)
+
+
+def _describe_death(event: TargetDied) -> str:
+    """`lost for 30 frames → target 3 ends`."""
+    how = "lost" if event.reason == "lost" else "not detected"
+    key = "lost_frames" if event.reason == "lost" else "unseen_frames"
+    kept = ", remembered" if event.remembered else ""
+    return (
+        f"{how} for {plural(event.frames, 'frame')} → target {event.target} ends{kept}; "
+        f"would have continued at {key} ≥ {event.frames + 1}"
+    )
+
+
+def _describe_duplicate(event: DuplicateEnded) -> str:
+    """`its belief overlaps that of target 1 ... → target 3, the younger, ends`."""
+    digits = decimals(event.overlap, event.level)
+    turning = min(1.0, float(round_away(event.overlap, digits, up=True)))
+    value = round_away(event.overlap, digits, up=False)
+    return (
+        f"its belief overlaps that of target {event.kept} by {value} ≥ {event.level:g} for "
+        f"{plural(event.frames, 'frame')} → target {event.target}, the younger, ends; would have continued "
+        f"at overlap > {turning:g} or frames > {event.frames}"
+    )

@@ -1,0 +1,43 @@
+"""Every event of the journal. The docstrings of their classes are the documentation of the file format.
+
+A line of ``journal.jsonl`` is ``{"event": <snake_case class name>, <field>: <value>, ...}``, keys in the
+order of the class. Each module of this folder has the events of one subject, their sentences, and how its
+decisions change a net. mypy names every dispatch that leaves one out.
+"""
+
+from __future__ import annotations
+
+from bayesnet_track.journal.events import (
+    beliefs,
+    births,
+    by_hand,
+    distractors,
+    faults,
+    joint_beliefs,
+    jumps,
+    references,
+    runs,
+    sample_sizes,
+    sources,
+)
+from bayesnet_track.journal.net.net import Decision
+
+Event = (
+    runs.RunStarted
+    | sources.FramesMissing
+    | sources.FrameSizeChanged
+    | sources.SourceDamaged
+    | runs.MachineChanged
+    | sources.Events
+    | beliefs.Events
+    | sample_sizes.Events
+    | jumps.Events
+    | references.Events
+    | distractors.Events
+    | births.Events
+    | faults.Events
+    | by_hand.Events
+    | joint_beliefs.Events
+    | runs.Events
+    | Decision
+)

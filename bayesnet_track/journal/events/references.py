@@ -1,0 +1,52 @@
+"""An agent's reference that parts from its slow one: it stops learning, or goes on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, round_away
+
+
+@dataclass(frozen=True)
+class ReferenceGuarded:
+    """An agent's reference and its slow one parted, or agree again: learning stopped, or goes on.
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        node: the agent.
+        parted: true when they parted in this frame, false when they agree again.
+        own: log-likelihood of the estimate by the agent's own reference, nats.
+        slow: the same by its slow reference.
+        apart_nats: difference from which on they have parted.
+        pull: share of the slow reference that is mixed into the agent's own per frame while they are parted.
+        frames: for how many learning frames they were parted; 0 when they part.
+    """
+
+    frame: int
+    target: str
+    node: str
+    parted: bool
+    own: float
+    slow: float
+    apart_nats: float
+    pull: float
+    frames: int
+
+
+Events = ReferenceGuarded
+
+
+def describe(event: Events) -> str:
+    """The sentence of an event, without its frame."""
+    gap, level = distinct_texts(event.own - event.slow, event.apart_nats)
+    own, slow = f"{event.own:.2f} nats by its reference", f"{event.slow:.2f} by its slow one"
+    scored = f"{event.node}: the estimate scores {own}, {slow}"
+    if not event.parted:
+        lasted = plural(event.frames, "frame")
+        return f"{scored}: {gap} ≤ {level} apart after {lasted} → learns again"
+    turning = round_away(event.own - event.slow, decimals(event.own - event.slow, event.apart_nats), up=True)
+    return (
+        f"{scored}: {gap} > {level} apart → stops learning, pulled back by {event.pull:g} a frame; "
+        f"would have learnt at apart_nats ≥ {turning}"
+    )

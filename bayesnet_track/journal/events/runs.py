@@ -1,0 +1,114 @@
+"""A run that starts, goes on elsewhere, and ends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import assert_never
+
+from bayesnet_track.journal.text.wording import plural
+
+JOURNAL_VERSION = 2
+
+
+@dataclass(frozen=True)
+class RunStarted:
+    """First line of every journal.
+
+    Attributes:
+        journal: version of the file format.
+        graph: the graph's name.
+        graph_sha256: hash of the graph's canonical text, which stands in graph.yaml.
+        seed: seed of all random streams.
+        source: the source as given.
+        width: columns of the first frame.
+        height: rows of the first frame.
+        has_color: False for a gray source.
+        declared_frames: number of frames that the source declares, or None.
+        frame_interval_s: nominal seconds between frames (1 time unit).
+        costs_ms: declared cost of each cue, which rules weigh with.
+        versions: of Python and of the libraries that touch numbers.
+        inputs: files from outside besides the source (of detections), each with its SHA-256; left out when
+            there are none.
+    """
+
+    journal: int
+    graph: str
+    graph_sha256: str
+    seed: int
+    source: str
+    width: int
+    height: int
+    has_color: bool
+    declared_frames: int | None
+    frame_interval_s: float
+    costs_ms: Mapping[str, float] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    inputs: Mapping[str, str] = field(default_factory=dict, metadata={"left_out_when_empty": True})
+
+
+@dataclass(frozen=True)
+class RunEnded:
+    """Last line of a journal that was closed in order.
+
+    Attributes:
+        frames: frames read.
+        declared_frames: what the source declared, or None.
+        complete: False when the source ended early, was damaged, or the run was stopped.
+        reason: end_of_source, source_truncated, source_damaged, frame_size_changed, interrupted, error.
+    """
+
+    frames: int
+    declared_frames: int | None
+    complete: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class MachineChanged:
+    """The run was resumed on another machine or with other libraries, because that was explicitly allowed.
+
+    From this frame on its numbers may differ in their last digits from those of an unbroken run on either.
+
+    Attributes:
+        frame: the first frame that is computed there.
+        changes: what differs, each in words: name, before, now.
+    """
+
+    frame: int
+    changes: tuple[str, ...]
+
+
+Events = RunStarted | RunEnded | MachineChanged
+
+
+def describe(event: Events) -> str:
+    """The sentence of an event, without its frame."""
+    match event:
+        case RunStarted():
+            return _describe_start(event)
+        case RunEnded():
+            return _describe_end(event)
+        case MachineChanged():
+            where = "the run continues on another machine or with other libraries"
+            return f"{where}: {'; '.join(event.changes)}"
+        case _:
+            assert_never(event)
+
+
+def _describe_start(event: RunStarted) -> str:
+    colour = "" if event.has_color else " gray"
+    length = "" if event.declared_frames is None else f", {plural(event.declared_frames, 'frame')}"
+    rate = f"{1 / event.frame_interval_s:.4g} per second" if event.frame_interval_s > 0 else "no rate"
+    return (
+        f"run of {event.graph} ({event.graph_sha256[:12]}) on {event.source}: "
+        f"{event.width}x{event.height}{colour}{length}, {rate}; seed {event.seed}"
+    )
+
+
+def _describe_end(event: RunEnded) -> str:
+    declared = event.declared_frames
+    whole = declared is None or declared == event.frames
+    frames = plural(event.frames, "frame") if whole else f"{event.frames} of {declared} frames"
+    how = "ended" if event.complete else "ended early"
+    return f"run {how} after {frames}: {event.reason.replace('_', ' ')}"

@@ -1,0 +1,77 @@
+"""What is said of a target: tracking, uncertain or lost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from bayesnet_track.journal.net.causes import Cause, FitCause, ScoreCause
+from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, plural, round_away, show_turn
+
+
+@dataclass(frozen=True)
+class StatusChanged:
+    """A target was lost or found again, or is held uncertainly (the net stays as it is).
+
+    Attributes:
+        frame: frame whose numbers caused it.
+        target: target id.
+        status: tracking, uncertain or lost, from now on.
+        cause: the numbers; None when every agent is off, or none saw it.
+        reason: why, when there is no cause; what else had to be when it was found again.
+    """
+
+    frame: int
+    target: str
+    status: str
+    cause: Cause | ScoreCause | FitCause | None = None
+    reason: str = ""
+
+
+Decisions = StatusChanged
+Events = Decisions
+
+
+def describe(event: Events) -> str:
+    """The sentence of an event, without its frame."""
+    lost = event.status == "lost"
+    result = f"target {event.target} {'lost' if lost else 'found again'}"
+    if isinstance(event.cause, ScoreCause):
+        return _by_score(event, event.cause)
+    if isinstance(event.cause, FitCause):
+        return _by_fit(event.cause, result)
+    if event.cause is None:
+        return f"{event.reason} → {result}" if event.reason else result
+    if not lost:
+        fits = f", and {event.reason}" if event.reason else ""
+        return f"{held(event.cause, '≤')}{fits} → {result}"
+    return (
+        f"{held(event.cause, '>')} → {result}; would have stayed at lost ≥ {show_turn(event.cause, up=True)}"
+    )
+
+
+def change(net: TargetNet, decision: Decisions) -> TargetNet:
+    """The net of a target after a decision."""
+    return replace(net, status=decision.status)
+
+
+def _by_fit(cause: FitCause, result: str) -> str:
+    fit, level = distinct_texts(cause.fit, cause.level)
+    span = f"for {plural(cause.frames, 'frame')}"
+    found = f"the best hypothesis has a likelihood of {fit} of a perfect match < fit_below {level} {span}"
+    if cause.turning is None:
+        return f"{found} → {result}; would have been lost by its UD at any fit_below"
+    turning = round_away(cause.turning, decimals(cause.turning, cause.level), up=False)
+    return f"{found} → {result}; would have stayed at fit_below ≤ {turning}"
+
+
+def _by_score(event: StatusChanged, cause: ScoreCause) -> str:
+    score, level = distinct_texts(cause.score, cause.level)
+    span = f"for {plural(cause.frames, 'frame')}"
+    found = f"score {score} {'<' if cause.fell else '≥'} {level} {span}"
+    turning = round_away(cause.turning, decimals(cause.turning, cause.level), up=not cause.fell)
+    key = "score_below" if event.status == "lost" else "uncertain_below"
+    if cause.fell:
+        return f"{found} → target {event.target} {event.status}; would have stayed at {key} ≤ {turning}"
+    status = "found again" if event.status == "tracking" else event.status
+    return f"{found} → target {event.target} {status}; would have stayed at a level > {turning}"
