@@ -76,7 +76,7 @@ def traced(graph: GraphSpec, scene: Scene, seed: int) -> Traced:
             (
                 metrics.particles,
                 metrics.surprise,
-                np.hypot(*(np.array(metrics.box[:2]) - truth[k][result.frame.index, :2])),
+                np.hypot(*(np.array(metrics.centre_box[:2]) - truth[k][result.frame.index, :2])),
             )
             for k, metrics in enumerate(result.targets)
         ]

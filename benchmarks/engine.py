@@ -82,7 +82,7 @@ class TrackedByEngine:
         """Centre box of the next frame."""
         outcome = step(self.engine, self.state, Frame(index, float(index), image))
         self.state, self.parts = outcome.state, dict(outcome.seconds)
-        return np.array(outcome.metrics[0].box)
+        return np.array(outcome.metrics[0].centre_box)
 
 
 class TrackedByPeer:

@@ -102,7 +102,7 @@ def measured(graph: CheckedGraph, frames: int, workers: int) -> Mapping[str, Flo
                     outcomes[kind] = step(engines[kind], states[kind], frame)
                 spent[kind].append(time.perf_counter() - started)
                 states[kind] = outcomes[kind].state
-            assert len({outcome.metrics[0].box for outcome in outcomes.values()}) == 1
+            assert len({outcome.metrics[0].centre_box for outcome in outcomes.values()}) == 1
     return {kind: np.array(seconds[WARM:]) for kind, seconds in spent.items()}
 
 

@@ -145,7 +145,7 @@ def held(path: Path) -> None:
             results = list(
                 track(file, SceneSource(scene, "scene:flying_ball"), [Start(scene.start_box)], seed=0)
             )
-        boxes = np.array([result.targets[0].box for result in results])
+        boxes = np.array([result.targets[0].centre_box for result in results])
         away = np.hypot(*(boxes - centre_from_corner(scene.truth))[:, :2].T)
         panels[0].plot(away, color=colour, label=label)
         panels[1].plot(np.sqrt([result.targets[0].ud_px2 for result in results]), color=colour, label=label)

@@ -110,7 +110,7 @@ def track(chosen: GraphSpec, scene: Scene, seed: int) -> Leaps:
     sink = Passes()
     source = SceneSource(scene, f"scene:{scene.name}")
     results = list(run(load_graph(chosen), source, [Start(scene.start_box)], seed=seed, sinks=[sink]))
-    boxes = np.array([result.targets[0].box for result in results])
+    boxes = np.array([result.targets[0].centre_box for result in results])
     shared = overlap(boxes, centre_from_corner(scene.truth))
     return Leaps(
         sum(bool(shared[leap + AFTER] > 0.5) for leap in FLIGHTS),

@@ -60,7 +60,7 @@ def tracked(scene: Scene, graph: CheckedGraph, seed: int) -> Tracked:
             spent += time.perf_counter() - began
             joins += outcome.seconds.get("joins", 0.0)
         state = outcome.state
-        boxes.append([metrics.box for metrics in outcome.metrics])
+        boxes.append([metrics.centre_box for metrics in outcome.metrics])
         events += outcome.events
     return Tracked(np.array(boxes).swapaxes(0, 1), tuple(events), spent, joins)
 

@@ -115,7 +115,7 @@ def measured(count: int, joined: bool, frames: int) -> Cost:
         wall.append(spent_wall)
         pairs.append(len(state.net.joins))
         truth = np.column_stack([squares.centres(index), np.full((count, 2), SIDE)])
-        found = np.array([one.box for one in outcome.metrics])
+        found = np.array([one.centre_box for one in outcome.metrics])
         good += [float(overlap(a, b)) > 0.5 for a, b in zip(found, truth, strict=True)]
     return Cost(
         count,

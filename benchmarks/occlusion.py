@@ -43,7 +43,7 @@ class Found:
 def engine_run(graph: str, scene: Scene, seed: int) -> Found:
     """One run of the engine."""
     results = list(track_scene(graph, scene, seed))
-    boxes = np.array([result.targets[0].box for result in results])
+    boxes = np.array([result.targets[0].centre_box for result in results])
     lost = np.array([result.targets[0].status == "lost" for result in results])
     good = overlap(boxes, centre_from_corner(scene.truth)) > 0.5
     hidden = np.flatnonzero(scene.visible == 0)

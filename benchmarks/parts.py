@@ -81,11 +81,11 @@ def places(scene: Scene, results: list[Result]) -> Mapping[str, Floats]:
             first = centre_from_corner(part.truth[0])
             whole = metrics_of["1"]
             if whole.parts:
-                box = np.array(whole.parts[name].box)
+                box = np.array(whole.parts[name].centre_box)
             elif len(metrics_of) > 1:
-                box = np.array(metrics_of[str(number)].box)
+                box = np.array(metrics_of[str(number)].centre_box)
             else:
-                box = np.array(whole.box) + (first - body) * [1.0, 1.0, 0.0, 0.0]
+                box = np.array(whole.centre_box) + (first - body) * [1.0, 1.0, 0.0, 0.0]
             found[name].append(box[:2])
     return {name: np.array(rows) for name, rows in found.items()}
 

@@ -56,7 +56,7 @@ class Run:
 
     def overlaps(self, target: int = 1) -> Floats:
         """(n,) IoU with the truth."""
-        boxes = np.array([result.targets[target - 1].box for result in self.results])
+        boxes = np.array([result.targets[target - 1].centre_box for result in self.results])
         return overlap(boxes, centre_from_corner((self.scene.truth, *self.scene.others)[target - 1]))
 
     def active(self, frame: int, target: int = 1) -> set[str]:

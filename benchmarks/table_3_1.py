@@ -103,7 +103,10 @@ def measured(graph: GraphSpec, source: Decoded, seed: int) -> Measured:
     seconds = time.process_time() - started
     by_agents = sum(result.seconds.get(stage, 0.0) for result in results for stage in AGENTS)
     metrics = [result.targets[0] for result in results]
-    boxes, truth = np.array([one.box for one in metrics]), centre_from_corner(scene.truth[: len(results)])
+    boxes, truth = (
+        np.array([one.centre_box for one in metrics]),
+        centre_from_corner(scene.truth[: len(results)]),
+    )
     return Measured(
         float(np.mean(np.sqrt([one.ud_px2 for one in metrics]))),
         float(np.hypot(*(boxes - truth)[:, :2].T).mean()),

@@ -43,7 +43,7 @@ class Moment:
     @property
     def box(self) -> Floats:
         """The estimate, a centre box."""
-        return np.array(self.metrics.box)
+        return np.array(self.metrics.centre_box)
 
     def drawn(self, count: int) -> Floats:
         """(count, 4) boxes drawn from the posterior, so that they carry no weights."""

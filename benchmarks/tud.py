@@ -108,7 +108,7 @@ def tracked(
         for one in result.targets:
             number = numbers.setdefault(one.target, len(numbers))
             if one.status != "lost":
-                rows.append((one.frame, number, *corner_from_centre(np.array(one.box))))
+                rows.append((one.frame, number, *corner_from_centre(np.array(one.centre_box))))
     table = np.array(rows, dtype=np.float64).reshape(-1, 6)
     frames, ids = (table[:, k].astype(np.int64) for k in (0, 1))
     return Tracks(frames, ids, table[:, 2:]), len(nets) / seconds, nets

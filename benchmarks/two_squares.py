@@ -63,7 +63,7 @@ def held_to_the_end(boxes: np.ndarray, scene: Scene) -> bool:
 def engine_run(graph: GraphSpec | str, scene: Scene, seed: int) -> Held:
     """One run of the engine."""
     results = list(track_scene(graph, scene, seed))
-    boxes = np.array([result.targets[0].box for result in results])
+    boxes = np.array([result.targets[0].centre_box for result in results])
     agents = float(np.mean([len(result.targets[0].active) for result in results[1:]]))
     switches = tuple(
         (decision.frame, type(decision).__name__, decision.node)

@@ -16,7 +16,7 @@ MAPPED = ("cues", "graphs")  # top-level folders that are installed inside the p
 
 BASE = {"journal", "numerics"}
 MAY_IMPORT = {
-    "journal": set(),
+    "journal": {"numerics"},
     "numerics": set(),
     "graphs": set(),
     "observation": {"numerics"},

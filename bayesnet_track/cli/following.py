@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Generator
-from contextlib import ExitStack
+from collections.abc import Generator, Iterator
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -43,6 +43,19 @@ ENDINGS = {
 }
 
 
+@contextmanager
+def users_start() -> Iterator[None]:
+    """What cannot start inside it cannot because of the arguments: `UsageError`."""
+    from bayesnet_track.engine.starts import StartError
+    from bayesnet_track.observation.detector import DetectorError
+    from bayesnet_track.runtime.executors import PlacingError
+
+    try:
+        yield
+    except (StartError, DetectorError, PlacingError) as error:
+        raise UsageError(str(error)) from error
+
+
 def follow(
     options: argparse.Namespace,
     results: Generator[Result, None, None],
@@ -55,9 +68,6 @@ def follow(
 
     A `view` may hold it between two frames, and stop it.
     """
-    from bayesnet_track.engine.starts import StartError
-    from bayesnet_track.observation.detector import DetectorError
-    from bayesnet_track.runtime.executors import PlacingError
     from bayesnet_track.runtime.progress import Progress
 
     progress = Progress(sys.stderr, expected, sys.stderr.isatty(), options.log_json)
@@ -66,17 +76,15 @@ def follow(
         if not options.quiet:
             stack.callback(run_silently, progress.finish)
         stack.callback(results.close)
-        try:
-            for result in results:
-                if not options.quiet:
-                    _show(progress, summary, result)
-                # Before the first frame is done there is nothing to finish: until then, signals act at once.
-                if stop.between_frames():
-                    break
-                if view is not None and (view.hold(lambda: stop.signal is not None) or stop.between_frames()):
-                    break
-        except (StartError, DetectorError, PlacingError) as error:
-            raise UsageError(str(error)) from error
+        stack.enter_context(users_start())
+        for result in results:
+            if not options.quiet:
+                _show(progress, summary, result)
+            # Before the first frame is done there is nothing to finish: until then, signals act at once.
+            if stop.between_frames():
+                break
+            if view is not None and (view.hold(lambda: stop.signal is not None) or stop.between_frames()):
+                break
     _say_end(out, summary)
     if stop.signal is not None:
         return stop.exit_code

@@ -113,15 +113,15 @@ def calibration_data(
         if line is None or not np.isfinite(truth[number]).all() or "1" not in state.targets:
             continue
         true = centre_from_corner(truth[number])
-        side = float(np.sqrt(line.box[2] * line.box[3]))
+        side = float(np.sqrt(line.centre_box[2] * line.centre_box[3]))
         lines.append(line)
         boxes.append(true)
         offsets.append((true[:2] - marginal_points(state.targets["1"].belief).T) / side)
-        if temperatures and float(overlap(np.array(line.box)[None], true[None])[0]) > 0.5:
+        if temperatures and float(overlap(np.array(line.centre_box)[None], true[None])[0]) > 0.5:
             curves.add(engine, before, frame, true, side)
     if not lines:
         raise ValueError(f"{video}: no frame after the first has a true box")
-    at = np.array([line.box for line in lines])
+    at = np.array([line.centre_box for line in lines])
     costs = next(iter(engine.plates.values())).costs_ms
     return CalibrationData(
         video,

@@ -30,7 +30,7 @@ def score_run(run_directory: str | Path, truth_path: str | Path, target: str | N
         raise ValueError(f"{truth_path}: {len(truth)} boxes, none of them for a frame of {folder}")
     frames = [line.frame for line in metrics]
     return score(
-        corner_from_centre([line.box for line in metrics]),
+        corner_from_centre([line.centre_box for line in metrics]),
         [line.status == "lost" for line in metrics],
         truth[frames],
         seconds=_seconds(folder / "timings.jsonl", frames),

@@ -17,14 +17,14 @@ from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
-from bayesnet_track.journal.encoder import NON_FINITE, JournalError, members_encoder, short
+from bayesnet_track.journal.encoder import NON_FINITE, JournalError, key_of, members_encoder, short
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.events.runs import JOURNAL_VERSION, RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.renamed import EVENTS, in_new_words
 
-__all__ = ["JournalError", "event_classes", "event_name", "from_json", "to_json", "type_hints"]
+__all__ = ["JournalError", "event_classes", "event_name", "field_names", "from_json", "to_json", "type_hints"]
 
 _CAPITAL = re.compile(r"(?<!^)(?=[A-Z])")
 
@@ -113,6 +113,12 @@ def type_hints(kind: Any) -> Mapping[str, Any]:
     return {item.name: hints[item.name] for item in fields(kind)}
 
 
+@cache
+def field_names(kind: Any) -> Mapping[str, str]:
+    """Key in the file -> name of the dataclass' field, in order."""
+    return {key_of(item): item.name for item in fields(kind)}
+
+
 def _decode(value: Any, hint: Any, where: str) -> Any:
     shape, inner = _shape(hint)
     if shape == "union":
@@ -137,12 +143,15 @@ def _decode(value: Any, hint: Any, where: str) -> Any:
 
 def _decode_object(values: Mapping[str, Any], kind: Any, where: str) -> Any:
     hints, values = type_hints(kind), in_new_words(kind.__name__, values)
-    unknown = set(values) - set(hints)
-    needed = {f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING}
+    names = field_names(kind)
+    unknown = set(values) - set(names)
+    needed = {key_of(f) for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING}
     missing = needed - set(values)
     if unknown or missing:
         raise JournalError(f"{where}: unknown fields {sorted(unknown)}, missing fields {sorted(missing)}")
-    return kind(**{name: _decode(value, hints[name], f"{where}.{name}") for name, value in values.items()})
+    return kind(
+        **{names[key]: _decode(value, hints[names[key]], f"{where}.{key}") for key, value in values.items()}
+    )
 
 
 @cache

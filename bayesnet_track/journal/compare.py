@@ -161,8 +161,8 @@ def pair_targets(first: RunRecord, second: RunRecord) -> tuple[tuple[str, str], 
     for frame in left[0].keys() & left[1].keys():
         for a in left[0][frame]:
             for b in left[1][frame]:
-                size = math.sqrt(math.sqrt(math.prod(a.box[2:]) * math.prod(b.box[2:])))
-                if math.hypot(a.box[0] - b.box[0], a.box[1] - b.box[1]) < NEAR * size:
+                size = math.sqrt(math.sqrt(math.prod(a.centre_box[2:]) * math.prod(b.centre_box[2:])))
+                if math.dist(a.centre_box[:2], b.centre_box[:2]) < NEAR * size:
                     together[a.target, b.target] += 1
     pairs = {target: target for target in given}
     for (mine, theirs), _ in sorted(together.items(), key=lambda item: (-item[1], item[0])):
@@ -190,8 +190,8 @@ def _by_frame(metrics: Iterable[FrameMetrics], without: set[str]) -> dict[int, l
 def _distances(
     first: Sequence[FrameMetrics], second: Sequence[FrameMetrics], pair: tuple[str, str]
 ) -> tuple[Distance, ...]:
-    theirs = {line.frame: line.box for line in second if line.target == pair[1]}
-    mine = ((line.frame, line.box) for line in first if line.target == pair[0])
+    theirs = {line.frame: line.centre_box for line in second if line.target == pair[1]}
+    mine = ((line.frame, line.centre_box) for line in first if line.target == pair[0])
     return tuple(_distance(frame, box, theirs[frame]) for frame, box in mine if frame in theirs)
 
 

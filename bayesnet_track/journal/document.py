@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from inspect import cleandoc
 from typing import Any, get_args
 
-from bayesnet_track.journal.codec import event_name, type_hints
+from bayesnet_track.journal.codec import event_name, field_names, type_hints
 from bayesnet_track.journal.encoder import FLOAT_DIGITS
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
@@ -67,8 +67,8 @@ def document_events() -> str:
 def _section(kind: type, title: str) -> str:
     text, described = parts_of(kind)
     rows = [
-        f"| `{name}` | {words_of(hint)} | {described[name].replace('|', chr(92) + '|')} |"
-        for name, hint in type_hints(kind).items()
+        f"| `{key}` | {words_of(type_hints(kind)[name])} | {described[name].replace('|', chr(92) + '|')} |"
+        for key, name in field_names(kind).items()
     ]
     return "\n".join([f"### {title}", "", text, "", "| field | type | meaning |", "|---|---|---|", *rows])
 

@@ -10,7 +10,7 @@ import math
 import operator
 import types
 from collections.abc import Callable, Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import Field, fields, is_dataclass
 from json.encoder import encode_basestring_ascii
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
@@ -25,6 +25,11 @@ Encoder = Callable[[Any], str]
 
 class JournalError(ValueError):
     """A line that is no event, or an event that is no line."""
+
+
+def key_of(item: Field[Any]) -> str:
+    """The key of a dataclass' field in the file: its name, or the `key` of its metadata."""
+    return str(item.metadata.get("key", item.name))
 
 
 def _encoder_of(hint: Any, where: str) -> Encoder:
@@ -52,7 +57,7 @@ def members_encoder(kind: Any, where: str) -> Callable[[Any], list[str]]:
         (
             item.name,
             hints[item.name],
-            f"{encode_basestring_ascii(item.name)}: ",
+            f"{encode_basestring_ascii(key_of(item))}: ",
             _encoder_of(hints[item.name], f"{where}.{item.name}"),
             bool(item.metadata.get("left_out_when_empty")),
         )

@@ -45,7 +45,7 @@ def _are_boxes(value: Sequence[Sequence[int]]) -> bool:
 
 
 def _are_parts(value: Mapping[str, PartMetrics]) -> bool:
-    return all(_is_box(part.box) and _is_box(part.sd) for part in value.values())
+    return all(_is_box(part.centre_box) and _is_box(part.sd) for part in value.values())
 
 
 def _is_interval(value: float) -> bool:
@@ -60,7 +60,7 @@ _BOX = (_is_box, "four numbers")
 _CHECKS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     **dict.fromkeys(("frame", "frames", "declared_frames", "particles", "first_frame"), _COUNT),
     **dict.fromkeys(("width", "height"), _SIZE),
-    **dict.fromkeys(("box", "map", "sd", "region50", "region90"), _BOX),
+    **dict.fromkeys(("box", "centre_box", "map", "sd", "region50", "region90"), _BOX),
     "cloud": (_are_boxes, f"lists of four integers from -{MOST} to {MOST}"),
     "parts": (_are_parts, "parts with boxes of four numbers"),
     "frame_interval_s": (_is_interval, "a number of seconds from 0 on"),

@@ -5,23 +5,29 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from bayesnet_track.journal.boxed import Boxed
 
-@dataclass(frozen=True)
-class PartMetrics:
+
+@dataclass(frozen=True, repr=False)
+class PartMetrics(Boxed):
     """What was measured for one part of a target in one frame.
 
     Attributes:
-        box: estimate, the mean of the part's belief given all that was seen, centre box x, y, w, h in px.
+        centre_box: estimate, the mean of the part's belief given all that was seen, centre box x, y, w, h in
+            px.
         sd: posterior sd of x, y, w, h in px.
         ud_px2: uncertainty deviation about the estimate; the same as in `ud_nodes`.
         status: seen; hidden (its agents look, and see nothing like it) or unwatched (none of them is active),
             and then told from the rest of the target.
     """
 
-    box: tuple[float, ...]
+    centre_box: tuple[float, ...] = field(metadata={"key": "box"})
     sd: tuple[float, ...]
     ud_px2: float
     status: str
+
+    def __repr__(self) -> str:
+        return f"<part: {self.status}, xywh {self._xywh_text()}>"
 
 
 @dataclass(frozen=True)
@@ -45,15 +51,15 @@ class JoinMetrics:
     ess_own: float
 
 
-@dataclass(frozen=True)
-class FrameMetrics:
+@dataclass(frozen=True, repr=False)
+class FrameMetrics(Boxed):
     """One line of ``frames.jsonl``: what was measured for one target in one frame.
 
     Attributes:
         frame: frame index.
         time_s: frame time in seconds; NaN of a `Tracker`, whose frames come without a clock.
         target: target id.
-        box: estimate, centre box x, y, w, h in px.
+        centre_box: estimate, centre box x, y, w, h in px.
         map: maximum a posteriori box.
         sd: posterior sd of x, y, w, h in px, that of x and y with the graph's localization_error.
         ud_px2: uncertainty deviation at the root.
@@ -87,7 +93,7 @@ class FrameMetrics:
     frame: int
     time_s: float
     target: str
-    box: tuple[float, ...]
+    centre_box: tuple[float, ...] = field(metadata={"key": "box"})
     map: tuple[float, ...]
     sd: tuple[float, ...]
     ud_px2: float
@@ -113,3 +119,11 @@ class FrameMetrics:
     parts: Mapping[str, PartMetrics] = field(default_factory=dict, metadata={"left_out_when_empty": True})
     angle: float = field(default=0.0, metadata={"left_out_when_empty": True})
     join: JoinMetrics | None = field(default=None, metadata={"left_out_when_empty": True})
+
+    def __repr__(self) -> str:
+        """What matters: who, when, how sure, where, and by whose evidence."""
+        agents = ", ".join(self.active) or "no agent"
+        return (
+            f"<target {self.target} in frame {self.frame}: {self.status}, score {self.score:.2f}, "
+            f"xywh {self._xywh_text()}, {agents} active>"
+        )

@@ -31,6 +31,12 @@ def corner_from_centre(centre: ArrayLike) -> Floats:
     return np.concatenate([box[..., :2] - (box[..., 2:] - 1.0) / 2.0, box[..., 2:]], axis=-1)
 
 
+def xyxy_from_centre(centre: ArrayLike) -> Floats:
+    """Left, top, left + width, top + height (..., 4) of centre boxes (..., 4)."""
+    corner = corner_from_centre(centre)
+    return np.concatenate([corner[..., :2], corner[..., :2] + corner[..., 2:]], axis=-1)
+
+
 def overlap(a: ArrayLike, b: ArrayLike) -> Floats:
     """Intersection over union of centre boxes (..., 4), broadcast; 0 where the union is empty."""
     first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)

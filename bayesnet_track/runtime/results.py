@@ -13,9 +13,11 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.sources.frames import EndReason, SourceItem
+from bayesnet_track.view.overlay import draw_targets
 
 Floats = NDArray[np.float64]
 
@@ -56,7 +58,7 @@ class FrameSource(Protocol):
     def __iter__(self) -> Iterator[SourceItem]: ...
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """What one frame gave.
 
@@ -83,6 +85,15 @@ class Result:
     def detections(self, lost: bool = False) -> Detections:
         """The targets' boxes in the shape of supervision's; `lost` for those of lost targets, too."""
         return Detections.of(self.targets, self.kinds, lost=lost)
+
+    def plot(self, frame: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
+        """A copy of the BGR `frame` (its own when None) with boxes, hypotheses and labels of all targets."""
+        return draw_targets(self.frame.image if frame is None else frame, self.targets)
+
+    def __repr__(self) -> str:
+        """Frame, targets and how much was decided."""
+        targets = ", ".join(map(repr, self.targets)) or "no target"
+        return f"<frame {self.frame.index}: {targets}; {plural(len(self.decisions), 'decision')}>"
 
 
 class Sink(Protocol):

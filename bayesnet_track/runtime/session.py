@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from functools import partial
+from functools import partial, wraps
 from os import PathLike
 from pathlib import Path
-from typing import cast
+from typing import ParamSpec, cast
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.starts import Start, StartError, check_depth, check_starts
@@ -38,6 +38,27 @@ from bayesnet_track.sources.sources import open_source
 CornerBox = tuple[float, float, float, float]
 
 
+P = ParamSpec("P")
+
+
+def prepare_at_call(
+    make: Callable[P, Generator[Result | None, None, None]],
+) -> Callable[P, Generator[Result, None, None]]:
+    """A generator function whose first item, None, is taken at the call: what is wrong is raised there.
+
+    Its `close` then closes what it opened, also where nobody asks for a result.
+    """
+
+    @wraps(make)
+    def prepare(*args: P.args, **more: P.kwargs) -> Generator[Result, None, None]:
+        results = make(*args, **more)
+        next(results)
+        return cast(Generator[Result, None, None], results)
+
+    return prepare
+
+
+@prepare_at_call
 def track(
     graph: str | PathLike[str] | GraphSpec | CheckedGraph,
     source: str | PathLike[str] | FrameSource,
@@ -59,7 +80,7 @@ def track(
     inputs: str | PathLike[str] | InputsAt | None = None,
     budget_ms: float | None = None,
     checkpoint_every: float = EVERY_S,
-) -> Generator[Result, None, None]:
+) -> Generator[Result | None, None, None]:
     """Track through `source` with `graph`, yielding one result per frame.
 
     Args:
@@ -90,7 +111,7 @@ def track(
         checkpoint_every: seconds after which it is kept in `out` how far the run is, for
             `runtime.checkpoints.resume.resume` to go on from there; 0 keeps nothing.
 
-    Raises (when the first result is asked for; nothing is written then):
+    Raises (at the call, when nothing is written yet; that no agent can start, with the first result):
         GraphError: every error of the graph.
         CueError: a cue cannot be loaded, or is not what its declaration says.
         SourceError: nothing can be read from the source, or it has no depth where the graph needs it.
@@ -101,11 +122,11 @@ def track(
         RunDirectoryError: `out` holds something else.
         OutputError: an output cannot be written (later, too).
 
-    Each result has `targets` (box, sd, UD, status, active agents, ...), `covariances` and `decisions`::
+    Each result has `targets` (xywh, sd, UD, status, active agents, ...), `covariances` and `decisions`::
 
         for result in track("general", "video.mp4", (57, 21, 31, 45)):
             one = result.targets[0]
-            print(result.frame.index, one.box, one.status, one.active)
+            print(result.frame.index, one.xywh, one.status, one.active)
     """
     plugins.allow(allow_plugins)
     totals = summary if summary is not None else Summary()
@@ -163,6 +184,7 @@ def track(
             checkpointer = make_checkpointer(directory, engine, recorder, recipe, checkpoint_every)
             if checkpointer is not None:
                 stack.enter_context(checkpointer)
+        yield None
         yield from run(
             checked,
             opened,

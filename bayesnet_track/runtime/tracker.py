@@ -15,21 +15,30 @@ from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.journal.boxed import Boxed
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.numerics.boxes import corner_from_centre
+from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.depth import Depth, RightEye
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.sources.images import to_bgr
+from bayesnet_track.view.overlay import draw_targets
 
 CornerBox = tuple[float, float, float, float]
 
 
-class Tracker:
+NO_BOX = (-0.5, -0.5, 0.0, 0.0)
+"""The centre box of zeros as a corner box: what stands for an estimate where there is no target."""
+
+
+class Tracker(Boxed):
     """Track by a graph, frame by frame: one target from a box, and those that detectors find.
+
+    The estimate of the first target is `xywh`, `xyxy` or `cxcywh`: float64 arrays (4,) in parts of a pixel.
+    Without any target `xywh` is zeros. `update` returns `xywh` as a tuple, as OpenCV's trackers do.
 
     Args:
         graph: name of a graph that is installed ("general"), path of a YAML file, or a graph in Python.
@@ -50,6 +59,7 @@ class Tracker:
         tracker = Tracker("general")
         tracker.init(frame, (x, y, w, h))       # top-left corner box, BGR frame
         ok, box = tracker.update(next_frame)    # ok is False while the target is lost
+        tracker.xyxy                            # the same box as an array of corners
         tracker.score                           # 0..1; a probability where the graph is calibrated
     """
 
@@ -71,6 +81,14 @@ class Tracker:
         self._state: State | None = None
         self._next_index = 0
         self._last: Outcome | None = None
+
+    def __repr__(self) -> str:
+        """Graph, and how the first target is."""
+        name = self._graph.spec.name
+        if self._last is None:
+            return f"<Tracker {name!r}: not started, call init(frame, box)>"
+        shown = ", ".join(map(repr, self.targets[:3]))
+        return f"<Tracker {name!r}, {plural(len(self.targets), 'target')}: {shown}>"
 
     def init(
         self, frame: NDArray[np.uint8], box: CornerBox | None = None, *, depth: Depth | None = None
@@ -111,15 +129,12 @@ class Tracker:
         _check_alike(now, self._state.previous)
         self._last = step(self._engine, self._state, now)
         self._state, self._next_index = self._last.state, self._next_index + 1
-        box = self.box
-        if self._whole_px:
-            x, y, w, h = (round(v) for v in box)
-            return self.status != "lost", (x, y, w, h)
-        return self.status != "lost", box
+        x, y, w, h = (round(v) if self._whole_px else float(v) for v in self.xywh)
+        return self.status != "lost", (x, y, w, h)
 
     @property
-    def box(self) -> CornerBox:
-        """The estimate as a top-left corner box in parts of a pixel, of the first target; zeros without any.
+    def centre_box(self) -> tuple[float, ...]:
+        """The estimate of the first target as numbers: centre x, y, width, height; zeros without any target.
 
         Raises:
             RuntimeError: `init` was not called.
@@ -127,10 +142,15 @@ class Tracker:
         if self._state is None:
             raise RuntimeError("call init(frame, box) first")
         live = [line for line in self.targets if line.target in self._state.net.targets]
-        if not live:
-            return (0.0, 0.0, 0.0, 0.0)
-        x, y, w, h = (float(v) for v in corner_from_centre(live[0].box))
-        return (x, y, w, h)
+        return live[0].centre_box if live else NO_BOX
+
+    def plot(self, frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """A copy of the BGR `frame`, which was processed last, with every target drawn on it.
+
+        Raises:
+            RuntimeError: `init` was not called.
+        """
+        return draw_targets(frame, self.targets)
 
     def detections(self, lost: bool = False) -> Detections:
         """The targets of the last frame in the shape of supervision's; `lost` for lost ones, too.

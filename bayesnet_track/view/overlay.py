@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,20 +53,28 @@ def draw_overlay(image: Image, metrics: FrameMetrics, truth: ArrayLike | None = 
         _dash(drawn, *_span((x, y), (x + w - 1, y + h - 1)), max(1, line - 1))
     for part in metrics.parts.values():
         if part.status == "seen":
-            cv2.rectangle(drawn, *_corners(part.box), PART_COLOUR, max(1, line - 1))
+            cv2.rectangle(drawn, *_corners(part.centre_box), PART_COLOUR, max(1, line - 1))
         else:
-            _dash(drawn, *_corners(part.box), max(1, line - 1), PART_COLOUR)
-    low, high = _corners(metrics.box)
+            _dash(drawn, *_corners(part.centre_box), max(1, line - 1), PART_COLOUR)
+    low, high = _corners(metrics.centre_box)
     for step in range(-1, line):  # a dark rim outside, the colour on the box's own pixels
         if 2 * step <= min(high[0] - low[0], high[1] - low[1]):
             inner, outer = (low[0] + step, low[1] + step), (high[0] - step, high[1] - step)
             cv2.rectangle(drawn, inner, outer, DARK if step < 0 else colour, 1)
     if metrics.angle != 0.0:
-        x, y, w, h = (float(np.clip(value, -REACH, 2 * REACH)) for value in metrics.box)
+        x, y, w, h = (float(np.clip(value, -REACH, 2 * REACH)) for value in metrics.centre_box)
         turned = np.rint(cv2.boxPoints(((x, y), (w, h), metrics.angle))).astype(np.int32)
         cv2.polylines(drawn, [turned], True, colour, 1)
     _label(drawn, metrics, low, high, colour, scale)
     return np.asarray(drawn, dtype=np.uint8)
+
+
+def draw_targets(image: Image, targets: Iterable[FrameMetrics]) -> Image:
+    """A copy of the BGR frame with every target as in `draw_overlay`."""
+    drawn = np.array(image)
+    for metrics in targets:
+        drawn = draw_overlay(drawn, metrics)
+    return drawn
 
 
 Point = tuple[int, int]

@@ -25,7 +25,8 @@ VERSION = 1
 STATUSES = ("tracking", "uncertain", "lost", "seen", "hidden", "unwatched")
 """Codes of the columns `status`, also those of parts."""
 NUMBERS = ("ud_px2", "score", "log_evidence", "surprise", "ess", "particles", "learn_rate", "angle")
-BOXES = ("box", "map", "sd", "region50", "region90")
+BOXES = {"box": "centre_box", "map": "map", "sd": "sd", "region50": "region50", "region90": "region90"}
+"""Column -> field."""
 PER_AGENT = ("kl", "contribution", "agent_ud_px2")
 CLOUD_POINTS = 600_000
 """Hypotheses in all that a page holds; where a run has more, each frame shows fewer of them."""
@@ -144,7 +145,7 @@ def _target(lines: Sequence[FrameMetrics], points: int) -> Columns:
         "quiet_px2": short_floats([math.nan if v.quiet_px2 is None else v.quiet_px2 for v in lines]),
     }
     columns |= {name: short_floats([getattr(line, name) for line in lines]) for name in NUMBERS}
-    columns |= {name: short_floats([getattr(line, name) for line in lines]) for name in BOXES}
+    columns |= {name: short_floats([getattr(line, field) for line in lines]) for name, field in BOXES.items()}
     for agent in names["agents"]:
         state = [(agent in line.active) + (agent in line.silent) for line in lines]
         columns[f"agents/{agent}/state"] = np.array(state, dtype=np.uint8)
@@ -156,7 +157,7 @@ def _target(lines: Sequence[FrameMetrics], points: int) -> Columns:
     for part in names["parts"]:
         found = [line.parts.get(part) for line in lines]
         nothing = (math.nan,) * 4
-        columns[f"parts/{part}/box"] = short_floats([nothing if p is None else p.box for p in found])
+        columns[f"parts/{part}/box"] = short_floats([nothing if p is None else p.centre_box for p in found])
         columns[f"parts/{part}/status"] = _codes("unwatched" if p is None else p.status for p in found)
     return columns | _clouds(lines, points)
 

@@ -113,11 +113,11 @@ def plot_tracks(
         ax.imshow(picture[..., ::-1] if picture.ndim == 3 else picture, cmap="gray")
     for target in dict.fromkeys(line.target for line in run.metrics):
         lines = _lines(run, target)
-        path = np.array([line.box[:2] for line in lines], dtype=np.float64)
+        path = np.array([line.centre_box[:2] for line in lines], dtype=np.float64)
         seen = np.array([line.status != "lost" for line in lines])
         drawn = ax.plot(*np.where(seen[:, None], path, np.nan).T, lw=1.4, label=f"target {target}")
         ax.plot(*np.where(seen[:, None], np.nan, path).T, lw=1.0, ls=":", color=drawn[0].get_color())
-        x, y, w, h = corner_from_centre(lines[-1].box)
+        x, y, w, h = corner_from_centre(lines[-1].centre_box)
         corners = np.array([(x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y)]) - 0.5
         ax.plot(*corners.T, lw=0.8, color=drawn[0].get_color())
     if truth is not None:

@@ -28,7 +28,7 @@ for result in results:
 figure, axes = plt.subplots(1, 2, figsize=(10, 3.4), layout="constrained")
 axes[0].imshow(scene.frames[20][:, :, ::-1], alpha=0.6)
 for target in targets[::2]:
-    x, y = target.box[:2]
+    x, y = target.cxcywh[:2]
     color = "tab:red" if target.status == "lost" else "tab:blue"
     axes[0].add_patch(plt.Circle((x, y), float(np.hypot(*target.sd[:2])), fill=False, color=color))
 axes[0].set_axis_off()

@@ -27,9 +27,9 @@ agents = ["color", "intensity", "motion"]
 figure, axes = plt.subplots(1, 2, figsize=(11, 2.8), width_ratios=[1, 2.4], layout="constrained")
 axes[0].imshow(scene.frames[50][:, :, ::-1])
 for target in results[50].targets:
-    x, y, w, h = target.box
-    axes[0].add_patch(plt.Rectangle((x - w / 2, y - h / 2), w, h, fill=False, color="white", linewidth=2))
-    axes[0].text(x, y - h / 2 - 4, target.target, color="white", ha="center")
+    x, y, w, h = target.xywh
+    axes[0].add_patch(plt.Rectangle((x, y), w, h, fill=False, color="white", linewidth=2))
+    axes[0].text(x + w / 2, y - 4, target.target, color="white", ha="center")
 axes[0].set_axis_off()
 for row, (name, _) in enumerate(groupby(sorted(rows, key=lambda pair: pair[0]), key=lambda pair: pair[0])):
     for place, agent in enumerate(agents):

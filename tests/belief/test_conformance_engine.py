@@ -41,7 +41,7 @@ def play(graph, scene, starts, frames=FRAMES, **settings):
 
 
 def boxes_of(results, place=0):
-    return np.array([result.targets[place].box for result in results])
+    return np.array([result.targets[place].centre_box for result in results])
 
 
 def test_it_runs_from_pictures_to_files(asked, scene, tmp_path):
@@ -60,8 +60,8 @@ def test_it_runs_from_pictures_to_files(asked, scene, tmp_path):
     assert [line.frame for line in lines] == list(range(FRAMES))
     for result, line in zip(results, lines, strict=True):
         (now,) = result.targets
-        assert now.box == pytest.approx(line.box, rel=1e-6)
-        numbers = [*now.box, *now.sd, now.ud_px2, now.ess, *now.region50, *now.region90]
+        assert now.centre_box == pytest.approx(line.centre_box, rel=1e-6)
+        numbers = [*now.centre_box, *now.sd, now.ud_px2, now.ess, *now.region50, *now.region90]
         assert np.isfinite(numbers).all() and now.particles >= 1
     held = overlap(boxes_of(results), centre_from_corner(scene.truth[:FRAMES]))
     # Before the squares meet.

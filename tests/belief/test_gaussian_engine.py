@@ -74,7 +74,7 @@ def finder_engine(fakes):
 
 def errors(outcomes):
     """Distances of the estimates from the truth, px, frame by frame."""
-    boxes = np.array([outcome.metrics[0].box for outcome in outcomes])
+    boxes = np.array([outcome.metrics[0].centre_box for outcome in outcomes])
     return np.hypot(boxes[:, 0] - 50 - SPEED * np.arange(len(boxes)), boxes[:, 1] - 40).tolist()
 
 
@@ -89,9 +89,9 @@ def test_it_follows_an_agent_that_measures(finder_engine, fakes):
     assert max(errors(outcomes)[8:]) < 0.1
     for outcome in outcomes[1:]:
         (line,) = outcome.metrics
-        assert line.map == pytest.approx(line.box)
+        assert line.map == pytest.approx(line.centre_box)
         assert line.ud_px2 == pytest.approx(line.sd[0] ** 2 + line.sd[1] ** 2)
-        assert line.region50[0] < line.box[0] < line.region50[1]
+        assert line.region50[0] < line.centre_box[0] < line.region50[1]
         assert line.particles == 200 and len(line.cloud) == 48
         assert isinstance(outcome.state.targets["1"].belief, GaussianPosterior)
         assert not outcome.events
@@ -211,7 +211,9 @@ def test_trackers_take_a_motion(rng, tmp_path):
     assert ok and box == pytest.approx((23, 20, 24, 24), abs=0.01)
     for n in range(3):
         cv2.imwrite(str(tmp_path / f"{n}.png"), picture)
-    boxes = [result.targets[0].box for result in track(graph, tmp_path, (20, 20, 24, 24), motion=motion)]
+    boxes = [
+        result.targets[0].centre_box for result in track(graph, tmp_path, (20, 20, 24, 24), motion=motion)
+    ]
     assert np.diff([x for x, *_ in boxes]) == pytest.approx([3, 3], abs=0.01)
 
 

@@ -83,6 +83,6 @@ def test_candidates_of_the_likelihood_hold_what_a_plain_filter_loses():
         scene = scene_of(16.0, {8, 9, 10}, 26.0, seed, 18)
         for importance, size in (("bootstrap", 200), ("likelihood_mixture", 100)):
             results, _ = track(scene, size, importance, seed)
-            box = np.array([results[-1].targets[0].box])
+            box = np.array([results[-1].targets[0].centre_box])
             held[importance] += float(overlap(box, centre_from_corner(scene.truth[-1:]))[0]) > 0.5
     assert held["likelihood_mixture"] >= held["bootstrap"] + 6

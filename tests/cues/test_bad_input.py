@@ -95,7 +95,7 @@ def tracked(cue: str, source: Pictures, box: tuple[float, ...]) -> SimpleNamespa
     assert [result.frame.index for result in results] == list(range(len(source.images)))
     for result in results:
         (target,) = result.targets
-        assert np.isfinite([*target.box, *target.sd, *target.ud_nodes.values()]).all()
+        assert np.isfinite([*target.centre_box, *target.sd, *target.ud_nodes.values()]).all()
         assert np.isfinite(result.covariances.get("1", np.zeros(1))).all()
     out = {event.node: event.reason for event in events if isinstance(event, Quarantined)}
     assert "other" not in out
@@ -112,7 +112,7 @@ def first_of(values: list[tuple[int, ...]], count: int = 1) -> list[object]:
 def test_good_input_stops_nobody(cue: str) -> None:
     run = tracked(cue, Pictures([picture(frame) for frame in range(FRAMES)]), (30, 20, 24, 24))
     assert run.out is None
-    x, y, _, _ = run.results[-1].targets[0].box
+    x, y, _, _ = run.results[-1].targets[0].centre_box
     assert np.hypot(x - 41.5 - FRAMES + 1, y - 31.5) < 12.0
 
 

@@ -249,7 +249,7 @@ def test_a_target_that_turns_is_followed_by_its_angle(belief: dict[str, object])
     for turn in range(1, 21):
         tracker.update(scene(150, 120, angle=6.0 * turn))
         assert tracker.metrics.angle == pytest.approx(6.0 * turn, abs=TURN_STEP)
-        assert np.hypot(tracker.metrics.box[0] - 150, tracker.metrics.box[1] - 120) < 5.0
+        assert np.hypot(tracker.metrics.centre_box[0] - 150, tracker.metrics.centre_box[1] - 120) < 5.0
     assert from_json(to_json(tracker.metrics)).angle == pytest.approx(tracker.metrics.angle, rel=1e-4)
     plain = Tracker(graph(noise), seed=1)
     plain.init(scene(150, 120), (130.0, 94.0, 40.0, 52.0))

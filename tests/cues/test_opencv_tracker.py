@@ -171,7 +171,7 @@ def test_alone_in_a_net(scene):
     for index in range(1, 6):
         outcome = step(engine, state, frame(scene, index).current)
         state = outcome.state
-    assert np.abs(outcome.metrics[0].box[:2] - scene.start - 5 * MOVE).max() < 5.0
+    assert np.abs(outcome.metrics[0].centre_box[:2] - scene.start - 5 * MOVE).max() < 5.0
     assert not [e for e in outcome.events if type(e).__name__ == "Quarantined"]
 
 

@@ -99,7 +99,7 @@ def test_the_graph_is_a_kalman_filter_for_each_target(tmp_path):
             np.testing.assert_allclose(belief.mean, mean, rtol=1e-9, atol=1e-9)
             np.testing.assert_allclose(belief.covariance, covariance, rtol=1e-9, atol=1e-9)
             (line,) = [one for one in outcome.metrics if one.target == target]
-            np.testing.assert_allclose(line.box, mean[:4], rtol=1e-9)
+            np.testing.assert_allclose(line.centre_box, mean[:4], rtol=1e-9)
             assert line.silent == (("seen",) if (k, line.frame) in missed else ())
 
 
@@ -134,8 +134,8 @@ def test_looks_keep_identities_that_place_alone_swaps(name, kept):
     """They turn, unseen, where they should pass each other: the plain tracker takes one for the other."""
     says = {n: found(*([x, 119.5, 29, 60] for x in dancers(n))) for n in range(25) if abs(n - 12) > 3}
     outcomes = play(load_graph(name), FileDetector(says), 25, red_and_blue)
-    first = {line.target: line.box[0] < 160 for line in outcomes[4].metrics}
-    last = {line.target: line.box[0] < 160 for line in outcomes[-1].metrics}
+    first = {line.target: line.centre_box[0] < 160 for line in outcomes[4].metrics}
+    last = {line.target: line.centre_box[0] < 160 for line in outcomes[-1].metrics}
     assert len(first) == len(last) == 2
     assert (first == last) == kept
 
@@ -147,7 +147,7 @@ def test_a_lost_target_is_given_its_detection_again():
     status = [line.status for outcome in outcomes[2:] for line in outcome.metrics]
     assert {line.target for outcome in outcomes for line in outcome.metrics} == {"1"}
     assert "lost" in status and status[-1] == "tracking"
-    assert outcomes[-1].metrics[0].box[0] == pytest.approx(60 + 4 * 23, abs=1.0)
+    assert outcomes[-1].metrics[0].centre_box[0] == pytest.approx(60 + 4 * 23, abs=1.0)
 
 
 def test_between_looks_every_target_predicts():

@@ -57,6 +57,6 @@ def test_general_does_not_say_tracking_on_the_other_of_two_equal_squares(seed):
         tracker.update(frame)
         count += sum(isinstance(event, DistractorSeen) for event in tracker.events)
         true = centre_from_corner(scene.truth[index])
-        found = float(overlap(np.array(tracker.metrics.box)[None], true[None])[0])
+        found = float(overlap(np.array(tracker.metrics.centre_box)[None], true[None])[0])
         wrong.append(found < 0.1 and tracker.status == "tracking")
     assert count == 1 and longest_run(wrong) <= 5

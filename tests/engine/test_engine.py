@@ -148,7 +148,7 @@ def test_a_target_may_start_later(fakes):
     born = start_target(engine, state, fakes.frame(4), "2", "plate", np.array([20.0, 20.0, 8.0, 8.0]))
     assert [type(event) for event in born.events] == [TargetStarted]
     assert set(born.state.net.targets) == {"1", "2"}
-    assert born.metrics[0].box == (20.0, 20.0, 8.0, 8.0)
+    assert born.metrics[0].centre_box == (20.0, 20.0, 8.0, 8.0)
 
 
 # ----------------------------------------------------------------------------------- the log rebuilds the net
@@ -362,7 +362,7 @@ def test_inactive_agents_learn_too_on_the_estimates_crop_only(fakes):
     assert len(idle.learnt) == 7
     for outcome, (frame, region, box) in zip(outcomes, idle.learnt, strict=True):
         (metrics,) = outcome.metrics
-        assert (frame, box) == (metrics.frame, metrics.box)
+        assert (frame, box) == (metrics.frame, metrics.centre_box)
         assert metrics.active == ("a",)
         assert region == region_of_boxes(np.array([box]), grow=1.0).within(fakes.frame(frame))
     assert plane.computed == [region for _, region, _ in idle.learnt]

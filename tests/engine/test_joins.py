@@ -43,7 +43,7 @@ def alone(graph):
 def hidden_error(scene, outcomes):
     hidden = np.flatnonzero(scene.visible == 0)
     true = centre_from_corner(scene.truth)
-    found = np.array([outcomes[index].metrics[0].box[:2] for index in hidden])
+    found = np.array([outcomes[index].metrics[0].centre_box[:2] for index in hidden])
     return float(np.median(np.linalg.norm(found - true[hidden, :2], axis=1)))
 
 
@@ -68,7 +68,7 @@ def test_a_carried_box_is_joined_hidden_found_and_parted(carried):
     carrying = [event for event in events if isinstance(event, AttachmentChanged)]
     assert carrying[0].attached and (carrying[0].target, carrying[0].other) == ("1", "2")
     assert hidden_error(scene, outcomes) < 10
-    end = np.array(outcomes[-1].metrics[0].box[:2])
+    end = np.array(outcomes[-1].metrics[0].centre_box[:2])
     assert np.linalg.norm(end - centre_from_corner(scene.truth)[-1, :2]) < 5
 
 
@@ -123,7 +123,7 @@ def test_fewer_nets_end_on_another_target_in_a_crowd():
     scene = crowd(0, 50, 100)
     true = centre_from_corner(np.array([scene.truth, *scene.others]))[:, -1, :2]
     for number, one in enumerate((graph, alone(graph))):
-        boxes = np.array([metrics.box[:2] for metrics in tracked(scene, one, 0)[-1].metrics])
+        boxes = np.array([metrics.centre_box[:2] for metrics in tracked(scene, one, 0)[-1].metrics])
         held = np.argmin(np.linalg.norm(boxes[:, None] - true[None], axis=2), axis=1)
         astray[number] = np.sum(held != np.arange(len(true)))
     assert astray[1] > 0

@@ -205,8 +205,8 @@ def test_a_target_that_leaps_is_found_again_and_that_is_told(fakes, by):
     reappeared = [event for outcome in found for event in outcome.events if isinstance(event, Reappeared)]
     assert len(reappeared) == 1
     assert reappeared[0].by == by
-    assert np.hypot(found[-1].metrics[0].box[0] - 105, found[-1].metrics[0].box[1] - 85) < 3
-    without = run()[-1].metrics[0].box
+    assert np.hypot(found[-1].metrics[0].centre_box[0] - 105, found[-1].metrics[0].centre_box[1] - 85) < 3
+    without = run()[-1].metrics[0].centre_box
     assert np.hypot(without[0] - 105, without[1] - 85) > 20
 
 
@@ -272,4 +272,4 @@ def test_every_belief_takes_what_the_checks_let_pass(fakes, belief, settings):
         nodes["root"]["motion"]["random_walk"].pop("sd_log")
     seen = fakes.gaussian(62.0, 52.0, 3.0, floor=1e-3)
     end = fakes.play(fakes.engine(nodes, {"eye": seen})[0], 5, {"1": tuple(BOX)})[-1].metrics[0]
-    np.testing.assert_allclose(end.box[:2], [62, 52], atol=2.0)
+    np.testing.assert_allclose(end.centre_box[:2], [62, 52], atol=2.0)

@@ -73,7 +73,7 @@ def test_features_of_a_flat_frame_have_their_exact_values(fakes):
     # Evidence of a: -7 against its median so far; that of b is 0 as ever.
     assert after["evidence"] < -2.0
     assert after["log_ud_box"] == pytest.approx(
-        np.log(outcomes[GONE + 1].metrics[0].ud_px2 / np.prod(outcomes[GONE + 1].metrics[0].box[2:]))
+        np.log(outcomes[GONE + 1].metrics[0].ud_px2 / np.prod(outcomes[GONE + 1].metrics[0].centre_box[2:]))
     )
 
 
@@ -105,8 +105,14 @@ def test_slack_touches_only_what_is_told(fakes):
     wide, _ = run(fakes, localization_error={"sd_box": 0.5})
     for one, other in zip(plain[1:], wide[1:], strict=True):
         a, b = one.metrics[0], other.metrics[0]
-        assert (a.box, a.ud_px2, a.cloud, a.score, a.status) == (b.box, b.ud_px2, b.cloud, b.score, b.status)
-        added = (0.5**2) * a.box[2] * a.box[3]
+        assert (a.centre_box, a.ud_px2, a.cloud, a.score, a.status) == (
+            b.centre_box,
+            b.ud_px2,
+            b.cloud,
+            b.score,
+            b.status,
+        )
+        added = (0.5**2) * a.centre_box[2] * a.centre_box[3]
         assert b.sd == pytest.approx(
             [np.hypot(a.sd[0], added**0.5), np.hypot(a.sd[1], added**0.5), *a.sd[2:]]
         )
@@ -139,7 +145,7 @@ def test_a_temperature_divides_the_log_likelihood(fakes):
     halved = lambda p, h, r: 0.5 * same(p, h, r)  # noqa: E731
     plain, _ = fakes.engine(nodes(), {"a": same, "b": halved})
     for one, other in zip(fakes.play(engine, 5), fakes.play(plain, 5), strict=True):
-        assert one.metrics[0].box == other.metrics[0].box
+        assert one.metrics[0].centre_box == other.metrics[0].centre_box
         assert one.metrics[0].strength == other.metrics[0].strength
 
 

@@ -276,7 +276,7 @@ def test_a_lost_target_is_found_again_where_a_detection_looks_like_it():
     assert (found.frame, found.target, found.box[0]) == (12, "1", 65.0)
     assert [m.target for m in outcomes[-1].metrics] == ["1"]
     assert outcomes[-1].metrics[0].status == "tracking"
-    assert abs(outcomes[-1].metrics[0].box[0] - 65) < SIDE / 2
+    assert abs(outcomes[-1].metrics[0].centre_box[0] - 65) < SIDE / 2
     off = engine_of(says, **life, reidentify={"lost": False})
     assert events_of(play(off, frames), Reacquired) == []
 

@@ -17,7 +17,7 @@ def metrics(frame, corner, target="1", status="tracking", active=("hue",)) -> Fr
         frame=frame,
         time_s=frame / 25,
         target=target,
-        box=box,
+        centre_box=box,
         map=box,
         sd=(1.0, 1.0, 0.1, 0.1),
         ud_px2=2.0,

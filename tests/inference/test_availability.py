@@ -154,7 +154,7 @@ def test_one_that_gave_no_first_reference_learns_it_later(fakes):
         Quarantined(9, "1", "b", reason, 29, 2),
         Readmitted(28, "1", "b", True, 2, 20),
     ]
-    assert learnt[0] == (28, pytest.approx(outcomes[28].metrics[0].box[:2], abs=0.01))
+    assert learnt[0] == (28, pytest.approx(outcomes[28].metrics[0].centre_box[:2], abs=0.01))
     assert [o.metrics[0].active for o in outcomes[27:30]] == [("a",), ("a",), ("a", "b")]
     missed = [one for o in outcomes for one in o.external_inputs]
     assert missed == [AgentMissed(9, "1", "b", "its process died", "starting")]

@@ -261,7 +261,14 @@ def assert_survives(fakes, belief, cases):
         for outcome in outcomes[1:]:
             metrics = outcome.metrics[0]
             assert abs(is_proper(outcome.state.targets["1"].belief) - 1.0) < 1e-9
-            numbers = [*metrics.box, *metrics.map, *metrics.sd, metrics.ud_px2, metrics.score, metrics.ess]
+            numbers = [
+                *metrics.centre_box,
+                *metrics.map,
+                *metrics.sd,
+                metrics.ud_px2,
+                metrics.score,
+                metrics.ess,
+            ]
             assert np.isfinite([*numbers, *metrics.agent_ud_px2.values()]).all()
             assert not np.isnan([*metrics.kl.values(), *metrics.contribution.values()]).any()
         out = outcomes[-1].state.net.targets["1"].quarantined
@@ -274,8 +281,8 @@ def assert_survives(fakes, belief, cases):
             compared += 1
             for dirty, other in zip(outcomes[1:], clean[1:], strict=True):
                 np.testing.assert_array_equal(dirty.covariances["1"], other.covariances["1"])
-                assert (dirty.metrics[0].box, dirty.metrics[0].log_evidence) == (
-                    other.metrics[0].box,
+                assert (dirty.metrics[0].centre_box, dirty.metrics[0].log_evidence) == (
+                    other.metrics[0].centre_box,
                     other.metrics[0].log_evidence,
                 )
     assert stopped > cases / 4 and compared > cases / 100

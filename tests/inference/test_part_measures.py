@@ -90,7 +90,7 @@ def test_references_are_learnt_inside_the_parts(hiding):
         assert (frame, box) == (0, first)
         found = parts_of(outcomes, name)
         for frame, _, box in later:
-            np.testing.assert_allclose(box, found[frame].box, rtol=1e-12)
+            np.testing.assert_allclose(box, found[frame].centre_box, rtol=1e-12)
 
 
 def test_what_is_hidden_is_told_from_the_rest(hiding):
@@ -102,7 +102,7 @@ def test_what_is_hidden_is_told_from_the_rest(hiding):
     outcomes, _ = hiding
     torso = parts_of(outcomes, "torso")
     for frame in TIMES:
-        assert np.hypot(*np.subtract(torso[frame].box[:2], TORSO[:2])) < 1.5, frame
+        assert np.hypot(*np.subtract(torso[frame].centre_box[:2], TORSO[:2])) < 1.5, frame
         assert torso[frame].status == ("hidden" if frame in HIDDEN else "seen")
         if frame in HIDDEN:
             assert GIVEN_VARIANCE < torso[frame].ud_px2 < 2 * GIVEN_VARIANCE + 2 * 1.5**2

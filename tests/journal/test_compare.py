@@ -26,7 +26,7 @@ class Record:
 
 def line(frame, target="1", box=BOX, ud=10.0, active=("color",), status="tracking"):
     return FrameMetrics(
-        frame=frame, time_s=frame / 25, target=target, box=box, map=box, sd=(1.0,) * 4, ud_px2=ud,
+        frame=frame, time_s=frame / 25, target=target, centre_box=box, map=box, sd=(1.0,) * 4, ud_px2=ud,
         ud_nodes={}, quiet_px2=None, status=status, score=0.5, log_evidence=0.0, surprise=0.0, ess=90.0,
         particles=100, active=active, kl={}, contribution={}, agent_ud_px2={}, strength={}, learn_rate=0.0,
         region50=(), region90=(), cloud=(),

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.beliefs import BeliefReset, DegenerateBelief, MeasurementGated
 from bayesnet_track.journal.events.births import (
     BirthsRefused,
@@ -468,7 +469,7 @@ METRICS = FrameMetrics(
     frame=29,
     time_s=1.16,
     target="1",
-    box=(154.25, 110.5, 40.0, 40.0),
+    centre_box=(154.25, 110.5, 40.0, 40.0),
     map=(154.0, 110.0, 40.0, 40.0),
     sd=(3.1, 2.9, 0.4, 0.4),
     ud_px2=212.4,
@@ -490,6 +491,17 @@ METRICS = FrameMetrics(
     region90=(0.0, 1.0, 0.0, 1.0),
     cloud=(),
 )
+
+
+def test_the_file_keeps_the_key_box():
+    line = to_json(METRICS)
+    assert '"box": [154.25, 110.5, 40.0, 40.0]' in line and "centre_box" not in line
+    assert from_json(line) == METRICS
+
+
+def test_a_line_shows_what_matters():
+    shown = "<target 1 in frame 29: tracking, score 0.62, xywh 134.8,91.0,40.0,40.0, hue active>"
+    assert repr(METRICS) == shown
 
 
 def test_why():

@@ -15,10 +15,12 @@ from bayesnet_track.journal.codec import (
     JournalError,
     event_classes,
     event_name,
+    field_names,
     from_json,
     type_hints,
 )
 from bayesnet_track.journal.document import words_of
+from bayesnet_track.journal.encoder import key_of
 from bayesnet_track.journal.events.runs import JOURNAL_VERSION
 from bayesnet_track.journal.renamed import EVENTS, FIELDS
 
@@ -42,8 +44,8 @@ def described() -> dict[str, dict[str, list[object]]]:
         name = event_name(kind)
         if name in found:
             continue
-        needed = {f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING}
-        hints = type_hints(kind)
+        needed = {key_of(f) for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING}
+        hints = {key: type_hints(kind)[name] for key, name in field_names(kind).items()}
         found[name] = {field: [words_of(hint), field in needed] for field, hint in hints.items()}
         waiting += [one for hint in hints.values() for one in within(hint)]
     return found

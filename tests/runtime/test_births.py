@@ -57,7 +57,7 @@ def test_a_run_by_detections_from_a_file(pictures, found, tmp_path):
     out = tmp_path / "run"
     results = list(track(graph, str(pictures), out=out, detections=found, video=True))
     assert [len(result.targets) for result in results] == [0, 0, 0, 1, 1, 1, 1, 1]
-    assert results[-1].targets[0].box[0] == pytest.approx(20 + 21 + 9.5, abs=4)
+    assert results[-1].targets[0].centre_box[0] == pytest.approx(20 + 21 + 9.5, abs=4)
     events = list(read_events(out / "journal.jsonl"))
     assert isinstance(events[0], RunStarted)
     assert events[0].inputs == {str(found): hashlib.sha256(found.read_bytes()).hexdigest()}

@@ -50,7 +50,8 @@ def made(monkeypatch):
 
 def line(frame, target):
     return FrameMetrics(
-        frame=frame, time_s=frame / 25, target=target, box=(10.0, 8.0, 5.0, 3.0), map=(), sd=(1.0,) * 4,
+        frame=frame, time_s=frame / 25, target=target, centre_box=(10.0, 8.0, 5.0, 3.0), map=(),
+        sd=(1.0,) * 4,
         ud_px2=7.5, ud_nodes={}, quiet_px2=None, status="tracking", score=0.5, log_evidence=0.0, surprise=0.0,
         ess=9.0, particles=10, active=("color",), kl={"color": 0.25}, contribution={}, agent_ud_px2={},
         strength={}, learn_rate=0.0, region50=(), region90=(), cloud=((10, 8, 5, 3),),

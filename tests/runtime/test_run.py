@@ -145,7 +145,7 @@ def test_a_tracker_fed_with_the_same_frames_gives_the_same_boxes(recorded):
     tracker.init(scene.frames[0], scene.start_box)
     for result in recorded[1][1:]:
         _, box = tracker.update(scene.frames[result.frame.index])
-        assert box == tuple(corner_from_centre(result.targets[0].box))
+        assert box == tuple(corner_from_centre(result.targets[0].centre_box))
         assert tracker.score == result.targets[0].score
         assert tuple(e for e in tracker.events if isinstance(e, Decision)) == result.decisions
 

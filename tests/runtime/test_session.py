@@ -30,10 +30,21 @@ def test_an_iterator_over_frames(video):
     assert isinstance(first, Result)
     assert [first.frame.index, second.frame.index] == [0, 1]
     (target,) = second.targets
-    assert len(target.box) == 4 and target.status == "tracking" and target.active
+    assert len(target.centre_box) == 4 and target.status == "tracking" and target.active
     assert second.covariances["1"].shape[0] >= 4
     assert np.diag(second.covariances["1"])[:2] == pytest.approx(np.square(target.sd[:2]))
     assert second.total_seconds >= max(second.seconds.values()) > 0
+
+
+def test_a_result_shows_what_matters_and_draws_on_a_copy(video):
+    result = next(track("general", video, SQUARE))
+    shown = "<frame 0: <target 1 in frame 0: tracking, score 1.00, xywh 0.0,5.0,10.0,10.0, "
+    assert repr(result).startswith(shown) and repr(result).endswith("; 1 decision>")
+    before = result.frame.image.copy()
+    other = np.zeros_like(before)
+    assert (result.plot() != before).any() and np.array_equal(result.frame.image, before)
+    assert (result.plot(other) != other).any() and not other.any()
+    assert repr(result.detections()) == "<Detections: 1, tracker_id [1]>"
 
 
 def test_the_decoder_is_isolated_when_asked(video, tmp_path):
@@ -49,7 +60,7 @@ def test_the_decoder_is_isolated_when_asked(video, tmp_path):
 def test_every_kind_of_graph_source_and_box(video, tmp_path):
     def boxes(graph, source, box):
         results = track(graph, source, box)
-        found = [next(results).targets[0].box for _ in range(3)]
+        found = [next(results).targets[0].centre_box for _ in range(3)]
         results.close()
         return found
 
@@ -65,7 +76,7 @@ def test_every_kind_of_graph_source_and_box(video, tmp_path):
 
 def test_several_targets(video):
     result = next(track("general", video, [Start(SQUARE), Start((30, 20, 10, 10))]))
-    assert [(target.target, target.box) for target in result.targets] == [
+    assert [(target.target, target.centre_box) for target in result.targets] == [
         ("1", (4.5, 9.5, 10.0, 10.0)),
         ("2", (34.5, 24.5, 10.0, 10.0)),
     ]
@@ -114,7 +125,7 @@ def test_a_run_directory_with_a_video(video, tmp_path):
 def test_a_mistake_is_told_before_anything_is_written(video, tmp_path, changed, error, message):
     given = {"graph": "general", "source": video, "box": SQUARE, **changed}
     with pytest.raises(error, match=message):
-        next(track(**given, out=tmp_path / "run"))
+        track(**given, out=tmp_path / "run")  # at the call, before any result is asked for
     assert not (tmp_path / "run").exists()
 
 
@@ -123,9 +134,9 @@ def test_a_mistake_does_not_cost_an_earlier_run(video, tmp_path):
         break
     before = (tmp_path / "run/journal.jsonl").read_bytes()
     with pytest.raises(StartError):
-        next(track("general", video, (64, 0, 9, 9), out=tmp_path / "run", overwrite=True))
+        track("general", video, (64, 0, 9, 9), out=tmp_path / "run", overwrite=True)
     with pytest.raises(RunDirectoryError, match="a run is there already"):
-        next(track("general", video, SQUARE, out=tmp_path / "run"))
+        track("general", video, SQUARE, out=tmp_path / "run")
     assert (tmp_path / "run/journal.jsonl").read_bytes() == before
 
 
@@ -138,7 +149,8 @@ def test_a_source_opened_here_is_closed_here(video, monkeypatch):
     results = track("general", video, SQUARE)
     next(results)
     results.close()
-    assert closed
+    track("general", video, SQUARE).close()  # of which no result was asked for
+    assert closed == [True, True]
     own = open_source(str(video))  # the caller's own stays open
     results = track("general", own, SQUARE)
     next(results)

@@ -51,8 +51,27 @@ def test_init_returns_nothing_and_tells_the_first_frame():
     tracker = Tracker("two_squares")
     assert tracker.init(SCENE.frames[0], BOX) is None
     assert tracker.score == 1.0
-    assert tracker.metrics.box == (270.0, 190.0, 40.0, 40.0)
+    assert tracker.metrics.centre_box == (270.0, 190.0, 40.0, 40.0)
     assert [type(event).__name__ for event in tracker.events] == ["TargetStarted"]
+
+
+def test_its_box_in_each_convention():
+    tracker = started()
+    assert tracker.xywh.tolist() == list(tracker.metrics.xywh) == list(BOX)
+    assert tracker.xyxy.tolist() == [BOX[0], BOX[1], BOX[0] + BOX[2], BOX[1] + BOX[3]]
+    assert tracker.cxcywh.tolist() == list(tracker.metrics.centre_box)
+    with pytest.raises(AttributeError, match=r"Tracker has no `box`.*use \.xywh"):
+        _ = tracker.box
+
+
+def test_it_shows_what_matters_and_draws_on_a_copy():
+    assert repr(Tracker("two_squares")) == "<Tracker 'two_squares': not started, call init(frame, box)>"
+    tracker = started()
+    assert repr(tracker).startswith("<Tracker 'two_squares', 1 target: <target 1 in frame 0: tracking, score")
+    before = SCENE.frames[0].copy()
+    drawn = tracker.plot(SCENE.frames[0])
+    assert np.array_equal(SCENE.frames[0], before) and drawn.shape == before.shape
+    assert (drawn != before).any()
 
 
 @pytest.mark.parametrize(
@@ -386,6 +405,6 @@ def test_with_whole_pixels_opencv_draws_what_update_gives():
         ok, box = tracker.update(picture)
         exact.update(picture)
         assert type(ok) is bool and type(box) is tuple and [type(value) for value in box] == [int] * 4
-        assert np.abs(np.array(box) - exact.box).max() <= 0.5
+        assert np.abs(np.array(box) - exact.xywh).max() <= 0.5
         assert cv2.rectangle(picture.copy(), box, (0, 0, 255)).shape == picture.shape
     assert tracker.getTrackingScore() == tracker.score == exact.score

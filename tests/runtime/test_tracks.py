@@ -32,7 +32,7 @@ def metrics(frame, target="square", box=(30.0, 35.0, 41.0, 31.0), **more):
         "region90": (0.0,) * 4,
         "cloud": (),
     }
-    return FrameMetrics(frame=frame, target=target, box=box, **(values | more))
+    return FrameMetrics(frame=frame, target=target, centre_box=box, **(values | more))
 
 
 def lines_of(writer_class, path, rows):

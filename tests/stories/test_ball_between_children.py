@@ -48,7 +48,7 @@ def run(seed, importance=None):
         at = result.frame.index
         rows.append(
             [
-                (one.particles, one.surprise, np.hypot(*(one.box[:2] - truth[k][at])))
+                (one.particles, one.surprise, np.hypot(*(one.centre_box[:2] - truth[k][at])))
                 for k, one in enumerate(result.targets)
             ]
         )

@@ -50,7 +50,7 @@ def goes_as_in_the_thesis(seed):
     return (
         born == {"1": "orange", "2": "gray"}
         and {target: line.active for target, line in ends.items()} == {"1": ("color",), "2": ("intensity",)}
-        and overlap(ends["1"].box, truth) > 0.5
+        and overlap(ends["1"].centre_box, truth) > 0.5
         and called >= {"motion", "intensity"}
     )
 
@@ -60,7 +60,7 @@ def test_the_hidden_square_is_found_again_with_its_identity():
     (found,) = [event for event in sink.events if isinstance(event, Reacquired)]
     assert found.target == "1" and found.recognition.probability > 0.5
     assert set(found.recognition.agents) == {"color", "intensity"}
-    assert overlap(last.targets[0].box, truth) > 0.5
+    assert overlap(last.targets[0].centre_box, truth) > 0.5
     decisions = [event for event in sink.events if isinstance(event, Decision)]
     assert {t: one.active for t, one in replay(decisions).targets.items()} == {
         line.target: frozenset(line.active) for line in last.targets

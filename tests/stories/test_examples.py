@@ -26,7 +26,7 @@ def play(graph: str, scene: Scene, seed: int) -> list[Result]:
 
 def overlaps(results: list[Result], scene: Scene) -> NDArray[np.float64]:
     """(n,) IoU of the estimate with the truth."""
-    boxes = np.array([result.targets[0].box for result in results])
+    boxes = np.array([result.targets[0].centre_box for result in results])
     return overlap(boxes, centre_from_corner(scene.truth[: len(boxes)]))
 
 

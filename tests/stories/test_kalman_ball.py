@@ -19,7 +19,7 @@ def play(graph, seed, out=None):
     scene = make_scene("flying_ball", seed)
     source = SceneSource(scene, "scene:flying_ball")
     results = list(track(graph, source, [Start(scene.start_box)], seed=seed, out=out))
-    boxes = np.array([result.targets[0].box for result in results])
+    boxes = np.array([result.targets[0].centre_box for result in results])
     truth = centre_from_corner(scene.truth)
     return scene, results, overlap(boxes, truth), np.hypot(*(boxes - truth)[:, :2].T)
 
@@ -121,7 +121,7 @@ def test_the_belief_is_exactly_kalmans(tmp_path):
             gain = covariance[:, :2] @ np.linalg.inv(spread)
             x = x + gain @ (measured.mean - x[:2])
             covariance = covariance - gain @ covariance[:2]
-        np.testing.assert_allclose(result.targets[0].box[:2], x[:2], atol=1e-6)
+        np.testing.assert_allclose(result.targets[0].centre_box[:2], x[:2], atol=1e-6)
 
 
 MIXED = """\
@@ -153,7 +153,7 @@ def test_the_three_kinds_mix_in_one_net(tmp_path, root, latent):
     source = SceneSource(scene, "scene:flying_ball")
     for result in track(path, source, [Start(scene.start_box)], seed=1):
         index, target = result.frame.index, result.targets[0]
-        assert np.hypot(*(np.array(target.box) - centre_from_corner(scene.truth[index]))[:2]) < 5.0
+        assert np.hypot(*(np.array(target.centre_box) - centre_from_corner(scene.truth[index]))[:2]) < 5.0
         if index > 0:
             assert set(target.active) == {"histogram", "intensity", "place"}
         if index == 8:

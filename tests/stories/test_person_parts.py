@@ -21,7 +21,7 @@ def play(scene: Scene, seed: int) -> list[Result]:
 
 def errors(scene: Scene, results: list[Result], name: str) -> np.ndarray:
     """(n,) distance of a part's estimate from its true centre, px."""
-    at = np.array([result.targets[0].parts[name].box[:2] for result in results])
+    at = np.array([result.targets[0].parts[name].centre_box[:2] for result in results])
     away: np.ndarray = np.hypot(*(at - centre_from_corner(scene.parts[name].truth)[:, :2]).T)
     return away
 

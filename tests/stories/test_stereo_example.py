@@ -23,7 +23,7 @@ def play(name, seed):
     scene = make_scene(name, seed)
     source = SceneSource(scene, f"scene:{name}")
     results = list(track("person_stereo", source, [Start(scene.start_box)], seed=seed))
-    boxes = np.array([result.targets[0].box for result in results])
+    boxes = np.array([result.targets[0].centre_box for result in results])
     return results, overlap(boxes, centre_from_corner(scene.truth))
 
 

@@ -73,7 +73,7 @@ def test_color_fusion_finds_the_square_again_behind_an_occluder() -> None:
         results = list(
             track("color_fusion", SceneSource(scene, "scene:occluder"), [Start((x, y, w, h))], seed=seed)
         )
-        boxes = np.array([result.targets[0].box for result in results[-10:]])
+        boxes = np.array([result.targets[0].centre_box for result in results[-10:]])
         again += overlap(boxes, centre_from_corner(scene.truth[-10:])).mean() > 0.5
     assert again >= 9
 

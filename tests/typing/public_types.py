@@ -49,7 +49,11 @@ def of_a_tracker(image: NDArray[np.uint8], depth_m: NDArray[np.float64]) -> None
     ok, box = tracker.update(image)
     assert_type(ok, bool)
     assert_type(box, Box)
-    assert_type(tracker.box, Box)
+    assert_type(tracker.xywh, NDArray[np.float64])
+    assert_type(tracker.xyxy, NDArray[np.float64])
+    assert_type(tracker.cxcywh, NDArray[np.float64])
+    assert_type(tracker.plot(image), NDArray[np.uint8])
+    _ = tracker.box  # type: ignore[attr-defined]  # pyright: ignore[reportAttributeAccessIssue]
     assert_type(tracker.score, float)
     assert_type(tracker.status, str)
     assert_type(tracker.events, tuple[Event, ...])
@@ -71,6 +75,8 @@ def of_a_whole_run(starts: list[Start]) -> None:
         assert_type(result.frame.image, NDArray[np.uint8])
         assert_type(result.seconds, dict[str, float])
         assert_type(result.detections(), Detections)
+        assert_type(result.targets[0].xywh, NDArray[np.float64])
+        assert_type(result.plot(), NDArray[np.uint8])
     assert_type(starts[0].box, Box)
     assert_type(starts[0].plate, str | None)
     track("general", "video.mp4", (1, 2, 3, 4), "run")  # type: ignore[call-arg]  # pyright: ignore[reportCallIssue]

@@ -47,7 +47,7 @@ class Checked(HTMLParser):
 @pytest.fixture
 def few_metrics(metrics):
     """A hand-made line -> 20 frames of it."""
-    return lambda: [replace(metrics, frame=frame, box=(9.0, 9.0, 4.0, 4.0)) for frame in range(20)]
+    return lambda: [replace(metrics, frame=frame, centre_box=(9.0, 9.0, 4.0, 4.0)) for frame in range(20)]
 
 
 def runs(make_metrics, name="a"):
@@ -57,7 +57,7 @@ def runs(make_metrics, name="a"):
         name=f"runs/{name}", events=events, metrics=make_metrics(), seconds={}, costs_ms={}
     )
     on = Activated(12, "1", name, "root", cause)
-    moved = [replace(one, box=(12.0, 9.0, 4.0, 4.0)) for one in first.metrics]
+    moved = [replace(one, centre_box=(12.0, 9.0, 4.0, 4.0)) for one in first.metrics]
     second = SimpleNamespace(**{**vars(first), "events": [*events, on], "metrics": moved})
     return first, second, compare(first, second)
 

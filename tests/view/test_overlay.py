@@ -66,7 +66,7 @@ def test_the_label_stays_inside_and_readable(metrics, size, at):
     image = np.full((*size, 3), 100, dtype=np.uint8)
     box = (at[0] * size[1], at[1] * size[0], 41.0, 31.0)
     agents = tuple(f"agent_with_a_long_name_{n}" for n in range(9))
-    drawn = draw_overlay(image, replace(metrics, box=box, active=agents, cloud=()))
+    drawn = draw_overlay(image, replace(metrics, centre_box=box, active=agents, cloud=()))
     assert drawn.shape == image.shape and drawn.dtype == np.uint8
     if size[0] >= 240:
         plate = (
@@ -83,14 +83,14 @@ far = st.one_of(st.floats(-1e9, 1e9), st.floats(-50, 400))
 @given(x=far, y=far, w=st.floats(1, 1e7), h=st.floats(1, 1e7), ud=st.floats(allow_nan=True))
 @settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 def test_no_box_is_too_strange(metrics, x, y, w, h, ud):
-    drawn = draw_overlay(GRAY, replace(metrics, box=(x, y, w, h), ud_px2=ud), (x, y, w, h))
+    drawn = draw_overlay(GRAY, replace(metrics, centre_box=(x, y, w, h), ud_px2=ud), (x, y, w, h))
     assert drawn.shape == GRAY.shape
 
 
 def test_parts_have_boxes_of_their_own_dashed_where_hidden(metrics):
     """The hidden part lies away from the estimate; its sides are drawn in dashes, the seen one's in full."""
     seen = PartMetrics((40.5, 200.5, 20.0, 20.0), (1.0,) * 4, 2.0, "seen")
-    hidden = replace(seen, box=(240.5, 200.5, 20.0, 20.0), status="hidden")
+    hidden = replace(seen, centre_box=(240.5, 200.5, 20.0, 20.0), status="hidden")
     whole = replace(metrics, cloud=(), parts={"head": seen, "torso": hidden})
     drawn = draw_overlay(GRAY, whole)
     assert (drawn[191, 31:51] == PART_COLOUR).all()

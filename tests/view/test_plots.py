@@ -38,7 +38,7 @@ def run(metrics):
         replace(
             metrics,
             frame=frame,
-            box=(10.0 + frame, 9.0, 4.0, 4.0),
+            centre_box=(10.0 + frame, 9.0, 4.0, 4.0),
             status="lost" if frame in (5, 6) else "tracking",
             active=("color", "motion") if 10 <= frame < 15 else ("color",),
             kl={"color": 0.1},

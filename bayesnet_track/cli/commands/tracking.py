@@ -18,7 +18,7 @@ from bayesnet_track.cli.commands.answer import (
 )
 from bayesnet_track.cli.commands.start_boxes import parse_start, read_start
 from bayesnet_track.cli.commands.viewing import begin, open_view
-from bayesnet_track.cli.following import STOPPED, follow
+from bayesnet_track.cli.following import STOPPED, follow, users_start
 from bayesnet_track.cli.options.outside import add_outside_options
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.rerun import add_rerun_option
@@ -117,22 +117,23 @@ def track_source(
         )
     summary = Summary()
     with rerun_sinks(getattr(options, "rerun", None), graph.spec.name, options.overwrite) as sinks:
-        results = track(
-            graph,
-            source,
-            starts or None,
-            out=out,
-            seed=options.seed,
-            overwrite=options.overwrite,
-            video=video,
-            executor=executor_of(options),
-            sinks=sinks if view is None else [*sinks, view],
-            summary=summary,
-            detections=detections,
-            inputs=view if inputs is None else inputs,
-            budget_ms=_budget_ms(options, source),
-            checkpoint_every=options.checkpoint_every,
-        )
+        with users_start():
+            results = track(
+                graph,
+                source,
+                starts or None,
+                out=out,
+                seed=options.seed,
+                overwrite=options.overwrite,
+                video=video,
+                executor=executor_of(options),
+                sinks=sinks if view is None else [*sinks, view],
+                summary=summary,
+                detections=detections,
+                inputs=view if inputs is None else inputs,
+                budget_ms=_budget_ms(options, source),
+                checkpoint_every=options.checkpoint_every,
+            )
         return follow(options, results, summary, source.expected_frames, out, view)
 
 

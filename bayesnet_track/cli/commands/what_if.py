@@ -73,23 +73,24 @@ def _track_again(
     options: argparse.Namespace, first: Run, recipe: Recipe, graph: CheckedGraph, out: Path
 ) -> int:
     """The run of a recipe with another graph or seed; what came from outside then comes again."""
-    from bayesnet_track.cli.following import follow
+    from bayesnet_track.cli.following import follow, users_start
     from bayesnet_track.runtime.results import Summary
     from bayesnet_track.runtime.session import track
 
     summary = Summary()
     with recipe.opened() as source:
-        results = track(
-            graph,
-            source,
-            recipe.starts or None,
-            out=out,
-            seed=recipe.seed if options.seed is None else options.seed,
-            detections=None if recipe.detections is None else recipe.detections.place,
-            inputs=first.directory.inputs if first.directory.inputs.is_file() else None,
-            overwrite=options.overwrite,
-            summary=summary,
-        )
+        with users_start():
+            results = track(
+                graph,
+                source,
+                recipe.starts or None,
+                out=out,
+                seed=recipe.seed if options.seed is None else options.seed,
+                detections=None if recipe.detections is None else recipe.detections.place,
+                inputs=first.directory.inputs if first.directory.inputs.is_file() else None,
+                overwrite=options.overwrite,
+                summary=summary,
+            )
         return follow(options, results, summary, source.expected_frames, out)
 
 

@@ -68,7 +68,7 @@ def play(executor, workers):
     scene = make_scene("two_squares", 0)
     source = SceneSource(scene, "scene:two_squares")
     run = track("two_squares", source, [Start(scene.start_box)], executor=executor, workers=workers)
-    told = [(r.targets[0].box, r.decisions) for r in itertools.islice(run, 4)]
+    told = [(r.targets[0].centre_box, r.decisions) for r in itertools.islice(run, 4)]
     run.close()
     return told
 if __name__ == "__main__":

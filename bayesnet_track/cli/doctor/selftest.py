@@ -35,7 +35,7 @@ from bayesnet_track.sources.scenes import make_scene
 def play():
     scene = make_scene("two_squares", 0)
     run = track("two_squares", SceneSource(scene, "scene:two_squares"), [Start(scene.start_box)], seed=0)
-    boxes = [result.targets[0].box for result in itertools.islice(run, 10)]
+    boxes = [result.targets[0].centre_box for result in itertools.islice(run, 10)]
     run.close()
     truth = centre_from_corner(scene.truth[9:10])
     return repr([tuple(map(float, box)) for box in boxes]), float(overlap([boxes[-1]], truth)[0])

@@ -50,5 +50,5 @@ class TrackTable:
 
     def boxes(self, targets: Sequence[str]) -> Floats:
         """(K, 4) estimates of this frame."""
-        at = {line.target: line.box for line in self.metrics}
+        at = {line.target: line.centre_box for line in self.metrics}
         return np.array([at[target] for target in targets], dtype=np.float64).reshape(-1, 4)

@@ -84,7 +84,7 @@ def why(events: Iterable[Event], metrics: Iterable[FrameMetrics], frame: int) ->
 
 
 def _account(events: Sequence[Event], line: FrameMetrics) -> str:
-    x, y, w, h = line.box
+    x, y, w, h = line.centre_box
     quiet = "not yet measured" if line.quiet_px2 is None else f"{_ud(line.quiet_px2)} px²"
     sample = f"{line.particles}, of which {line.ess:.0f} effective"
     rows = [

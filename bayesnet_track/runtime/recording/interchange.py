@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.numerics.boxes import corner_from_centre
+from bayesnet_track.numerics.boxes import xyxy_from_centre
 
 DATA = ("target", "class_name", "status", "ud_px2", "frame", "time_s")
 """What `Detections.data` has for each box."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Detections:
     """n boxes of targets, as arrays side by side; the fields are those of supervision's `Detections`.
 
@@ -55,7 +55,7 @@ class Detections:
         plates = ["" if kinds is None else kinds.get(line.target, "") for line in lines]
         known = list(dict.fromkeys((kinds or {}).values())) if classes is None else list(classes)
         numbers = {name: number for number, name in enumerate(known)}
-        corner = corner_from_centre(np.array([line.box for line in lines], dtype=np.float64).reshape(-1, 4))
+        centres = np.array([line.centre_box for line in lines], dtype=np.float64).reshape(-1, 4)
         columns: Mapping[str, tuple[list[Any], Any]] = {
             "target": ([line.target for line in lines], np.str_),
             "class_name": (plates, np.str_),
@@ -65,7 +65,7 @@ class Detections:
             "time_s": ([line.time_s for line in lines], np.float64),
         }
         return cls(
-            xyxy=np.hstack([corner[:, :2], corner[:, :2] + corner[:, 2:]]),
+            xyxy=xyxy_from_centre(centres),
             confidence=np.array([line.score for line in lines], dtype=np.float64),
             class_id=np.array([numbers.get(plate, 0) for plate in plates], dtype=np.int64),
             tracker_id=np.array([_number(line.target) for line in lines], dtype=np.int64),
@@ -89,6 +89,10 @@ class Detections:
             tracker_id=self.tracker_id,
             data=dict(self.data),
         )
+
+    def __repr__(self) -> str:
+        """How many, and who they are."""
+        return f"<Detections: {len(self)}, tracker_id {self.tracker_id.tolist()}>"
 
     def __len__(self) -> int:
         return len(self.xyxy)

@@ -130,7 +130,7 @@ class RerunSink:
 
     def _target(self, metrics: FrameMetrics) -> None:
         rerun, log, target = self._rerun, self._recording.log, metrics.target
-        x, y, w, h = corner_from_centre(metrics.box)
+        x, y, w, h = corner_from_centre(metrics.centre_box)
         colour = COLOURS.get(metrics.status, (200, 200, 200))
         label = f"{target} {metrics.status} {metrics.score:.2f}: {', '.join(metrics.active)}"
         log(

@@ -47,7 +47,7 @@ def open_run(path: str | PathLike[str], notice: Notice | None = None) -> Run:
     ::
 
         run = open_run("runs/mine")
-        run.metrics[-1].box, run.events[0], pandas.DataFrame(run.to_dict())
+        run.metrics[-1].xywh, run.events[0], pandas.DataFrame(run.to_dict())
     """
     directory = RunDirectory.open(Path(path))
     try:

@@ -13,7 +13,7 @@ Row = dict[str, Value]
 
 
 def _corner(axis: int) -> Callable[[FrameMetrics], float]:
-    return lambda line: float(corner_from_centre(line.box)[axis])
+    return lambda line: float(corner_from_centre(line.centre_box)[axis])
 
 
 def _field(name: str, index: int | None = None) -> Callable[[FrameMetrics], Value]:
@@ -31,8 +31,8 @@ TRACK_COLUMNS: Mapping[str, Callable[[FrameMetrics], Value]] = {
     "kind": lambda line: None,
     "x": _corner(0),
     "y": _corner(1),
-    "w": _field("box", 2),
-    "h": _field("box", 3),
+    "w": _field("centre_box", 2),
+    "h": _field("centre_box", 3),
     "angle": _field("angle"),
     "status": _field("status"),
     "score": _field("score"),

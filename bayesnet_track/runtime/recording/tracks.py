@@ -8,11 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-import numpy as np
-
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.writer import LineFile
-from bayesnet_track.numerics.boxes import corner_from_centre
 
 NO_IDS: Mapping[str, int] = MappingProxyType({})
 CSV_COLUMNS = ("frame", "time_s", "target", "x", "y", "w", "h", "status", "score", "ud_px2", "active")
@@ -75,7 +72,7 @@ class CsvWriter(LineFile):
 
 
 def _corner(metrics: FrameMetrics) -> list[str]:
-    return [_fix(float(value), 3) for value in corner_from_centre(np.asarray(metrics.box, dtype=np.float64))]
+    return [_fix(float(value), 3) for value in metrics.xywh]
 
 
 def _fix(value: float, digits: int) -> str:

@@ -173,7 +173,9 @@ def test_it_holds_the_target_of_a_scene_that_is_like_the_task(task, scene_name, 
     for seed in range(3):
         scene = make_scene(scene_name, seed)
         results = list(track(path, SceneSource(scene, scene_name), [Start(scene.start_box)], seed=seed))
-        share = overlap(np.array([one.targets[0].box for one in results]), centre_from_corner(scene.truth))
+        share = overlap(
+            np.array([one.targets[0].centre_box for one in results]), centre_from_corner(scene.truth)
+        )
         seen = scene.visible > 0.5
         held.append((share[seen] > 0.5).mean() > 0.85 and share[-10:].mean() > 0.5)
     assert sum(held) >= 2
@@ -194,7 +196,7 @@ def test_a_detectors_boxes(belief, tmp_path):
     run = track(path, SceneSource(scene, "crowd"), detections=tmp_path / "det.txt")
     results = [result for _, result in zip(range(60), run, strict=False)]
     run.close()
-    boxes = np.array([one.box for one in results[-1].targets])
+    boxes = np.array([one.centre_box for one in results[-1].targets])
     truth = centre_from_corner(np.array([one[59] for one in paths]))
     best = [overlap(boxes, np.tile(box, (len(boxes), 1))).max() for box in truth]
     assert np.mean(np.array(best) > 0.5) >= 0.9 and len(boxes) <= len(paths) + 2
@@ -207,6 +209,6 @@ def test_what_appears_before_a_still_camera(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text(graph_text(Task(follow="appearing")))
     results = list(track(path, SceneSource(scene, "orange_and_gray")))
-    boxes = np.array([one.box for one in results[-1].targets])
+    boxes = np.array([one.centre_box for one in results[-1].targets])
     truth = centre_from_corner(np.array([scene.truth[-1], scene.others[0][-1]]))
     assert all(overlap(boxes, np.tile(box, (len(boxes), 1))).max() > 0.4 for box in truth)

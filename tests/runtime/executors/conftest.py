@@ -112,7 +112,7 @@ def reports_of():
     def of(outcomes):
         return [
             (
-                [(m.box, m.ud_px2, m.active) for m in outcome.metrics],
+                [(m.centre_box, m.ud_px2, m.active) for m in outcome.metrics],
                 outcome.events,
                 {
                     target: {

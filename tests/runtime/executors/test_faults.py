@@ -127,7 +127,7 @@ def test_live_a_frame_without_an_agent_is_that_of_the_agent_off(placed, files, t
         without = placed.play(engine, 8, given=lambda frame, state: known[frame])
     with placed.executing(TWO, "serial") as (engine, _):
         other = placed.play(engine, 8)
-    assert [o.metrics[0].box for o in without] == [o.metrics[0].box for o in other]
+    assert [o.metrics[0].centre_box for o in without] == [o.metrics[0].centre_box for o in other]
 
 
 def test_an_agent_that_raises_in_its_process_is_out_and_the_others_are_as_without_it(placed, files, tmp_path):
