@@ -1,0 +1,248 @@
+"""The value of an expression at N hypotheses, by NumPy, and the logarithm of one that is a density.
+
+No value raises: a division by zero is infinite, an overflow too, and what has no value (0 / 0, the root or
+logarithm of a negative number, a density of sd 0) is NaN.
+
+The logarithm is found through the tree: that of a product of densities is the sum of theirs, that of a sum
+their log-sum-exp, so that nothing underflows. Values carry a sign beside the logarithm of their size.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import reduce
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.graph.expressions.terms import Call, Number, Term
+from bayesnet_track.graph.expressions.vocabulary import DENSITIES
+
+Floats = NDArray[np.float64]
+Value = Any
+"""(N,) float64, or one number for all hypotheses."""
+
+LARGEST_LOG = math.log(np.finfo(float).max)
+"""Where a density is infinite its logarithm counts as that of the largest number."""
+
+_LOG_ROOT = 0.5 * math.log(2.0 * math.pi)
+
+
+def values_of(term: Term, names: Mapping[str, Value]) -> Value:
+    """The values of a term: (N,), or one number where it reads nothing that differs.
+
+    >>> from bayesnet_track.graph.expressions.parse import parse
+    >>> values_of(parse("max(x, 2) / 4"), {"x": np.array([1.0, 3.0])}).tolist()
+    [0.5, 0.75]
+    """
+    with np.errstate(all="ignore"):
+        return _value(term, names)
+
+
+def log_values(term: Term, names: Mapping[str, Value]) -> Value:
+    """The logarithms of a term's values: finite, -inf where one is 0 or less, or NaN where it has none.
+
+    >>> from bayesnet_track.graph.expressions.parse import parse
+    >>> x = np.array([0.0, 100.0])
+    >>> log_values(parse("2 * normal(x, 0, 1) * normal(x, 0, 1)"), {"x": x}).round(2).tolist()
+    [-1.14, -10001.14]
+    """
+    with np.errstate(all="ignore"):
+        sign, log = _signed_log(term, names)
+        return np.where(sign > 0, np.minimum(log, LARGEST_LOG), np.where(np.isnan(log * sign), log, -np.inf))
+
+
+def _value(term: Term, names: Mapping[str, Value]) -> Value:
+    if isinstance(term, Number):
+        return np.float64(term.value)
+    if isinstance(term, Call):
+        if term.function in _LOG_DENSITIES:
+            return np.exp(_log_density(term, names))
+        return _OPERATIONS[term.function](*[_value(one, names) for one in term.arguments])
+    return np.float64(math.pi) if term.name == "pi" else np.asarray(names[term.name], dtype=np.float64)
+
+
+# ------------------------------------------------------------------------------------ in logarithms
+
+Signed = tuple[Value, Value]
+"""Sign (-1, 0, 1) and logarithm of the size."""
+
+
+def _signed_log(term: Term, names: Mapping[str, Value]) -> Signed:
+    if isinstance(term, Call):
+        if term.function in _LOG_DENSITIES:
+            return np.float64(1.0), _log_density(term, names)
+        if term.function == "exp":
+            return np.float64(1.0), _value(term.arguments[0], names)
+        if term.function in _IN_LOGARITHMS and _has_density(term):
+            return _IN_LOGARITHMS[term.function](term, names)
+    value = _value(term, names)
+    return np.sign(value), np.log(np.abs(value))
+
+
+def _has_density(term: Term) -> bool:
+    if not isinstance(term, Call):
+        return False
+    return term.function in DENSITIES or term.function == "exp" or any(map(_has_density, term.arguments))
+
+
+def _product(term: Call, names: Mapping[str, Value]) -> Signed:
+    (sign, log), (other_sign, other) = (_signed_log(one, names) for one in term.arguments)
+    return sign * other_sign, log + other
+
+
+def _quotient(term: Call, names: Mapping[str, Value]) -> Signed:
+    (sign, log), (other_sign, other) = (_signed_log(one, names) for one in term.arguments)
+    return sign * np.where(other_sign == 0, 1.0, other_sign), log - other
+
+
+def _power(term: Call, names: Mapping[str, Value]) -> Signed:
+    (sign, log), power = _signed_log(term.arguments[0], names), _value(term.arguments[1], names)
+    odd = np.where(sign < 0, np.float_power(-1.0, power), 1.0)  # NaN where it is no whole number
+    return odd, np.where(power == 0, 0.0, power * log) + 0.0 * odd
+
+
+def _sum(term: Call, names: Mapping[str, Value]) -> Signed:
+    (sign, log), (other_sign, other) = (_signed_log(one, names) for one in term.arguments)
+    if term.function == "-":
+        other_sign = -other_sign
+    top = np.maximum(log, other)
+    base = np.where(np.isfinite(top), top, 0.0)
+    total = sign * np.exp(log - base) + other_sign * np.exp(other - base)
+    return np.sign(total), base + np.log(np.abs(total))
+
+
+def _negative(term: Call, names: Mapping[str, Value]) -> Signed:
+    sign, log = _signed_log(term.arguments[0], names)
+    return -sign, log
+
+
+def _chosen(term: Call, names: Mapping[str, Value]) -> Signed:
+    condition = _value(term.arguments[0], names)
+    (sign, log), (other_sign, other) = (_signed_log(one, names) for one in term.arguments[1:])
+    return np.where(condition != 0, sign, other_sign), np.where(condition != 0, log, other)
+
+
+def _extreme(term: Call, names: Mapping[str, Value]) -> Signed:
+    best: Value = -1.0 if term.function == "min" else 1.0
+
+    def better(one: Signed, other: Signed) -> Signed:
+        # Of two negative values the larger one has the smaller logarithm.
+        gap = np.where(one[0] == other[0], (other[1] - one[1]) * other[0], other[0] - one[0])
+        takes = gap * best > 0
+        log = np.where(takes, other[1], one[1])
+        return np.where(takes, other[0], one[0]), np.where(np.isnan(one[1] + other[1]), np.nan, log)
+
+    return reduce(better, [_signed_log(one, names) for one in term.arguments])
+
+
+_IN_LOGARITHMS: Mapping[str, Callable[[Call, Mapping[str, Value]], Signed]] = {
+    "*": _product,
+    "/": _quotient,
+    "**": _power,
+    "+": _sum,
+    "-": _sum,
+    "neg": _negative,
+    "where": _chosen,
+    "min": _extreme,
+    "max": _extreme,
+}
+
+
+# ------------------------------------------------------------------------------------ densities
+
+
+def _log_density(term: Call, names: Mapping[str, Value]) -> Value:
+    return _LOG_DENSITIES[term.function](*[_value(one, names) for one in term.arguments])
+
+
+def _log_normal(value: Value, mean: Value, sd: Value) -> Value:
+    return -0.5 * ((value - mean) / sd) ** 2 - (np.log(sd) + _LOG_ROOT)
+
+
+def _log_laplace(value: Value, mean: Value, scale: Value) -> Value:
+    return -np.abs(value - mean) / scale - np.log(2.0 * scale)
+
+
+def _log_student(value: Value, mean: Value, scale: Value, degrees: Value) -> Value:
+    normaliser = _log_gamma_ratio(degrees)
+    spread = np.log1p(((value - mean) / scale) ** 2 / degrees)
+    return normaliser - 0.5 * np.log(math.pi * degrees) - np.log(scale) - 0.5 * (degrees + 1.0) * spread
+
+
+def _log_uniform(value: Value, low: Value, high: Value) -> Value:
+    inside = (value >= low) & (value <= high)
+    log = np.where(inside, -np.log(high - low), -np.inf)
+    return np.where(high > low, log, np.nan)
+
+
+def _log_logistic(value: Value, mean: Value, scale: Value) -> Value:
+    away = np.abs(value - mean) / scale
+    return -away - np.log(scale) - 2.0 * np.log1p(np.exp(-away))
+
+
+MANY_DEGREES = 1e6
+"""From here on Stirling's formula is exact to rounding, and the gamma functions' difference is not."""
+
+
+@np.vectorize
+def _log_gamma_ratio(degrees: float) -> float:
+    """log Gamma((d + 1) / 2) - log Gamma(d / 2)."""
+    if not 0.0 < degrees < math.inf:
+        return math.nan
+    if degrees > MANY_DEGREES:
+        return 0.5 * math.log(degrees / 2.0) - 0.25 / degrees
+    return math.lgamma((degrees + 1.0) / 2.0) - math.lgamma(degrees / 2.0)
+
+
+_LOG_DENSITIES: Mapping[str, Callable[..., Value]] = {
+    "normal": _log_normal,
+    "laplace": _log_laplace,
+    "student_t": _log_student,
+    "uniform": _log_uniform,
+    "logistic": _log_logistic,
+}
+
+
+# ------------------------------------------------------------------------------------ operations
+
+
+def _both(one: Value, other: Value) -> Value:
+    return np.minimum(one != 0, other != 0) * 1.0
+
+
+def _either(one: Value, other: Value) -> Value:
+    return np.maximum(one != 0, other != 0) * 1.0
+
+
+_OPERATIONS: Mapping[str, Callable[..., Value]] = {
+    "+": np.add,
+    "-": np.subtract,
+    "*": np.multiply,
+    "/": np.divide,
+    "**": np.float_power,
+    "neg": np.negative,
+    "<": lambda one, other: (one < other) * 1.0,
+    "<=": lambda one, other: (one <= other) * 1.0,
+    ">": lambda one, other: (one > other) * 1.0,
+    ">=": lambda one, other: (one >= other) * 1.0,
+    "==": lambda one, other: (one == other) * 1.0,
+    "!=": lambda one, other: (one != other) * 1.0,
+    "and": _both,
+    "or": _either,
+    "not": lambda one: (one == 0) * 1.0,
+    "where": lambda condition, one, other: np.where(condition != 0, one, other),
+    "min": lambda *all_of: reduce(np.minimum, all_of),
+    "max": lambda *all_of: reduce(np.maximum, all_of),
+    "clip": lambda one, low, high: np.minimum(np.maximum(one, low), high),
+    "abs": np.abs,
+    "exp": np.exp,
+    "log": np.log,
+    "sqrt": np.sqrt,
+    "sin": np.sin,
+    "cos": np.cos,
+    "atan2": np.arctan2,
+    "hypot": np.hypot,
+}

@@ -1,0 +1,210 @@
+"""Read the text of an expression into a tree. Nothing is executed, and no text takes more than its length.
+
+The parser is our own because its messages name the character and the words of this language, the same in
+every version of Python, and because text that nests deeper than a limit must not reach a recursive parser.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection
+from dataclasses import dataclass, field
+
+from bayesnet_track.graph.expressions.terms import (
+    MAX_CHARACTERS,
+    MAX_NESTING,
+    MAX_TERMS,
+    Call,
+    ExpressionError,
+    Number,
+    Term,
+    Variable,
+)
+from bayesnet_track.graph.expressions.vocabulary import (
+    BINARY,
+    COMPARE,
+    FUNCTIONS,
+    NEGATIVE,
+    POWER,
+    PREFIX,
+    SIGN,
+)
+
+MAX_DIGITS = 24
+_TOKEN = re.compile(
+    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?P<joined>\w?)"
+    r"|(?P<word>[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)?)(?P<dotted>\.?)"
+    r"|(?P<sign>\*\*|[<>=!]=|[-+*/()<>,])|(?P<wrong>\S))",
+    re.ASCII,
+)
+_SIGNS = "numbers, names, + - * / ** ( ) , < <= > >= == != and or not"
+
+
+def parse(text: str, names: Collection[str] | None = None) -> Term:
+    """The tree of an expression; of `names` alone, unless None.
+
+    >>> parse("2 * x")
+    Call(function='*', arguments=(Number(value=2.0, at=0), Variable(name='x', at=4)), at=2)
+
+    Raises:
+        ExpressionError: what is wrong with it, and at which character.
+    """
+    if len(text) > MAX_CHARACTERS:
+        found, allowed = f"an expression of {len(text)} characters", f"at most {MAX_CHARACTERS} characters"
+        raise ExpressionError(found, allowed, MAX_CHARACTERS)
+    return _Parser(_tokens(text), names).whole()
+
+
+@dataclass(frozen=True)
+class _Token:
+    kind: str
+    text: str
+    at: int
+
+
+_END = "the end"
+
+
+def _tokens(text: str) -> list[_Token]:
+    found: list[_Token] = []
+    for match in _TOKEN.finditer(text):
+        kind = str(match.lastgroup)
+        at = match.start(kind)
+        if kind in ("joined", "dotted"):
+            kind = "number" if kind == "joined" else "word"
+            at = match.start(kind)
+            if after := match[match.lastgroup or ""]:
+                raise ExpressionError(f"{match[kind] + after!r}", _SIGNS, at)
+        if kind == "wrong":
+            raise ExpressionError(f"character {match[kind]!r}", _SIGNS, at)
+        if kind == "number" and sum(map(str.isdigit, match[kind])) > MAX_DIGITS:
+            raise ExpressionError(
+                f"a number of {len(match[kind])} characters", f"at most {MAX_DIGITS} digits", at
+            )
+        found.append(_Token(kind, match[kind], at))
+    return [*found, _Token("end", _END, len(text.rstrip()))]
+
+
+@dataclass
+class _Parser:
+    """One pass over the tokens, by precedence climbing."""
+
+    tokens: list[_Token]
+    names: Collection[str] | None
+    place: int = 0
+    depth: int = 0
+    terms: int = field(default=0)
+
+    @property
+    def next(self) -> _Token:
+        return self.tokens[self.place]
+
+    def take(self) -> _Token:
+        token = self.next
+        self.place += token.kind != "end"
+        return token
+
+    def whole(self) -> Term:
+        term = self.term(0)
+        if self.next.kind != "end":
+            raise self.error(self.next, "an operation, or the end of the expression")
+        return term
+
+    def term(self, least: int) -> Term:
+        """A term whose operations bind at least as tightly as `least`."""
+        self.depth += 1
+        if self.depth > MAX_NESTING:
+            found, allowed = f"nested deeper than {MAX_NESTING} levels", f"at most {MAX_NESTING} levels"
+            raise ExpressionError(found, allowed, self.next.at)
+        left = self.first()
+        while self.next.text in BINARY and BINARY[self.next.text] >= least:
+            sign = self.take()
+            binding = BINARY[sign.text]
+            # Only powers group from the right; what stands under one may have a sign of its own.
+            right = self.term(SIGN if binding == POWER else binding + 1)
+            left = self.operation(sign, left, right)
+            if binding == COMPARE:
+                left = self.chain(left, right)
+        self.depth -= 1
+        return left
+
+    def chain(self, left: Term, middle: Term) -> Term:
+        """``a < b < c`` as ``a < b and b < c``."""
+        while BINARY.get(self.next.text) == COMPARE:
+            sign = self.take()
+            right = self.term(COMPARE + 1)
+            also = self.operation(sign, middle, right)
+            left, middle = self.counted(Call("and", (left, also), sign.at)), right
+        return left
+
+    def first(self) -> Term:
+        token = self.take()
+        if token.text in PREFIX:
+            inside = self.term(PREFIX[token.text])
+            if token.text == "+":
+                return inside
+            return self.counted(Call(NEGATIVE if token.text == "-" else token.text, (inside,), token.at))
+        if token.kind == "number":
+            return self.counted(Number(_finite(token), token.at))
+        if token.text == "(":
+            inside = self.term(0)
+            self.close("an operation or ')'")
+            return inside
+        if token.kind == "word" and token.text not in BINARY:
+            return self.call(token) if self.next.text == "(" else self.variable(token)
+        raise self.error(token, "a number, a name, or '('")
+
+    def variable(self, token: _Token) -> Term:
+        if token.text in FUNCTIONS:
+            form = FUNCTIONS[token.text].form
+            raise ExpressionError(f"function {token.text!r} without arguments", token.text + form, token.at)
+        if self.names is not None and token.text not in self.names:
+            raise ExpressionError(
+                f"unknown name {token.text!r}", ", ".join(self.names), token.at, token.text, tuple(self.names)
+            )
+        return self.counted(Variable(token.text, token.at))
+
+    def call(self, token: _Token) -> Term:
+        if token.text not in FUNCTIONS:
+            found, known = f"unknown function {token.text!r}", tuple(FUNCTIONS)
+            raise ExpressionError(found, ", ".join(known), token.at, token.text, known)
+        self.take()
+        arguments: list[Term] = []
+        while self.next.text != ")" or arguments:
+            arguments.append(self.term(0))
+            if self.next.text != ",":
+                break
+            self.take()
+        self.close("an operation, ',' or ')'")
+        function = FUNCTIONS[token.text]
+        if not function.takes(len(arguments)):
+            found = f"{token.text} with {len(arguments)} argument{'' if len(arguments) == 1 else 's'}"
+            raise ExpressionError(found, token.text + function.form, token.at)
+        return self.counted(Call(token.text, tuple(arguments), token.at))
+
+    def close(self, allowed: str) -> None:
+        token = self.take()
+        if token.text != ")":
+            raise self.error(token, allowed)
+
+    def operation(self, sign: _Token, left: Term, right: Term) -> Term:
+        return self.counted(Call(sign.text, (left, right), sign.at))
+
+    def counted(self, term: Term) -> Term:
+        self.terms += 1
+        if self.terms > MAX_TERMS:
+            found = f"more than {MAX_TERMS} numbers, names and operations"
+            raise ExpressionError(found, f"at most {MAX_TERMS}", term.at)
+        return term
+
+    def error(self, token: _Token, allowed: str) -> ExpressionError:
+        found = _END if token.kind == "end" else repr(token.text)
+        return ExpressionError(f"{found} where the expression goes on", allowed, token.at)
+
+
+def _finite(token: _Token) -> float:
+    value = float(token.text)
+    if math.isinf(value):
+        raise ExpressionError(f"number {token.text}", "numbers up to 1.797e308", token.at)
+    return value
