@@ -11,11 +11,12 @@ from bayesnet_track.adapt.backoff import next_try
 from bayesnet_track.adapt.conditions import Reading, read_level
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.attached import Attached
-from bayesnet_track.belief.motion.inflation import inflate_noise, inflation_factor
+from bayesnet_track.belief.motion.composed import Influences, compose_motion
+from bayesnet_track.belief.motion.inflation import inflation_factor
 from bayesnet_track.belief.motion.jumps import Jumping, Search
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.rotating import Rotating
-from bayesnet_track.belief.motion.shifted import ShiftedMotion, camera_shift, revert_size
+from bayesnet_track.belief.motion.shifted import CameraShift, camera_shift
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.graph.settings.adapt import Level
 from bayesnet_track.graph.settings.motion import Relocalize
@@ -45,6 +46,7 @@ class MotionContext:
         quiet_px2: baseline of UD, None while unknown.
         finder: what the detector remembers that looks for it; None when there is none, or it knows no target.
         fault: its last failure.
+        influences: what the motion into the last frame depended on; None at the start.
     """
 
     size: Floats
@@ -53,6 +55,7 @@ class MotionContext:
     quiet_px2: float | None = None
     finder: DetectorState | None = None
     fault: Fault | None = None
+    influences: Influences | None = None
 
     def reading(self, level: Level) -> Reading | None:
         """UD in a level's unit; None while that is unknown."""
@@ -117,20 +120,15 @@ def predict_motion(
         plain = plain.motion
     if settings is None or known is None or not isinstance(plain, KinematicMotion):
         return PredictedMotion(compiled.motion if given is None else given, known)
-    own = plain
+    inflation = 1.0
     if settings.inflate is not None:
         now = known.reading(settings.inflate.above)
-        own = inflate_noise(
-            own, 1.0 if now is None else inflation_factor(now.value / now.level, settings.inflate.max_factor)
-        )
-    motion: MotionModel = own
-    if settings.size_reversion is not None:
-        motion = revert_size(own, settings.size_reversion, known.size, dt)
-    if settings.camera is not None:
-        motion = _follow_camera(motion, cache, dt)
-    if isinstance(compiled.motion, Rotating):
-        motion = replace(compiled.motion, motion=motion)
-    found = PredictedMotion(motion, known)
+        if now is not None:
+            inflation = inflation_factor(now.value / now.level, settings.inflate.max_factor)
+    camera = _follow_camera(cache, dt) if settings.camera is not None else None
+    influences = Influences(dt, known.size, inflation, camera)
+    motion = compose_motion(compiled.motion, settings, influences)
+    found = PredictedMotion(motion, replace(known, influences=influences))
     if settings.relocalize is not None:
         found = _relocalize(compiled.finder, settings.relocalize, found, is_lost, dt, cache)
     if isinstance(given, Attached):
@@ -138,13 +136,12 @@ def predict_motion(
     return found
 
 
-def _follow_camera(motion: MotionModel, cache: PlaneCache, dt: float) -> MotionModel:
+def _follow_camera(cache: PlaneCache, dt: float) -> CameraShift | None:
     from bayesnet_track.vision.planes.motion_planes import CameraPlane
 
     plane, frame = CameraPlane(), cache.frames.current
     flow = cache.planes([plane], Region(0, 0, frame.width, frame.height))[plane]
-    shift = camera_shift(flow, dt)
-    return motion if shift is None else ShiftedMotion(motion, shift)
+    return camera_shift(flow, dt)
 
 
 def _relocalize(
@@ -186,4 +183,6 @@ def _relocalize(
     )
     share = 1.0 - (1.0 - per_frame) ** dt
     jumping = Jumping(usual.motion, share, frame.width, frame.height, search)
-    return PredictedMotion(jumping, replace(known, finder=state, fault=fault), events)
+    assert known.influences is not None
+    influences = replace(known.influences, jump_share=share)
+    return PredictedMotion(jumping, replace(known, finder=state, fault=fault, influences=influences), events)

@@ -25,6 +25,8 @@ from bayesnet_track.adapt.memory import Memory, Quiet, Streak
 from bayesnet_track.adapt.shedding import Load
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice
+from bayesnet_track.belief.motion.composed import Influences
+from bayesnet_track.belief.motion.shifted import CameraShift
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.particles.sample_size import SampleSize, SizeMemory
 from bayesnet_track.engine.predicting import MotionContext
@@ -61,6 +63,8 @@ CLASSES: tuple[type, ...] = (
     Worth,
     Watched,
     MotionContext,
+    Influences,
+    CameraShift,
     Scored,
     TrackHistory,
     Candidate,

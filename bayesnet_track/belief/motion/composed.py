@@ -1,0 +1,54 @@
+"""What the motion of one frame depends on besides the states, and the motion that it makes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.motion.inflation import inflate_noise
+from bayesnet_track.belief.motion.models import KinematicMotion
+from bayesnet_track.belief.motion.rotating import Rotating
+from bayesnet_track.belief.motion.shifted import CameraShift, ShiftedMotion, revert_size
+from bayesnet_track.graph.settings.motion import Moving
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Influences:
+    """What the motion into a frame depended on; with the graph, the motion itself.
+
+    Attributes:
+        dt: frame intervals since the last frame.
+        first_size: (2,) width and height of the first box, px, to which the size reverts.
+        inflation: factor on the noise's sds while the belief is unsure.
+        camera: how the camera moved the picture; None where it rested or is not followed.
+        jump_share: probability that the target is anywhere instead.
+    """
+
+    dt: float
+    first_size: Floats
+    inflation: float = 1.0
+    camera: CameraShift | None = None
+    jump_share: float = 0.0
+
+
+def compose_motion(plain: MotionModel, settings: Moving, influences: Influences) -> MotionModel:
+    """The plate's motion under what influenced it, but for jumps: `plain` where nothing can.
+
+    In this order: the camera moves the states, their sizes are drawn back, noise is added, widened while
+    unsure.
+    """
+    own = plain.motion if isinstance(plain, Rotating) else plain
+    if not isinstance(own, KinematicMotion):
+        return plain
+    own = inflate_noise(own, influences.inflation)
+    motion: MotionModel = own
+    if settings.size_reversion is not None:
+        motion = revert_size(own, settings.size_reversion, influences.first_size, influences.dt)
+    if influences.camera is not None:
+        motion = ShiftedMotion(motion, influences.camera)
+    return replace(plain, motion=motion) if isinstance(plain, Rotating) else motion

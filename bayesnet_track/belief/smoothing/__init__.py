@@ -1,0 +1,1 @@
+"""Beliefs given the whole sequence: backward over what was filtered."""
