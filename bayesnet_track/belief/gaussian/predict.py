@@ -64,6 +64,20 @@ def unscented_moments(
     return points[0] + shift, spread if _is_positive(spread) else about_centre
 
 
+def unscented_cross(
+    mean: Floats, covariance: Floats, motion: MotionModel, dt: float, sigma: spec.Unscented
+) -> Floats:
+    """(D, D) covariance of x, of the moments given, with f(x), by the points of `unscented_moments`."""
+    lower = root(covariance)
+    width = lower.shape[1]
+    if width == 0:
+        return np.zeros_like(covariance)
+    scale, weights, _ = unscented_weights(width, sigma)
+    away = sigma_points(width, scale) @ lower.T
+    points = motion.drift(mean + away, dt)
+    return np.asarray((away * weights[:, None]).T @ (points - points[0]))
+
+
 def unscented_weights(width: int, sigma: spec.Unscented) -> tuple[float, Floats, float]:
     """Squared distance of the points, their (2 width + 1,) weights, and the central point's addition.
 
