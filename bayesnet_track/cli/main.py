@@ -10,6 +10,7 @@ from io import TextIOWrapper
 
 from bayesnet_track.cli.commands.what_if import as_what_if
 from bayesnet_track.cli.parser import make_parser
+from bayesnet_track.cli.slips import Parser
 from bayesnet_track.runtime.stop import StopRequest, Terminated
 
 
@@ -39,7 +40,12 @@ def _in_streams(arguments: Sequence[str] | None, stop: StopRequest) -> int:
 
 def _main(arguments: Sequence[str] | None, stop: StopRequest) -> int:
     parser = make_parser()
-    options = parser.parse_args(as_what_if(_join(sys.argv[1:] if arguments is None else arguments)))
+    given = as_what_if(_join(sys.argv[1:] if arguments is None else arguments))
+    options, extras = parser.parse_known_args(given)
+    if extras:
+        refusing = parser.commands.choices.get(options.command or "", parser)
+        assert isinstance(refusing, Parser)
+        refusing.refuse(extras)
     if options.version:
         from importlib.metadata import version
 

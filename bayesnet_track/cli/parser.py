@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
-
 from bayesnet_track.cli.commands.batch import add_batch
 from bayesnet_track.cli.commands.compare import add_compare
 from bayesnet_track.cli.commands.completion import add_completion
@@ -21,6 +19,8 @@ from bayesnet_track.cli.options.arguments import pixels, whole_number
 from bayesnet_track.cli.options.doctor import add_doctor
 from bayesnet_track.cli.options.learn import add_calibrate, add_learn_shape, add_learn_stereo
 from bayesnet_track.cli.options.plugins import add_plugins
+from bayesnet_track.cli.overview import add_examples
+from bayesnet_track.cli.slips import MainParser, Parser
 
 EXIT_CODES = """\
 exit codes:
@@ -35,16 +35,19 @@ exit codes:
   143  stopped by SIGTERM; the same"""
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> MainParser:
     """The parser of the whole command line."""
-    parser = argparse.ArgumentParser(
+    parser = MainParser(
         prog="bayesnet-track",
+        usage="bayesnet-track COMMAND ...",
         description="Track by a Bayes net written in YAML; see why it reconfigured itself.",
         epilog=EXIT_CODES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="store_true", help="print the version and stop")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    commands = parser.add_subparsers(
+        dest="command", metavar="COMMAND", prog="bayesnet-track", parser_class=Parser
+    )
+    parser.commands = commands
 
     add_demo(commands)
     add_run(commands)
@@ -115,4 +118,5 @@ def make_parser() -> argparse.ArgumentParser:
     add_compare(commands)
     add_what_if(commands)
     add_export(commands)
+    add_examples(commands)
     return parser

@@ -24,7 +24,8 @@ import yaml
 
 from bayesnet_track.cli import dispatch as commands
 from bayesnet_track.cli.main import main
-from bayesnet_track.cli.parser import EXIT_CODES
+from bayesnet_track.cli.overview import EXAMPLES, GROUPS
+from bayesnet_track.cli.parser import EXIT_CODES, make_parser
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.graphs import find_graph, graph_names
 from bayesnet_track.journal.events.switches import Activated, Deactivated
@@ -135,11 +136,19 @@ def column(path, name):
 def test_help_names_every_command_and_exit_code(cli):
     code, out, _ = cli("--help")
     assert code == 0
-    for command in ("demo", "run", "validate", "graph", "schema", "list", "log", "score"):
-        assert f"\n    {command} " in out
-        assert cli(f"{command} --help")[0] == 0
+    commands = make_parser().commands.choices
+    assert sorted(name for names in GROUPS.values() for name in names) == sorted(commands)
+    for command in commands:
+        assert re.search(rf"^  {command} +\S.*\n +\$ bayesnet-track {command}", out, re.MULTILINE)
+    assert "example:\n  bayesnet-track run general" in cli("run --help")[1]
     codes = [int(number) for number in re.findall(r"^  (\d+) ", out.split("exit codes:")[1], re.MULTILINE)]
     assert codes == [0, 1, 2, 3, 4, 5, 6, 130, 143]
+
+
+@pytest.mark.parametrize("command", EXAMPLES)
+def test_the_example_of_a_command_is_one(command):
+    words = shlex.split(EXAMPLES[command].partition(" > ")[0])
+    assert make_parser().parse_args(words).command == command
 
 
 def test_the_readme_has_the_same_exit_codes():
@@ -321,6 +330,16 @@ def test_start_end_and_the_start_box_from_a_file(cli, images, tmp_path):
     assert float(column(out, "x")[0]) == 26
     events = list(read_events(out / "journal.jsonl"))
     assert (events[0].declared_frames, events[-1].frames, events[-1].complete) == (3, 3, True)
+
+
+def test_a_run_with_another_value_in_the_graph(cli, images, tmp_path):
+    line = f"run general --source {images} --init {BOX} --end 2 -q -o {tmp_path / 'run'}"
+    assert cli(f"{line} --set target.belief.particles.size=77")[0] == 0
+    graph = yaml.safe_load((tmp_path / "run/graph.yaml").read_text())
+    assert graph["targets"]["target"]["nodes"]["target"]["belief"]["particles"]["size"] == 77
+    code, _, err = cli(f"{line} --overwrite --set target.belief.particles.sise=77")
+    assert code == 3 and "target: unknown key 'sise'" in err and "nearest: size" in err
+    assert cli(f"{line} --overwrite --set size")[0] == 2
 
 
 def test_an_earlier_run_is_replaced_only_when_asked(cli, images, tmp_path):
@@ -601,7 +620,29 @@ def test_a_mistake_has_its_exit_code_and_one_clear_message(cli, places, tmp_path
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("frobnicate", "argument COMMAND: invalid choice: 'frobnicate'"),
+        ("frobnicate", "bayesnet-track: no command 'frobnicate'\n`bayesnet-track --help` lists what"),
+        ("rnu general", "bayesnet-track: no command 'rnu'; did you mean run?"),
+        (
+            "completion bahs",
+            "no SHELL 'bahs'; there are bash, zsh, fish; did you mean bash?",
+        ),
+        (
+            "run general --source x -o y --vidoe",
+            "track run: no option --vidoe; did you mean --video?",
+        ),
+        (
+            "run general --sorce x -o y",
+            "no option --sorce; did you mean --source?; the following arguments are required: --source",
+        ),
+        (
+            "run general --source x -o y --init 1 2 3 4",
+            "--init takes one word, without spaces: --init 1,2,3,4\n",
+        ),
+        ("run general --source x -o y --init 1, 2, 3, -4", "without spaces: --init 1,2,3,-4"),
+        (
+            "demo two words",
+            "demo: nothing takes 'words'; a value with spaces is written in quotes",
+        ),
         ("run g --source x --out y --executor ray --ray-address auto", "use --executor processes"),
         ("run g --source x --out y --executor ray", "`bayesnet-track batch --on ray` for whole videos"),
         ("run general --init 1,2,3,4 --out y", "the following arguments are required: --source"),
@@ -616,12 +657,22 @@ def test_a_mistake_has_its_exit_code_and_one_clear_message(cli, places, tmp_path
             "run g --source x --out y --init 1,2,3,4 --start -1",
             "argument --start: '-1': a whole number from 0",
         ),
-        ("run g --source x --out y --init 1,2,3,4 --on-resize crop", "argument --on-resize: invalid choice"),
+        (
+            "run g --source x --out y --init 1,2,3,4 --on-resize crop",
+            "no --on-resize 'crop'; there are stop, rescale",
+        ),
     ],
 )
 def test_what_the_parser_refuses(cli, line, message):
     code, _, err = cli(line)
-    assert code == 2 and message in err and err.startswith("usage: ")
+    assert code == 2 and message in err and err.count("\n") == 2 and "--help` lists what there is" in err
+
+
+def test_a_former_name_of_an_option_works_and_says_the_new_one(cli, images):
+    code, _, err = cli(f"learn-shape {images} --source {images} --boxes {images}/none.txt")
+    first, second = err.splitlines()
+    assert first == "bayesnet-track learn-shape: --boxes is called --truth now; the former name will go"
+    assert code == 2 and second.endswith("none.txt: No such file or directory")
 
 
 @pytest.mark.parametrize(
@@ -691,7 +742,7 @@ LONG = "x" * 300
         f"init {LONG}.yaml --yes",
         f"graph two_squares --svg {LONG}.svg",
         f"detect motion --source {{images}} --out {LONG}",
-        f"detect motion --source {{images}} --out {{out}} --video {LONG}.mkv",
+        f"detect motion --source {{images}} --out {{out}} --save-video {LONG}.mkv",
         f"calibrate {{images}} {{images}} --board 9x6 --square 0.1 --out {LONG}",
         f"fit two_squares --source {{images}} --truth {{images}}/groundtruth.txt --out {LONG}",
         f"learn-shape --masks {{images}} --min-support 1e-9 {LONG}.npz",

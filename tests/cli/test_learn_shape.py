@@ -47,7 +47,7 @@ def test_masks_and_boxes_give_the_same_model(
     assert main(["learn-shape", str(a), "--masks", str(masks)]) == 0
     said = capsys.readouterr().out
     assert "4 examples, grid 16x16, 1 mode with" in said  # wider and narrower is one direction
-    assert main(["learn-shape", str(b), "--source", str(video[0]), "--boxes", str(video[1])]) == 0
+    assert main(["learn-shape", str(b), "--source", str(video[0]), "--truth", str(video[1])]) == 0
     first, second = load_model(a), load_model(b)
     # edges of the picture and of the mask may lie a pixel apart, of 28 to 40 px half sides
     assert np.abs(first.mean - second.mean).max() < 0.1
@@ -57,7 +57,7 @@ def test_masks_and_boxes_give_the_same_model(
 
 def test_every_and_grid_are_obeyed(video: tuple[Path, Path], tmp_path: Path) -> None:
     out = tmp_path / "m.npz"
-    options = ["--source", str(video[0]), "--boxes", str(video[1]), "--every", "2", "--grid", "8"]
+    options = ["--source", str(video[0]), "--truth", str(video[1]), "--every", "2", "--grid", "8"]
     assert main(["learn-shape", str(out), *options]) == 0
     assert (load_model(out).examples, load_model(out).grid) == (2, 8)
 
@@ -66,7 +66,7 @@ def test_what_shows_no_silhouette_is_left_out(
     video: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cv2.imwrite(str(video[0] / "2.png"), np.full((120, 160), 80, np.uint8))
-    options = ["--source", str(video[0]), "--boxes", str(video[1])]
+    options = ["--source", str(video[0]), "--truth", str(video[1])]
     assert main(["learn-shape", str(tmp_path / "m.npz"), *options]) == 0
     assert "1 left out, with too little of the silhouette on edges: frame 2" in capsys.readouterr().err
     assert load_model(tmp_path / "m.npz").examples == 3
@@ -78,11 +78,11 @@ def test_what_shows_no_silhouette_is_left_out(
         (["--masks", "none"], 2, "none: No such file"),
         (["--masks", "."], 2, "holds no images"),
         (["--masks", "black"], 2, "0.png: the mask is empty"),
-        (["--source", "video"], 2, "--source and --boxes belong together"),
-        (["--source", "video", "--boxes", "none.txt"], 2, "none.txt: No such file"),
-        (["--source", "none", "--boxes", "boxes.txt"], 4, "source 'none'"),
-        (["--source", "video", "--boxes", "absent.txt"], 2, "no box for any frame"),
-        (["--source", "flat", "--boxes", "boxes.txt"], 2, "no example is left of 1; nothing is written"),
+        (["--source", "video"], 2, "--source and --truth belong together"),
+        (["--source", "video", "--truth", "none.txt"], 2, "none.txt: No such file"),
+        (["--source", "none", "--truth", "boxes.txt"], 4, "source 'none'"),
+        (["--source", "video", "--truth", "absent.txt"], 2, "no box for any frame"),
+        (["--source", "flat", "--truth", "boxes.txt"], 2, "no example is left of 1; nothing is written"),
     ],
 )
 @pytest.mark.usefixtures("masks", "video")

@@ -33,7 +33,7 @@ def test_mot_lines_are_printed(folder, capsys):
 
 def test_json_lines_and_a_video_are_written(folder, tmp_path):
     out, video = tmp_path / "found.jsonl", tmp_path / "found.mkv"
-    arguments = ["detect", "motion", "--source", folder, "--out", str(out), "--video", str(video)]
+    arguments = ["detect", "motion", "--source", folder, "--out", str(out), "--save-video", str(video)]
     assert main(arguments) == 0
     rows = [json.loads(line) for line in out.read_text().splitlines()]
     assert [row["frame"] for row in rows] == list(range(6)) and rows[0]["detections"] == []

@@ -148,7 +148,9 @@ def add_batch(commands: argparse._SubParsersAction[Any]) -> None:
         help="ground-truth file whose first box starts it: {folder}/groundtruth.txt, truth/{name}.txt",
     )
     batch.add_argument("--truth", metavar="PATTERN", help="ground-truth file to score with, in the same way")
-    batch.add_argument("--out", metavar="DIR", required=True, help="folder of the runs and of results.csv")
+    batch.add_argument(
+        "-o", "--out", metavar="DIR", required=True, help="folder of the runs and of results.csv"
+    )
     batch.add_argument(
         "--jobs", type=whole_number(1), metavar="N", help="runs at a time (default: one for each processor)"
     )
@@ -173,5 +175,5 @@ def add_batch(commands: argparse._SubParsersAction[Any]) -> None:
     batch.add_argument(
         "--on-resize", choices=["stop", "rescale"], default="stop", help="what to do when frames change size"
     )
-    batch.add_argument("--quiet", action="store_true", help="no progress")
+    batch.add_argument("-q", "--quiet", action="store_true", help="no progress")
     add_plugins(batch)

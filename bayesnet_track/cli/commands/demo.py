@@ -14,6 +14,7 @@ from bayesnet_track.cli.commands.answer import (
 from bayesnet_track.cli.commands.tracking import track_source
 from bayesnet_track.cli.commands.viewing import open_view
 from bayesnet_track.cli.options.arguments import whole_number
+from bayesnet_track.cli.options.changes import add_set_option, set_values
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.runs import add_run_options
 from bayesnet_track.cli.options.view import add_view_options
@@ -62,6 +63,8 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
         source = SceneSource.named(options.scene, options.seed, options.end)
     scene = source.scene
     graph = load_graph(options.graph or SCENE_GRAPHS.get(options.scene, "two_squares"))
+    if options.set:
+        graph = set_values(graph.text, options.set)
     # Only what an earlier demo wrote there is replaced without being asked to.
     out = Path(options.out or f"runs/{options.scene}")
     options.overwrite = options.overwrite or options.out is None
@@ -97,9 +100,10 @@ def add_demo(commands: argparse._SubParsersAction[Any]) -> None:
     )
     demo.add_argument("--graph", help="graph to use instead of the scene's own")
     demo.add_argument(
-        "--out", metavar="RUN", help="run directory (default runs/SCENE, replaced if it exists)"
+        "-o", "--out", metavar="RUN", help="run directory (default runs/SCENE, replaced if it exists)"
     )
     demo.add_argument("--end", type=whole_number(1), metavar="N", help="frame to stop before")
+    add_set_option(demo)
     add_run_options(demo)
     add_view_options(demo)
     add_plugins(demo)

@@ -18,6 +18,7 @@ from bayesnet_track.cli.commands.answer import (
 )
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.sources import add_depth_options, add_window_options
+from bayesnet_track.cli.slips import add_former_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -63,7 +64,7 @@ def detect(options: argparse.Namespace) -> int:
         raise UsageError(f"--end {options.end} must be greater than --start {options.start}")
     declaration = _declaration(options.name)
     parameters = read_parameters(declaration, options.set)
-    for path in (options.out, options.video):
+    for path in (options.out, options.save_video):
         if path is not None:
             check_free(Path(path), options.overwrite)
     with users_mistake():
@@ -113,9 +114,9 @@ def _detect_all(
             state = _show(options, name, detector, pair, state) if learns else state
             if options.out is not None:
                 lines = stack.enter_context(LineFile(Path(options.out)))
-            if options.video is not None:
+            if options.save_video is not None:
                 size = (item.width, item.height, source.frame_interval_s)
-                video = stack.enter_context(VideoWriter(Path(options.video), *size))
+                video = stack.enter_context(VideoWriter(Path(options.save_video), *size))
         detections, state = detector.detect(pair, state)
         for line in format_frame(item, detections, _is_json(options)):
             lines.append(line)
@@ -252,11 +253,15 @@ def add_detect(commands: argparse._SubParsersAction[Any]) -> None:
         help="box of the target in the first frame, for one that can be shown it",
     )
     detect.add_argument(
+        "-o",
         "--out",
         metavar="FILE",
         help="file to write: JSON Lines if it ends in .jsonl, else MOT (default: print)",
     )
-    detect.add_argument("--video", metavar="FILE", help="write the video with the boxes too (.mkv or .mp4)")
+    detect.add_argument(
+        "--save-video", metavar="FILE", help="write the video with the boxes too (.mkv or .mp4)"
+    )
+    add_former_name(detect, "--video", "--save-video")
     add_window_options(detect)
     detect.add_argument("--overwrite", action="store_true", help="replace files that are there")
     add_plugins(detect)

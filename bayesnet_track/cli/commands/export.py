@@ -40,7 +40,7 @@ def add_export(commands: argparse._SubParsersAction[Any]) -> None:
     export = commands.add_parser("export", help="write the tracks of a run as MOT, COCO, CSV or JSON Lines")
     export.add_argument("run", metavar="RUN", help="run directory")
     export.add_argument("--format", required=True, choices=FORMATS, help="format of the file")
-    export.add_argument("--out", metavar="FILE", help="file to write (default: print)")
+    export.add_argument("-o", "--out", metavar="FILE", help="file to write (default: print)")
     lost = export.add_mutually_exclusive_group()
     lost.add_argument(
         "--lost", action="store_true", help="with the boxes of lost targets (csv, jsonl: as always)"

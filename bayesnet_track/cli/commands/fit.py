@@ -235,7 +235,7 @@ def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
         metavar="LIST",
         help="features of the score (default log_ud_box,evidence)",
     )
-    fit.add_argument("--out", metavar="FILE", help="graph file to write (default: print it)")
+    fit.add_argument("-o", "--out", metavar="FILE", help="graph file to write (default: print it)")
     fit.add_argument("--overwrite", action="store_true", help="replace the file if it is there")
     fit.add_argument(
         "--leave-one-out",

@@ -32,8 +32,8 @@ def learn_shape(options: argparse.Namespace) -> int:
     """Learn a model from the silhouettes of masks or boxes, write it, and say what it holds."""
     from bayesnet_track.vision.shape.shape_model import learn_model
 
-    if (options.source is None) != (options.boxes is None):
-        raise UsageError("--source and --boxes belong together: a video, and the target's boxes in it")
+    if (options.source is None) != (options.truth is None):
+        raise UsageError("--source and --truth belong together: a video, and the target's boxes in it")
     code, found = _from_masks(options) if options.masks is not None else _from_boxes(options)
     examples = [vector for _, vector, support in found if support >= options.min_support]
     poor = [name for name, _, support in found if support < options.min_support]
@@ -86,7 +86,7 @@ def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
     from bayesnet_track.vision.shape.shape_examples import frame_example
 
     with users_mistake():
-        boxes = centre_from_corner(read_truth(options.boxes))
+        boxes = centre_from_corner(read_truth(options.truth))
     edges, found = EdgePlane(options.edge_gray), []
     with open_source(options.source, None, len(boxes)) as source:
         for item in source:
@@ -96,7 +96,7 @@ def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
             if np.isfinite(box).all():
                 found.append((f"frame {item.index}", *frame_example(item, box, edges, options.grid)))
     if not found:
-        raise UsageError(f"{options.boxes}: no box for any frame of {options.source}")
+        raise UsageError(f"{options.truth}: no box for any frame of {options.source}")
     if source.end_reason != "end_of_source":
         complain(f"{options.source}: {source.end_reason.replace('_', ' ')}; learnt from what could be read")
         return INCOMPLETE, found

@@ -160,7 +160,7 @@ def add_report(commands: argparse._SubParsersAction[Any]) -> None:
         "uncertainty, and every reconfiguration with its reason. The file needs no network.",
     )
     report.add_argument("run", metavar="RUN", help="run directory")
-    report.add_argument("--out", metavar="FILE", help="file to write (default: report.html in RUN)")
+    report.add_argument("-o", "--out", metavar="FILE", help="file to write (default: report.html in RUN)")
     report.add_argument(
         "--frames",
         choices=["thumbnails", "full", "none"],

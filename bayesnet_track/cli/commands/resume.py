@@ -73,7 +73,7 @@ def add_resume(commands: argparse._SubParsersAction[Any]) -> None:
         "space. In the end the run directory is that of an unbroken run, byte for byte (but for the times).",
     )
     resume.add_argument("run", metavar="RUN", help="run directory")
-    resume.add_argument("--quiet", action="store_true", help="no progress line")
+    resume.add_argument("-q", "--quiet", action="store_true", help="no progress line")
     resume.add_argument("--log-json", action="store_true", help="progress as JSON lines")
     resume.add_argument(
         "--allow-other-machine",

@@ -19,6 +19,7 @@ from bayesnet_track.cli.commands.answer import (
 from bayesnet_track.cli.commands.start_boxes import parse_start, read_start
 from bayesnet_track.cli.commands.viewing import begin, open_view
 from bayesnet_track.cli.following import STOPPED, follow, users_start
+from bayesnet_track.cli.options.changes import add_set_option, set_values
 from bayesnet_track.cli.options.outside import add_outside_options
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.rerun import add_rerun_option
@@ -43,6 +44,8 @@ def run(options: argparse.Namespace) -> int:
     if options.end is not None and options.end <= options.start:
         raise UsageError(f"--end {options.end} must be greater than --start {options.start}")
     graph = load_graph(options.graph)
+    if options.set:
+        graph = set_values(graph.text, options.set)
     if options.init_from is not None:
         starts = [read_start(Path(options.init_from), options.start)]
     else:
@@ -190,7 +193,8 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
     run.add_argument(
         "--source", required=True, help="video file, folder of images, glob, camera index, or URL"
     )
-    run.add_argument("--out", metavar="RUN", required=True, help="run directory to write")
+    run.add_argument("-o", "--out", metavar="RUN", required=True, help="run directory to write")
+    add_set_option(run)
     add_depth_options(run)
     start = run.add_mutually_exclusive_group()
     start.add_argument(

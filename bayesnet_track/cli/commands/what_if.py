@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from bayesnet_track.cli.commands.answer import BAD_OUTPUT, INCOMPLETE, OK, UsageError, complain, users_mistake
 from bayesnet_track.cli.commands.compare import add_comparison_options
 from bayesnet_track.cli.options.arguments import whole_number
+from bayesnet_track.cli.options.changes import add_set_option, set_values
 from bayesnet_track.cli.options.plugins import add_plugins
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 def what_if(options: argparse.Namespace) -> int:
     """Run again, then compare."""
     from bayesnet_track.cli.commands.compare import check_page, show_comparison
-    from bayesnet_track.graph.text.change import ChangeError, change_graph
     from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
     from bayesnet_track.runtime.checkpoints.unchanged import check_cues
     from bayesnet_track.runtime.recording.manifest import add_output
@@ -48,10 +48,7 @@ def what_if(options: argparse.Namespace) -> int:
         )
     if not options.force:
         check_cues(recipe, ())
-    try:
-        graph = change_graph(first.graph_text, options.set, not options.no_adaptation)
-    except ChangeError as error:
-        raise UsageError(f"--set {error}") from error
+    graph = set_values(first.graph_text, options.set, not options.no_adaptation)
     out = Path(options.out or f"{str(options.run).rstrip('/')}-what-if")
     if out.resolve() == first.directory.path.resolve():
         raise UsageError(f"--out {out}: that is the run itself; give another folder")
@@ -121,26 +118,19 @@ def add_what_if(commands: argparse._SubParsersAction[Any]) -> None:
         epilog="bayesnet-track what-if runs/mine --set target.adapt.activate.above.ud_box=0.5",
     )
     what_if.add_argument("run", metavar="RUN", help="run directory")
-    what_if.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="PATH=VALUE",
-        help="another value in its graph: keys joined by dots (targets, the plate and nodes may be left out) "
-        "and YAML; may be repeated",
-    )
+    add_set_option(what_if)
     what_if.add_argument("--no-adaptation", action="store_true", help="all agents always on")
     what_if.add_argument(
         "--seed", type=whole_number(0), metavar="N", help="another seed (default: that of the run)"
     )
-    what_if.add_argument("--out", metavar="DIR", help="run directory to write (default RUN-what-if)")
+    what_if.add_argument("-o", "--out", metavar="DIR", help="run directory to write (default RUN-what-if)")
     what_if.add_argument(
         "--overwrite", action="store_true", help="replace an earlier run in --out, and the file of --html"
     )
     what_if.add_argument(
         "--force", action="store_true", help="go on although the source, or a cue file, has changed since"
     )
-    what_if.add_argument("--quiet", action="store_true", help="no progress line")
+    what_if.add_argument("-q", "--quiet", action="store_true", help="no progress line")
     what_if.add_argument("--log-json", action="store_true", help="progress as JSON lines")
     add_plugins(what_if)
     add_comparison_options(what_if)

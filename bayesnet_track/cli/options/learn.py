@@ -7,6 +7,7 @@ from typing import Any
 
 from bayesnet_track.cli.options.arguments import cells, gradient, metres, share, whole_number
 from bayesnet_track.cli.options.sources import add_depth_options, add_window_options
+from bayesnet_track.cli.slips import add_former_name
 
 
 def add_calibrate(commands: argparse._SubParsersAction[Any]) -> None:
@@ -18,7 +19,7 @@ def add_calibrate(commands: argparse._SubParsersAction[Any]) -> None:
     calibrate.add_argument(
         "--square", dest="square_m", required=True, type=metres, metavar="M", help="side of a square, m"
     )
-    calibrate.add_argument("--out", required=True, metavar="FILE", help="calibration file to write")
+    calibrate.add_argument("-o", "--out", required=True, metavar="FILE", help="calibration file to write")
     calibrate.add_argument("--overwrite", action="store_true", help="replace the file if it is there")
 
 
@@ -29,7 +30,8 @@ def add_learn_shape(commands: argparse._SubParsersAction[Any]) -> None:
     examples = shape.add_mutually_exclusive_group(required=True)
     examples.add_argument("--masks", metavar="DIR", help="folder of mask images: the target is not black")
     examples.add_argument("--source", help="video file, folder of images, or glob")
-    shape.add_argument("--boxes", metavar="FILE", help="ground-truth file of the boxes in --source")
+    shape.add_argument("--truth", metavar="FILE", help="ground-truth file of the boxes in --source")
+    add_former_name(shape, "--boxes", "--truth")
     shape.add_argument("--every", type=whole_number(1), default=1, metavar="N", help="every Nth frame only")
     shape.add_argument("--grid", type=cells, default=16, metavar="G", help="cells per side (default 16)")
     shape.add_argument(

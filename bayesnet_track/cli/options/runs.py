@@ -17,7 +17,7 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--overwrite", action="store_true", help="replace an earlier run in the same directory"
     )
-    parser.add_argument("--quiet", action="store_true", help="no progress line")
+    parser.add_argument("-q", "--quiet", action="store_true", help="no progress line")
     parser.add_argument("--log-json", action="store_true", help="progress as JSON lines")
     add_checkpoints(parser)
     add_executor_options(parser)

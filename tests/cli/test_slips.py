@@ -1,0 +1,26 @@
+"""Suggestions for wrong command lines, one by one; `test_cli` has whole lines."""
+
+import pytest
+
+from bayesnet_track.cli.slips import boxes_in_words, nearest
+
+
+@pytest.mark.parametrize(
+    ("given", "slips"),
+    [
+        (["--init", "1", "2", "3", "4"], ["--init takes one word, without spaces: --init 1,2,3,4"]),
+        (["--init", "1,", "2.5,", "3,", "4"], ["--init takes one word, without spaces: --init 1,2.5,3,4"]),
+        (["--learn", "1", "2"], ["--learn takes one word, without spaces: --learn 1,2"]),
+        (["--init", "1,2,3,4", "5"], []),
+        (["--init", "ball:1,2,3,4"], []),
+        (["--end", "1", "2"], []),
+        (["--init"], []),
+    ],
+)
+def test_a_box_in_several_words_is_shown_as_one(given, slips):
+    assert list(boxes_in_words(given)) == slips
+
+
+def test_the_nearest_name_or_nothing():
+    assert nearest("--vidoe", ["--video", "--view"]) == "; did you mean --video?"
+    assert nearest("--zzz", ["--video", "--view"]) == ""
