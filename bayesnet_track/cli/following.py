@@ -17,30 +17,20 @@ from bayesnet_track.cli.commands.answer import (
     UsageError,
     complain,
     run_silently,
-    say,
 )
+from bayesnet_track.cli.ending import say_end, say_next
 from bayesnet_track.numerics.compile_watch import WATCH
 
 if TYPE_CHECKING:
+    from bayesnet_track.journal.events.event import Event
     from bayesnet_track.runtime.live_view.view import LiveView
     from bayesnet_track.runtime.progress import Progress
     from bayesnet_track.runtime.results import Result, Summary
     from bayesnet_track.runtime.stop import StopRequest
 
 
-SHOWN_NOTICES = 5
-
-
 STOPPED = 130
 """Exit code of a run that a person stopped."""
-
-
-ENDINGS = {
-    "source_truncated": "the source is truncated",
-    "source_damaged": "the source is damaged",
-    "frame_size_changed": "stopped where the frames change size",
-    "interrupted": "interrupted",
-}
 
 
 @contextmanager
@@ -70,28 +60,44 @@ def follow(
     """
     from bayesnet_track.runtime.progress import Progress
 
+    shows_progress = not (options.quiet or options.verbose)
     progress = Progress(sys.stderr, expected, sys.stderr.isatty(), options.log_json)
     stop: StopRequest = options.stop
     with ExitStack() as stack:
-        if not options.quiet:
+        if shows_progress:
             stack.callback(run_silently, progress.finish)
         stack.callback(results.close)
         stack.enter_context(users_start())
         for result in results:
-            if not options.quiet:
+            if shows_progress:
                 _show(progress, summary, result)
             # Before the first frame is done there is nothing to finish: until then, signals act at once.
             if stop.between_frames():
                 break
             if view is not None and (view.hold(lambda: stop.signal is not None) or stop.between_frames()):
                 break
-    _say_end(out, summary)
+    say_end(options, out, summary)
+    if options.command in ("run", "resume"):
+        say_next(options, out, summary)
     if stop.signal is not None:
         return stop.exit_code
     stop.is_patient = False
     if view is not None and view.controls.has_stopped:
         return STOPPED
     return OK if summary.complete else INCOMPLETE
+
+
+class Narrator:
+    """Prints every decision and notice when it comes, as `log` does later."""
+
+    def event(self, event: Event) -> None:
+        """One sentence."""
+        from bayesnet_track.journal.text.explain import explain
+
+        complain(explain(event, True))
+
+    def frame(self, result: Result) -> None:
+        """Of a frame only its events are told."""
 
 
 def _show(progress: Progress, summary: Summary, result: Result) -> None:
@@ -106,29 +112,3 @@ def _show(progress: Progress, summary: Summary, result: Result) -> None:
     # As if no time passed while kernels are compiled: the rate is that of frames.
     now = time.monotonic() - WATCH.seconds
     run_silently(partial(progress.update, now, summary.frames, tuple(active), ud_px2, status))
-
-
-def _say_end(out: Path, summary: Summary) -> None:
-    from bayesnet_track.journal.text.explain import explain
-
-    for notice in summary.notices[:SHOWN_NOTICES]:
-        complain(explain(notice))
-    if len(summary.notices) > SHOWN_NOTICES:
-        complain(
-            f"... and {len(summary.notices) - SHOWN_NOTICES} more; `bayesnet-track log {out}` tells them all"
-        )
-    at_work = summary.seconds - summary.compiling_s
-    rate = f"{summary.frames / at_work if at_work > 0 else 0.0:.0f} per second"
-    if summary.compiling_s >= 0.05:
-        rate += f" without {summary.compiling_s:.1f} s of compiling"
-    parts = [f"{_count(summary.frames, 'frame')} in {summary.seconds:.1f} s ({rate})"]
-    parts.append(_count(summary.reconfigurations, "reconfiguration"))
-    if summary.lost_frames:
-        parts.append(f"lost in {_count(summary.lost_frames, 'frame')}")
-    if not summary.complete:
-        parts.append(ENDINGS[summary.reason])
-    say(f"{out}: {', '.join(parts)}")
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"

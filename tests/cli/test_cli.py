@@ -250,7 +250,9 @@ def test_run_on_a_folder_of_images(cli, images, tmp_path):
         rf"{re.escape(str(out))}: 8 frames in \d+\.\d s \(\d+ per second.*\), \d+ reconfigurations?\n", said
     )
     assert re.fullmatch(
-        r"frame 8/8 \| [\d.]+ fps \| 0:00 left \| [a-z, ]+ \| UD \d+ px² \| tracking\n", progress
+        r"frame 8/8 \| [\d.]+ fps \| 0:00 left \| [a-z, ]+ \| UD \d+ px² \| tracking\n"
+        r"next: `bayesnet-track report .* --open` shows .*\n",
+        progress,
     )
     assert [len(lines_of(out / name)) for name in ("tracks.txt", "frames.jsonl", "timings.jsonl")] == [8] * 3
     assert [float(v) for v in lines_of(out / "tracks.txt")[0].split(",")[:6]] == [1, 1, 20, 14, 16, 12]
@@ -290,13 +292,13 @@ def test_many_notices_are_cut_short(cli, images, tmp_path):
         path = folder / f"{number:02d}.png"
         path.write_bytes(b"") if number % 2 else cv2.imwrite(str(path), image)
     out = tmp_path / "run"
-    code, said, err = cli(f"run general --source {folder} --init {BOX} --quiet --out", out)
+    code, said, err = cli(f"run general --source {folder} --init {BOX} --out", out)
     assert code == 5 and said.endswith(", the source is damaged\n")
-    assert len(err.splitlines()) == 6
+    assert len(err.splitlines()) == 1 + 6 + 1  # progress, notices, the next command
     notices = len(cli(f"log {out} --kind source_damaged")[1].splitlines())
     gaps = len(cli(f"log {out} --kind frames_missing")[1].splitlines())
     assert (notices, gaps) == (8, 7)
-    assert err.splitlines()[-1] == f"... and 10 more; `bayesnet-track log {out}` tells them all"
+    assert err.splitlines()[-2] == f"... and 10 more; `bayesnet-track log {out}` tells them all"
 
 
 def test_several_targets_with_plates(cli, images, two_plates, tmp_path):
@@ -354,11 +356,26 @@ def test_progress_as_json(cli, images, tmp_path):
     assert "color" in last["active"] and last["ud_px2"] > 0
 
 
-def test_quiet_leaves_the_summary(cli, images, tmp_path):
-    code, out, err = cli(
-        f"run general --source {images} --init {BOX} --end 2 --quiet --out", tmp_path / "run"
-    )
-    assert code == 0 and err == "" and out.count("\n") == 1
+def test_quiet_is_quiet(cli, images, tmp_path):
+    line = f"run general --source {images} --init {BOX} --end 2 --quiet --out"
+    assert cli(line, tmp_path / "run") == (0, "", "")
+    assert cli("demo two_squares --end 4 -q --out", tmp_path / "demo") == (0, "", "")
+
+
+def test_json_is_one_object_that_sums_the_run_up(cli, images, tmp_path):
+    code, out, _ = cli(f"run general --source {images} --init {BOX} --json -o", tmp_path / "run")
+    found = json.loads(out)
+    assert code == 0 and (found["run"], found["frames"]) == (str(tmp_path / "run"), 8)
+    assert found["complete"] is True and found["reason"] == "end_of_source" and found["lost_frames"] == 0
+    code, out, _ = cli("resume --json", tmp_path / "run")
+    assert code == 0 and json.loads(out)["complete"] is True
+    code, out, _ = cli("demo two_squares --end 4 --json --out", tmp_path / "demo")
+    assert code == 0 and json.loads(out)["scores"]["mean_iou"] > 0.5
+
+
+def test_verbose_prints_decisions_when_they_are_made(cli, tmp_path):
+    code, _, err = cli("demo two_squares --end 10 -v --out", tmp_path / "run")
+    assert code == 0 and "frame 6, target 1: UD " in err and "fps" not in err
 
 
 @pytest.mark.parametrize(("option", "code", "frames"), [("", 5, 4), (" --on-resize rescale", 0, 8)])
@@ -368,10 +385,10 @@ def test_a_change_of_size_stops_or_is_rescaled(cli, images, tmp_path, option, co
     for number, image in enumerate(pictures()):
         cv2.imwrite(str(folder / f"{number}.png"), image if number < 4 else cv2.resize(image, (144, 112)))
     out = tmp_path / "run"
-    found, said, err = cli(f"run general --source {folder} --init {BOX} --quiet{option} --out", out)
+    found, said, err = cli(f"run general --source {folder} --init {BOX} {option} --out", out)
     assert found == code and len(column(out, "frame")) == frames
     action = "the run stops" if code else "they are scaled to the first frame's size"
-    assert err == f"frame 4: the frame size changes to 144x112; {action}\n"
+    assert f"\nframe 4: the frame size changes to 144x112; {action}\n" in err
     assert ("stopped where the frames change size" in said) == bool(code)
 
 
@@ -413,7 +430,7 @@ def test_the_rate_is_without_the_seconds_of_compiling(cli, images, tmp_path, mon
     monkeypatch.setattr("bayesnet_track.runtime.run.WATCH", watch)
     clock = SimpleNamespace(perf_counter=lambda: next(ticking))
     monkeypatch.setattr("bayesnet_track.runtime.run.time", clock)
-    code, said, _ = cli(f"run general --source {images} --init {BOX} --quiet --end 2 --out", tmp_path / "run")
+    code, said, _ = cli(f"run general --source {images} --init {BOX} --end 2 --out", tmp_path / "run")
     seconds, rate = re.search(r"2 frames in (\d+)\.0 s \((\d+) per second without 20\.0 s", said).groups()
     assert (code, int(rate)) == (0, round(2 / (int(seconds) - 20.0)))
 
@@ -515,6 +532,11 @@ MISTAKES = {
     "run general --source {images} --out {out} --init-from {wrong}/words.txt": (
         2,
         "bayesnet-track run: {wrong}/words.txt:1: 'no' is not a number; expected x,y,w,h",
+    ),
+    "run general --source {images} --init 1,2,5,5 --out {out}/x.mp4": (
+        2,
+        "bayesnet-track run: --out {out}/x.mp4: this is the folder of the run; --out {out}/x --video writes "
+        "{out}/x/video.mkv",
     ),
     "graph general --target targt": (
         2,
@@ -689,7 +711,7 @@ def test_exit_5_says_how_far_it_came_and_keeps_what_was_read(cli, video, tmp_pat
     cut = tmp_path / "cut.mkv"
     cut.write_bytes(video.read_bytes()[: video.stat().st_size * 9 // 10])
     out = tmp_path / "run"
-    code, said, err = cli(f"run general --source {cut} --init {BOX} --quiet --out", out)
+    code, said, err = cli(f"run general --source {cut} --init {BOX} --out", out)
     read = len(column(out, "frame"))
     assert code == 5 and 1 < read < 8
     assert f"the file is truncated: read {read} of 8 frames" in err

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from bayesnet_track.cli.following import SHOWN_NOTICES, follow
+from bayesnet_track.cli.ending import SHOWN_NOTICES, say_next
+from bayesnet_track.cli.following import follow
 from bayesnet_track.journal.events.sources import FramesMissing
 from bayesnet_track.runtime.results import Summary
 from bayesnet_track.runtime.stop import StopRequest
@@ -18,9 +19,33 @@ from bayesnet_track.runtime.stop import StopRequest
 )
 def test_the_exit_code_tells_whether_all_was_read(capsys, complete, reason, code):
     summary = Summary(12, 1, 0, complete, reason, 2.0, 0.0, [FramesMissing(n, 2.0) for n in range(7)])
-    options = Namespace(quiet=True, log_json=False, stop=StopRequest())
+    options = Namespace(command="run", quiet=False, verbose=False, log_json=False, stop=StopRequest())
     assert follow(options, (_ for _ in ()), summary, 12, Path("runs/a")) == code
     said = capsys.readouterr()
     assert "runs/a: 12 frames in 2.0 s (6 per second), 1 reconfiguration" in said.out + said.err
     assert ("the source is truncated" in said.out + said.err) == (not complete)
     assert f"... and {7 - SHOWN_NOTICES} more" in said.err
+
+
+@pytest.mark.parametrize(
+    ("reason", "has_checkpoint", "message"),
+    [
+        ("end_of_source", False, "next: `bayesnet-track report {out} --open` shows the run in a browser; "),
+        (
+            "interrupted",
+            True,
+            "next: `bayesnet-track resume {out}` goes on from here; `bayesnet",
+        ),
+        ("interrupted", False, "next: `bayesnet-track report {out} --open` shows what there is"),
+    ],
+)
+def test_the_next_useful_command_is_named(capsys, tmp_path, reason, has_checkpoint, message):
+    if has_checkpoint:
+        (tmp_path / "checkpoint").touch()
+    summary = Summary(12, 1, 0, reason == "end_of_source", reason)
+    say_next(Namespace(quiet=False, log_json=False, json=False), tmp_path, summary)
+    assert capsys.readouterr().err.startswith(message.format(out=tmp_path))
+    for option in ("quiet", "log_json", "json"):
+        silent = Namespace(**{"quiet": False, "log_json": False, "json": False, option: True})
+        say_next(silent, tmp_path, summary)
+    assert capsys.readouterr() == ("", "")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 from contextlib import closing
@@ -71,7 +72,10 @@ def batch(options: argparse.Namespace) -> int:
     write_atomically(out / TABLE, csv_text(done).encode("utf-8"))
     failed = sum(row["status"] == FAILED for row in done)
     parts = [f"{len(done)} of {len(jobs)} runs done", *([f"{failed} failed"] if failed else [])]
-    say(f"{out}: {', '.join(parts)}; see {out / TABLE}")
+    if options.json:
+        say(json.dumps({"out": str(out), "runs": done, "failed": failed, "of": len(jobs)}))
+    elif not options.quiet:
+        say(f"{out}: {', '.join(parts)}; see {out / TABLE}")
     if stop.signal is not None:
         return stop.exit_code
     return INCOMPLETE if failed else OK
@@ -175,5 +179,6 @@ def add_batch(commands: argparse._SubParsersAction[Any]) -> None:
     batch.add_argument(
         "--on-resize", choices=["stop", "rescale"], default="stop", help="what to do when frames change size"
     )
-    batch.add_argument("-q", "--quiet", action="store_true", help="no progress")
+    batch.add_argument("-q", "--quiet", action="store_true", help="only errors and warnings")
+    batch.add_argument("--json", action="store_true", help="at the end, one JSON object with a row a run")
     add_plugins(batch)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
+import json
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import (
@@ -11,6 +12,7 @@ from bayesnet_track.cli.commands.answer import (
     say,
     users_mistake,
 )
+from bayesnet_track.cli.commands.start_boxes import run_folder
 from bayesnet_track.cli.commands.tracking import track_source
 from bayesnet_track.cli.commands.viewing import open_view
 from bayesnet_track.cli.options.arguments import whole_number
@@ -66,19 +68,23 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     if options.set:
         graph = set_values(graph.text, options.set)
     # Only what an earlier demo wrote there is replaced without being asked to.
-    out = Path(options.out or f"runs/{options.scene}")
+    out = run_folder(options.out or f"runs/{options.scene}")
     options.overwrite = options.overwrite or options.out is None
     starts = [Start(box, plate) for plate, box in scene.starts if plate in graph.targets]
     starts = [] if has_births(graph) else starts or [Start(scene.start_box)]
     code = track_source(options, graph, source, starts, out, video=True, view=view)
-    if code != OK:
+    directory = RunDirectory.open(out) if code == OK else None
+    if options.json and directory is not None:
+        scores = asdict(score_run(out, directory.truth, target="1")) if starts else {}
+        say(json.dumps({"run": str(out), "scene": options.scene, "scores": scores}))
+    if directory is None or options.quiet or options.json:
         return code
-    directory = RunDirectory.open(out)
-    say("\nwhat was decided, and why:")
     events = list(read_events(directory.journal))
     name_target = has_several_targets(events)
-    for event in events:
-        say(explain(event, name_target))
+    if not options.verbose:
+        say("\nwhat was decided, and why:")
+        for event in events:
+            say(explain(event, name_target))
     if starts:
         say(f"\nagainst the ground truth{' of target 1' if name_target else ''}:")
         say(score_run(out, directory.truth, target="1").text(explained=True))

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import OK, complain, say
 from bayesnet_track.cli.commands.tracking import executor_of
 from bayesnet_track.cli.commands.viewing import begin_again, open_view
-from bayesnet_track.cli.following import follow
+from bayesnet_track.cli.following import Narrator, follow
 from bayesnet_track.cli.options.checkpoints import add_checkpoints
 from bayesnet_track.cli.options.executors import add_executor_options
+from bayesnet_track.cli.options.output import add_output_options
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.view import add_view_options
 
@@ -32,7 +34,10 @@ def resume(options: argparse.Namespace) -> int:
     if standing(directory.path).is_finished:
         for _ in resume(directory.path):  # removes what a kill in the last moment left
             pass
-        say(f"{directory.path}: it is finished; there is nothing to do")
+        if not (options.quiet or options.json):
+            say(f"{directory.path}: it is finished; there is nothing to do")
+        if options.json:
+            say(json.dumps({"run": str(directory.path), "complete": True, "reason": "end_of_source"}))
         return OK
     summary, expected = Summary(), _expected(directory)
     with open_view(options) as view:
@@ -44,7 +49,7 @@ def resume(options: argparse.Namespace) -> int:
             checkpoint_every=options.checkpoint_every,
             executor=executor_of(options),
             allow_other_machine=options.allow_other_machine,
-            sinks=[] if view is None else [view],
+            sinks=[*([Narrator()] if options.verbose else []), *([] if view is None else [view])],
             inputs=view if view is not None and view.controls.can_switch else None,
             notice=lambda text: complain(f"{directory.path}: {text}"),
         )
@@ -73,8 +78,7 @@ def add_resume(commands: argparse._SubParsersAction[Any]) -> None:
         "space. In the end the run directory is that of an unbroken run, byte for byte (but for the times).",
     )
     resume.add_argument("run", metavar="RUN", help="run directory")
-    resume.add_argument("-q", "--quiet", action="store_true", help="no progress line")
-    resume.add_argument("--log-json", action="store_true", help="progress as JSON lines")
+    add_output_options(resume)
     resume.add_argument(
         "--allow-other-machine",
         action="store_true",

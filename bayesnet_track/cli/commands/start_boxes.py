@@ -12,6 +12,24 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.run import Start
 
 
+VIDEOS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v"}
+
+
+def run_folder(text: str) -> Path:
+    """The run directory that `--out` names.
+
+    Raises:
+        UsageError: it looks like the name of a video.
+    """
+    out = Path(text)
+    if out.suffix.lower() in VIDEOS:
+        folder = out.with_suffix("")
+        raise UsageError(
+            f"--out {text}: this is the folder of the run; --out {folder} --video writes {folder}/video.mkv"
+        )
+    return out
+
+
 def read_start(path: Path, frame: int) -> Start:
     """The start that a ground-truth file has for `frame`.
 

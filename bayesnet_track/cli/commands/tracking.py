@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import (
-    INCOMPLETE,
-    OK,
     UsageError,
     complain,
-    say,
     users_mistake,
 )
-from bayesnet_track.cli.commands.start_boxes import parse_start, read_start
+from bayesnet_track.cli.commands.start_boxes import parse_start, read_start, run_folder
 from bayesnet_track.cli.commands.viewing import begin, open_view
-from bayesnet_track.cli.following import STOPPED, follow, users_start
+from bayesnet_track.cli.following import STOPPED, Narrator, follow, users_start
 from bayesnet_track.cli.options.changes import add_set_option, set_values
 from bayesnet_track.cli.options.outside import add_outside_options
 from bayesnet_track.cli.options.plugins import add_plugins
@@ -43,6 +39,7 @@ def run(options: argparse.Namespace) -> int:
 
     if options.end is not None and options.end <= options.start:
         raise UsageError(f"--end {options.end} must be greater than --start {options.start}")
+    out = run_folder(options.out)
     graph = load_graph(options.graph)
     if options.set:
         graph = set_values(graph.text, options.set)
@@ -55,12 +52,8 @@ def run(options: argparse.Namespace) -> int:
             "no start box: give --init X,Y,W,H or --init-from FILE, or --view to draw it, or a graph with "
             "`birth`, whose detectors find the targets"
         )
-    out = Path(options.out)
     with open_view(options) as view, _open(options) as source:
-        code = track_source(options, graph, source, starts, out, video=options.video, view=view)
-    if code in (OK, INCOMPLETE) and sys.stdout.isatty() and not options.quiet:
-        say(f"`bayesnet-track report {out}` makes a page, `bayesnet-track log {out}` tells its decisions")
-    return code
+        return track_source(options, graph, source, starts, out, video=options.video, view=view)
 
 
 def _open(options: argparse.Namespace) -> Source:
@@ -130,7 +123,11 @@ def track_source(
                 overwrite=options.overwrite,
                 video=video,
                 executor=executor_of(options),
-                sinks=sinks if view is None else [*sinks, view],
+                sinks=[
+                    *sinks,
+                    *([] if view is None else [view]),
+                    *([Narrator()] if options.verbose else []),
+                ],
                 summary=summary,
                 detections=detections,
                 inputs=view if inputs is None else inputs,

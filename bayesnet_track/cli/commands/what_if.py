@@ -70,7 +70,7 @@ def _track_again(
     options: argparse.Namespace, first: Run, recipe: Recipe, graph: CheckedGraph, out: Path
 ) -> int:
     """The run of a recipe with another graph or seed; what came from outside then comes again."""
-    from bayesnet_track.cli.following import follow, users_start
+    from bayesnet_track.cli.following import Narrator, follow, users_start
     from bayesnet_track.runtime.results import Summary
     from bayesnet_track.runtime.session import track
 
@@ -86,6 +86,7 @@ def _track_again(
                 detections=None if recipe.detections is None else recipe.detections.place,
                 inputs=first.directory.inputs if first.directory.inputs.is_file() else None,
                 overwrite=options.overwrite,
+                sinks=[Narrator()] if options.verbose else [],
                 summary=summary,
             )
         return follow(options, results, summary, source.expected_frames, out)
@@ -131,6 +132,7 @@ def add_what_if(commands: argparse._SubParsersAction[Any]) -> None:
         "--force", action="store_true", help="go on although the source, or a cue file, has changed since"
     )
     what_if.add_argument("-q", "--quiet", action="store_true", help="no progress line")
-    what_if.add_argument("--log-json", action="store_true", help="progress as JSON lines")
+    what_if.add_argument("-v", "--verbose", action="store_true", help="every decision when it is made")
+    what_if.add_argument("--log-json", action="store_true", help="progress as JSON lines, on stderr")
     add_plugins(what_if)
     add_comparison_options(what_if)
