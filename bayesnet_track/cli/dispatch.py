@@ -32,6 +32,7 @@ from bayesnet_track.cli.commands.review import log, score
 from bayesnet_track.cli.commands.tracking import run
 from bayesnet_track.cli.commands.verify import verify
 from bayesnet_track.cli.commands.what_if import what_if
+from bayesnet_track.graph.text.excerpt import describe_error
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.numerics.compile_watch import WATCH
 
@@ -77,7 +78,7 @@ def call(options: argparse.Namespace) -> int:
         with WATCH.notifying(notice_compiling(options)):
             return COMMANDS[options.command](options)
     except GraphError as error:
-        complain(str(error))
+        complain(describe_error(error))
         return BAD_GRAPH
     except (OSError, ValueError) as error:
         code = _code_of(error, options.command)

@@ -578,9 +578,9 @@ MISTAKES = {
     "demo --graph {wrong}/bad.yaml": (
         3,
         "{wrong}/bad.yaml:1:1: graph: key 'targets' is missing; allowed: a mapping, each a mapping with "
-        "state, birth, merge_duplicates, death, reidentify, nodes\n"
+        "state, birth, merge_duplicates, death, reidentify, nodes\n  1 | bayesnet: 1\n    | ^\n"
         "{wrong}/bad.yaml:3:1: graph: unknown key 'targts'; allowed: bayesnet, name, about, targets, joins; "
-        "nearest: targets",
+        "nearest: targets\n  3 | targts: {{}}\n    | ^",
     ),
     # a source, or a run, that cannot be read
     "run general --source {wrong}/nothing --out {out} --init 1,2,3,4": (
@@ -801,7 +801,7 @@ def test_validate_tells_all_errors_of_all_files(cli, places):
     assert out == "general: ok (general: 3 nodes, 2 of them agents)\n"
     assert len([line for line in err.splitlines() if line.startswith(f"{bad}:")]) == 2
     assert len([line for line in err.splitlines() if line.startswith(f"{worse}:")]) == 2
-    assert all(re.match(r"\S+:\d+:\d+: graph: ", line) for line in err.splitlines())
+    assert all(re.match(r"\S+:\d+:\d+: graph: |  +\d* *\| |  hint: ", line) for line in err.splitlines())
 
 
 def test_graph_prints_the_plan(cli):

@@ -8,6 +8,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from bayesnet_track.cli.commands.answer import BAD_GRAPH, OK, UsageError, complain, say, writing
+from bayesnet_track.graph.text.excerpt import describe_error
 from bayesnet_track.graph.text.messages import GraphError, nearest
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ def validate(options: argparse.Namespace) -> int:
         try:
             graph = load_graph(name)
         except GraphError as error:
-            complain(str(error))
+            complain(describe_error(error))
             code = BAD_GRAPH
             continue
         nodes = sum(len(plate.order) for plate in graph.targets.values())

@@ -166,11 +166,16 @@ class _Building:
         try:
             value = self._single(_Events(text))
         except _TooMuch as limit:
+            mark: Any
             mark, found, allowed = limit.args
             raise GraphError([*self.errors, self._at(mark, (), found, allowed)]) from None
         except yaml.MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
-            said = " ".join(filter(None, (error.context, error.problem)))
+            began = error.context_mark
+            opened = f" from line {began.line + 1}" if began is not None and began.line != mark.line else ""
+            said = " ".join(
+                filter(None, (f"{error.context}{opened}" if error.context else "", error.problem))
+            )
             raise GraphError([*self.errors, self._at(mark, (), f"not YAML: {said[:300]}")]) from None
         if self.errors:
             raise GraphError(self.errors)

@@ -1,0 +1,88 @@
+"""What a graph error means for somebody who is new to YAML: how the usual slips are written."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+
+from bayesnet_track.graph.text.messages import GraphMessage
+
+Rule = tuple[str, Callable[[re.Match[str], GraphMessage], str]]
+
+_FILTERS = ("kalman", "extended_kalman", "unscented_kalman", "ekf", "ukf")
+
+
+def hint_of(message: GraphMessage) -> str:
+    """How it is mended, in one line; empty where the message says it all.
+
+    >>> hint_of(GraphMessage("a.yaml", 1, 1, (), "ball", "particles is 800", "a mapping with size, min"))
+    'write particles: {size: 800}'
+    """
+    text = f"{message.found}; allowed: {message.allowed}"
+    for pattern, words in RULES:
+        found = re.search(pattern, text)
+        if found:
+            return words(found, message)
+    return ""
+
+
+def _nested(found: re.Match[str], _: GraphMessage) -> str:
+    """A number where a mapping is needed: the mapping's first key takes it."""
+    return f"write {found['key']}: {{{found['first']}: {found['value']}}}"
+
+
+def _parent(_: re.Match[str], message: GraphMessage) -> str:
+    above = message.path[1] if len(message.path) > 1 else "NODE"
+    return (
+        f"an agent scores the hypotheses of the node above it; name that node, as in parent: {above}; "
+        "a root has no agent"
+    )
+
+
+def _opened(what: str, or_else: str = "") -> Callable[[re.Match[str], GraphMessage], str]:
+    def say(found: re.Match[str], message: GraphMessage) -> str:
+        line = found.groupdict().get("line") or message.line
+        return f"{what} in line {line} is not closed{or_else}"
+
+    return say
+
+
+def _always(text: str) -> Callable[[re.Match[str], GraphMessage], str]:
+    return lambda found, message: text
+
+
+_COMMA = ", or a comma is missing"
+RULES: Sequence[Rule] = (
+    (r"'\\t'", _always("YAML is indented by spaces; a tab stands at the beginning of this line")),
+    (
+        r"while parsing a flow mapping(?: from line (?P<line>\d+))?",
+        _opened("the brace {", _COMMA),
+    ),
+    (
+        r"while parsing a flow sequence(?: from line (?P<line>\d+))?",
+        _opened("the bracket [", _COMMA),
+    ),
+    (r"while scanning a quoted scalar(?: from line (?P<line>\d+))?", _opened("the quote")),
+    (
+        r"expected <block end>, but found '<block mapping start>'",
+        _always("the keys of one mapping begin in the same column; this one does not"),
+    ),
+    (r"expected '<document start>'", _always("a key is followed by a colon and a space, as in bayesnet: 1")),
+    (r"could not find expected ':'", _always("a key is followed by a colon and a space, as in bayesnet: 1")),
+    (
+        r"^(?P<key>\w+):(?P<value>[\d.]+) is empty",
+        lambda found, _: f"a space follows the colon: {found['key']}: {found['value']}",
+    ),
+    (
+        rf"^unknown belief '(?:{'|'.join(_FILTERS)})'",
+        _always(
+            "a Kalman filter is a filter of the Gaussian belief: write belief: {gaussian: {filter: kalman}}"
+        ),
+    ),
+    (r"^key 'parent' is missing", _parent),
+    (
+        r"^(?P<key>\w+) is (?P<value>-?[\d.]+); allowed: (?:a mapping with|one of) (?P<first>\w+)",
+        _nested,
+    ),
+)
+"""Pattern of found and allowed -> the hint; the first that fits."""
