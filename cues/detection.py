@@ -68,7 +68,7 @@ class Detection:
     def rule(self) -> AssociationRule:
         """Which detection is the target's."""
         p = self.parameters
-        return AssociationRule(p.sd_place, p.sd_size, p.gate, p.min_overlap, p.appearance)
+        return AssociationRule(p.sd_place, p.sd_size, p.gate, p.min_overlap, p.appearance, p.floor)
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """Nothing: a detection is this frame's."""

@@ -1,4 +1,4 @@
-"""Compiled kernel that turns centre boxes into rows and columns of a crop of the frame."""
+"""Compiled kernels of centre boxes: their rows and columns in a crop, and the best of many alike."""
 
 from __future__ import annotations
 
@@ -41,3 +41,36 @@ def pixels_of_boxes(
             corners[n, axis], corners[n, 2 + axis] = int(begin), int(end)
             visible[n] *= end - begin
     return corners, visible, nominal
+
+
+@compiled
+def keep_best(boxes: Floats, most_overlap: float, most: int) -> Corners:
+    """Which of the boxes (N, 4), the best first, are kept: `most` of them, none too alike a better one kept.
+
+    Greedy non-maximum suppression: of two whose intersection over union (`numerics.boxes.overlap`) is above
+    `most_overlap` the first stays.
+    """
+    kept = np.empty(min(most, boxes.shape[0]), np.int64)
+    count = 0
+    for n in range(boxes.shape[0]):
+        if count == kept.shape[0]:
+            break
+        is_new = True
+        for k in range(count):
+            other = kept[k]
+            shared = 1.0
+            for axis in range(2):
+                a, b = boxes[other, 2 + axis] / 2, boxes[n, 2 + axis] / 2
+                low = max(boxes[other, axis] - a, boxes[n, axis] - b)
+                shared *= max(min(boxes[other, axis] + a, boxes[n, axis] + b) - low, 0.0)
+                if shared == 0.0:
+                    break
+            if shared > 0.0:
+                union = boxes[other, 2] * boxes[other, 3] + boxes[n, 2] * boxes[n, 3] - shared
+                if union > 0 and shared / union > most_overlap:
+                    is_new = False
+                    break
+        if is_new:
+            kept[count] = n
+            count += 1
+    return kept[:count].copy()

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bayesnet_track.numerics.boxes import centre_from_corner, overlap
+from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.detector import (
     NOTHING,
     Detections,
@@ -138,6 +138,10 @@ def select(
     Left out are boxes that are not finite, outside the frame, too small, too large or too poor. Of equal
     scores the upper box, then the left one, comes first, so that the order given does not matter.
     """
+    # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.compiled import plain
+    from bayesnet_track.numerics.kernels.box_kernels import keep_best
+
     boxes, scores = np.asarray(boxes, dtype=np.float64), np.clip(scores, 0.0, 1.0)
     names = np.array([""] * len(boxes) if labels is None else labels, dtype=object)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -152,11 +156,7 @@ def select(
     left = np.flatnonzero(fits)
     order = np.lexsort((boxes[left, 3], boxes[left, 2], boxes[left, 0], boxes[left, 1], -scores[left]))
     left = left[order][:CANDIDATES]
-    chosen: list[int] = []
-    while len(left) and len(chosen) < parameters.max_count:
-        best, left = int(left[0]), left[1:]
-        chosen.append(best)
-        left = left[overlap(boxes[best], boxes[left]) <= parameters.max_overlap]
-    if not chosen:
+    chosen = left[keep_best(plain(boxes[left]), parameters.max_overlap, parameters.max_count)]
+    if not len(chosen):
         return NOTHING
     return Detections(boxes[chosen], scores[chosen], tuple(str(names[k]) for k in chosen))
