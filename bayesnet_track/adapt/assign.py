@@ -64,3 +64,26 @@ def assign(gain: Floats) -> Owners:
         if possible[row, column]:
             owner[rows[row]] = columns[column]
     return owner
+
+
+def assign_pairs(rows: Owners, columns: Owners, gains: Floats, count: int, found: int) -> Owners:
+    """As `assign`, of the pairs (P,) that are not forbidden, out of `count` rows and `found` columns.
+
+    Rows and columns that no pairs connect do not concern each other: each connected group is assigned alone,
+    and those in which nobody wants what another wants are plain.
+    """
+    # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.kernels.row_kernels import settle_pairs
+
+    owner, group = settle_pairs(rows, columns, gains, count, found)
+    disputed = np.flatnonzero(group >= 0)
+    disputed = disputed[np.argsort(group[disputed], kind="stable")]
+    for pairs in np.split(disputed, np.flatnonzero(np.diff(group[disputed])) + 1) if len(disputed) else ():
+        own_rows, row = np.unique(rows[pairs], return_inverse=True)
+        own_columns, column = np.unique(columns[pairs], return_inverse=True)
+        gain = np.full((len(own_rows), len(own_columns)), -np.inf)
+        gain[row, column] = gains[pairs]
+        chosen = assign(gain)
+        is_given = chosen != NOBODY
+        owner[own_rows[is_given]] = own_columns[chosen[is_given]]
+    return np.asarray(owner)

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from bayesnet_track.engine.attachment import Rides
 from bayesnet_track.engine.compiled import CompiledPlate, Engine, make_engine
-from bayesnet_track.engine.external_inputs import route_inputs
+from bayesnet_track.engine.external_inputs import ExternalInputs, route_inputs
 from bayesnet_track.engine.filtering import Filtered, filter_target
 from bayesnet_track.engine.finishing import finish_target
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.joining import join_targets
-from bayesnet_track.engine.lifecycle.association import associate_first
+from bayesnet_track.engine.lifecycle.association import Associated, associate_first
 from bayesnet_track.engine.lifecycle.track_management import manage_tracks
 from bayesnet_track.engine.outcome import (
     Outcome,
@@ -29,6 +29,8 @@ from bayesnet_track.engine.outcome import (
     with_joins,
     with_load,
 )
+from bayesnet_track.engine.rows.advancing import advance_rows
+from bayesnet_track.engine.rows.finding import find_rows
 from bayesnet_track.engine.starting import start
 from bayesnet_track.engine.state import TargetState, apply_decisions
 from bayesnet_track.engine.target_execution import collect_elsewhere, start_elsewhere
@@ -66,6 +68,10 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
     cache = PlaneCache(FramePair(frame, state.previous))
     work = FrameWork(engine, state.net, cache, given.availability, given.by_hand)
 
+    rows = find_rows(work, state)
+    if rows is not None:
+        return _manage(work, *advance_rows(work, state, rows), given)
+
     # Which detections are whose, where agents measure by them
     associated = associate_first(work, state.targets, state.history)
     before = state.targets if associated is None else associated.targets
@@ -83,8 +89,13 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
     results = {target: finish_target(work, one) for target, one in joint.filtered.items()}
     results |= collect_elsewhere(work, elsewhere, before)
     outcome = carry_out(work, state, {target: results[target] for target in before}, joint)
+    return _manage(work, outcome, associated, given)
 
-    # Targets start and end, join and part; load is shed
+
+def _manage(
+    work: FrameWork, outcome: Outcome, associated: Associated | None, given: ExternalInputs
+) -> Outcome:
+    """The outcome after targets start and end, join and part, and load is shed."""
     outcome = manage_tracks(work, outcome, associated)
     outcome = with_joins(work, outcome)
     outcome = with_load(work, outcome, given.timing)

@@ -149,6 +149,8 @@ class AssociationRule:
         min_overlap: nor is one whose intersection over union with the predicted box is smaller.
         appearance: exponent of the likelihood that agents which know the target's appearance give the
             detection's box.
+        floor: floor of its measurement where that is the detection's box with errors of `variances` and
+            nothing else, so that many targets are measured at once; None where the cue has to be asked.
     """
 
     sd_place: float
@@ -156,6 +158,7 @@ class AssociationRule:
     gate: float
     min_overlap: float
     appearance: float
+    floor: float | None = None
 
     def variances(self, boxes: Floats) -> Floats:
         """(..., 4) variances in px^2 of x, y, w, h of detections (..., 4)."""

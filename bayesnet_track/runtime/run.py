@@ -194,7 +194,7 @@ def _result(frame: Frame, outcome: Outcome, spent: float, before: State | None) 
     decisions = tuple(event for event in outcome.events if isinstance(event, Decision))
     return Result(
         frame,
-        outcome.metrics,
+        tuple(outcome.metrics),
         dict(outcome.covariances),
         decisions,
         dict(outcome.seconds),

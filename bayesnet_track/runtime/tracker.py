@@ -166,7 +166,7 @@ class Tracker(Boxed):
         """Everything measured in the last frame, for every target that was live in it."""
         if self._last is None:
             raise RuntimeError("call init(frame, box) first")
-        return self._last.metrics
+        return tuple(self._last.metrics)
 
     @property
     def metrics(self) -> FrameMetrics:

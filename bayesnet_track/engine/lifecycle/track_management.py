@@ -9,7 +9,7 @@ of it is a function of the engine, what is remembered and the frame.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -22,7 +22,6 @@ from bayesnet_track.adapt.lifecycle import (
     Candidate,
     TrackRecord,
     feed,
-    find_end_cause,
     is_confirmed,
     is_refusal_notable,
     overlapping,
@@ -32,8 +31,11 @@ from bayesnet_track.engine.lifecycle.association import Associated
 from bayesnet_track.engine.lifecycle.detecting import Found, look
 from bayesnet_track.engine.lifecycle.recognise import Match, match
 from bayesnet_track.engine.lifecycle.reidentifying import compare
-from bayesnet_track.engine.lifecycle.track_table import TrackTable
+from bayesnet_track.engine.lifecycle.track_table import LiveTable, table_of
 from bayesnet_track.engine.outcome import Outcome
+from bayesnet_track.engine.rows.columns import RowStates
+from bayesnet_track.engine.rows.row_metrics import RowMetrics
+from bayesnet_track.engine.rows.row_table import RowTable
 from bayesnet_track.engine.starting import restart, start
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.lifecycle import Birth, LifeRules
@@ -63,9 +65,8 @@ def manage_tracks(work: FrameWork, outcome: Outcome, associated: Associated | No
     }
     if not rules:
         return outcome
-    state = outcome.state
-    tracks = TrackTable(state.net, dict(state.targets), list(outcome.metrics), state.history)
-    _count(tracks, rules, frame)
+    tracks = live_table(work, outcome)
+    tracks.count(rules.keys(), frame)
     if associated is None:
         found, tracks.history, events = look(work, tracks.history, tracks.boxes, tracks.held)
     else:
@@ -79,32 +80,14 @@ def manage_tracks(work: FrameWork, outcome: Outcome, associated: Associated | No
         _end_duplicates(tracks, plate, rule, frame)
         _end_lost(tracks, plate, rule, frame)
     work.charge("life", started)
-    return Outcome(
-        replace(state, net=tracks.net, targets=tracks.targets, previous=frame, history=tracks.history),
-        tuple(tracks.metrics),
-        (*outcome.events, *tracks.events),
-        outcome.covariances,
-        work.seconds,
-    )
+    return replace(tracks.outcome(outcome, frame), seconds=work.seconds)
 
 
-def _count(tracks: TrackTable, rules: Mapping[str, LifeRules], frame: Frame) -> None:
-    """One more frame for every live target."""
-    records = {}
-    for target, state in tracks.targets.items():
-        if tracks.net.targets[target].template not in rules:
-            continue
-        lost = tracks.net.targets[target].status == "lost"
-        record = tracks.history.records.get(target)
-        if record is None or not (lost or state.memory.lost.count):
-            since = frame.index if record is None else record.since
-            unseen = 0 if record is None else record.unseen_frames
-            record = TrackRecord(since, state.belief.mean, state.belief.covariance, frame.time, 0, unseen)
-        records[target] = replace(
-            record, lost_frames=record.lost_frames + 1 if lost else 0, unseen_frames=record.unseen_frames + 1
-        )
-    numbers = [int(target) for target in tracks.targets if target.isdecimal()]
-    tracks.history = replace(tracks.history, records=records, last_id=max([tracks.history.last_id, *numbers]))
+def live_table(work: FrameWork, outcome: Outcome) -> LiveTable:
+    """The targets as rows where they were advanced so, else an object each."""
+    if isinstance(outcome.state.targets, RowStates) and isinstance(outcome.metrics, RowMetrics):
+        return RowTable.of(work.engine, outcome)
+    return table_of(outcome)
 
 
 # ------------------------------------------------------------------------------------ births
@@ -115,7 +98,7 @@ class _Births:
     """What one plate's births need of the frame."""
 
     work: FrameWork
-    tracks: TrackTable
+    tracks: LiveTable
     plate: str
     rule: LifeRules
     birth: Birth
@@ -131,15 +114,16 @@ def _give_birth(now: _Births, found: Found, owners: tuple[str | None, ...] | Non
     tracks, apart, covered = now.tracks, now.birth.min_distance_box, now.birth.max_overlap
     held = tracks.held(now.plate)
     if owners is None:
-        sd = np.array([_sd_px(tracks.targets[target]) for target in held])
+        sd = np.array([_sd_px(tracks.state(target)) for target in held])
         owner, free = associate(found.boxes, tracks.boxes(held), sd, apart, covered)
         seen = [held[k] for k in owner if k != NOBODY]
     else:
         seen = [target for target in owners if target is not None]
-        near = tracks.boxes(list(dict.fromkeys([*held, *seen])))
         free = np.array([one is None for one in owners], dtype=bool)
-        free &= ~alike(found.boxes, near, apart, covered).any(axis=1)
-    tracks.history = replace(tracks.history, records=_mark_seen(tracks.history.records, seen))
+        if free.any():
+            near = tracks.boxes(list(dict.fromkeys([*held, *seen])))
+            free[free] = ~alike(found.boxes[free], near, apart, covered).any(axis=1)
+    tracks.mark_seen(seen)
     found = found.only(free)
     at = _find_lost(now, found, seen)
     found = found.only(np.logical_not(np.any(alike(found.boxes, at, apart, covered), axis=1)))
@@ -158,10 +142,12 @@ def _give_birth(now: _Births, found: Found, owners: tuple[str | None, ...] | Non
 def _find_lost(now: _Births, found: Found, seen: Sequence[str]) -> Floats:
     """Lost targets whose looks a free detection has start again there: (K, 4) where; not those `seen`."""
     tracks, reidentify = now.tracks, now.rule.reidentify
+    places = np.empty((0, 4))
+    if reidentify is None or not reidentify.lost:
+        return places
     held = {*tracks.held(now.plate), *seen}
     lost = [target for target in tracks.of_plate(now.plate) if target not in held]
-    places = np.empty((0, 4))
-    if reidentify is None or not reidentify.lost or not lost:
+    if not lost:
         return places
     boxes = found.boxes[:TESTED]
     known = [_remember(tracks, target, now.plate) for target in lost]
@@ -169,13 +155,10 @@ def _find_lost(now: _Births, found: Found, seen: Sequence[str]) -> Floats:
         target, box = one.recognition.target, boxes[one.detection]
         if not one.is_sure:
             continue
-        state = restart(now.work, target, now.plate, box, tracks.targets[target])
+        state = restart(now.work, target, now.plate, box, tracks.state(target))
         tracks.decide(Reacquired(now.frame.index, target, _box(box), one.recognition))
-        tracks.targets[target] = state
-        tracks.history = replace(
-            tracks.history,
-            records={**tracks.history.records, target: _start_record(tracks, target, now.frame)},
-        )
+        since = tracks.record(target).since
+        tracks.put_back(target, state, _start_record(state, since, now.frame))
         places = np.vstack([places, box])
     return places
 
@@ -236,11 +219,7 @@ def _start(now: _Births, candidate: Candidate, nearest: Match | None) -> None:
         )
         born = start(now.work, target, now.plate, box)
         tracks.decide(*born.decisions)
-    tracks.targets[target] = born.state
-    tracks.metrics.append(born.metrics)
-    tracks.history = replace(
-        tracks.history, records={**tracks.history.records, target: _start_record(tracks, target, frame)}
-    )
+    tracks.add(target, born.state, _start_record(born.state, frame.index, frame), born.metrics)
 
 
 def _refuse(now: _Births, waiting: int) -> None:
@@ -278,45 +257,42 @@ def _match_known(
 # ------------------------------------------------------------------------------------ ends
 
 
-def _end_duplicates(tracks: TrackTable, plate: str, rule: LifeRules, frame: Frame) -> None:
+def _end_duplicates(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> None:
     """The younger of two nets whose beliefs hold one object ends; joined ones are known to be two."""
     if rule.merge_duplicates is None:
         return
-    held = tracks.held(plate)
-    beliefs = {t: (tracks.targets[t].belief.mean, tracks.targets[t].belief.covariance) for t in held}
-    since = {t: tracks.history.records[t].since for t in held}
-    others = {
-        pair: s for pair, s in tracks.history.overlaps.items() if not set(pair) & set(tracks.of_plate(plate))
-    }
-    streaks = overlapping(beliefs, since, tracks.history.overlaps, rule.merge_duplicates)
+    held, before = tracks.held(plate), tracks.history.overlaps
+    own = set(tracks.of_plate(plate)) if before else set()
+    others = {pair: streak for pair, streak in before.items() if not own.intersection(pair)}
+    streaks = overlapping(held, *tracks.beliefs(held), before, rule.merge_duplicates)
     joined = {frozenset(pair) for pair in tracks.net.joins}
     streaks = {pair: streak for pair, streak in streaks.items() if frozenset(pair) not in joined}
+    ended: set[str] = set()
     for (younger, older), streak in list(streaks.items()):
-        both = younger in tracks.targets and older in tracks.targets
-        if both and len(streak) >= rule.merge_duplicates.frames:
-            ended = DuplicateEnded(
-                frame.index,
-                younger,
-                older,
-                min(streak),
-                rule.merge_duplicates.overlap,
-                rule.merge_duplicates.frames,
+        if not ended.intersection((younger, older)) and len(streak) >= rule.merge_duplicates.frames:
+            tracks.end(
+                DuplicateEnded(
+                    frame.index,
+                    younger,
+                    older,
+                    min(streak),
+                    rule.merge_duplicates.overlap,
+                    rule.merge_duplicates.frames,
+                )
             )
-            _end(tracks, ended)
-    left = {pair: streak for pair, streak in streaks.items() if set(pair) <= set(tracks.targets)}
+            ended.add(younger)
+    left = {pair: streak for pair, streak in streaks.items() if not ended.intersection(pair)}
     tracks.history = replace(tracks.history, overlaps={**others, **left})
 
 
-def _end_lost(tracks: TrackTable, plate: str, rule: LifeRules, frame: Frame) -> None:
+def _end_lost(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> None:
     """Nets of targets that were lost for too long end; what they knew is kept for a while."""
-    for target in tracks.of_plate(plate) if rule.death is not None else []:
-        why = find_end_cause(tracks.history.records[target], rule.death) if rule.death is not None else None
-        if why is not None:
-            if rule.reidentify is not None:
-                tracks.history = replace(
-                    tracks.history, dead=(*tracks.history.dead, _remember(tracks, target, plate))
-                )
-            _end(tracks, TargetDied(frame.index, target, *why, remembered=rule.reidentify is not None))
+    for target, why in [] if rule.death is None else tracks.ending(plate, rule.death):
+        if rule.reidentify is not None:
+            tracks.history = replace(
+                tracks.history, dead=(*tracks.history.dead, _remember(tracks, target, plate))
+            )
+        tracks.end(TargetDied(frame.index, target, *why, remembered=rule.reidentify is not None))
     if rule.reidentify is not None and rule.birth is not None:
         own = [one for one in tracks.history.dead if one.template == plate]
         kept = [one for one in own if frame.time - one.time <= rule.reidentify.frames]
@@ -328,32 +304,17 @@ def _end_lost(tracks: TrackTable, plate: str, rule: LifeRules, frame: Frame) -> 
         )
 
 
-def _end(tracks: TrackTable, decision: TargetDied | DuplicateEnded) -> None:
-    tracks.decide(decision)
-    del tracks.targets[decision.target]
-    records = {
-        target: record for target, record in tracks.history.records.items() if target in tracks.targets
-    }
-    tracks.history = replace(tracks.history, records=records)
-
-
 # ------------------------------------------------------------------------------------ parts
 
 
-def _remember(tracks: TrackTable, target: str, plate: str) -> AppearanceMemory:
-    record = tracks.history.records[target]
-    references = tracks.targets[target].references
+def _remember(tracks: LiveTable, target: str, plate: str) -> AppearanceMemory:
+    record = tracks.record(target)
+    references = tracks.state(target).references
     return AppearanceMemory(target, plate, record.mean, record.covariance, record.time, references)
 
 
-def _start_record(tracks: TrackTable, target: str, frame: Frame) -> TrackRecord:
-    belief, before = tracks.targets[target].belief, tracks.history.records.get(target)
-    since = frame.index if before is None else before.since
-    return TrackRecord(since, belief.mean, belief.covariance, frame.time)
-
-
-def _mark_seen(records: Mapping[str, TrackRecord], targets: Sequence[str]) -> dict[str, TrackRecord]:
-    return {**records, **{target: replace(records[target], unseen_frames=0) for target in targets}}
+def _start_record(state: TargetState, since: int, frame: Frame) -> TrackRecord:
+    return TrackRecord(since, state.belief.mean, state.belief.covariance, frame.time)
 
 
 def _sd_px(state: TargetState) -> float:

@@ -1,0 +1,261 @@
+"""The table: a row per target, and its states and records as others ask for them, made when they do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.lifecycle import TrackRecord
+from bayesnet_track.adapt.memory import QUIET_WINDOW, Memory, Quiet, Streak
+from bayesnet_track.belief.gaussian.belief import GaussianPosterior
+from bayesnet_track.engine.rows.fitting import RowRule
+from bayesnet_track.engine.state import TargetState
+from bayesnet_track.observation.cue import OWN_DETECTION
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+NEVER_ASKED, GIVEN_NONE, GIVEN = 0, 1, 2
+"""What a row's agent was given of its last frame's detections."""
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """What is known of T targets between frames: what `TargetState` and `TrackRecord` hold of one.
+
+    Attributes:
+        mean: (T, D) of the belief.
+        covariance: (T, D, D).
+        size: (T,) hypotheses.
+        own: (T, 5) the detection that it was given: centre box and score.
+        given: (T,) whether there was one: `NEVER_ASKED`, `GIVEN_NONE` or `GIVEN`.
+        nats: (T,) sum of the agent's contributions.
+        nat_frames: (T,) frames that count in it.
+        quiet: (T, W) last values of UD, filled from the right.
+        quiet_count: (T,) how many there are.
+        lost_count: (T,) frames in a row that look lost.
+        lost_values: (T, F) values of the last of them, from the right; so of the next ones.
+        unfit_values: (T, F) the fits of the same frames.
+        found_count: (T,) frames in a row that look found.
+        found_values: (T, F) values of the last of them.
+        is_lost: (T,) whether the status is lost.
+        since: (T,) frame of birth; -1 where nothing is counted of a target yet.
+        known_mean: (T, D) the belief when it was last well seen.
+        known_covariance: (T, D, D).
+        known_time: (T,) that time, frame intervals.
+        lost_frames: (T,) consecutive frames in which it is lost.
+        unseen_frames: (T,) consecutive frames without a detection of its own.
+    """
+
+    mean: Floats
+    covariance: Floats
+    size: Ints
+    own: Floats
+    given: Ints
+    nats: Floats
+    nat_frames: Ints
+    quiet: Floats
+    quiet_count: Ints
+    lost_count: Ints
+    lost_values: Floats
+    unfit_values: Floats
+    found_count: Ints
+    found_values: Floats
+    is_lost: Bools
+    since: Ints
+    known_mean: Floats
+    known_covariance: Floats
+    known_time: Floats
+    lost_frames: Ints
+    unseen_frames: Ints
+
+    def take(self, rows: NDArray[Any]) -> Self:
+        """Some rows."""
+        return type(self)(**{one.name: getattr(self, one.name)[rows] for one in fields(self)})
+
+    def extend(self, others: Self) -> Self:
+        """These rows, then others."""
+        return type(self)(
+            **{
+                one.name: np.concatenate([getattr(self, one.name), getattr(others, one.name)])
+                for one in fields(self)
+            }
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """The live targets of a plate.
+
+    Attributes:
+        rule: what they have in common.
+        ids: target ids, in the order of their births.
+        columns: what is known of them.
+        time: time of the last frame, frame intervals.
+        checked: the live nets as they were when they were last found to fit.
+    """
+
+    rule: RowRule
+    ids: tuple[str, ...]
+    columns: Columns
+    time: float
+    checked: Mapping[str, Any] | None = None
+
+    @cached_property
+    def index(self) -> Mapping[str, int]:
+        """Target -> its row."""
+        return {target: row for row, target in enumerate(self.ids)}
+
+    def with_columns(self, columns: Columns, time: float) -> Rows:
+        """The same targets, later."""
+        after = replace(self, columns=columns, time=time)
+        after.__dict__["index"] = self.index
+        return after
+
+    def state(self, row: int) -> TargetState:
+        """What is known of one target."""
+        now, rule = self.columns, self.rule
+        reference: dict[str, Floats] = {}
+        if now.given[row] != NEVER_ASKED:
+            reference[OWN_DETECTION] = now.own[row : row + 1] if now.given[row] == GIVEN else np.empty((0, 5))
+        belief = GaussianPosterior(now.mean[row], now.covariance[row], rule.motion.fields, int(now.size[row]))
+        return TargetState(belief, {rule.agent: reference}, self.memory(row), rule.plan, self.time)
+
+    def memory(self, row: int) -> Memory:
+        """What the rules remember of one target."""
+        now, rule = self.columns, self.rule
+        count, frames = int(now.quiet_count[row]), int(now.nat_frames[row])
+        quiet = {rule.root: Quiet({rule.active: tuple(now.quiet[row, QUIET_WINDOW - count :].tolist())})}
+        lost, found = int(now.lost_count[row]), int(now.found_count[row])
+        return Memory(
+            lost=streak(lost, now.lost_values[row]),
+            found=streak(found, now.found_values[row]),
+            unfit=streak(lost, now.unfit_values[row]),
+            quiet=quiet if count else {},
+            helpful={rule.agent: (float(now.nats[row]), frames)} if frames else {},
+        )
+
+    def record(self, row: int) -> TrackRecord:
+        """What is counted of one target."""
+        now = self.columns
+        return TrackRecord(
+            int(now.since[row]),
+            now.known_mean[row],
+            now.known_covariance[row],
+            float(now.known_time[row]),
+            int(now.lost_frames[row]),
+            int(now.unseen_frames[row]),
+        )
+
+
+def streak(count: int, values: Floats) -> Streak:
+    """The streak of so many frames, of which `values` (F,) holds the last ones on its right."""
+    return Streak(count, tuple(values[max(len(values) - count, 0) :].tolist())) if count else Streak()
+
+
+class RowStates(Mapping[str, TargetState]):
+    """Target -> its state, of the rows of a table: each made when it is first asked for."""
+
+    def __init__(self, rows: Rows) -> None:
+        self.rows = rows
+        self._made: dict[str, TargetState] = {}
+
+    def __getitem__(self, target: str) -> TargetState:
+        if target not in self._made:
+            self._made[target] = self.rows.state(self.rows.index[target])
+        return self._made[target]
+
+    def __contains__(self, target: object) -> bool:
+        return target in self.rows.index
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.rows.ids)
+
+    def __len__(self) -> int:
+        return len(self.rows.ids)
+
+
+class RowRecords(Mapping[str, TrackRecord]):
+    """Target -> what is counted of it, in the same way."""
+
+    def __init__(self, rows: Rows) -> None:
+        self.rows = rows
+        self._made: dict[str, TrackRecord] = {}
+
+    def __getitem__(self, target: str) -> TrackRecord:
+        if target not in self._made:
+            row = self.rows.index[target]
+            if self.rows.columns.since[row] < 0:
+                raise KeyError(target)
+            self._made[target] = self.rows.record(row)
+        return self._made[target]
+
+    def __iter__(self) -> Iterator[str]:
+        known = self.rows.columns.since >= 0
+        return (target for target, is_known in zip(self.rows.ids, known.tolist(), strict=True) if is_known)
+
+    def __len__(self) -> int:
+        return int(np.count_nonzero(self.rows.columns.since >= 0))
+
+
+def make_rows(
+    rule: RowRule,
+    states: Mapping[str, TargetState],
+    records: Mapping[str, TrackRecord],
+    lost: Sequence[bool],
+    time: float,
+) -> Rows:
+    """The table of targets that fit (`fitting.states_fit`)."""
+    several = list(states.values())
+    width, frames = len(rule.motion.fields), rule.lost.frames
+    own = [state.references.get(rule.agent, {}).get(OWN_DETECTION) for state in several]
+    memories = [state.memory for state in several]
+    quiet = [one.quiet[rule.root].values[rule.active] if one.quiet else () for one in memories]
+    helpful = [one.helpful.get(rule.agent, (0.0, 0)) for one in memories]
+    unknown = TrackRecord(-1, np.zeros(width), np.zeros((width, width)), time)
+    known = [records.get(target, unknown) for target in states]
+    given = [NEVER_ASKED if one is None else GIVEN if len(one) else GIVEN_NONE for one in own]
+    columns = Columns(
+        mean=stack([state.belief.mean for state in several], width),
+        covariance=stack([state.belief.covariance for state in several], width, width),
+        size=np.array([len(state.belief) for state in several], dtype=np.int64),
+        own=stack([one[0] if one is not None and len(one) else np.zeros(5) for one in own], 5),
+        given=np.array(given, dtype=np.int64),
+        nats=np.array([nats for nats, _ in helpful], dtype=np.float64),
+        nat_frames=np.array([count for _, count in helpful], dtype=np.int64),
+        quiet=right_aligned(quiet, QUIET_WINDOW),
+        quiet_count=np.array([len(one) for one in quiet], dtype=np.int64),
+        lost_count=np.array([one.lost.count for one in memories], dtype=np.int64),
+        lost_values=right_aligned([one.lost.values for one in memories], frames),
+        unfit_values=right_aligned([one.unfit.values for one in memories], frames),
+        found_count=np.array([one.found.count for one in memories], dtype=np.int64),
+        found_values=right_aligned([one.found.values for one in memories], frames),
+        is_lost=np.array(lost, dtype=np.bool_),
+        since=np.array([one.since for one in known], dtype=np.int64),
+        known_mean=stack([one.mean for one in known], width),
+        known_covariance=stack([one.covariance for one in known], width, width),
+        known_time=np.array([one.time for one in known], dtype=np.float64),
+        lost_frames=np.array([one.lost_frames for one in known], dtype=np.int64),
+        unseen_frames=np.array([one.unseen_frames for one in known], dtype=np.int64),
+    )
+    return Rows(rule, tuple(states), columns, time)
+
+
+def stack(arrays: Sequence[Floats], *shape: int) -> Floats:
+    """(T, *shape) arrays as one, also when there are none."""
+    return np.array(arrays, dtype=np.float64).reshape(len(arrays), *shape)
+
+
+def right_aligned(values: Sequence[tuple[float, ...]], size: int) -> Floats:
+    """(T, size) the values, the last of each at its right end."""
+    table = np.zeros((len(values), size))
+    for row, several in enumerate(values):
+        if several:
+            table[row, size - len(several) :] = several
+    return table

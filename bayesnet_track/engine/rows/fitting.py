@@ -1,0 +1,168 @@
+"""Which plates, and which targets of them, can be advanced as rows of a table; all others go one by one.
+
+A plate fits whose targets have a Kalman filter of a linear motion and one agent, which measures by the
+target's own detection. A target fits as long as nothing but its status was decided about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.memory import Memory, Streak
+from bayesnet_track.belief.contract import BOX_FIELDS
+from bayesnet_track.belief.gaussian.belief import GaussianFilter, GaussianPosterior
+from bayesnet_track.belief.gaussian.predict import require_linear
+from bayesnet_track.belief.motion.models import KinematicMotion
+from bayesnet_track.engine.compiled import CompiledPlate, Engine
+from bayesnet_track.engine.score import Scored
+from bayesnet_track.engine.state import TargetState
+from bayesnet_track.graph.spec import InferenceNode, Lost
+from bayesnet_track.inference.compile import Plan, compile_plan
+from bayesnet_track.inference.executor import is_elsewhere
+from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.observation.cue import OWN_DETECTION, AssociationRule
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class RowRule:
+    """What the rows of a plate have in common.
+
+    Attributes:
+        compiled: the plate.
+        agent: its only agent.
+        motion: how all of them move.
+        association: which detection is whose, and how far off detections are.
+        floor: of the agent's likelihood, the temperature taken in.
+        temperature: the agent's.
+        lost: when a target counts as lost.
+        counts: (4,) the fields of UD.
+        plan: the compiled net with the agent.
+    """
+
+    compiled: CompiledPlate
+    agent: str
+    motion: KinematicMotion
+    association: AssociationRule
+    floor: float
+    temperature: float
+    lost: Lost
+    counts: NDArray[np.bool_]
+    plan: Plan
+
+    @property
+    def plate(self) -> str:
+        """The plate's name."""
+        return self.compiled.plate.name
+
+    @property
+    def root(self) -> str:
+        """Its root node."""
+        return self.compiled.plate.root
+
+    @property
+    def active(self) -> frozenset[str]:
+        """The agents of a row that work: all."""
+        return self.plan.active
+
+
+def row_rule(engine: Engine, plate: str) -> RowRule | None:
+    """What the rows of a plate have in common; None where its targets have to go one by one."""
+    compiled = engine.plates[plate]
+    agents, motion = compiled.plate.agents, compiled.motion
+    if engine.joins or engine.target_executor is not None or len(compiled.association_rules) != 1:
+        return None
+    if len(agents) != 1 or len(compiled.plate.order) != 2 or is_elsewhere(compiled.cues[agents[0]]):
+        return None
+    agent, association = next(iter(compiled.association_rules.items()))
+    node, root = compiled.plate.agent(agent), compiled.plate.inference(compiled.plate.root)
+    is_plain = node.self_check is None and association.floor is not None and association.appearance == 0.0
+    if not (is_plain and _root_fits(root) and compiled.guard is None and compiled.moving is None):
+        return None
+    if not isinstance(motion, KinematicMotion) or not _belief_fits(compiled, motion):
+        return None
+    if compiled.lifecycle is not None:
+        again = compiled.lifecycle.reidentify
+        if again is not None and again.lost:
+            return None
+    return RowRule(
+        compiled,
+        agent,
+        motion,
+        association,
+        float(association.floor or 0.0) ** (1.0 / node.temperature),
+        node.temperature,
+        root.lost or Lost(),
+        np.array([name in root.ud_fields for name in BOX_FIELDS]),
+        compile_plan(compiled.plate, [agent], compiled.cues),
+    )
+
+
+def _root_fits(root: InferenceNode) -> bool:
+    estimate = "map" if root.estimate is None else root.estimate.kind
+    further = (root.adapt, root.learn, root.score, root.localization_error, root.distractors)
+    is_product = root.fuse is None or root.fuse.kind == "product"
+    return estimate in ("map", "mean") and is_product and all(one is None for one in further)
+
+
+def _belief_fits(compiled: CompiledPlate, motion: KinematicMotion) -> bool:
+    belief = compiled.belief
+    if not isinstance(belief, GaussianFilter) or belief.settings.gate < 1.0:
+        return False
+    if belief.settings.filter == "unscented" or belief.settings.likelihood != "sigma_points":
+        return False
+    try:
+        require_linear(motion)
+    except ValueError:
+        return False
+    return True
+
+
+def nets_fit(rule: RowRule, nets: Iterable[TargetNet]) -> bool:
+    """Whether nothing but their status was decided about live nets."""
+    return all(
+        net.template == rule.plate
+        and net.active == rule.active
+        and net.status != "uncertain"
+        and not (net.quarantined or net.by_hand or net.faults or net.shed or net.sampled or net.rest_count)
+        and net.most_particles is None
+        for net in nets
+    )
+
+
+def states_fit(rule: RowRule, states: Mapping[str, TargetState], time: float) -> bool:
+    """Whether the states are what a row holds, all of one time."""
+    return all(
+        state.time == time
+        and isinstance(state.belief, GaussianPosterior)
+        and state.plan.active == rule.active
+        and state.motion_context is None
+        and not (state.watched.slow or state.watched.parted or state.watched.frames)
+        and _is_plain(state.scored)
+        and state.references.keys() <= {rule.agent}
+        and state.references.get(rule.agent, {}).keys() <= {OWN_DETECTION}
+        and _memory_fits(rule, state.memory)
+        for state in states.values()
+    )
+
+
+def _is_plain(scored: Scored) -> bool:
+    return scored == Scored()
+
+
+def _memory_fits(rule: RowRule, memory: Memory) -> bool:
+    others = (memory.activate, memory.deactivate, memory.self_check, memory.worth, memory.missed)
+    quiet = memory.quiet.get(rule.root)
+    return (
+        not any(others)
+        and memory.seen == memory.unsure == Streak()
+        and memory.quiet.keys() <= {rule.root}
+        and (quiet is None or quiet.values.keys() == {rule.active})
+        and memory.helpful.keys() <= {rule.agent}
+        and memory.lost.count == memory.unfit.count
+    )

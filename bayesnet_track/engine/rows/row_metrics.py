@@ -1,0 +1,137 @@
+"""What was measured of the rows of a table, as columns; `FrameMetrics` of a target when somebody asks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from statistics import NormalDist
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.engine.frame_metrics import CLOUD_SIZE
+from bayesnet_track.engine.rows.columns import GIVEN, Rows
+from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.numerics.streams import Streams
+from bayesnet_track.observation.planes import Frame
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class RowMeasures:
+    """What was measured of T targets.
+
+    Attributes:
+        numbers: (T, 8) as `numerics.kernels.row_kernels.update_rows` has them.
+        quiet: (T,) baselines of UD, NaN while unknown.
+    """
+
+    numbers: Floats
+    quiet: Floats
+
+
+class RowMetrics(Sequence[FrameMetrics]):
+    """The metrics of one frame: a line per row, then those of targets that start in it.
+
+    Args:
+        rows: the targets after the frame.
+        measured: what was measured.
+        streams: all randomness: clouds are drawn when the lines are made.
+        frame: the frame.
+        was_lost: (T,) whether the status was lost before it.
+        born: the lines of targets that start in the frame.
+    """
+
+    def __init__(
+        self,
+        rows: Rows,
+        measured: RowMeasures,
+        streams: Streams,
+        frame: Frame,
+        was_lost: NDArray[np.bool_],
+        born: tuple[FrameMetrics, ...] = (),
+    ) -> None:
+        self.rows, self.measured, self.born = rows, measured, born
+        self._streams, self._was_lost = streams, was_lost
+        self._index, self._time_s = frame.index, frame.time_s
+        limits = np.array([[0.0, 0.0, 1.0, 1.0], [frame.width - 1.0, frame.height - 1.0] * 2])
+        limits[1, 2:] = 2.0 * frame.width, 2.0 * frame.height
+        self.boxes: Floats = np.clip(rows.columns.mean[:, :4], limits[0], limits[1])
+        variances = np.maximum(np.diagonal(rows.columns.covariance, axis1=1, axis2=2)[:, :4], 0.0)
+        self._sds = np.sqrt(variances)
+        area = np.maximum(measured.numbers[:, 7], 1.0)
+        self._scores = measured.numbers[:, 6] / (1.0 + measured.numbers[:, 5] / area)
+        self._regions = [self._region(share) for share in (0.5, 0.9)]
+        self._made: tuple[FrameMetrics, ...] | None = None
+
+    def with_born(self, born: Sequence[FrameMetrics]) -> RowMetrics:
+        """These, and targets that start."""
+        if not born:
+            return self
+        after = RowMetrics.__new__(RowMetrics)
+        after.__dict__.update(self.__dict__, born=(*self.born, *born), _made=None)
+        return after
+
+    def _region(self, share: float) -> Floats:
+        """(T, 4) the central `share` of the centres."""
+        centre = self.rows.columns.mean[:, :2]
+        reach = NormalDist().inv_cdf((1.0 + share) / 2.0) * self._sds[:, :2]
+        return np.stack([centre - reach, centre + reach], axis=2).reshape(-1, 4)
+
+    def _lines(self) -> tuple[FrameMetrics, ...]:
+        if self._made is None:
+            self._made = (*map(self._line, range(len(self.rows.ids))), *self.born)
+        return self._made
+
+    def _line(self, row: int) -> FrameMetrics:
+        rule, target, now = self.rows.rule, self.rows.ids[row], self.rows.columns
+        log_evidence, nats, ess, size, agent_ud, ud, _, _ = self.measured.numbers[row].tolist()
+        quiet = float(self.measured.quiet[row])
+        stream = partial(self._streams.of, target, rule.root, self._index)
+        belief = self.rows.state(row).belief
+        cloud = np.rint(belief.draw(CLOUD_SIZE, stream("cloud"))).astype(np.int64).tolist()
+        return FrameMetrics(
+            frame=self._index,
+            time_s=self._time_s,
+            target=target,
+            centre_box=tuple(self.boxes[row].tolist()),
+            map=tuple(now.mean[row, :4].tolist()),
+            sd=tuple(self._sds[row].tolist()),
+            ud_px2=ud,
+            ud_nodes={rule.root: ud},
+            quiet_px2=None if quiet != quiet else quiet,
+            status="lost" if self._was_lost[row] else "tracking",
+            score=float(self._scores[row]),
+            log_evidence=log_evidence,
+            surprise=nats,
+            ess=ess,
+            particles=int(size),
+            active=(rule.agent,),
+            kl={rule.agent: 0.0},
+            contribution={rule.agent: nats},
+            agent_ud_px2={rule.agent: agent_ud},
+            strength={rule.agent: nats},
+            learn_rate=0.0,
+            region50=tuple(self._regions[0][row].tolist()),
+            region90=tuple(self._regions[1][row].tolist()),
+            cloud=tuple(map(tuple, cloud)),
+            silent=() if now.given[row] == GIVEN else (rule.agent,),
+        )
+
+    @overload
+    def __getitem__(self, at: int) -> FrameMetrics: ...
+
+    @overload
+    def __getitem__(self, at: slice) -> tuple[FrameMetrics, ...]: ...
+
+    def __getitem__(self, at: int | slice) -> FrameMetrics | tuple[FrameMetrics, ...]:
+        return self._lines()[at]
+
+    def __iter__(self) -> Iterator[FrameMetrics]:
+        return iter(self._lines())
+
+    def __len__(self) -> int:
+        return len(self.rows.ids) + len(self.born)

@@ -1,0 +1,407 @@
+"""Compiled kernels over the rows of a table: one Gaussian belief a row, all of one linear motion.
+
+They do for T targets what `belief.gaussian` and `inference.measure` do for one, in a fixed order of
+arithmetic that no linear algebra library decides: a row's result does not depend on the rows beside it. All
+that they call stands in this file and constants come as arguments, so that no cached kernel is stale.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.numerics.compiled import compiled
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+@compiled
+def predict_rows(
+    mean: Floats, covariance: Floats, move: Floats, noise: Floats, image: Floats
+) -> tuple[Floats, Floats]:
+    """Means (T, D) and covariances (T, D, D) after m = F m, P = F P F' + Q, confined to an image.
+
+    Centres stay on the image (width, height), sizes from 1 px to twice the image's; the sds of a box are at
+    most those of one that may be anywhere (`belief.motion.bounds.Confined`).
+    """
+    count, size = mean.shape
+    new, spread = np.empty((count, size)), np.empty((count, size, size))
+    half = np.empty((size, size))
+    shrink = np.empty(size)
+    for t in range(count):
+        for i in range(size):
+            value = 0.0
+            for j in range(size):
+                if move[i, j] != 0.0:
+                    value += move[i, j] * mean[t, j]
+            new[t, i] = value
+            for k in range(size):
+                value = 0.0
+                for j in range(size):
+                    if move[i, j] != 0.0:
+                        value += move[i, j] * covariance[t, j, k]
+                half[i, k] = value
+        for i in range(size):
+            for k in range(size):
+                value = 0.0
+                for j in range(size):
+                    if move[k, j] != 0.0:
+                        value += half[i, j] * move[k, j]
+                spread[t, i, k] = value + noise[i, k]
+        for i in range(size):
+            for k in range(i):
+                both = 0.5 * (spread[t, i, k] + spread[t, k, i])
+                spread[t, i, k], spread[t, k, i] = both, both
+        is_wide = False
+        for k in range(size):
+            shrink[k] = 1.0
+        for k in range(4):
+            extent = image[k % 2]
+            low, high = (0.0, extent - 1.0) if k < 2 else (1.0, 2.0 * extent)
+            new[t, k] = min(max(new[t, k], low), high)
+            limit = math.sqrt((high - low) ** 2 / 12 + (new[t, k] - (low + high) / 2) ** 2)
+            sd = math.sqrt(spread[t, k, k])
+            if sd > limit:
+                shrink[k] = limit / sd
+                is_wide = True
+        if is_wide:
+            for i in range(size):
+                for k in range(size):
+                    spread[t, i, k] *= shrink[i] * shrink[k]
+    return new, spread
+
+
+@compiled
+def factor(matrix: Floats, lower: Floats, size: int) -> float:
+    """Fill `lower` with Cholesky's factor of the first `size` rows and columns; half the log determinant."""
+    half = 0.0
+    for j in range(size):
+        for i in range(j, size):
+            value = matrix[i, j]
+            for k in range(j):
+                value -= lower[i, k] * lower[j, k]
+            if i == j:
+                lower[j, j] = math.sqrt(max(value, 1e-300))
+                half += math.log(lower[j, j])
+            else:
+                lower[i, j] = value / lower[j, j]
+    return half
+
+
+@compiled
+def gate_rows(
+    mean: Floats,
+    covariance: Floats,
+    boxes: Floats,
+    variances: Floats,
+    order: Ints,
+    starts: Ints,
+    ends: Ints,
+    limit: float,
+    min_overlap: float,
+) -> tuple[Ints, Ints, Floats]:
+    """Which of the detections (N, 4) may be whose, of targets predicted with (T, D) and (T, D, D).
+
+    Rows, columns and gains (P,) of the pairs within the gate d^2 <= `limit` that overlap enough: the numbers
+    of `adapt.assign.gated_gains`. Looked at are the detections `order[starts[t]:ends[t]]`.
+    """
+    count = mean.shape[0]
+    room = 0
+    for t in range(count):
+        room += ends[t] - starts[t]
+    rows, columns, gains = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
+    spread, lower, away = np.empty((4, 4)), np.zeros((4, 4)), np.empty(4)
+    pairs = 0
+    for t in range(count):
+        for at in range(starts[t], ends[t]):
+            n = order[at]
+            dy = boxes[n, 1] - mean[t, 1]
+            if dy * dy > limit * (covariance[t, 1, 1] + variances[n, 1]) * (1.0 + 1e-9):
+                continue
+            shared, area, other = 1.0, 1.0, 1.0
+            for k in range(2):
+                low = max(mean[t, k] - mean[t, k + 2] / 2, boxes[n, k] - boxes[n, k + 2] / 2)
+                high = min(mean[t, k] + mean[t, k + 2] / 2, boxes[n, k] + boxes[n, k + 2] / 2)
+                shared *= max(high - low, 0.0)
+                area *= mean[t, k + 2]
+                other *= boxes[n, k + 2]
+            union = area + other - shared
+            if (shared / union if union > 0 else 0.0) < min_overlap:
+                continue
+            for i in range(4):
+                away[i] = boxes[n, i] - mean[t, i]
+                for j in range(4):
+                    spread[i, j] = covariance[t, i, j]
+                spread[i, i] += variances[n, i]
+            half = factor(spread, lower, 4)
+            d2 = 0.0
+            for i in range(4):
+                value = away[i]
+                for j in range(i):
+                    value -= lower[i, j] * away[j]
+                away[i] = value / lower[i, i]
+                d2 += away[i] * away[i]
+            if d2 <= limit:
+                rows[pairs], columns[pairs], gains[pairs] = t, n, -0.5 * (d2 + 2.0 * half)
+                pairs += 1
+    return rows[:pairs].copy(), columns[:pairs].copy(), gains[:pairs].copy()
+
+
+@compiled
+def find_group(parents: Ints, one: int) -> int:
+    """The number of the group that `one` is in."""
+    while parents[one] != one:
+        parents[one] = parents[parents[one]]
+        one = parents[one]
+    return one
+
+
+@compiled
+def settle_pairs(rows: Ints, columns: Ints, gains: Floats, count: int, found: int) -> tuple[Ints, Ints]:
+    """Assign where it is plain: (T,) columns of the rows or -1, and of each pair (P,) its open group or -1.
+
+    Rows and columns that pairs connect form a group. Where the best columns of all its rows differ, or the
+    best rows of all its columns do, these are as many pairs as can be, and the best.
+    """
+    owner = np.full(count, -1)
+    parents = np.arange(count + found)
+    best_of_row, best_of_column = np.full(count, -1), np.full(found, -1)
+    for p in range(rows.shape[0]):
+        t, n = rows[p], columns[p]
+        if best_of_row[t] < 0 or gains[p] > gains[best_of_row[t]]:
+            best_of_row[t] = p
+        if best_of_column[n] < 0 or gains[p] > gains[best_of_column[n]]:
+            best_of_column[n] = p
+        first, second = find_group(parents, t), find_group(parents, count + n)
+        if first != second:
+            parents[second] = first
+    taken_columns, taken_rows = np.zeros(found, np.bool_), np.zeros(count, np.bool_)
+    by_rows, by_columns = np.ones(count + found, np.bool_), np.ones(count + found, np.bool_)
+    for t in range(count):
+        if best_of_row[t] >= 0:
+            n = columns[best_of_row[t]]
+            if taken_columns[n]:
+                by_rows[find_group(parents, t)] = False
+            taken_columns[n] = True
+    for n in range(found):
+        if best_of_column[n] >= 0:
+            t = rows[best_of_column[n]]
+            if taken_rows[t]:
+                by_columns[find_group(parents, count + n)] = False
+            taken_rows[t] = True
+    group = np.full(rows.shape[0], -1)
+    for p in range(rows.shape[0]):
+        own = find_group(parents, rows[p])
+        if by_rows[own]:
+            if best_of_row[rows[p]] == p:
+                owner[rows[p]] = columns[p]
+        elif by_columns[own]:
+            if best_of_column[columns[p]] == p:
+                owner[rows[p]] = columns[p]
+        else:
+            group[p] = own
+    return owner, group
+
+
+@compiled
+def root_of(covariance: Floats, lower: Floats, rest: Floats, scale: Floats, alone: float) -> int:
+    """Fill `lower` (D, K) as `numerics.gaussian.root` does; K."""
+    size = covariance.shape[0]
+    for i in range(size):
+        sd = math.sqrt(max(covariance[i, i], 0.0))
+        scale[i] = sd if sd > 0 else 1.0
+    for i in range(size):
+        for j in range(size):
+            rest[i, j] = covariance[i, j] / (scale[i] * scale[j])
+    width = 0
+    for k in range(size):
+        if rest[k, k] > alone:
+            by = math.sqrt(rest[k, k])
+            for i in range(size):
+                lower[i, width] = rest[i, k] / by
+            for i in range(size):
+                for j in range(size):
+                    rest[i, j] -= lower[i, width] * lower[j, width]
+            width += 1
+    for i in range(size):
+        for k in range(width):
+            lower[i, k] *= scale[i]
+    return width
+
+
+@compiled
+def correct_row(mean: Floats, covariance: Floats, away: Floats, variances: Floats, work: Floats) -> float:
+    """The Kalman update of a row by a measurement of its box, in place, Joseph's form; its log likelihood.
+
+    `away` (4,) is what was measured less the mean; `work` (3, D, D) is room to work in.
+    """
+    size = mean.shape[0]
+    gain, kept, half = work[0], work[1], work[2]
+    spread, lower, seen = np.empty((4, 4)), np.zeros((4, 4)), np.empty(4)
+    for i in range(4):
+        for j in range(4):
+            spread[i, j] = covariance[i, j]
+        spread[i, i] += variances[i]
+    half_log = factor(spread, lower, 4)
+    d2, log_noise = 0.0, 0.0
+    for i in range(4):
+        value = away[i]
+        for j in range(i):
+            value -= lower[i, j] * seen[j]
+        seen[i] = value / lower[i, i]
+        d2 += seen[i] * seen[i]
+        log_noise += math.log(variances[i])
+    for k in range(size):  # gain = P H' S^-1, a row at a time
+        for i in range(4):
+            value = covariance[k, i]
+            for j in range(i):
+                value -= lower[i, j] * gain[k, j]
+            gain[k, i] = value / lower[i, i]
+        for i in range(3, -1, -1):
+            value = gain[k, i]
+            for j in range(i + 1, 4):
+                value -= lower[j, i] * gain[k, j]
+            gain[k, i] = value / lower[i, i]
+    for k in range(size):
+        for i in range(4):
+            mean[k] += gain[k, i] * away[i]
+        for i in range(size):
+            kept[k, i] = (1.0 if k == i else 0.0) - (gain[k, i] if i < 4 else 0.0)
+    for i in range(size):
+        for k in range(size):
+            value = 0.0
+            for j in range(size):
+                value += kept[i, j] * covariance[j, k]
+            half[i, k] = value
+    for i in range(size):
+        for k in range(i + 1):
+            value, other = 0.0, 0.0
+            for j in range(size):
+                value += half[i, j] * kept[k, j]
+                other += half[k, j] * kept[i, j]
+            noise = 0.0
+            for j in range(4):
+                noise += gain[i, j] * variances[j] * gain[k, j]
+            both = 0.5 * (value + other) + noise
+            covariance[i, k], covariance[k, i] = both, both
+    return 0.5 * log_noise - half_log - 0.5 * d2
+
+
+@compiled
+def update_rows(
+    mean: Floats,
+    covariance: Floats,
+    own: Floats,
+    seen: Bools,
+    variances: Floats,
+    floor: float,
+    image: Floats,
+    counts: Bools,
+    alone: float,
+) -> Floats:
+    """Update rows (T, D), (T, D, D) in place by the boxes `own` (T, 4) of those `seen`; (T, 8) of each.
+
+    The columns: log evidence; KL of the hypotheses' posterior from their prior; effective sample size; number
+    of hypotheses; the agent's UD; UD; best likelihood (0 where not seen); area of the mean box. The
+    hypotheses are the sigma points; `counts` (4,) are the fields of UD.
+    """
+    count, size = mean.shape
+    found = np.zeros((count, 8))
+    lower, rest, scale = np.zeros((size, size)), np.empty((size, size)), np.empty(size)
+    boxes, work = np.empty((2 * size + 1, 4)), np.empty((3, size, size))
+    log, prior, away = np.empty(2 * size + 1), np.empty(2 * size + 1), np.empty(4)
+    for t in range(count):
+        width = root_of(covariance[t], lower, rest, scale, alone)
+        points = 2 * width + 1
+        far = math.sqrt(width + 1.0)
+        for n in range(points):
+            prior[n] = -math.log(width + 1.0) if n == 0 else -math.log(2.0 * (width + 1.0))
+            d2 = 0.0
+            for k in range(4):
+                value = mean[t, k]
+                if n > 0:
+                    step = far * lower[k, (n - 1) % width]
+                    value = value + step if n <= width else value - step
+                extent = image[k % 2]
+                low, high = (0.0, extent - 1.0) if k < 2 else (1.0, 2.0 * extent)
+                value = min(max(value, low), high)
+                boxes[n, k] = value
+                if seen[t]:
+                    d2 += (value - own[t, k]) ** 2 / variances[t, k]
+            log[n] = 0.0
+            if seen[t]:
+                log[n] = min(math.log(floor + (1.0 - floor) * math.exp(-0.5 * d2)), 0.0)
+        # The covariance as its root has it, as where agents' likelihoods are fitted.
+        for i in range(size):
+            for k in range(i + 1):
+                value = 0.0
+                for j in range(width):
+                    value += lower[i, j] * lower[k, j]
+                covariance[t, i, k], covariance[t, k, i] = value, value
+        best, top = 0, -np.inf
+        for n in range(points):
+            if log[n] > log[best]:
+                best = n
+            top = max(top, prior[n] + log[n])
+        total = 0.0
+        for n in range(points):
+            total += math.exp(prior[n] + log[n] - top)
+        total = top + math.log(total)
+        moved, squares, agent_ud = 0.0, 0.0, 0.0
+        for n in range(points):
+            weight = math.exp(prior[n] + log[n] - total)
+            moved += weight * (log[n] - total)
+            squares += weight * weight
+            for k in range(4):
+                if counts[k]:
+                    agent_ud += weight * (boxes[n, k] - boxes[best, k]) ** 2
+        if seen[t]:
+            for k in range(4):
+                away[k] = own[t, k] - mean[t, k]
+            found[t, 0] = correct_row(mean[t], covariance[t], away, variances[t], work)
+            found[t, 1] = max(moved, 0.0)
+            found[t, 6] = math.exp(log[best])
+        found[t, 2], found[t, 3], found[t, 4] = 1.0 / squares, points, agent_ud
+        for k in range(4):
+            if counts[k]:
+                found[t, 5] += covariance[t, k, k]
+        mean[t, 2], mean[t, 3] = max(mean[t, 2], 1.0), max(mean[t, 3], 1.0)
+        sides = 1.0
+        for k in range(2):
+            sides *= min(max(mean[t, k + 2], 1.0), 2.0 * image[k])
+        found[t, 7] = sides
+    return found
+
+
+@compiled
+def append_medians(
+    values: Floats, counts: Ints, new: Floats, adds: Bools, least: int
+) -> tuple[Floats, Ints, Floats]:
+    """The windows (T, W) of last values, filled from the right, with one more in the rows that `adds`.
+
+    Also how many each holds, and their medians; NaN where there are fewer than `least`.
+    """
+    rows, size = values.shape
+    after, held, medians = values.copy(), counts.copy(), np.full(rows, np.nan)
+    ordered = np.empty(size)
+    for t in range(rows):
+        if adds[t]:
+            for k in range(size - 1):
+                after[t, k] = values[t, k + 1]
+            after[t, size - 1] = new[t]
+            held[t] = min(counts[t] + 1, size)
+        n = held[t]
+        if n >= least:
+            for k in range(n):
+                value, at = after[t, size - n + k], k
+                while at > 0 and ordered[at - 1] > value:
+                    ordered[at] = ordered[at - 1]
+                    at -= 1
+                ordered[at] = value
+            middle = n // 2
+            medians[t] = ordered[middle] if n % 2 else (ordered[middle - 1] + ordered[middle]) / 2
+    return after, held, medians

@@ -1,0 +1,207 @@
+"""Targets as rows of a table: the same results as one by one, and of one target as without the others."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayesnet_track.engine import step as steps
+from bayesnet_track.engine.rows.advancing import share_out
+from bayesnet_track.engine.rows.columns import RowRecords, RowStates, make_rows
+from bayesnet_track.engine.rows.finding import find_rows
+from bayesnet_track.engine.rows.fitting import row_rule
+from bayesnet_track.engine.rows.row_metrics import RowMetrics
+from bayesnet_track.engine.rows.row_table import RowTable
+from bayesnet_track.engine.starts import start_targets
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.journal.codec import to_json
+from bayesnet_track.journal.events.by_hand import Released, Toggled
+from bayesnet_track.journal.events.load import LateFrame
+from bayesnet_track.observation.detector import Detections
+from bayesnet_track.observation.planes import Frame
+from bayesnet_track.sources.detection_files import FileDetector
+from bayesnet_track.sources.scenes.crowd_detector import DetectorSettings, detect_crowd
+from bayesnet_track.sources.scenes.walkers import CrowdSettings, make_crowd
+
+IMAGE = np.zeros((480, 720, 3), np.uint8)
+FRAMES = 45
+
+
+@pytest.fixture(scope="module")
+def graph():
+    """The graph with room for a crowd, quick to give targets up."""
+    written = load_graph("kalman_detections").spec.model_dump(exclude_unset=True)
+    (plate,) = written["targets"].values()
+    plate["birth"]["detector"] = {"detections": {"max_count": 200, "max_overlap": 0.9}}
+    plate["death"]["unseen_frames"] = 8
+    return load_graph(written)
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Detections of people who come, go and run side by side, with misses and false boxes."""
+    people = CrowdSettings(720, 480, 110, 9, births=0.2, life=30.0, crossings=2, beside=2)
+    reported = detect_crowd(make_crowd(people, 4), DetectorSettings(missed=0.25, clutter=2.0), 4)
+    return {index: one.detections for index, one in enumerate(reported[30 : 30 + FRAMES])}
+
+
+def outcomes(graph, found, inputs=None, frames=FRAMES):
+    """An outcome per frame."""
+    engine = steps.make_engine(graph, 0, detectors={"detections": FileDetector(found)})
+    done = []
+    for index in range(frames):
+        frame = Frame(index=index, time=float(index), time_s=index / 25, image=IMAGE)
+        given = (inputs or {}).get(index, ())
+        if done:
+            done.append(steps.step(engine, done[-1].state, frame, given))
+        else:
+            done.append(start_targets(graph, engine, frame, ()))
+    return done
+
+
+@pytest.fixture
+def one_by_one(monkeypatch):
+    """Runs in which no target goes as a row."""
+
+    def run(*arguments):
+        with monkeypatch.context() as patched:
+            patched.setattr(steps, "find_rows", lambda work, state: None)
+            return outcomes(*arguments)
+
+    return run
+
+
+def numbers(value, path=""):
+    """Path -> number of everything in a line."""
+    if isinstance(value, dict):
+        return {k: v for key, one in value.items() for k, v in numbers(one, f"{path}.{key}").items()}
+    if isinstance(value, list):
+        return {k: v for key, one in enumerate(value) for k, v in numbers(one, f"{path}.{key}").items()}
+    return {path: value}
+
+
+def assert_alike(rows, singles):
+    """Events are the same bytes; metrics differ by rounding in what is next to nothing."""
+    assert [[to_json(one) for one in o.events] for o in rows] == [
+        [to_json(one) for one in o.events] for o in singles
+    ]
+    for own, other in zip(rows, singles, strict=True):
+        assert len(own.metrics) == len(other.metrics)
+        assert own.state.net == other.state.net
+        for a, b in zip(own.metrics, other.metrics, strict=True):
+            a, b = numbers(json.loads(to_json(a))), numbers(json.loads(to_json(b)))
+            assert a.keys() == b.keys()
+            for key in a:
+                is_number = type(a[key]) is float
+                assert (
+                    a[key] == pytest.approx(b[key], rel=1e-8, abs=1e-13) if is_number else a[key] == b[key]
+                ), key
+
+
+def test_rows_and_single_targets_agree(graph, found, one_by_one):
+    rows, singles = outcomes(graph, found), one_by_one(graph, found)
+    assert sum(isinstance(one.metrics, RowMetrics) for one in rows) > FRAMES - 8
+    kinds = {type(event).__name__ for one in rows for event in one.events}
+    assert {"TargetStarted", "StatusChanged", "TargetDied"} <= kinds
+    assert_alike(rows, singles)
+    last, other = rows[-1].state, singles[-1].state
+    assert list(last.targets) == list(other.targets)
+    for target in other.targets:
+        own, its = last.targets[target], other.targets[target]
+        np.testing.assert_allclose(own.belief.covariance, its.belief.covariance, rtol=1e-9, atol=1e-12)
+        assert own.memory.lost.count == its.memory.lost.count
+        assert own.memory.quiet.keys() == its.memory.quiet.keys()
+        assert own.references.keys() == its.references.keys()
+        record = last.history.records[target]
+        assert (record.since, record.unseen_frames) == (
+            other.history.records[target].since,
+            other.history.records[target].unseen_frames,
+        )
+
+
+def test_one_that_is_switched_by_hand_sends_all_one_by_one_until_it_is_released(graph, found, one_by_one):
+    target = next(iter(outcomes(graph, found, None, 12)[-1].state.targets))
+    inputs = {12: (Toggled(0, target, "seen", False),), 15: (Released(0, target, "seen"),)}
+    inputs |= {16: (Toggled(0, target, "seen", True),), 18: (Released(0, target, "seen"),)}
+    rows = outcomes(graph, found, inputs, 30)
+    assert [isinstance(rows[k].metrics, RowMetrics) for k in (11, 12, 13, 17)] == [True, False, False, False]
+    assert_alike(rows, one_by_one(graph, found, inputs, 30))
+
+
+def test_a_late_frame_changes_nothing_but_what_is_shed(graph, found, one_by_one):
+    inputs = {20: (LateFrame(0, 0.05, 0.04),)}
+    assert_alike(outcomes(graph, found, inputs, 24), one_by_one(graph, found, inputs, 24))
+
+
+def test_a_track_is_the_same_bytes_alone_and_in_a_crowd(graph):
+    rng = np.random.default_rng(0)
+    path = np.column_stack([60 + 3.0 * np.arange(40), np.full(40, 60.0)])
+    first = np.column_stack([path, np.tile([30.0, 60.0], (40, 1))]) + rng.normal(0, 1, (40, 4))
+    others = np.column_stack([rng.uniform(100, 600, 25), rng.uniform(200, 400, 25), np.full((25, 2), 18.0)])
+
+    def lines(crowd):
+        several = {
+            frame: np.concatenate(
+                [box[None], crowd + rng.normal(0, 1, crowd.shape) if frame > 5 else crowd[:0]]
+            )
+            for frame, box in enumerate(first)
+        }
+        found = {
+            k: Detections(boxes, np.ones(len(boxes)), ("",) * len(boxes)) for k, boxes in several.items()
+        }
+        metrics = [one for outcome in outcomes(graph, found, None, 40) for one in outcome.metrics]
+        return [to_json(one) for one in metrics if one.target == "1"], len({one.target for one in metrics})
+
+    (alone, one), (among, several) = lines(others[:0]), lines(others)
+    assert one == 1 and several > 20 and len(alone) > 30
+    assert among == alone
+
+
+def test_states_and_records_are_made_when_they_are_asked_for(graph, found):
+    done = outcomes(graph, found, None, 25)
+    state = done[-1].state
+    assert isinstance(state.targets, RowStates) and isinstance(state.history.records, RowRecords)
+    target = next(iter(state.targets))
+    assert state.targets[target] is state.targets[target]
+    again = make_rows(
+        state.targets.rows.rule,
+        dict(state.targets),
+        dict(state.history.records),
+        [net.status == "lost" for net in state.net.targets.values()],
+        state.previous.time,
+    )
+    for name, column in vars(state.targets.rows.columns).items():
+        other = getattr(again.columns, name)
+        if name == "own":
+            column, other = column[again.columns.given == 2], other[again.columns.given == 2]
+        elif "values" not in name:
+            np.testing.assert_array_equal(column, other, err_msg=name)
+    with pytest.raises(KeyError):
+        state.targets["nobody"]
+
+
+def test_no_target_gets_a_detection_where_there_are_none(graph, found):
+    state = outcomes(graph, found, None, 15)[-1].state
+    rows = state.targets.rows
+    seen = Detections(np.empty((0, 4)), np.empty(0), ())
+    columns = replace(rows.columns)
+    predicted = type("Predicted", (), {"mean": columns.mean, "covariance": columns.covariance})
+    assert set(share_out(rows.rule, predicted, seen).tolist()) == {-1}
+
+
+@pytest.mark.parametrize("name", ["general", "crowd", "kalman_ball", "people_detections"])
+def test_other_graphs_go_one_by_one(name):
+    checked = load_graph(name)
+    given = {"detections": FileDetector({})} if name == "people_detections" else None
+    engine = steps.make_engine(checked, 0, detectors=given)
+    assert [row_rule(engine, plate) for plate in checked.targets] == [None] * len(checked.targets)
+
+
+def test_the_table_of_rows_is_the_one_that_lives_are_managed_in(graph, found):
+    done = outcomes(graph, found, None, 15)
+    engine = steps.make_engine(graph, 0, detectors={"detections": FileDetector(found)})
+    table = RowTable.of(engine, replace(done[-1], state=done[-1].state))
+    assert table.of_plate("target") == list(done[-1].metrics.rows.ids)
+    assert table.of_plate("other") == []
+    assert find_rows is steps.find_rows
