@@ -1,0 +1,172 @@
+"""What a frame of many targets costs `kalman_detections`, SORT, ByteTrack, OC-SORT and norfair.
+
+    python benchmarks/crowd_speed.py [--peers-python PEERS/bin/python] [--counts 10,50,200,1000]
+
+Detections only, no pixels are read: people wander over 1920x1080 px, 10 % of detections are missed, sizes are
+off by 5 %, positions by 3 px; beyond 200 people the image grows, so that the crowd is as dense as with 200.
+Everything runs on one thread, the peers first, then ours, in one run: ratios say more than times. Times are
+medians over the frames after the thirtieth; ours is the step, with association, UD, KL, metrics and
+decisions, and beside it what writing the frame down takes, where the lines of metrics are made, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import cProfile
+import json
+import os
+import pstats
+import subprocess
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from measuring import environment, on_one_thread, table
+
+from bayesnet_track.engine.starts import start_targets
+from bayesnet_track.engine.step import Engine, State, make_engine, step
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.numerics.boxes import corner_from_centre
+from bayesnet_track.observation.detector import Detections
+from bayesnet_track.observation.planes import Frame
+from bayesnet_track.runtime.recording.record import Recorder
+from bayesnet_track.runtime.recording.rundir import RunDirectory
+from bayesnet_track.runtime.results import Result
+from bayesnet_track.sources.detection_files import FileDetector
+from bayesnet_track.sources.scenes.crowd_detector import DetectorSettings, detect_crowd
+from bayesnet_track.sources.scenes.walkers import CrowdSettings, make_crowd
+
+WARM_UP = 30
+PEERS = Path(__file__).with_name("crowd_speed_peers.py")
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What so many targets cost.
+
+    Attributes:
+        step_ms: median time of the step.
+        files_ms: median time of writing the frame down.
+        targets: live targets after the last frame.
+        bytes_a_target: journal, metrics and tracks per target and frame.
+    """
+
+    step_ms: float
+    files_ms: float
+    targets: int
+    bytes_a_target: float
+
+
+def crowd(count: int, frames: int) -> tuple[tuple[int, int], dict[int, Detections]]:
+    """Width and height of the image, and the detections of each frame."""
+    side = max(1.0, (count / 200) ** 0.5)
+    size = round(1920 * side), round(1080 * side)
+    people = CrowdSettings(*size, frames, count, births=0.0, life=1e9, crossings=0, beside=0)
+    reported = detect_crowd(make_crowd(people), DetectorSettings(missed=0.1, clutter=0.0))
+    return size, {index: one.detections for index, one in enumerate(reported)}
+
+
+def graph_of(name: str) -> CheckedGraph:
+    """A graph with room for all targets, its detections taken as they are."""
+    written = load_graph(name).spec.model_dump(exclude_unset=True)
+    (plate,) = written["targets"].values()
+    plate["birth"]["max_targets"] = 1000
+    plate["birth"]["detector"] = {"detections": {"max_count": 1000, "max_overlap": 1.0}}
+    return load_graph(written)
+
+
+def measured(engine: Engine, graph: CheckedGraph, size: tuple[int, int], frames: int) -> Cost:
+    """The cost of the frames after the warm-up."""
+    image = np.zeros((size[1], size[0], 3), np.uint8)
+    steps, files = [], []
+    state: State | None = None
+    with tempfile.TemporaryDirectory() as folder:
+        directory = RunDirectory(Path(folder) / "run")
+        directory.path.mkdir()
+        with Recorder(directory, graph, 0.04) as recorder:
+            for index in range(frames):
+                frame = Frame(index=index, time=float(index), time_s=index / 25, image=image)
+                started = time.perf_counter()
+                if state is None:
+                    outcome = start_targets(graph, engine, frame, ())
+                else:
+                    outcome = step(engine, state, frame)
+                stepped = time.perf_counter()
+                state = outcome.state
+                for event in outcome.events:
+                    recorder.event(event)
+                recorder.frame(Result(frame, outcome.metrics, {}, (), {}, stepped - started))
+                steps.append(stepped - started)
+                files.append(time.perf_counter() - stepped)
+        written = sum(one.stat().st_size for one in directory.path.iterdir())
+    assert state is not None
+    live = len(state.targets)
+    median = [1e3 * float(np.median(seconds[WARM_UP:])) for seconds in (steps, files)]
+    return Cost(*median, live, written / max(frames * live, 1))
+
+
+def peers(python: str, found: dict[int, Detections]) -> dict[str, Any]:
+    """What the peers' script says of the same detections."""
+    corners = []
+    for index in sorted(found):
+        left = corner_from_centre(found[index].boxes)
+        corners.append(np.column_stack([left[:, :2], left[:, :2] + left[:, 2:]]).tolist())
+    done = subprocess.run([python, str(PEERS)], input=json.dumps(corners), capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(f"{python}: {done.stderr[-2000:]}")
+    answer: dict[str, Any] = json.loads(done.stdout)
+    return answer
+
+
+def row(count: int, cost: Cost, others: dict[str, Any]) -> list[str]:
+    """A line of the table."""
+    cells = [str(count), str(cost.targets), f"{cost.step_ms:.2f}", f"{1e3 * cost.step_ms / count:.0f}"]
+    cells += [f"{cost.files_ms:.2f}", f"{cost.bytes_a_target:.0f}"]
+    for one in others.values():
+        cells.append(f"{1e3 * float(np.median(one['seconds'][WARM_UP:])):.2f}")
+    if "SORT" in others:
+        cells.append(f"{cost.step_ms / (1e3 * float(np.median(others['SORT']['seconds'][WARM_UP:]))):.2f}")
+    return cells
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser.add_argument("--peers-python", help="interpreter of an environment with trackers and norfair")
+    parser.add_argument("--graph", default="kalman_detections")
+    parser.add_argument("--counts", default="10,50,200,1000", help="numbers of people")
+    parser.add_argument("--frames", type=int, default=120, help="frames of each setting")
+    parser.add_argument("--profile", action="store_true", help="say where the time goes, instead")
+    chosen = parser.parse_args()
+    on_one_thread()
+    print(f"{environment()}; load {os.getloadavg()[0]:.1f}")
+    rows: list[Sequence[str]] = []
+    names: list[str] = []
+    for count in (int(word) for word in chosen.counts.split(",")):
+        size, found = crowd(count, chosen.frames)
+        graph = graph_of(chosen.graph)
+        engine = make_engine(graph, 0, detectors={"detections": FileDetector(found)})
+        if chosen.profile:
+            profile = cProfile.Profile()
+            profile.runcall(measured, engine, graph, size, chosen.frames)
+            pstats.Stats(profile).sort_stats("tottime").print_stats(45)
+            continue
+        others: dict[str, Any] = {}
+        if chosen.peers_python:
+            answer = peers(chosen.peers_python, found)
+            others, names = answer["figures"], [*answer["figures"]]
+            print(f"{count} people: {answer['versions']}")
+        rows.append(row(count, measured(engine, graph, size, chosen.frames), others))
+    head = ["people", "targets", "step [ms]", "per person [us]", "files [ms]", "bytes per target and frame"]
+    head += [f"{name} [ms]" for name in names] + (["step / SORT"] if names else [])
+    if rows:
+        print(table(head, rows))
+
+
+if __name__ == "__main__":
+    main()
