@@ -90,11 +90,15 @@ def follow(
 class Narrator:
     """Prints every decision and notice when it comes, as `log` does later."""
 
+    def __init__(self) -> None:
+        self._kinds: dict[str, str] = {}
+
     def event(self, event: Event) -> None:
         """One sentence."""
-        from bayesnet_track.journal.text.explain import explain
+        from bayesnet_track.journal.text.naming import kinds_of, narrate
 
-        complain(explain(event, True))
+        self._kinds |= kinds_of([event])
+        complain(narrate(event, self._kinds, True))
 
     def frame(self, result: Result) -> None:
         """Of a frame only its events are told."""
@@ -102,7 +106,8 @@ class Narrator:
 
 def _show(progress: Progress, summary: Summary, result: Result) -> None:
     active = dict.fromkeys(agent for metrics in result.targets for agent in metrics.active)
-    lost = [metrics.target for metrics in result.targets if metrics.status == "lost"]
+    kinds = result.kinds
+    lost = [f"{kinds.get(m.target, 'target')} {m.target}" for m in result.targets if m.status == "lost"]
     status = ("tracking" if result.targets else "no target") if not lost else "lost"
     if not lost and any(metrics.status == "uncertain" for metrics in result.targets):
         status = "uncertain"

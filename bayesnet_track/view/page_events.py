@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 from bayesnet_track.journal.codec import event_name
@@ -17,6 +18,7 @@ from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.journal.switches import turns_on
+from bayesnet_track.journal.text.naming import kinds_of, name_targets
 from bayesnet_track.journal.text.sentences import explain
 
 LIVES = (TargetStarted, Returned, Reacquired, TargetDied, DuplicateEnded, Joined, Parted)
@@ -27,18 +29,20 @@ _FRAME = re.compile(r"^frame \d+(?:, target [^:]*)?: ")
 
 def event_rows(events: Iterable[Event]) -> list[dict[str, Any]]:
     """`event_row` of every event that happened in a frame, in order."""
-    return [event_row(event) for event in events if not isinstance(event, RunStarted | RunEnded)]
+    every = list(events)
+    kinds = kinds_of(every)
+    return [event_row(event, kinds) for event in every if not isinstance(event, RunStarted | RunEnded)]
 
 
-def event_row(event: Event) -> dict[str, Any]:
-    """One event of a frame as plain data.
+def event_row(event: Event, kinds: Mapping[str, str] = MappingProxyType({})) -> dict[str, Any]:
+    """One event of a frame as plain data; `kinds` names targets by their type.
 
     Keys: `frame`; `target`, `other` and `node` where it has them; `kind`, its name in the journal; `sort`:
     switch (an agent on or off), life (of a target, or of a pair), status, or note (everything else); `on`:
     whether a switch turned the agent on; `status`: the new one; `what` happened, `why`, and what would have
     prevented it (`unless`), the pieces of its sentence, of which the last two may be empty.
     """
-    sentence = _FRAME.sub("", explain(event))
+    sentence = name_targets(_FRAME.sub("", explain(event)), kinds)
     described, *prevented = _PREVENTED.split(sentence, maxsplit=1)
     why, arrow, what = described.partition(ARROW)
     row: dict[str, Any] = {

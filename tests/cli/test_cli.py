@@ -315,7 +315,7 @@ def test_several_targets_with_plates(cli, images, two_plates, tmp_path):
     ]
     assert {line.split(",")[1] for line in lines_of(out / "tracks.txt")} == {"1", "2", "3"}
     output = [line for line in cli("log", out)[1].splitlines() if line.startswith("frame ")]
-    assert output and all(re.search("target [123]", line) for line in output)
+    assert output and all(re.match(r"frame \d+[:,] (ball 1|bat 2|ball 3)\b", line) for line in output)
 
 
 @pytest.mark.parametrize("init", ["--init -3,14,16,12", "--init=-3,14,16,12", "--init ' -3, 14, 16, 12'"])
@@ -375,7 +375,7 @@ def test_json_is_one_object_that_sums_the_run_up(cli, images, tmp_path):
 
 def test_verbose_prints_decisions_when_they_are_made(cli, tmp_path):
     code, _, err = cli("demo two_squares --end 10 -v --out", tmp_path / "run")
-    assert code == 0 and "frame 6, target 1: UD " in err and "fps" not in err
+    assert code == 0 and "frame 6, square 1: UD " in err and "fps" not in err
 
 
 @pytest.mark.parametrize(("option", "code", "frames"), [("", 5, 4), (" --on-resize rescale", 0, 8)])
@@ -860,7 +860,7 @@ def test_log_tells_the_run_as_sentences(cli, demo_run):
         lines[0].startswith("run of two_squares (")
         and lines[-1] == "run ended after 60 frames: end of source"
     )
-    assert lines[1].startswith("frame 0: target 1 starts as square")
+    assert lines[1].startswith("frame 0: square 1 starts, centre")
     assert re.match(r"frame \d+: UD \S+ px² < \d+ for \d+ frames → motion off \(largest KL ", lines[2])
     assert len(lines) == len(list(read_events(demo_run / "journal.jsonl")))
 

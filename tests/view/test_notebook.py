@@ -70,7 +70,7 @@ def test_a_plan_is_a_table_of_its_steps():
 def test_a_run_shows_figures_timelines_and_reasons(run):
     html = run._repr_html_()
     text = parsed(html)
-    assert html.count("<svg") == 2 and "seed 0" in text and "target 1 starts as" in text
+    assert html.count("<svg") == 2 and "seed 0" in text and "orange 1 starts, " in text
     assert str(run.directory.path) in text
     parsed(run.timeline("2"))
     assert repr(run) == f"Run({run.name!r}: 10 frames, 2 targets)"  # what a notebook keeps beside the HTML

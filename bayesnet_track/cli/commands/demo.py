@@ -56,7 +56,8 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     from bayesnet_track.evaluate.runs import score_run
     from bayesnet_track.graph.text.load import load_graph
     from bayesnet_track.journal.reader import read_events
-    from bayesnet_track.journal.text.explain import explain, has_several_targets
+    from bayesnet_track.journal.text.explain import has_several_targets
+    from bayesnet_track.journal.text.naming import kinds_of, narrate
     from bayesnet_track.runtime.recording.rundir import RunDirectory
     from bayesnet_track.runtime.run import Start
     from bayesnet_track.sources.scene_source import SceneSource
@@ -80,13 +81,14 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     if directory is None or options.quiet or options.json:
         return code
     events = list(read_events(directory.journal))
-    name_target = has_several_targets(events)
+    name_target, kinds = has_several_targets(events), kinds_of(events)
     if not options.verbose:
         say("\nwhat was decided, and why:")
         for event in events:
-            say(explain(event, name_target))
+            say(narrate(event, kinds, name_target))
     if starts:
-        say(f"\nagainst the ground truth{' of target 1' if name_target else ''}:")
+        whose = f" of {kinds['1']} 1" if name_target else ""
+        say(f"\nagainst the ground truth{whose}:")
         say(score_run(out, directory.truth, target="1").text(explained=True))
     explained_frame = min(29, source.expected_frames - 1)
     say(

@@ -19,7 +19,8 @@ def log(options: argparse.Namespace) -> int:
     """Tell a run's reconfigurations."""
     from bayesnet_track.journal.codec import to_json
     from bayesnet_track.journal.reader import read_events, read_metrics
-    from bayesnet_track.journal.text.explain import explain, has_several_targets, why
+    from bayesnet_track.journal.text.explain import has_several_targets, why
+    from bayesnet_track.journal.text.naming import kinds_of, name_targets, narrate
     from bayesnet_track.journal.text.story import describe_life
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
@@ -28,20 +29,20 @@ def log(options: argparse.Namespace) -> int:
     if options.why is not None:
         metrics = list(read_metrics(directory.frames, complain))
         with users_mistake():
-            say(why(events, metrics, options.why))
+            say(name_targets(why(events, metrics, options.why), kinds_of(events)))
         return OK
     if options.target is not None:
         metrics = list(read_metrics(directory.frames, complain))
         with users_mistake():
-            say(describe_life(events, metrics, options.target))
+            say(name_targets(describe_life(events, metrics, options.target), kinds_of(events)))
         return OK
     chosen = chosen_events(events, options)
     if not chosen:
         _check_node(directory, options.node)
         complain("no event is left by these filters")
-    name_target = has_several_targets(events)
+    name_target, kinds = has_several_targets(events), kinds_of(events)
     for event in chosen:
-        say(to_json(event) if options.json else explain(event, name_target))
+        say(to_json(event) if options.json else narrate(event, kinds, name_target))
     return OK
 
 
