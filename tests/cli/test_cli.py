@@ -315,7 +315,7 @@ def test_several_targets_with_plates(cli, images, two_plates, tmp_path):
     ]
     assert {line.split(",")[1] for line in lines_of(out / "tracks.txt")} == {"1", "2", "3"}
     output = [line for line in cli("log", out)[1].splitlines() if line.startswith("frame ")]
-    assert output and all(re.match(r"frame \d+[:,] (ball 1|bat 2|ball 3)\b", line) for line in output)
+    assert output and all(re.search(r"\b(ball 1|bat 2|ball 3)\b", line) for line in output)
 
 
 @pytest.mark.parametrize("init", ["--init -3,14,16,12", "--init=-3,14,16,12", "--init ' -3, 14, 16, 12'"])
