@@ -21,7 +21,6 @@ from bayesnet_track.cli.commands.completion import completion
 from bayesnet_track.cli.commands.demo import demo
 from bayesnet_track.cli.commands.detect import detect
 from bayesnet_track.cli.commands.export import export
-from bayesnet_track.cli.commands.fit import fit
 from bayesnet_track.cli.commands.graphs import graph, list_installed, schema, validate
 from bayesnet_track.cli.commands.init import init
 from bayesnet_track.cli.commands.learn_shape import learn_shape
@@ -32,6 +31,7 @@ from bayesnet_track.cli.commands.review import log, score
 from bayesnet_track.cli.commands.tracking import run
 from bayesnet_track.cli.commands.verify import verify
 from bayesnet_track.cli.commands.what_if import what_if
+from bayesnet_track.cli.fitting.fit import fit
 from bayesnet_track.graph.text.excerpt import describe_error
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.numerics.compile_watch import WATCH

@@ -8,13 +8,13 @@ from bayesnet_track.cli.commands.completion import add_completion
 from bayesnet_track.cli.commands.demo import add_demo
 from bayesnet_track.cli.commands.detect import add_detect
 from bayesnet_track.cli.commands.export import add_export
-from bayesnet_track.cli.commands.fit import add_fit
 from bayesnet_track.cli.commands.init import add_init
 from bayesnet_track.cli.commands.report import add_report
 from bayesnet_track.cli.commands.resume import add_resume
 from bayesnet_track.cli.commands.tracking import add_run
 from bayesnet_track.cli.commands.verify import add_verify
 from bayesnet_track.cli.commands.what_if import add_what_if
+from bayesnet_track.cli.fitting.fit import add_fit
 from bayesnet_track.cli.options.arguments import pixels, whole_number
 from bayesnet_track.cli.options.doctor import add_doctor
 from bayesnet_track.cli.options.learn import add_calibrate, add_learn_shape, add_learn_stereo

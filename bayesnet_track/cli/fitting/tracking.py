@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from bayesnet_track.cli.commands.answer import complain, users_mistake
-from bayesnet_track.cli.commands.fit_videos import Video, frames_of
+from bayesnet_track.cli.fitting.videos import Video, frames_of
 from bayesnet_track.journal.text.wording import plural
 
 if TYPE_CHECKING:

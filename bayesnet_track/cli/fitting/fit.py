@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import OK, UsageError, complain, say, users_mistake, writing
-from bayesnet_track.cli.commands.fit_tracking import check_text, fit_policy, fit_sds
-from bayesnet_track.cli.commands.fit_videos import Video, find_videos, frames_of
+from bayesnet_track.cli.fitting.tracking import check_text, fit_policy, fit_sds
+from bayesnet_track.cli.fitting.videos import Video, find_videos, frames_of
 from bayesnet_track.cli.options.arguments import whole_number
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.journal.text.wording import plural

@@ -1,0 +1,1 @@
+"""The command `fit`: what graphs say about themselves, estimated from videos with ground truth."""
