@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.metrics import FrameMetrics
@@ -71,6 +72,7 @@ class Result:
         total_seconds: seconds of the whole step, without decoding, writing and compiling.
         external_inputs: what came from outside, such as a person's switches.
         kinds: target id -> name of its plate, for all in `targets`.
+        states: target id -> what is known of it after the frame, its belief included.
     """
 
     frame: Frame
@@ -81,6 +83,7 @@ class Result:
     total_seconds: float = 0.0
     external_inputs: tuple[Input, ...] = ()
     kinds: dict[str, str] = field(default_factory=dict)
+    states: Mapping[str, TargetState] = field(default_factory=dict)
 
     def detections(self, lost: bool = False) -> Detections:
         """The targets' boxes in the shape of supervision's; `lost` for those of lost targets, too."""

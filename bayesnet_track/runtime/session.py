@@ -21,7 +21,7 @@ from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.detector import GIVEN
 from bayesnet_track.runtime.checkpoints.checkpoint import EVERY_S, Checkpoints
-from bayesnet_track.runtime.checkpoints.recipe import Recipe, file_sha256, make_recipe
+from bayesnet_track.runtime.checkpoints.recipe import KEEPS_BELIEFS, Recipe, file_sha256, make_recipe
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import RETRIES, Executing, make_executor
 from bayesnet_track.runtime.inputs import InputsAt, as_inputs
@@ -70,6 +70,7 @@ def track(
     detections: str | PathLike[str] | None = None,
     overwrite: bool = False,
     video: bool = False,
+    keep_beliefs: bool = False,
     executor: str | Executing = "serial",
     workers: int | None = None,
     allow_plugins: Iterable[str] = (),
@@ -94,6 +95,7 @@ def track(
         detections: a file of detections, MOT or JSON Lines, for births by `detections`.
         overwrite: replace an earlier run in `out`, which stays as it is until the first frame is tracked.
         video: write the annotated video into `out` too.
+        keep_beliefs: keep every frame's beliefs in `out`, for `bayesnet-track smooth`.
         executor: how agents are asked, which changes no result: serial, threads, processes, or what
             `make_executor` made.
         workers: threads or processes at work at a time; as many as there are processors when None.
@@ -169,7 +171,7 @@ def track(
                 has_video=video,
                 own_motion=motion is not None,
                 inputs=None if callable(inputs) else inputs,
-                options=_options(engine, budget_ms),
+                options=_options(engine, budget_ms, keep_beliefs),
             )
             files = small_files(checked, recipe, getattr(opened, "truth_text", None))
             take_place: Callable[[], None] | None = None
@@ -178,7 +180,9 @@ def track(
             else:
                 directory.clear()
                 begin(directory, files)
-            recorder = Recorder(directory, checked, opened.frame_interval_s, video, before_first=take_place)
+            recorder = Recorder(
+                directory, checked, opened.frame_interval_s, recipe.optional, before_first=take_place
+            )
             stack.enter_context(recorder)
             all_sinks.append(recorder)
             checkpointer = make_checkpointer(directory, engine, recorder, recipe, checkpoint_every)
@@ -262,11 +266,15 @@ def opaque_agents(engine: Engine) -> tuple[str, ...]:
     return tuple(agent for compiled in engine.plates.values() for agent in sorted(compiled.opaque))
 
 
-def _options(engine: Engine, budget_ms: float | None) -> dict[str, bool | int | float | str]:
+def _options(
+    engine: Engine, budget_ms: float | None, keep_beliefs: bool
+) -> dict[str, bool | int | float | str]:
     """What else the recipe remembers: the budget, and what of other packages is at work."""
     options: dict[str, bool | int | float | str] = {}
     if budget_ms is not None:
         options["budget_ms"] = budget_ms
+    if keep_beliefs:
+        options[KEEPS_BELIEFS] = True
     named: set[str] = set()
     for compiled in engine.plates.values():
         named |= {compiled.plate.agent(agent).agent.cue for agent in compiled.plate.agents}

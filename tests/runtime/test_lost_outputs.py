@@ -65,7 +65,7 @@ def graph() -> CheckedGraph:
 def tracked(graph: CheckedGraph, folder: Path, then: Callable[[], None], video: bool = False) -> list[int]:
     """Track four frames, doing something after the second; the frames that were done."""
     scene, done = make_scene("two_squares"), list[int]()
-    with Recorder(RunDirectory.create(folder), graph, 0.04, video) as recorder:
+    with Recorder(RunDirectory.create(folder), graph, 0.04, ("video",) if video else ()) as recorder:
         for result in run(graph, SceneSource(scene, "scene", 4), [Start(scene.start_box)], sinks=[recorder]):
             done.append(result.frame.index)
             if result.frame.index == 1:

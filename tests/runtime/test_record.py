@@ -34,7 +34,7 @@ def tracked(graph, directory, frames=6, video=False):
     """Track into `directory`; the results."""
     scene = make_scene("two_squares")
     source = SceneSource(scene, "scene", frames)
-    with Recorder(directory, graph, source.frame_interval_s, video) as recorder:
+    with Recorder(directory, graph, source.frame_interval_s, ("video",) if video else ()) as recorder:
         return list(run(graph, source, [Start(scene.start_box)], sinks=[recorder]))
 
 

@@ -122,6 +122,7 @@ def track_source(
                 seed=options.seed,
                 overwrite=options.overwrite,
                 video=video,
+                keep_beliefs=getattr(options, "keep_beliefs", False),
                 executor=executor_of(options),
                 sinks=[
                     *sinks,
@@ -210,6 +211,9 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
         help="file of detections (MOT, JSON Lines) for a graph whose births use `detections`",
     )
     run.add_argument("--video", action="store_true", help="write the annotated video too (video.mkv)")
+    run.add_argument(
+        "--keep-beliefs", action="store_true", help="keep every frame's beliefs, for `smooth` (beliefs.jsonl)"
+    )
     add_outside_options(run)
     add_rerun_option(run)
     add_window_options(run)

@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from bayesnet_track.sources.scene_source import SceneSource
 
 RECIPE_VERSION = 1
+KEEPS_BELIEFS = "keep_beliefs"
+"""The option by which a recipe says that beliefs are kept for smoothing."""
+
 HAS_MANIFEST = "manifest"
 """The option by which a recipe says that its run is finished by a manifest; earlier versions wrote none."""
 
@@ -82,7 +85,8 @@ class Recipe:
         cue_files: cue name -> the file that declares it, of the cues that come from files.
         own_cues: names of the cues that were given as objects of a program.
         options: what else was asked for, by name: `budget_ms`; `allow_plugins`, what of other packages was at
-            work (to be named here allows nothing); `manifest`, that the run is finished by one.
+            work (to be named here allows nothing); `manifest`, that the run is finished by one;
+            `keep_beliefs`.
         versions: library -> version.
         recipe: version of this format.
     """
@@ -115,6 +119,12 @@ class Recipe:
         if self.own_cues:
             return f"it was tracked with cues of a program of one's own: {', '.join(self.own_cues)}"
         return self.origin.only_once
+
+    @property
+    def optional(self) -> tuple[str, ...]:
+        """What the recorder writes besides what every run has."""
+        asked = {"video": self.has_video, "beliefs": bool(self.options.get(KEEPS_BELIEFS))}
+        return tuple(name for name, is_asked in asked.items() if is_asked)
 
     @property
     def budget_ms(self) -> float | None:

@@ -151,7 +151,7 @@ def resume(
                 directory,
                 graph,
                 opened.frame_interval_s,
-                recipe.has_video,
+                recipe.optional,
                 None if checkpoint is None else checkpoint.written,
             )
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +27,7 @@ from bayesnet_track.journal.writer import (
     read_position,
 )
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.runtime.recording.beliefs import BeliefWriter
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.recording.tracks import NO_IDS, CsvWriter, MotWriter
 from bayesnet_track.runtime.recording.videowriter import VideoWriter
@@ -56,7 +57,7 @@ class Recorder:
         directory: where the files go.
         graph: what is tracked with.
         frame_interval_s: nominal seconds between frames, for the video.
-        with_video: write the annotated video.
+        optional: which of `video` (annotated) and `beliefs` (for smoothing) to write as well.
         after: how far the files of a run are written that goes on here; what follows is cut off. The video
             begins anew: see `redraw`.
         before_first: called before the first frame is written; until then no file is opened, and events wait.
@@ -70,11 +71,11 @@ class Recorder:
         directory: RunDirectory,
         graph: CheckedGraph,
         frame_interval_s: float,
-        with_video: bool = False,
+        optional: Collection[str] = (),
         after: Written | None = None,
         before_first: Callable[[], None] | None = None,
     ) -> None:
-        self._directory, self._interval, self._with_video = directory, frame_interval_s, with_video
+        self._directory, self._interval, self._optional = directory, frame_interval_s, optional
         self._has_ids = not has_births(graph)
         self._before_first, self._waiting = before_first, list[Event]()
         self._files = ExitStack()
@@ -93,6 +94,9 @@ class Recorder:
             self._mot = files.enter_context(mot)
             self._csv = files.enter_context(CsvWriter(directory.csv, at.get("csv")))
             self._timings = files.enter_context(LineFile(directory.timings, at.get("timings")))
+            self._beliefs: BeliefWriter | None = None
+            if "beliefs" in self._optional:
+                self._beliefs = files.enter_context(BeliefWriter(directory.beliefs, at.get("beliefs")))
             self._inputs: JournalWriter | None = None
             if "inputs" in at:
                 self._inputs = files.enter_context(JournalWriter(directory.inputs, at["inputs"]))
@@ -144,7 +148,8 @@ class Recorder:
     def _lines(self) -> dict[str, LineFile]:
         files: dict[str, LineFile] = {"journal": self._journal, "frames": self._frames, "mot": self._mot}
         files |= {"csv": self._csv, "timings": self._timings}
-        return files if self._inputs is None else {**files, "inputs": self._inputs}
+        more = {"inputs": self._inputs, "beliefs": self._beliefs}
+        return files | {name: file for name, file in more.items() if file is not None}
 
     def event(self, event: Event) -> None:
         """Append to the journal."""
@@ -167,13 +172,15 @@ class Recorder:
             self._frames.write(metrics)
             self._mot.write(metrics)
             self._csv.write(metrics)
+            if self._beliefs is not None and metrics.target in result.states:
+                self._beliefs.write(metrics.frame, metrics.target, result.states[metrics.target])
         spent = {name: round(seconds, 7) for name, seconds in result.seconds.items()}
         line = {"frame": result.frame.index, "seconds": round(result.total_seconds, 7), "parts": spent}
         self._timings.append(json.dumps(line))
         # A killed run has a time for every frame it measured, as scores want it.
-        for file in (self._timings, self._frames, self._mot, self._csv):
+        for file in self._lines().values():
             file.flush()
-        if self._with_video:
+        if "video" in self._optional:
             # As the file has them, so that a run that goes on can draw the same again.
             lines = [from_json(to_json(metrics)) for metrics in result.targets]
             self._draw(result.frame, [one for one in lines if isinstance(one, FrameMetrics)])

@@ -14,6 +14,7 @@ FILES = {
     "recipe": "run.json",
     "journal": "journal.jsonl",
     "frames": "frames.jsonl",
+    "beliefs": "beliefs.jsonl",
     "mot": "tracks.txt",
     "csv": "tracks.csv",
     "timings": "timings.jsonl",
@@ -163,6 +164,11 @@ class RunDirectory:
     def frames(self) -> Path:
         """Metrics of every frame."""
         return self.path / FILES["frames"]
+
+    @property
+    def beliefs(self) -> Path:
+        """Beliefs of every frame, where they were kept for smoothing."""
+        return self.path / FILES["beliefs"]
 
     @property
     def mot(self) -> Path:

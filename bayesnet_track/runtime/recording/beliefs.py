@@ -1,0 +1,171 @@
+"""Beliefs of every frame as lines of ``beliefs.jsonl``, for smoothing after the run.
+
+A line has the frame, the target, the time, what the motion into the frame depended on, and the belief:
+particles as float32 (their weights as logarithms), a Gaussian as float64, a grid by its heaviest cells.
+Arrays are little-endian, in base64. A particle takes 5.4 bytes per field and weight.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import Posterior
+from bayesnet_track.belief.gaussian.belief import GaussianPosterior
+from bayesnet_track.belief.grid.cells import AXIS, GridBelief
+from bayesnet_track.belief.motion.composed import Influences
+from bayesnet_track.belief.motion.shifted import CameraShift
+from bayesnet_track.belief.particles.particle_set import ParticleSet
+from bayesnet_track.engine.state import TargetState
+from bayesnet_track.journal.encoder import JournalError, short
+from bayesnet_track.journal.writer import LineFile
+from bayesnet_track.numerics.log_weights import LogWeights
+
+Floats = NDArray[np.float64]
+
+MOST_CELLS = 4000
+"""Cells of a grid that are kept: the heaviest."""
+
+
+@dataclass(frozen=True, eq=False)
+class KeptBelief:
+    """The belief about a target after a frame.
+
+    Attributes:
+        frame: index of the frame.
+        target: target id.
+        time: time of the frame, frame intervals.
+        posterior: the belief.
+        influences: what the motion into the frame depended on besides the states; None where on nothing.
+    """
+
+    frame: int
+    target: str
+    time: float
+    posterior: ParticleSet | GaussianPosterior
+    influences: Influences | None = None
+
+
+class BeliefWriter(LineFile):
+    """``beliefs.jsonl``: a new file, or one that is continued."""
+
+    def write(self, frame: int, target: str, state: TargetState) -> None:
+        """Add the belief of one target in one frame to the next flush."""
+        known = state.motion_context
+        line = {"frame": frame, "target": target, "time": state.time, **_posterior_to_plain(state.belief)}
+        if known is not None and known.influences is not None:
+            line["influences"] = _influences_to_plain(known.influences)
+        self.append(json.dumps(line, separators=(",", ":")))
+
+
+def read_beliefs(path: Path) -> Iterator[KeptBelief]:
+    """The lines of ``beliefs.jsonl``; a torn last line, as a killed run leaves it, is left out.
+
+    Raises:
+        JournalError: another line is damaged; says which.
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as file:
+        for number, line in enumerate(file, start=1):
+            if not line.endswith(b"\n"):
+                return
+            try:
+                yield _kept(json.loads(line))
+            except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+                raise JournalError(f"{path}:{number}: not a belief ({error}): {short(repr(line))}") from error
+
+
+def _posterior_to_plain(posterior: Posterior) -> dict[str, Any]:
+    if isinstance(posterior, GaussianPosterior):
+        return {
+            "gaussian": list(posterior.fields),
+            "mean": _to_text(posterior.mean, "<f8"),
+            "covariance": _to_text(posterior.covariance, "<f8"),
+            "size": posterior.size,
+        }
+    if isinstance(posterior, GridBelief):
+        posterior = _heaviest_cells(posterior)
+    if not isinstance(posterior, ParticleSet):
+        raise TypeError(f"a {type(posterior).__name__} cannot be kept")
+    return {
+        "particles": list(posterior.fields),
+        "states": _to_text(posterior.states, "<f4"),
+        "log_weights": _to_text(posterior.weights.log, "<f4"),
+    }
+
+
+def _heaviest_cells(grid: GridBelief) -> ParticleSet:
+    flat = grid.mass.ravel()
+    chosen = np.sort(np.argsort(flat)[-MOST_CELLS:])
+    chosen = chosen[flat[chosen] > 0]
+    at = np.unravel_index(chosen, grid.mass.shape)
+    columns = [values[at[AXIS[name]]] for values, name in zip(grid.values, grid.fields, strict=True)]
+    return ParticleSet(np.stack(columns, axis=1), grid.fields, LogWeights.normalise(np.log(flat[chosen]))[0])
+
+
+def _influences_to_plain(influences: Influences) -> dict[str, Any]:
+    plain: dict[str, Any] = {"dt": influences.dt, "first_size": influences.first_size.tolist()}
+    if influences.inflation != 1.0:
+        plain["inflation"] = influences.inflation
+    if influences.camera is not None:
+        plain["camera"] = [*influences.camera.linear.ravel().tolist(), *influences.camera.offset.tolist()]
+    if influences.jump_share:
+        plain["jump_share"] = influences.jump_share
+    return plain
+
+
+def _kept(line: dict[str, Any]) -> KeptBelief:
+    influences = line.get("influences")
+    return KeptBelief(
+        int(line["frame"]),
+        str(line["target"]),
+        float(line["time"]),
+        _posterior(line),
+        None if influences is None else _influences(influences),
+    )
+
+
+def _posterior(line: dict[str, Any]) -> ParticleSet | GaussianPosterior:
+    if "gaussian" in line:
+        fields = tuple(line["gaussian"])
+        mean, covariance = (_from_text(line[key], "<f8") for key in ("mean", "covariance"))
+        return GaussianPosterior(mean, covariance.reshape(len(mean), len(mean)), fields, int(line["size"]))
+    fields = tuple(line["particles"])
+    states = _from_text(line["states"], "<f4").reshape(-1, len(fields))
+    log = _from_text(line["log_weights"], "<f4")
+    if len(log) != len(states):
+        raise ValueError(f"{len(states)} states and {len(log)} weights")
+    return ParticleSet(states, fields, LogWeights.normalise(log)[0])
+
+
+def _influences(plain: dict[str, Any]) -> Influences:
+    camera = plain.get("camera")
+    shift = None
+    if camera is not None:
+        numbers = np.array(camera, dtype=np.float64)
+        shift = CameraShift(numbers[:4].reshape(2, 2), numbers[4:6])
+    return Influences(
+        float(plain["dt"]),
+        np.array(plain["first_size"], dtype=np.float64),
+        float(plain.get("inflation", 1.0)),
+        shift,
+        float(plain.get("jump_share", 0.0)),
+    )
+
+
+def _to_text(values: Floats, dtype: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(values, dtype=dtype).tobytes()).decode("ascii")
+
+
+def _from_text(text: str, dtype: str) -> Floats:
+    values = np.frombuffer(base64.b64decode(text, validate=True), dtype=dtype).astype(np.float64)
+    if np.isnan(values).any():
+        raise ValueError("not a number among the values")
+    return values
