@@ -28,6 +28,7 @@ from bayesnet_track.cli.commands.learn_stereo import learn_stereo
 from bayesnet_track.cli.commands.report import report
 from bayesnet_track.cli.commands.resume import resume
 from bayesnet_track.cli.commands.review import log, score
+from bayesnet_track.cli.commands.smooth import smooth
 from bayesnet_track.cli.commands.tracking import run
 from bayesnet_track.cli.commands.verify import verify
 from bayesnet_track.cli.commands.what_if import what_if
@@ -60,6 +61,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "batch": batch,
     "init": init,
     "score": score,
+    "smooth": smooth,
     "learn-shape": learn_shape,
     "learn-stereo": learn_stereo,
     "verify": verify,

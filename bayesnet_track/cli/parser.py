@@ -11,6 +11,7 @@ from bayesnet_track.cli.commands.export import add_export
 from bayesnet_track.cli.commands.init import add_init
 from bayesnet_track.cli.commands.report import add_report
 from bayesnet_track.cli.commands.resume import add_resume
+from bayesnet_track.cli.commands.smooth import add_smooth
 from bayesnet_track.cli.commands.tracking import add_run
 from bayesnet_track.cli.commands.verify import add_verify
 from bayesnet_track.cli.commands.what_if import add_what_if
@@ -66,6 +67,7 @@ def make_parser() -> MainParser:
     for one in (validate, graph):
         add_plugins(one)
 
+    add_smooth(commands)
     add_detect(commands)
     add_calibrate(commands)
     add_plugins(commands.add_parser("schema", help="print the JSON Schema of graph files, for editors"))

@@ -174,7 +174,7 @@ def _compile_plate(
         plate=plate,
         cues=made,
         belief=make_belief(root.belief),
-        motion=_make_motion(root.motion) if own is None else own,
+        motion=make_plate_motion(root.motion) if own is None else own,
         costs_ms={agent: of[agent].cost_ms for agent in plate.agents},
         rate_max={agent: _rate_max(plate, agent, of[agent], root.learn) for agent in plate.agents},
         adaptable=frozenset(agent for agent in plate.agents if of[agent].adapts),
@@ -194,7 +194,8 @@ def _compile_plate(
     )
 
 
-def _make_motion(chosen: spec.Motion) -> MotionModel:
+def make_plate_motion(chosen: spec.Motion) -> MotionModel:
+    """The motion that a graph asks for, before anything of a frame influences it."""
     motion, sd = make_motion(chosen), chosen.settings.sd_angle_deg
     return motion if sd == 0.0 else Rotating(motion, sd)
 

@@ -14,7 +14,7 @@ from bayesnet_track.numerics.log_weights import LogWeights
 
 Floats = NDArray[np.float64]
 
-NEGLIGIBLE = 1e-6
+NEGLIGIBLE = 1e-3
 """Weight that the lightest hypotheses of a frame may hold together before they are left out."""
 
 

@@ -30,6 +30,8 @@ class RunStarted:
         versions: of Python and of the libraries that touch numbers.
         inputs: files from outside besides the source (of detections), each with its SHA-256; left out when
             there are none.
+        smoothed: whether boxes and uncertainties are of beliefs given the whole sequence (`smooth`); left out
+            when they are the filter's.
     """
 
     journal: int
@@ -45,6 +47,7 @@ class RunStarted:
     costs_ms: Mapping[str, float] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     inputs: Mapping[str, str] = field(default_factory=dict, metadata={"left_out_when_empty": True})
+    smoothed: bool = field(default=False, metadata={"left_out_when_empty": True})
 
 
 @dataclass(frozen=True)
@@ -99,9 +102,10 @@ def describe(event: Events) -> str:
 def _describe_start(event: RunStarted) -> str:
     colour = "" if event.has_color else " gray"
     length = "" if event.declared_frames is None else f", {plural(event.declared_frames, 'frame')}"
+    kind = "smoothed run" if event.smoothed else "run"
     rate = f"{1 / event.frame_interval_s:.4g} per second" if event.frame_interval_s > 0 else "no rate"
     return (
-        f"run of {event.graph} ({event.graph_sha256[:12]}) on {event.source}: "
+        f"{kind} of {event.graph} ({event.graph_sha256[:12]}) on {event.source}: "
         f"{event.width}x{event.height}{colour}{length}, {rate}; seed {event.seed}"
     )
 

@@ -1,0 +1,64 @@
+"""Write a smoothed run as a run directory, which every command that reads runs can read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from contextlib import ExitStack
+from pathlib import Path
+
+from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.journal.writer import JournalWriter, LineFile, Position, read_position
+from bayesnet_track.runtime.recording.lock import lock_run
+from bayesnet_track.runtime.recording.manifest import finish
+from bayesnet_track.runtime.recording.replace import replace_run, settle
+from bayesnet_track.runtime.recording.run_reader import Run
+from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory, RunDirectoryError
+from bayesnet_track.runtime.recording.tracks import CsvWriter, MotWriter
+from bayesnet_track.runtime.smoothing import SmoothedRun
+
+COPIED = ("graph", "recipe", "truth", "inputs", "timings")
+"""Files that are the same for the smoothed run."""
+
+
+def write_smoothed(run: Run, smoothed: SmoothedRun, out: Path, overwrite: bool = False) -> None:
+    """Write the smoothed run beside the one that it was made from.
+
+    Raises:
+        RunDirectoryError: `out` is the run itself, or holds something else.
+        OutputError: a file cannot be written.
+    """
+    if out.resolve() == run.directory.path.resolve():
+        raise RunDirectoryError(f"{out}: the run that is smoothed; give another folder")
+    directory = RunDirectory.create(out, overwrite)
+    with lock_run(directory):
+        settle(directory)
+        directory.refuse(overwrite)
+        files = {key: (run.directory.path / FILES[key]) for key in COPIED}
+        held = {key: path.read_bytes() for key, path in files.items() if path.is_file()}
+        # Empty, a journal makes the folder a run, which may be overwritten.
+        replace_run(directory, {"journal": b"", **held})
+        finish(directory, _write_lines(directory, smoothed, run.spec) | _positions(directory, held))
+
+
+def _write_lines(directory: RunDirectory, smoothed: SmoothedRun, graph: GraphSpec) -> dict[str, Position]:
+    has_births = any(plate.birth is not None for plate in graph.targets.values())
+    with ExitStack() as files:
+        journal = files.enter_context(JournalWriter(directory.journal))
+        frames = files.enter_context(JournalWriter(directory.frames))
+        mot = files.enter_context(MotWriter(directory.mot, not has_births))
+        csv = files.enter_context(CsvWriter(directory.csv))
+        for event in smoothed.events:
+            journal.write(event)
+        for line in smoothed.metrics:
+            frames.write(line)
+            mot.write(line)
+            csv.write(line)
+        written: dict[str, LineFile] = {"journal": journal, "frames": frames, "mot": mot, "csv": csv}
+        for file in written.values():
+            file.flush()
+            file.sync()
+        return {key: file.position for key, file in written.items()}
+
+
+def _positions(directory: RunDirectory, keys: Iterable[str]) -> dict[str, Position]:
+    return {key: read_position(directory.path / FILES[key]) for key in keys}

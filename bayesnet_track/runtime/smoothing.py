@@ -1,0 +1,197 @@
+"""Smooth a finished run: every frame's belief given the whole sequence, without its video."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.gaussian.belief import GaussianPosterior
+from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.composed import compose_motion
+from bayesnet_track.belief.motion.jumps import Jumping, Search
+from bayesnet_track.belief.particles.particle_set import ParticleSet
+from bayesnet_track.belief.smoothing.backward import Move, smooth_particles
+from bayesnet_track.belief.smoothing.gaussian import smooth_gaussians
+from bayesnet_track.engine.compiled import make_plate_motion
+from bayesnet_track.engine.frame_metrics import CLOUD_SIZE
+from bayesnet_track.engine.score import blur_regions
+from bayesnet_track.graph import spec
+from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.reidentification import Returned
+from bayesnet_track.journal.events.runs import RunStarted
+from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.numerics.streams import Streams
+from bayesnet_track.runtime.recording.beliefs import KeptBelief, read_beliefs
+from bayesnet_track.runtime.recording.run_reader import Run
+
+Floats = NDArray[np.float64]
+Smoothed = ParticleSet | GaussianPosterior
+
+KNOWN_PX2 = 1e-6
+"""A box whose fields vary less is known: that of the frame in which the target was given."""
+
+NO_SEARCH = Search(0.0, "", 0, np.zeros((0, 4)), np.zeros(0), 0.0, 0.0)
+
+
+class SmoothingError(ValueError):
+    """A run that cannot be smoothed."""
+
+
+@dataclass(frozen=True)
+class SmoothedRun:
+    """A run after smoothing.
+
+    Attributes:
+        events: its events; the first says that it is smoothed.
+        metrics: a line per target and frame: box, sd, UD, regions and hypotheses are those of the smoothed
+            beliefs, status, score and all else are the filter's.
+    """
+
+    events: tuple[Event, ...]
+    metrics: tuple[FrameMetrics, ...]
+
+
+def smooth(run: Run, draws: int = 50, seed: int = 0) -> SmoothedRun:
+    """The run with every belief given the frames before and after it.
+
+    Args:
+        run: a run whose beliefs were kept.
+        draws: trajectories that are drawn backward of each target with particles or a grid.
+        seed: of these draws.
+
+    Raises:
+        SmoothingError: the run kept no beliefs, or has been smoothed.
+        JournalError: beliefs.jsonl is damaged.
+    """
+    if run.started.smoothed:
+        raise SmoothingError(f"{run.name}: it has been smoothed; smooth the run that it was made from")
+    if not run.directory.beliefs.is_file():
+        raise SmoothingError(
+            f"{run.name}: it kept no beliefs; run it again with `--keep-beliefs` (in Python, "
+            "keep_beliefs=True)"
+        )
+    streams = Streams(seed)
+    found: dict[tuple[str, int], Smoothed] = {}
+    for lifetime in _lifetimes(run):
+        first = lifetime[0]
+        root = root_of(run.spec.targets[run.kinds[first.target]])
+        smoothed = _smooth_lifetime(
+            run, root, lifetime, draws, streams.of(first.target, "", first.frame, "smooth")
+        )
+        found |= {(first.target, kept.frame): belief for kept, belief in zip(lifetime, smoothed, strict=True)}
+    metrics = tuple(
+        _described(
+            run, line, found[line.target, line.frame], streams.of(line.target, "", line.frame, "cloud")
+        )
+        if (line.target, line.frame) in found
+        else line
+        for line in run.metrics
+    )
+    events = tuple(replace(one, smoothed=True) if isinstance(one, RunStarted) else one for one in run.events)
+    return SmoothedRun(events, metrics)
+
+
+def root_of(plate: spec.Target) -> spec.InferenceNode:
+    """The inference node without a parent."""
+    (root,) = (n for n in plate.nodes.values() if isinstance(n, spec.InferenceNode) and n.parent is None)
+    return root
+
+
+def _lifetimes(run: Run) -> Iterator[list[KeptBelief]]:
+    """The beliefs of each target between its start and its end; one that returns begins anew."""
+    started = TargetStarted | Returned
+    births = {(event.target, event.frame) for event in run.events if isinstance(event, started)}
+    open_lives: dict[str, list[KeptBelief]] = {}
+    for kept in read_beliefs(run.directory.beliefs):
+        if kept.target not in run.kinds:
+            raise SmoothingError(
+                f"{run.directory.beliefs}: target {kept.target!r} never starts in the journal"
+            )
+        life = open_lives.get(kept.target)
+        if life is None or (kept.target, kept.frame) in births:
+            if life is not None:
+                yield life
+            open_lives[kept.target] = [kept]
+        else:
+            life.append(kept)
+    yield from open_lives.values()
+
+
+def _smooth_lifetime(
+    run: Run, root: spec.InferenceNode, lifetime: Sequence[KeptBelief], draws: int, rng: np.random.Generator
+) -> Sequence[Smoothed]:
+    assert root.motion is not None
+    plain = make_plate_motion(root.motion)
+    size = run.started.width, run.started.height
+    moves = [
+        Move(_motion_into(now, plain, root.motion, size), now.time - before.time)
+        for before, now in pairwise(lifetime)
+    ]
+    beliefs = [kept.posterior for kept in lifetime]
+    gaussians = [one for one in beliefs if isinstance(one, GaussianPosterior)]
+    if len(gaussians) == len(beliefs):
+        assert root.belief is not None and isinstance(root.belief.settings, spec.Gaussian)
+        return smooth_gaussians(gaussians, moves, root.belief.settings)
+    particles = [one for one in beliefs if isinstance(one, ParticleSet)]
+    if len(particles) != len(beliefs):
+        raise SmoothingError(
+            f"{run.directory.beliefs}: target {lifetime[0].target!r} has beliefs of two kinds"
+        )
+    return smooth_particles(particles, moves, draws, rng)
+
+
+def _motion_into(
+    kept: KeptBelief, plain: MotionModel, chosen: spec.Motion, size: tuple[int, int]
+) -> MotionModel:
+    """The motion from the frame before into this one, on the image of `size` (width, height)."""
+    influences, motion = kept.influences, plain
+    if influences is not None:
+        motion = compose_motion(plain, chosen.settings, influences)
+        if influences.jump_share > 0:
+            motion = Jumping(motion, influences.jump_share, *size, NO_SEARCH)
+    return Confined(motion, *size)
+
+
+def _described(run: Run, line: FrameMetrics, belief: Smoothed, rng: np.random.Generator) -> FrameMetrics:
+    """The line with what the smoothed belief says; a target's first frame, where it was given, stays."""
+    if np.diagonal(belief.covariance)[:4].max() < KNOWN_PX2:
+        return line
+    plate = run.spec.targets[run.kinds[line.target]]
+    root = root_of(plate)
+    mean = belief.mean
+    variances = np.clip(np.diagonal(belief.covariance)[:4], 0.0, None).copy()
+    best = belief.states[int(np.argmax(belief.weights.log))] if isinstance(belief, ParticleSet) else mean
+    ud = belief.uncertainty(best, [belief.fields.index(name) for name in root.ud_fields])
+    region50, region90 = belief.region(0.5), belief.region(0.9)
+    if root.localization_error is not None:
+        side = float(np.sqrt(max(mean[2] * mean[3], 1.0)))
+        wide = blur_regions(belief, root.localization_error, line.score, side)
+        region50, region90 = wide.region50, wide.region90
+        variances[:2] += wide.variance
+    name = next(name for name, node in plate.nodes.items() if node is root)
+    return replace(
+        line,
+        centre_box=_floats(_inside(mean[:4], run)),
+        map=_floats(best[:4]),
+        sd=_floats(np.sqrt(variances)),
+        ud_px2=ud,
+        ud_nodes={**line.ud_nodes, name: ud},
+        region50=_floats(region50),
+        region90=_floats(region90),
+        cloud=tuple(map(tuple, np.rint(belief.draw(CLOUD_SIZE, rng)).astype(np.int64).tolist())),
+    )
+
+
+def _inside(box: Floats, run: Run) -> Floats:
+    bounds = np.array([run.started.width - 1.0, run.started.height - 1.0])
+    return np.concatenate([np.clip(box[:2], 0.0, bounds), np.clip(box[2:], 1.0, 2 * bounds + 2)])
+
+
+def _floats(values: object) -> tuple[float, ...]:
+    return tuple(np.asarray(values, dtype=np.float64).tolist())

@@ -1,0 +1,119 @@
+"""A smoothed run is a run: surer than the filter's, readable by every command, the same bytes again."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from bayesnet_track import Start, open_run, track
+from bayesnet_track.belief.smoothing.backward import Move
+from bayesnet_track.belief.smoothing.gaussian import smooth_gaussians
+from bayesnet_track.engine.compiled import make_plate_motion
+from bayesnet_track.runtime.checkpoints.resume import resume
+from bayesnet_track.runtime.recording.beliefs import read_beliefs
+from bayesnet_track.runtime.recording.rundir import RunDirectoryError
+from bayesnet_track.runtime.recording.smoothed import write_smoothed
+from bayesnet_track.runtime.recording.verify import verify
+from bayesnet_track.runtime.smoothing import SmoothingError, _motion_into, root_of, smooth
+from bayesnet_track.sources.scene_source import SceneSource
+
+FRAMES = 12
+
+
+def tracked(graph, scene, out, frames=FRAMES, stop=None, **options):
+    source = SceneSource.named(scene, 0, frames)
+    results = track(graph, source, [Start(source.scene.start_box)], out=out, **options)
+    for n, _ in enumerate(results, start=1):
+        if n == stop:
+            results.close()
+            break
+    return open_run(out)
+
+
+@pytest.fixture(scope="module")
+def particle_run(tmp_path_factory):
+    return tracked("two_squares", "two_squares", tmp_path_factory.mktemp("kept") / "run", keep_beliefs=True)
+
+
+@pytest.fixture(scope="module")
+def gaussian_run(tmp_path_factory):
+    return tracked("kalman_ball", "flying_ball", tmp_path_factory.mktemp("kept") / "run", keep_beliefs=True)
+
+
+def test_the_filter_is_not_changed_by_keeping(particle_run, tmp_path):
+    plain = tracked("two_squares", "two_squares", tmp_path / "run")
+    assert plain.metrics == particle_run.metrics
+
+
+@pytest.mark.parametrize("name", ["particle_run", "gaussian_run"])
+def test_a_smoothed_target_is_surer(name, request):
+    run = request.getfixturevalue(name)
+    after = smooth(run, draws=60)
+    before, now = (np.array([line.sd[:2] for line in one.metrics[1:-1]]) for one in (run, after))
+    assert now.mean() < before.mean()
+    assert after.metrics[0] == run.metrics[0]
+    np.testing.assert_allclose(after.metrics[-1].sd[:2], run.metrics[-1].sd[:2], rtol=0.05)
+    assert after.events[0].smoothed and after.events[1:] == run.events[1:]
+    kept = ("status", "score", "active", "kl", "log_evidence")
+    for one, other in zip(after.metrics, run.metrics, strict=True):
+        assert [getattr(one, field) for field in kept] == [getattr(other, field) for field in kept]
+
+
+def test_gaussians_are_smoothed_by_the_motion_that_was_at_work(gaussian_run):
+    kept = list(read_beliefs(gaussian_run.directory.beliefs))
+    root = root_of(gaussian_run.spec.targets["ball"])
+    plain, size = make_plate_motion(root.motion), (gaussian_run.started.width, gaussian_run.started.height)
+    moves = [Move(_motion_into(one, plain, root.motion, size), 1.0) for one in kept[1:]]
+    exact = smooth_gaussians([one.posterior for one in kept], moves, root.belief.settings)
+    found = smooth(gaussian_run).metrics
+    for one, line in zip(exact[1:], found[1:], strict=True):
+        np.testing.assert_allclose(line.centre_box, one.mean[:4], rtol=1e-9)
+
+
+def test_the_same_again_is_the_same(particle_run):
+    assert smooth(particle_run, 20, seed=3) == smooth(particle_run, 20, seed=3)
+    assert smooth(particle_run, 20, seed=3) != smooth(particle_run, 20, seed=4)
+
+
+def test_a_smoothed_run_is_written_and_read(particle_run, tmp_path):
+    after = smooth(particle_run, 20)
+    write_smoothed(particle_run, after, tmp_path / "smoothed")
+    again = open_run(tmp_path / "smoothed")
+    assert again.started.smoothed and verify(tmp_path / "smoothed").status == "verified"
+    np.testing.assert_allclose(
+        [line.centre_box for line in again.metrics], [line.centre_box for line in after.metrics], rtol=1e-8
+    )
+    assert (tmp_path / "smoothed/tracks.txt").read_text().count("\n") == FRAMES
+    with pytest.raises(SmoothingError, match="it has been smoothed"):
+        smooth(again)
+    with pytest.raises(RunDirectoryError, match="a run is there already"):
+        write_smoothed(particle_run, after, tmp_path / "smoothed")
+    write_smoothed(particle_run, after, tmp_path / "smoothed", overwrite=True)
+
+
+def test_a_run_is_not_overwritten_by_itself(particle_run):
+    path = particle_run.directory.path
+    with pytest.raises(RunDirectoryError, match="the run that is smoothed; give another folder"):
+        write_smoothed(particle_run, smooth(particle_run, 5), path, overwrite=True)
+    assert verify(path).status == "verified"
+
+
+def test_a_run_that_kept_no_beliefs_says_how_to(particle_run, tmp_path):
+    shutil.copytree(particle_run.directory.path, tmp_path / "run")
+    (tmp_path / "run/beliefs.jsonl").unlink()
+    with pytest.raises(SmoothingError, match="kept no beliefs; run it again with `--keep-beliefs`"):
+        smooth(open_run(tmp_path / "run"))
+
+
+def test_a_belief_of_nobody_is_refused(particle_run, tmp_path):
+    shutil.copytree(particle_run.directory.path, tmp_path / "run")
+    path = tmp_path / "run/beliefs.jsonl"
+    path.write_text(path.read_text().replace('"target":"1"', '"target":"7"'))
+    with pytest.raises(SmoothingError, match="target '7' never starts"):
+        smooth(open_run(tmp_path / "run"))
+
+
+def test_beliefs_go_on_where_a_run_is_resumed(particle_run, tmp_path):
+    tracked("two_squares", "two_squares", tmp_path / "run", stop=5, keep_beliefs=True)
+    list(resume(tmp_path / "run"))
+    assert (tmp_path / "run/beliefs.jsonl").read_bytes() == particle_run.directory.beliefs.read_bytes()
