@@ -205,6 +205,10 @@ class Belief(Protocol[P]):
         """The belief about a target first seen in the centre box (4,)."""
         ...
 
+    def predict(self, prior: P, motion: MotionModel, dt: float, rng: np.random.Generator) -> P:
+        """The belief after `dt` frame intervals without evidence."""
+        ...
+
     def step(self, prior: P, motion: MotionModel, dt: float, evaluate: Evaluate, stream: Stream) -> Step[P]:
         """The belief after `dt` frame intervals and the evidence of a frame."""
         ...

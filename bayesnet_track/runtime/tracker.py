@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.engine.forecasting import Forecast, forecast
 from bayesnet_track.engine.starts import Start, check_started, check_starts, start_targets
 from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
@@ -143,6 +144,32 @@ class Tracker(Boxed):
             raise RuntimeError("call init(frame, box) first")
         live = [line for line in self.targets if line.target in self._state.net.targets]
         return live[0].centre_box if live else NO_BOX
+
+    def predict(self, frames: int = 1) -> tuple[Forecast, ...]:
+        """Where each target is expected 1 to `frames` frames after the last one, with regions.
+
+        Nothing is learnt: the next `update` gives what it would have given.
+
+        Raises:
+            RuntimeError: `init` was not called.
+            ValueError: `frames` is less than 1.
+
+        Example::
+
+            for ahead in tracker.predict(5):
+                print(ahead.target, ahead.ahead, ahead.xywh, ahead.region90)
+        """
+        if self._state is None or self._state.previous is None:
+            raise RuntimeError("call init(frame, box) first")
+        if frames < 1:
+            raise ValueError(f"predict({frames}): at least 1 frame ahead is needed")
+        size = self._state.previous.width, self._state.previous.height
+        live = [line for line in self.targets if line.target in self._state.targets]
+        return tuple(
+            one
+            for line in live
+            for one in forecast(self._engine, self._state.targets[line.target], line, frames, size)
+        )
 
     def plot(self, frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """A copy of the BGR `frame`, which was processed last, with every target drawn on it.

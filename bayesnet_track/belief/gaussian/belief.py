@@ -95,6 +95,13 @@ class GaussianFilter:
         mean, covariance = motion.start_moments(np.asarray(box, dtype=np.float64))
         return GaussianPosterior(mean, covariance, motion.fields, self._size(len(mean)))
 
+    def predict(
+        self, prior: GaussianPosterior, motion: MotionModel, dt: float, rng: np.random.Generator
+    ) -> GaussianPosterior:
+        """The belief after `dt` frame intervals without evidence; `rng` is not used."""
+        mean, covariance = predict(prior.mean, prior.covariance, motion, dt, self.settings)
+        return _posterior(mean, covariance, prior.fields, prior.size)
+
     def step(
         self, prior: GaussianPosterior, motion: MotionModel, dt: float, evaluate: Evaluate, stream: Stream
     ) -> Step[GaussianPosterior]:

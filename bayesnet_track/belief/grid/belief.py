@@ -70,6 +70,12 @@ class GridFilter:
         empty = GridBelief(np.ones((len(scales), 1, 1, 1, 1)), lattice, first_velocities)
         return unknown_velocity(empty, positions)
 
+    def predict(
+        self, prior: GridBelief, motion: MotionModel, dt: float, rng: np.random.Generator
+    ) -> GridBelief:
+        """The belief after `dt` frame intervals without evidence; `rng` is not used."""
+        return predict_grid(prior, motion, dt, self.settings.window)
+
     def step(
         self, prior: GridBelief, motion: MotionModel, dt: float, evaluate: Evaluate, stream: Stream
     ) -> Step[GridBelief]:

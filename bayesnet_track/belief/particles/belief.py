@@ -34,6 +34,12 @@ class ParticleFilter:
         size = start_size(self.settings)
         return ParticleSet(motion.start(box, size, stream("start")), motion.fields, LogWeights.uniform(size))
 
+    def predict(
+        self, prior: ParticleSet, motion: MotionModel, dt: float, rng: np.random.Generator
+    ) -> ParticleSet:
+        """The hypotheses after `dt` frame intervals, their weights as they are."""
+        return replace(prior, states=motion.propagate(prior.states, dt, rng))
+
     def step(
         self, prior: ParticleSet, motion: MotionModel, dt: float, evaluate: Evaluate, stream: Stream
     ) -> Step[ParticleSet]:

@@ -1,0 +1,90 @@
+"""Where a target will be: its belief some frames ahead, with no evidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import MotionModel, Posterior
+from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.composed import compose_motion
+from bayesnet_track.engine.compiled import CompiledPlate, Engine
+from bayesnet_track.engine.score import blur_regions
+from bayesnet_track.engine.state import TargetState
+from bayesnet_track.journal.boxed import Boxed
+from bayesnet_track.journal.metrics import FrameMetrics
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Forecast(Boxed):
+    """Where a target is expected some frames ahead.
+
+    Attributes:
+        target: target id.
+        ahead: frames after the last one.
+        centre_box: mean centre x, y, width, height, px.
+        sd: of x, y, w, h, px.
+        region50: bounds of the central 50 % of the centre: x_low, x_high, y_low, y_high, px.
+        region90: the same of the central 90 %.
+    """
+
+    target: str
+    ahead: int
+    centre_box: tuple[float, ...]
+    sd: tuple[float, ...]
+    region50: tuple[float, ...]
+    region90: tuple[float, ...]
+
+
+def forecast(
+    engine: Engine, state: TargetState, last: FrameMetrics, frames: int, size: tuple[int, int]
+) -> list[Forecast]:
+    """The belief of one target 1 to `frames` frames ahead.
+
+    Args:
+        engine: of the run.
+        state: what is known of the target after the last frame.
+        last: what was measured of it there.
+        frames: how far to look.
+        size: width and height of the image.
+
+    The motion is the graph's, its noise as wide as in the last frame; that the camera goes on moving or that
+    the target jumps is not expected.
+    """
+    compiled = engine.plates[state.plan.target]
+    motion = Confined(_motion_of(compiled, state), *size)
+    belief, found = state.belief, []
+    for ahead in range(1, frames + 1):
+        stream = engine.streams.of(last.target, compiled.plate.root, last.frame + ahead, "forecast")
+        belief = compiled.belief.predict(belief, motion, 1.0, stream)
+        found.append(_described(compiled, belief, last, ahead))
+    return found
+
+
+def _motion_of(compiled: CompiledPlate, state: TargetState) -> MotionModel:
+    known = state.motion_context
+    if compiled.moving is None or known is None or known.influences is None:
+        return compiled.motion
+    return compose_motion(compiled.motion, compiled.moving, replace(known.influences, dt=1.0, camera=None))
+
+
+def _described(compiled: CompiledPlate, belief: Posterior, last: FrameMetrics, ahead: int) -> Forecast:
+    mean, variances = belief.mean[:4], np.clip(np.diagonal(belief.covariance)[:4], 0.0, None).copy()
+    region50, region90 = belief.region(0.5), belief.region(0.9)
+    error = compiled.plate.inference(compiled.plate.root).localization_error
+    if error is not None:
+        wide = blur_regions(belief, error, last.score, float(np.sqrt(max(mean[2] * mean[3], 1.0))))
+        region50, region90 = wide.region50, wide.region90
+        variances[:2] += wide.variance
+    return Forecast(
+        last.target,
+        ahead,
+        tuple(mean.tolist()),
+        tuple(np.sqrt(variances).tolist()),
+        tuple(float(value) for value in region50),
+        tuple(float(value) for value in region90),
+    )
