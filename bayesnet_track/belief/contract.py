@@ -39,6 +39,7 @@ class Evidence:
             way multiplies messages.
         sampled: (N,) the net's log-likelihood without `gaussians`; None when there are none.
         measured: agent that measures -> what it measured; None when it saw nothing and is left out.
+        factors: factor -> (N,) its log density at the node that it weighs.
     """
 
     log_likelihood: Floats
@@ -48,6 +49,7 @@ class Evidence:
     gaussians: Mapping[str, Measurement] = field(default_factory=dict)
     sampled: Floats | None = None
     measured: Mapping[str, Measurement | None] = field(default_factory=dict)
+    factors: Mapping[str, Floats] = field(default_factory=dict)
 
 
 Evaluate = Callable[[Hypotheses, Floats], Evidence]

@@ -14,6 +14,7 @@ from bayesnet_track.engine.predicting import PredictedMotion, predict_motion
 from bayesnet_track.engine.shedding import within
 from bayesnet_track.engine.state import TargetState, with_agents
 from bayesnet_track.inference.compile import Plan, compile_plan
+from bayesnet_track.inference.factors import Flaw
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.metrics import JoinMetrics
@@ -45,6 +46,7 @@ class Filtered:
         plan: the compiled net of this frame, without those that failed or gave no answer.
         missed: agents that gave no answer for a reason outside of them -> that reason.
         join: what a joint belief says of it, once there is one; None for a target that is in none.
+        flaws: factor -> what was wrong with its values.
     """
 
     target: str
@@ -55,6 +57,7 @@ class Filtered:
     plan: Plan
     missed: Mapping[str, str] = field(default_factory=dict)
     join: JoinMetrics | None = None
+    flaws: Mapping[str, Flaw] = field(default_factory=dict)
 
     @property
     def hidden(self) -> float:
@@ -103,4 +106,5 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
     plan, out = before.plan, failed.keys() | observer.missed.keys()
     if out:
         plan = compile_plan(compiled.plate, plan.active - out, compiled.cues)
-    return Filtered(target, before, stepped, faults, moves, plan, dict(observer.missed))
+    missed, flaws = dict(observer.missed), dict(observer.factors.flaws)
+    return Filtered(target, before, stepped, faults, moves, plan, missed, flaws=flaws)

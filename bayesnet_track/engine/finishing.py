@@ -30,7 +30,7 @@ from bayesnet_track.inference.guard import changes, watch
 from bayesnet_track.inference.learn import Lesson, learning_rate, over_frames
 from bayesnet_track.inference.measure import measure
 from bayesnet_track.inference.part_measures import part_rates
-from bayesnet_track.journal.events.beliefs import DegenerateBelief
+from bayesnet_track.journal.events.beliefs import DegenerateBelief, FactorFlawed
 from bayesnet_track.journal.events.event import Event
 
 Floats = NDArray[np.float64]
@@ -169,6 +169,10 @@ def describe_target(
     events: list[Event] = [
         *filtered.predicted.events,
         *(report(frame.index, target) for report in stepped.reports),
+    ]
+    events += [
+        FactorFlawed(frame.index, target, factor, flaw.undefined, flaw.hypotheses, flaw.ignored)
+        for factor, flaw in filtered.flaws.items()
     ]
     if stepped.degenerate is not None:
         events.append(DegenerateBelief(frame.index, target, stepped.degenerate))

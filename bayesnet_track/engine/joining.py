@@ -29,6 +29,7 @@ from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.occlusion import report_hidden
 from bayesnet_track.graph.settings.joins import Join
+from bayesnet_track.inference.factors import log_prior_factor, log_seen
 from bayesnet_track.inference.joint import Edge, Marginal, Member, Pair, joint_marginals
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.journal.events.event import Event
@@ -137,8 +138,8 @@ def _marginals(
     members = {
         name: Member(
             np.ascontiguousarray(of[name].step.support.boxes),
-            of[name].step.prior,
-            of[name].step.evidence.log_likelihood,
+            _prior_of(of[name]),
+            log_seen(of[name].plan.factors, of[name].step.evidence),
             levels[name].log,
             _logs_on(work, of[name], [of[other] for other in others]),
             max(len(of[name].plan.observations), 1),
@@ -175,7 +176,7 @@ def _split_joint(
     of: Mapping[str, Filtered],
 ) -> tuple[Steps, dict[str, JoinMetrics], dict[str, CarriedHypotheses]]:
     """Each target's own step of the joint belief, what is written down, and which hypotheses are carried."""
-    steps = {name: _reweight(one.step, marginals.get(name)) for name, one in of.items()}
+    steps = {name: _reweight(one, marginals.get(name)) for name, one in of.items()}
     carried: dict[str, CarriedHypotheses] = {}
     metrics: dict[str, JoinMetrics] = {}
     for name in dict.fromkeys(name for pair in pairs for name in pair):
@@ -224,7 +225,8 @@ def _logs_on(work: FrameWork, one: Filtered, others: Sequence[Filtered]) -> dict
         availability=work.availability_of(one.target, "joining"),
     )
     seen = hypotheses_of(states, particles(one.step.posterior).fields)
-    log = evaluate(one.plan, observer, seen, LogWeights.uniform(size).log).log_likelihood
+    plan = replace(one.plan, factors=())
+    log = evaluate(plan, observer, seen, LogWeights.uniform(size).log).log_likelihood
     means = np.maximum(log, -1e3).reshape(len(others), ON_SIZE).mean(axis=1)
     return {other.target: float(mean) for other, mean in zip(others, means, strict=True)}
 
@@ -234,13 +236,22 @@ def _predict_order(one: PairMemory, rule: Join) -> float:
     return one.first_in_front * rule.stay + (1.0 - one.first_in_front) * (1.0 - rule.stay)
 
 
-def _reweight(step: Step[Posterior], marginal: Marginal | None) -> Step[Posterior]:
+def _prior_of(one: Filtered) -> LogWeights:
+    """The prior weights of its hypotheses, factors included: they are no evidence of pixels."""
+    if not one.plan.factors:
+        return one.step.prior
+    return one.step.prior.times(log_prior_factor(one.plan.factors, one.step.evidence))[0]
+
+
+def _reweight(one: Filtered, marginal: Marginal | None) -> Step[Posterior]:
     """The step with the weights of the joint belief; as it was where this leaves no hypothesis."""
+    step = one.step
     if marginal is None:
         return step
     particles(step.posterior)
     try:
-        return reweight_step(step, marginal.log_likelihood)  # type: ignore[arg-type]
+        said = marginal.log_likelihood + log_prior_factor(one.plan.factors, step.evidence)
+        return reweight_step(step, said)  # type: ignore[arg-type]
     except DegenerateWeights:
         return step
 
@@ -249,12 +260,12 @@ def _level(known: Level | None, one: Filtered) -> Level:
     """The level with the agents that are active: as measured, else that of this very frame."""
     if known is not None and known.active == one.plan.active:
         return known
-    return Level(one.plan.active, *_half_way(one.step), 0)
+    return Level(one.plan.active, *_half_way(one), 0)
 
 
-def _half_way(step: Step[Posterior]) -> tuple[float, float]:
+def _half_way(one: Filtered) -> tuple[float, float]:
     """Log-likelihood half way between the best and the worst hypothesis, and that of the best."""
-    log = step.evidence.log_likelihood
+    log = log_seen(one.plan.factors, one.step.evidence)
     best = float(np.max(log))
     return (best + max(float(np.min(log)) - best, -DEEPEST) / 2, best) if np.isfinite(best) else (0.0, 0.0)
 
@@ -270,7 +281,7 @@ def _levels_after(
     for name, one in of.items():
         hidden = metrics[name].hidden if name in metrics else 0.0
         if hidden <= LEVEL_HIDDEN and one.step.degenerate is None:
-            after[name] = levels[name].then(one.plan.active, *_half_way(one.step))
+            after[name] = levels[name].then(one.plan.active, *_half_way(one))
     return after
 
 

@@ -7,8 +7,24 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from bayesnet_track.graph.display import html_of
+from bayesnet_track.graph.expressions.terms import Term
 from bayesnet_track.graph.spec import AgentNode, GraphSpec, InferenceNode, Target
 from bayesnet_track.observation.cue import CueDeclaration, NoParameters, installed_cues
+
+
+@dataclass(frozen=True)
+class Factor:
+    """An expression that weighs the hypotheses of the node above it.
+
+    Attributes:
+        parent: the inference node above it.
+        term: the expression.
+        constants: the numbers that it uses by name.
+    """
+
+    parent: str
+    term: Term
+    constants: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,11 +35,12 @@ class CheckedTarget:
         name: the plate's name.
         spec: its specification.
         root: the inference node without a parent.
-        order: every node, parents before children, siblings in file order.
+        order: every agent and inference node, parents before children, siblings in file order.
         parent: node -> its parent (None for the root).
         children: inference node -> its children in file order.
         parameters: agent -> its cue's typed parameters.
         governor: agent -> the nearest inference node above it that has `adapt` rules, or None.
+        factors: factor node -> its expression, in file order.
     """
 
     name: str
@@ -34,6 +51,7 @@ class CheckedTarget:
     children: Mapping[str, tuple[str, ...]]
     parameters: Mapping[str, NoParameters]
     governor: Mapping[str, str | None]
+    factors: Mapping[str, Factor] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Name and size."""

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag
 
 from bayesnet_track.graph.display import html_of
+from bayesnet_track.graph.expressions.terms import MAX_CHARACTERS
 from bayesnet_track.graph.settings.adapt import (
     Activate,
     Adapt,
@@ -105,6 +106,7 @@ __all__ = [
     "EssBelow",
     "Estimate",
     "Exclusion",
+    "FactorNode",
     "Fuse",
     "Gaussian",
     "Given",
@@ -229,14 +231,36 @@ class AgentNode(Model):
     )
 
 
-def _node_kind(value: Any) -> str:
-    if isinstance(value, AgentNode):
-        return "agent"
-    return "agent" if isinstance(value, Mapping) and "agent" in value else "inference"
+class FactorNode(Model):
+    """A leaf that weighs each hypothesis by an [expression](expressions.md) instead of looking at the image.
+
+    Its density multiplies what the node above it says, in a pool with the exponent 1. It is always on: no
+    rule switches it, and it has no KL and no contribution of its own.
+
+    Example::
+
+        size: {parent: person, factor: "normal(h, 0.32 * y + 12, 8)"}
+    """
+
+    parent: Name = Field(description="the inference node above")
+    factor: Annotated[str, Field(max_length=MAX_CHARACTERS)] = Field(
+        description="expression of the node's state, a density up to a constant"
+    )
+
+
+def node_kind(value: Any) -> str:
+    """Which of the nodes a value is, or is to be: agent, factor or inference."""
+    if isinstance(value, Model):
+        return {AgentNode: "agent", FactorNode: "factor"}.get(type(value), "inference")
+    kinds = ("agent", "factor") if isinstance(value, Mapping) else ()
+    return next((kind for kind in kinds if kind in value), "inference")
 
 
 Node = Annotated[
-    Annotated[InferenceNode, Tag("inference")] | Annotated[AgentNode, Tag("agent")], Discriminator(_node_kind)
+    Annotated[InferenceNode, Tag("inference")]
+    | Annotated[AgentNode, Tag("agent")]
+    | Annotated[FactorNode, Tag("factor")],
+    Discriminator(node_kind),
 ]
 
 
@@ -272,6 +296,9 @@ class GraphSpec(Model):
     bayesnet: Literal[1] = Field(default=1, description="version of the language")
     name: Name = Field(description="name of the graph")
     about: str = Field(default="", max_length=2000, description="what the graph is for")
+    constants: dict[Name, Number] = Field(
+        default={}, max_length=64, description="numbers that expressions use by name"
+    )
     targets: dict[Name, Target] = Field(min_length=1, description="kinds of targets, by name")
     joins: tuple[Join, ...] = Field(
         default=(), max_length=64, description="how targets depend on each other; default not at all"

@@ -9,8 +9,10 @@ from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.checked import CheckedTarget, Factor
+from bayesnet_track.graph.expressions.write import text_of
 from bayesnet_track.graph.spec import AgentNode, Fuse, Given, Latent
+from bayesnet_track.inference.factors import Weigh
 from bayesnet_track.inference.plane_words import plane_words
 from bayesnet_track.observation.cue import AnyCue, MeasuringCue
 from bayesnet_track.observation.planes import Plane
@@ -56,6 +58,7 @@ class Fusion:
         children: children with a message in this plan.
         shares: weights of the children as given; only their ratios count, and only for a pool.
         given: p(own state | parent's state) of a latent node, or None.
+        factors: factors of the node with a message in this plan; each counts once, in a pool too.
         own: how a latent node's own state is held: one draw per hypothesis, draws joined by the
             row-normalised kernel, a Gaussian, or cells of a grid.
     """
@@ -66,12 +69,17 @@ class Fusion:
     shares: tuple[float, ...]
     given: Given | None = None
     own: Own = "one"
+    factors: tuple[str, ...] = ()
 
     def weights(self, present: Container[str]) -> dict[str, float]:
-        """Child in `present` -> exponent of its likelihood: they sum to 1 for a pool, and are 1 otherwise."""
+        """Child in `present` -> exponent of its likelihood: they sum to 1 for a pool, and are 1 otherwise.
+
+        Those of factors are 1.
+        """
         kept = {c: share for c, share in zip(self.children, self.shares, strict=True) if c in present}
         total = sum(kept.values()) if self.kind == "pool" else 1.0
-        return {child: share / total for child, share in kept.items()}
+        weights = {child: share / total for child, share in kept.items()}
+        return {**weights, **{factor: 1.0 for factor in self.factors if factor in present}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +92,9 @@ class Plan:
         active: agents that observe.
         draws: prior down, parents first; parts are drawn with no agent below them, too.
         observations: one per active agent, in file order.
-        fusions: likelihoods up, children first; the root's is last. Empty when no agent is active.
+        factors: one per factor, in file order.
+        fusions: likelihoods up, children first; the root's is last. Empty when no agent is active and there
+            are no factors.
         planes: planes that the active agents read, inputs first.
         idle_planes: inactive agent -> the planes that a due reference update reads, on the estimate's crop.
     """
@@ -94,6 +104,7 @@ class Plan:
     active: frozenset[str]
     draws: tuple[Draw, ...]
     observations: tuple[Observe, ...]
+    factors: tuple[Weigh, ...]
     fusions: tuple[Fusion, ...]
     planes: tuple[Plane, ...]
     idle_planes: Mapping[str, tuple[Plane, ...]]
@@ -117,7 +128,8 @@ class Plan:
             ("likelihoods up", one.node, f"{one.kind} of {', '.join(one.children)}") for one in self.fusions
         ]
         idle = [("off", agent, "") for agent in self.idle_planes]
-        rows = [("planes", self.target, planes), *draws, *asked, *joined, *idle]
+        factors = [("weigh", one.factor, f"{text_of(one.term)} at {one.at}") for one in self.factors]
+        rows = [("planes", self.target, planes), *draws, *asked, *factors, *joined, *idle]
         return table(rows, ("step", "node", "what"))
 
 
@@ -141,6 +153,7 @@ def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str
             )
             for name in watching
         ),
+        factors=tuple(_weigh(target, name, factor) for name, factor in target.factors.items()),
         fusions=tuple(_fuse(target, name, messengers) for name in reversed(inference)),
         planes=_with_inputs(plane for name in watching for plane in cues[name].needs),
         idle_planes={name: _with_inputs(cues[name].needs) for name in target.agents if name not in working},
@@ -148,10 +161,11 @@ def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str
 
 
 def _messengers(target: CheckedTarget, active: frozenset[str]) -> frozenset[str]:
-    """Nodes that send a message: active agents, and inference nodes above one."""
-    found = set(active)
+    """Nodes that send a message: active agents, factors, and inference nodes above one."""
+    found = set(active | target.factors.keys())
+    weighed = {factor.parent for factor in target.factors.values()}
     for name in reversed(target.order):
-        if any(child in found for child in target.children.get(name, ())):
+        if name in weighed or any(child in found for child in target.children.get(name, ())):
             found.add(name)
     return frozenset(found)
 
@@ -186,16 +200,32 @@ def _draw(target: CheckedTarget, node: str) -> Draw:
     return Draw(node, target.root if above is None else _hypotheses_of(target, above), fuse.latent.given)
 
 
+def _weigh(target: CheckedTarget, name: str, factor: Factor) -> Weigh:
+    node: str | None = factor.parent
+    at = _hypotheses_of(target, node)
+    above = target.parent[at] if _is_latent(target, at) else None
+    is_prior = True
+    while node is not None:
+        fuse = target.inference(node).fuse
+        is_prior = is_prior and (fuse is None or fuse.product is not None or node == factor.parent)
+        is_prior = is_prior and not _is_latent(target, node)
+        node = target.parent[node]
+    given_from = at if above is None else _hypotheses_of(target, above)
+    return Weigh(name, at, given_from, factor.term, factor.constants, is_prior)
+
+
 def _fuse(target: CheckedTarget, node: str, messengers: frozenset[str]) -> Fusion:
     children = tuple(child for child in target.children[node] if child in messengers)
     fuse = target.inference(node).fuse or Fuse.model_validate("product")
+    factors = tuple(name for name, factor in target.factors.items() if factor.parent == node)
     if fuse.kind == "pool":
         shares = tuple(1.0 if fuse.pool == "equal" else fuse.settings[child] for child in children)
-        return Fusion(node, "pool", children, shares)
+        return Fusion(node, "pool", children, shares, factors=factors)
     shares = (1.0,) * len(children)
     if fuse.latent is None:
-        return Fusion(node, fuse.kind, children, shares)
-    return Fusion(node, fuse.kind, children, shares, fuse.latent.given, _own(target, node, fuse.latent))
+        return Fusion(node, fuse.kind, children, shares, factors=factors)
+    given, own = fuse.latent.given, _own(target, node, fuse.latent)
+    return Fusion(node, fuse.kind, children, shares, given, own, factors)
 
 
 def _own(target: CheckedTarget, node: str, latent: Latent) -> Own:
@@ -231,10 +261,11 @@ def describe_plan(plan: Plan, agents: Mapping[str, AgentNode] | None = None) -> 
     for step in plan.observations:
         cue = "" if agents is None else f" ({agents[step.agent].agent.cue})"
         lines.append(f"  observe  {step.agent}{cue} at the hypotheses of {step.at}")
+    lines += [f"  weigh    {step.factor} at {step.at}: {text_of(step.term)}" for step in plan.factors]
     for fusion in plan.fusions:
         terms = ", ".join(
-            child if fusion.kind != "pool" else f"{child}^{weight:.3g}"
-            for child, weight in fusion.weights(fusion.children).items()
+            child if fusion.kind != "pool" or child in fusion.factors else f"{child}^{weight:.3g}"
+            for child, weight in fusion.weights((*fusion.children, *fusion.factors)).items()
         )
         lines.append(f"  join     {fusion.node} = {fusion.kind}({terms}){HELD[fusion.own]}")
     for agent, planes in plan.idle_planes.items():

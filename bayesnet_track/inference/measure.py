@@ -31,7 +31,8 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
     nodes = list(evidence.messages)
     agents = [obs.agent for obs in plan.observations if obs.agent in evidence.messages]
     governors = [target.governor[agent] or target.root for agent in agents]
-    nothing, is_alone = np.zeros(len(prior)), len(plan.observations) == 1
+    nothing = np.zeros(len(prior))
+    is_alone = len(plan.observations) == 1 and not plan.factors
     left = [
         nothing if is_alone else without(plan, evidence, agent, hypotheses, prior).get(governor, nothing)
         for agent, governor in zip(agents, governors, strict=True)

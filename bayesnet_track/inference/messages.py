@@ -15,6 +15,7 @@ from bayesnet_track.graph.spec import Noise
 from bayesnet_track.inference.availability import Missing
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.executor import each_at_once
+from bayesnet_track.inference.factors import weigh
 from bayesnet_track.inference.gaussian_messages import latent_gaussian, measurement_message, to_power
 from bayesnet_track.inference.latent_messages import grid_message, kernel_message
 from bayesnet_track.inference.observe import (
@@ -76,9 +77,16 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
             messages[step.agent] = np.zeros(len(hypotheses))
         else:
             messages[step.agent] = answer if step.temperature == 1.0 else answer / step.temperature
-    joined = join_messages(plan, messages, measured, latent, hypotheses, prior_log)
+    factors: dict[str, Floats] = {}
+    for one in plan.factors:
+        above = hypotheses if one.given_from == one.at else at[one.given_from]
+        log = weigh(one, at[one.at], above, observer.cache.frames, observer.factors)
+        if log is not None:
+            factors[one.factor] = log
+    joined = join_messages(plan, messages | factors, measured, latent, hypotheses, prior_log)
     total = joined.messages.pop(plan.root, np.zeros(len(hypotheses)))
-    return Evidence(total, joined.messages, latent, faults, joined.gaussians, joined.sampled, measured)
+    said = {node: message for node, message in joined.messages.items() if node not in factors}
+    return Evidence(total, said, latent, faults, joined.gaussians, joined.sampled, measured, factors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +112,7 @@ def join_messages(
     hypotheses: Hypotheses,
     prior_log: Floats,
 ) -> Joined:
-    """Every inference node's message from what the agents said and measured, children first.
+    """Every inference node's message from what agents and factors `said` and agents measured, children first.
 
     Missing children, and agents that measured nothing, are left out, a pool's weights scaled to sum to 1 over
     those present.
@@ -159,6 +167,7 @@ def without(
     """The messages of all nodes had `agent` been switched off; the root's own included (if any is left)."""
     agents = {step.agent for step in plan.observations} - {agent}
     said = {name: message for name, message in evidence.messages.items() if name in agents}
+    said |= evidence.factors
     measured = {name: own for name, own in evidence.measured.items() if name in agents}
     return join_messages(plan, said, measured, evidence.latent, hypotheses, prior_log).messages
 

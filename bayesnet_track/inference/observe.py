@@ -23,6 +23,7 @@ from bayesnet_track.inference.executor import (
     defer_faults,
     is_elsewhere,
 )
+from bayesnet_track.inference.factors import Factors
 from bayesnet_track.observation.cue import AnyCue, Hypotheses, Measurement, Reference
 from bayesnet_track.observation.guests import FAULTS, foreign_part, real_numbers, said
 from bayesnet_track.observation.planes import PlaneCache, Region
@@ -65,6 +66,7 @@ class Observer:
         answered: agents that gave an answer in an evaluation of the frame.
         broke_off: agents that gave an answer and later failed or gave none: what was made of their answers is
             of another net than what follows.
+        factors: what was found of the factors in any evaluation of the frame.
     """
 
     cache: PlaneCache
@@ -81,6 +83,7 @@ class Observer:
     missed: MutableMapping[str, str] = field(default_factory=dict)
     answered: set[str] = field(default_factory=set)
     broke_off: set[str] = field(default_factory=set)
+    factors: Factors = field(default_factory=Factors)
 
 
 @dataclass(frozen=True, eq=False)

@@ -137,6 +137,7 @@ def _quotient(plan: Plan, fusion: Fusion | None, evidence: Evidence) -> Floats |
     if sent is None:
         return 0.0
     received = sum((said[child] for child in fusion.children if child in said), np.zeros(len(sent)))
+    received += sum(evidence.factors.get(factor, 0.0) for factor in fusion.factors)
     # A hypothesis whose message is nothing has no weight, whatever its draw.
     return np.where(sent > -np.inf, received - np.where(sent > -np.inf, sent, 0.0), -np.inf)
 

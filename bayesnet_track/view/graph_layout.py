@@ -6,7 +6,7 @@ from collections.abc import Set
 from dataclasses import dataclass
 
 from bayesnet_track.graph.checked import CheckedTarget
-from bayesnet_track.graph.spec import AgentNode
+from bayesnet_track.graph.spec import AgentNode, FactorNode
 
 MARGIN = 28.0
 GAP = 26.0
@@ -166,6 +166,8 @@ def _note(target: CheckedTarget, name: str) -> str:
     node = target.spec.nodes[name]
     if isinstance(node, AgentNode):
         return "" if node.agent.cue == name else node.agent.cue
+    if isinstance(node, FactorNode):
+        return "factor"
     if name != target.root:
         held = "" if node.belief is None else f", {node.belief.kind}"
         latent = None if node.fuse is None else node.fuse.latent

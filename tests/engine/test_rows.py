@@ -14,7 +14,9 @@ from bayesnet_track.engine.rows.fitting import row_rule
 from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.rows.row_table import RowTable
 from bayesnet_track.engine.starts import start_targets
+from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.by_hand import Released, Toggled
 from bayesnet_track.journal.events.load import LateFrame
@@ -205,3 +207,14 @@ def test_the_table_of_rows_is_the_one_that_lives_are_managed_in(graph, found):
     assert table.of_plate("target") == list(done[-1].metrics.rows.ids)
     assert table.of_plate("other") == []
     assert find_rows is steps.find_rows
+
+
+def test_targets_with_a_factor_go_one_by_one():
+    plain = as_plain(load_graph("kalman_detections").spec)
+    ((plate, target),) = plain["targets"].items()
+    root = next(name for name, node in target["nodes"].items() if "parent" not in node)
+    for factor in (None, {"parent": root, "factor": "normal(h, 60, 20)"}):
+        if factor is not None:
+            target["nodes"]["size"] = factor
+        engine = steps.make_engine(check_graph(plain), 0, detectors={"detections": FileDetector({})})
+        assert (row_rule(engine, plate) is None) == (factor is not None)

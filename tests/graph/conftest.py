@@ -265,7 +265,8 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
             "temperature": positive,
         },
     )
-    nodes = st.dictionaries(names, inference | agent, min_size=1, max_size=4)
+    factor = _mapping({"parent": names, "factor": st.text(max_size=20)}, {})
+    nodes = st.dictionaries(names, inference | agent | factor, min_size=1, max_size=4)
     targets = st.dictionaries(
         names,
         _mapping({"nodes": nodes}, {"state": st.just("box"), **_life(positive, share, frames)}),
@@ -276,6 +277,7 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
     optional = {
         "bayesnet": st.just(1),
         "about": about,
+        "constants": st.dictionaries(names, st.floats(-9, 9), max_size=2),
         "joins": st.lists(_joins(names, share, frames), max_size=2),
     }
     return _mapping({"name": names, "targets": targets}, optional)
@@ -410,6 +412,7 @@ def everything() -> dict[str, Any]:
         "q": {"belief": {"particles": {"proposal": {"likelihood_mixture": {"share": 0.3}}}}},
         "h": {"belief": {"grid": {"cell_px": 3, "reset": {"region": "image", "false_rate": 0.01}}}},
         "d": {"parent": "c", "agent": {"hue": {"bins": 16, "window": [5, 5]}}, "learn_rate_max": 0},
+        "t": {"parent": "a", "factor": "normal(h, slope * y + 12, 8)"},
         "e": {"parent": "c", "agent": "motion", "active": False, "self_check": {"above": level, "rest": 7}},
     }
     life = {
@@ -420,6 +423,7 @@ def everything() -> dict[str, Any]:
     }
     return {
         "name": "everything",
+        "constants": {"slope": 0.32},
         "about": "two\nlines: \u00e9 # \U0001f600",
         "targets": {"t": {"nodes": nodes, **life}},
         "joins": [

@@ -153,3 +153,37 @@ def test_a_part_says_where_it_lies_in_its_parents_box(target):
     given = {"offset_box": {"y": -0.4}, "size_box": {"h": 0.25}, "sd_px": {"x": 2, "y": 2}}
     text = formula_text(target(_fusion({"latent": {"given": given}})))
     assert "p(color_t | s_t): Gaussian around (x, y - 0.4 h), 1 w by 0.25 h, sd x 2 px, y 2 px" in text
+
+
+def test_factors_stand_in_the_density_and_below_it(cues):
+    nodes = _fusion()
+    nodes["s"]["motion"] = WALK
+    nodes["size"] = {"parent": "s", "factor": "normal(h, slope * y + 12, 8)"}
+    nodes["old"] = {"parent": "color", "factor": "exp(-x)"}
+    plain = {"name": "g", "constants": {"slope": 0.32}, "targets": {"s": {"nodes": nodes}}}
+    target = check_graph(plain, cues).targets["s"]
+    lines = formula_text(target).splitlines()
+    assert lines[0] == (
+        f"p(s_t | e_1:t) ∝ {PREDICTED} · [p(e_hist | s_t)^½ · p(e_blobs | s_t)^½ · old(s_t)] · "
+        "p(e_flow | s_t) · size(s_t)"
+    )
+    assert lines[3:] == ["size(s_t) = normal(h, slope * y + 12, 8), slope = 0.32", "old(s_t) = exp(-x)"]
+    latex = formula_latex(target).splitlines()
+    assert latex[1].endswith(r"\, \mathrm{size}(\mathit{s}_{t}) \\")
+    assert latex[3] == (
+        r"\mathrm{size}(\mathit{s}_{t}) &= \mathcal{N}\left(h;\, \mathit{slope} \, y + 12,\, 8\right)"
+        r", \quad \mathit{slope} = 0.32 \\"
+    )
+    assert latex[4] == r"\mathrm{old}(\mathit{s}_{t}) &= \exp\left(-x\right)"
+
+
+def test_a_factor_of_a_latent_node_is_inside_the_integral(target):
+    nodes = {
+        "s": {"motion": WALK},
+        "part": {"parent": "s", "fuse": {"latent": {"given": {"sd_px": {"x": 3}}}}},
+        "look": {"parent": "part", "agent": "hue"},
+        "near": {"parent": "part", "factor": "normal(x - parent.x, 0, 2)"},
+    }
+    lines = formula_text(target(nodes)).splitlines()
+    assert lines[0].endswith("[∫ p(part_t | s_t) · p(e_look | part_t) · near(part_t) d part_t]")
+    assert lines[-1] == "near(part_t) = normal(x - parent.x, 0, 2)"

@@ -9,7 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesnet_track.journal.codec import from_json, to_json
-from bayesnet_track.journal.events.beliefs import BeliefReset, DegenerateBelief, MeasurementGated
+from bayesnet_track.journal.events.beliefs import (
+    BeliefReset,
+    DegenerateBelief,
+    FactorFlawed,
+    MeasurementGated,
+)
 from bayesnet_track.journal.events.births import (
     BirthsRefused,
     CandidateConfirmed,
@@ -197,6 +202,20 @@ GOLDEN = [
     (
         DegenerateBelief(12, "1", "all weights are 0"),
         "frame 12: no hypothesis of target 1 can be used: all weights are 0; the prediction stays",
+    ),
+    (
+        FactorFlawed(12, "1", "road", 0, 500, True),
+        "frame 12: factor road of target 1 is 0 for all hypotheses → it is left out of this frame",
+    ),
+    (
+        FactorFlawed(12, "1", "road", 3, 500, False),
+        "frame 12: factor road of target 1 has no value for 3 of 500 hypotheses (such as 0 / 0) → they count "
+        "as impossible",
+    ),
+    (
+        FactorFlawed(12, "1", "road", 500, 500, True),
+        "frame 12: factor road of target 1 has no value for 500 of 500 hypotheses (such as 0 / 0) → it is "
+        "left out of this frame",
     ),
     (
         BeliefReset(33, "1", 0.2834, 1.0, "belief", 3600.0, "reset"),

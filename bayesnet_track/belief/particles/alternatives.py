@@ -114,6 +114,7 @@ def select(one: WeightedSample, index: Ancestors) -> WeightedSample:
             for name, own in evidence.latent.items()
         },
         sampled=None if evidence.sampled is None else evidence.sampled[index],
+        factors={name: values[index] for name, values in evidence.factors.items()},
     )
     return WeightedSample(one.states[index], one.prior_log[index], one.ancestors[index], part)
 

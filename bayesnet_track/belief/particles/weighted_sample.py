@@ -94,6 +94,7 @@ def _concatenate_evidence(first: Evidence, second: Evidence) -> Evidence:
         if first.sampled is None or second.sampled is None
         else np.concatenate([first.sampled, second.sampled]),
         first.measured,
+        _concatenate_arrays(first.factors, second.factors),
     )
 
 

@@ -55,10 +55,12 @@ def graph(options: argparse.Namespace) -> int:
     """Show plan, formula and picture of a graph."""
     from bayesnet_track.graph.text.load import load_graph
 
-    plates = _plates(load_graph(options.graph), options.target)
+    loaded = load_graph(options.graph)
+    plates = _plates(loaded, options.target)
     text = _density if options.formula or options.latex else _plan
     if options.formula or options.latex or not (options.svg or options.png):
-        say("\n\n".join(text(plate, _active(plate), options.latex) for plate in plates))
+        said = [text(plate, _active(plate), options.latex) for plate in plates]
+        say("\n\n".join([*said, *_joins(loaded, plates, options)]))
     plate, active = plates[0], _active(plates[0])
     if options.svg is not None:
         from bayesnet_track.view.graph_picture import graph_svg
@@ -81,6 +83,17 @@ def _density(plate: CheckedTarget, active: frozenset[str], as_latex: bool) -> st
     from bayesnet_track.graph.text.formula import formula_latex, formula_text
 
     return formula_latex(plate, active) if as_latex else formula_text(plate, active)
+
+
+def _joins(loaded: CheckedGraph, plates: list[CheckedTarget], options: argparse.Namespace) -> list[str]:
+    """The densities of the joins of these plates, where densities are asked for."""
+    from bayesnet_track.graph.text.formula_joins import join_latex, join_text
+
+    if not (options.formula or options.latex):
+        return []
+    kinds = {plate.name for plate in plates}
+    about = [one for one in loaded.spec.joins if one.between is None or kinds & set(one.between)]
+    return [(join_latex if options.latex else join_text)(one) for one in about]
 
 
 def _plan(plate: CheckedTarget, active: frozenset[str], as_latex: bool) -> str:

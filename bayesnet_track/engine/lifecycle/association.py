@@ -127,7 +127,7 @@ def _score_looks(work: FrameWork, target: str, state: TargetState, boxes: Floats
         availability=work.availability_of(target, "claiming"),
     )
     prior = np.full(len(boxes), -np.log(len(boxes)))
-    plan = compile_plan(compiled.plate, agents, compiled.cues)
+    plan = replace(compile_plan(compiled.plate, agents, compiled.cues), factors=())
     return np.clip(evaluate(plan, observer, Hypotheses(boxes), prior).log_likelihood, LEAST_LOG, 0.0)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,9 +47,8 @@ def compare(
         )
         states = np.concatenate([boxes, random, others])
         prior = np.full(len(states), -np.log(len(states)))
-        evidence = evaluate(
-            compile_plan(compiled.plate, agents, compiled.cues), observer, Hypotheses(states), prior
-        )
+        plan = replace(compile_plan(compiled.plate, agents, compiled.cues), factors=())
+        evidence = evaluate(plan, observer, Hypotheses(states), prior)
         values = np.clip(evidence.log_likelihood, LEAST_LOG, None)
         agents = tuple(agent for agent in agents if agent in observer.answered)
     else:

@@ -77,6 +77,8 @@ def row_rule(engine: Engine, plate: str) -> RowRule | None:
     agents, motion = compiled.plate.agents, compiled.motion
     if engine.joins or engine.target_executor is not None or len(compiled.association_rules) != 1:
         return None
+    if compiled.plate.factors:
+        return None
     if len(agents) != 1 or len(compiled.plate.order) != 2 or is_elsewhere(compiled.cues[agents[0]]):
         return None
     agent, association = next(iter(compiled.association_rules.items()))

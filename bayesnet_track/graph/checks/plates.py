@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
-from bayesnet_track.graph.spec import AgentNode, InferenceNode, Target
+from bayesnet_track.graph.spec import AgentNode, FactorNode, InferenceNode, Target
 from bayesnet_track.graph.text.messages import GraphMessage, Path, Positions
 from bayesnet_track.observation.cue import CueDeclaration
 
@@ -20,12 +20,14 @@ class Plate:
         spec: its specification.
         at: where its parts stand.
         cues: installed cues by name.
+        constants: numbers that expressions use by name.
     """
 
     name: str
     spec: Target
     at: Positions
     cues: Mapping[str, CueDeclaration]
+    constants: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def agents(self) -> dict[str, AgentNode]:
@@ -38,22 +40,27 @@ class Plate:
         return {name: node for name, node in self.spec.nodes.items() if isinstance(node, InferenceNode)}
 
     @cached_property
+    def factors(self) -> dict[str, FactorNode]:
+        """The factor nodes in file order."""
+        return {name: node for name, node in self.spec.nodes.items() if isinstance(node, FactorNode)}
+
+    @cached_property
     def roots(self) -> list[str]:
         """The inference nodes without a parent."""
         return [name for name, node in self.inference.items() if node.parent is None]
 
     @cached_property
     def children(self) -> dict[str, list[str]]:
-        """Every node -> the nodes that name it as parent, in file order."""
+        """Every node -> the agents and inference nodes that name it as parent, in file order."""
         found: dict[str, list[str]] = {name: [] for name in self.spec.nodes}
         for name, node in self.spec.nodes.items():
-            if node.parent in found:
+            if node.parent in found and name not in self.factors:
                 found[node.parent].append(name)
         return found
 
     @cached_property
     def order(self) -> list[str]:
-        """Every node that hangs under a root, parents before children, siblings in file order."""
+        """Every agent and inference node under a root, parents before children, siblings in file order."""
         found: list[str] = []
         waiting = self.roots[::-1]
         while waiting:

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.checks.cues import CUE_CHECKS, cue_parameters
 from bayesnet_track.graph.checks.evidence import evidence_counts_once
+from bayesnet_track.graph.checks.factors import CONSTANT_CHECKS, FACTOR_CHECKS, read_factors
 from bayesnet_track.graph.checks.joins import JOIN_CHECKS
 from bayesnet_track.graph.checks.lifecycle import LIFE_CHECKS
 from bayesnet_track.graph.checks.plates import Check, Plate
@@ -28,7 +29,7 @@ from bayesnet_track.observation.plugins import given
 Cues = Mapping[str, CueDeclaration] | Iterable[GivenCue]
 """All cues that there are, by name; or, beside the installed ones, declarations or files of one's own."""
 
-CHECKS_OF_A_SOUND_TREE = (*RULE_CHECKS, evidence_counts_once)
+CHECKS_OF_A_SOUND_TREE = (*RULE_CHECKS, evidence_counts_once, *FACTOR_CHECKS)
 
 
 def check(spec: GraphSpec, at: Positions | None = None, cues: Cues | None = None) -> CheckedGraph:
@@ -44,9 +45,10 @@ def check(spec: GraphSpec, at: Positions | None = None, cues: Cues | None = None
     named = cues_named(spec)
     own = {**given(ENTRY_POINT_GROUP), **mapped_cues(cues)}
     known = own if isinstance(cues, Mapping) else {**installed_cues(named), **own}
-    plates = [Plate(name, target, at, known) for name, target in spec.targets.items()]
+    plates = [Plate(name, target, at, known, spec.constants) for name, target in spec.targets.items()]
     errors = [message for plate in plates for message in _violations(plate)]
-    errors += [message for check in JOIN_CHECKS for message in islice(check(spec, at), MAX_MESSAGES + 1)]
+    for find in (*CONSTANT_CHECKS, *JOIN_CHECKS):
+        errors += islice(find(spec, at), MAX_MESSAGES + 1)
     text = write_graph(spec)
     if len(text.encode()) > MAX_BYTES:
         errors.append(at.message((), f"more than {MAX_BYTES} bytes when written as YAML", "smaller graphs"))
@@ -108,4 +110,5 @@ def _resolve(plate: Plate) -> CheckedTarget:
             for name, node in plate.agents.items()
         },
         governor=plate.governor,
+        factors=read_factors(plate),
     )

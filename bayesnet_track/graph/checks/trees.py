@@ -25,10 +25,11 @@ def parents_exist(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def agents_are_leaves(plate: Plate) -> Iterator[GraphMessage]:
-    """No agent has children."""
+    """No agent and no factor has children."""
     for name, node in plate.spec.nodes.items():
-        if node.parent in plate.agents:
-            found = f"parent {node.parent!r} is an agent, and agents have no children"
+        if node.parent in plate.agents or node.parent in plate.factors:
+            kind = "an agent, and agents" if node.parent in plate.agents else "a factor, and factors"
+            found = f"parent {node.parent!r} is {kind} have no children"
             yield plate.message(name, found, plate.inference, key=("parent",))
 
 

@@ -140,6 +140,13 @@ class _Events(Reader, Scanner, Parser):
         super().fetch_flow_collection_start(token)
 
 
+def _length(event: Event) -> int:
+    """Characters that a value takes in its line; -1 where it takes several lines."""
+    start: Any = event.start_mark
+    end: Any = event.end_mark
+    return int(end.index - start.index) if end.line == start.line else -1
+
+
 def _place(event: Event) -> tuple[int, int]:
     mark: Any = event.start_mark
     return (mark.line + 1, mark.column + 1)
@@ -159,6 +166,7 @@ class _Building:
     file: str
     keys: dict[Path, tuple[int, int]] = field(default_factory=dict)
     values: dict[Path, tuple[int, int]] = field(default_factory=dict)
+    texts: dict[Path, int] = field(default_factory=dict)
     errors: list[GraphMessage] = field(default_factory=list)
     nodes: int = 0
 
@@ -179,7 +187,7 @@ class _Building:
             raise GraphError([*self.errors, self._at(mark, (), f"not YAML: {said[:300]}")]) from None
         if self.errors:
             raise GraphError(self.errors)
-        return Document(value, Positions(self.file, self.keys, self.values))
+        return Document(value, Positions(self.file, self.keys, self.values, self.texts))
 
     def _single(self, events: Any) -> Any:
         value = None
@@ -282,6 +290,9 @@ class _Building:
             found, allowed = f"a value of {len(text)} characters", f"at most {MAX_SCALAR} characters"
             self._refuse(event, path, found, allowed)
             return None
+        quotes = 0 if event.style is None else 1
+        if _length(event) == len(text) + 2 * quotes:
+            self.texts[path] = quotes
         if not event.implicit[0]:
             return text
         value = plain_scalar(text)

@@ -11,7 +11,7 @@ from pydantic import BaseModel, Tag, ValidationError
 from pydantic.fields import FieldInfo
 
 from bayesnet_track.graph.settings.base import Choice, Model, Name, PluginChoice
-from bayesnet_track.graph.spec import AgentNode, InferenceNode
+from bayesnet_track.graph.spec import AgentNode, FactorNode, InferenceNode
 from bayesnet_track.graph.text.messages import (
     MAX_MESSAGES,
     GraphMessage,
@@ -23,6 +23,7 @@ from bayesnet_track.graph.text.messages import (
 )
 from bayesnet_track.graph.text.renamed import new_word
 
+NODES: Mapping[Any, str] = {InferenceNode: "an inference", AgentNode: "an agent", FactorNode: "a factor"}
 MAX_EXPLAINED = 4 * MAX_MESSAGES
 
 
@@ -208,15 +209,11 @@ def _unknown_key(word: str, owner: Any, parent: _Step, path: Path, at: Positions
         if isinstance(parent.value, str):
             path = path[:-1]
         found = f"unknown {shown_name(choice)} {shown(word)}"
-    elif owner is InferenceNode or owner is AgentNode:
-        found += " of an agent node" if owner is AgentNode else " of an inference node"
-        near = [*fields, "agent"]
+    elif owner in NODES:
+        found += f" of {NODES[owner]} node"
+        near = [*fields, "agent", "factor"] if owner is InferenceNode else fields
     if new := _explain_renamed(word, owner, path):
-        what = (
-            found.removeprefix("unknown ")
-            .removesuffix(" of an inference node")
-            .removesuffix(" of an agent node")
-        )
+        what = found.removeprefix("unknown ").partition(" of a")[0]
         return at.message(path, f"{what} has been renamed", new, on_key=True)
     return at.message(path, found, fields or "no settings", word=word, near=near, on_key=True)
 

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.checked import Factor as Expression
+from bayesnet_track.graph.expressions.write import latex_of, text_of
 from bayesnet_track.graph.spec import Given, Noise, OffsetBox, SizeBox
 
 
@@ -20,6 +22,14 @@ class Likelihood:
     """p(e_agent | state)."""
 
     agent: str
+    state: str
+
+
+@dataclass(frozen=True)
+class Weight:
+    """A factor node's expression of a state."""
+
+    factor: str
     state: str
 
 
@@ -39,7 +49,7 @@ class Integral:
     inner: Factor
 
 
-Factor = Likelihood | Product | Integral
+Factor = Likelihood | Weight | Product | Integral
 
 
 def factor_of(target: CheckedTarget, active: Iterable[str] | None = None) -> Factor | None:
@@ -65,6 +75,7 @@ def formula_text(target: CheckedTarget, active: Iterable[str] | None = None) -> 
         lines.append(
             f"p({_text_state(name)} | {_text_state(given)}): Gaussian{_place(noise)}, {_noise(noise)}{held}"
         )
+    lines += [f"{name}({_text_state(at)}) = {_expression(one)}" for name, at, one in _weights(target)]
     left_out = _list_left_out(target, active)
     return "\n".join([*lines, f"left out (switched off): {', '.join(left_out)}"] if left_out else lines)
 
@@ -79,8 +90,11 @@ def formula_latex(target: CheckedTarget, active: Iterable[str] | None = None) ->
         r"\begin{align*}",
         rf"p({root} \mid e_{{1:t}}) &\propto {predicted}{said} \\",
         rf"{predicted} &= \int p({root} \mid {before}) \, p({before} \mid e_{{1:t-1}}) \, d{before}",
-        r"\end{align*}",
     ]
+    for name, at, one in _weights(target):
+        lines[-1] += r" \\"
+        lines.append(rf"{_latex_weight(name, at)} &= {latex_of(one.term)}{_latex_constants(one)}")
+    lines.append(r"\end{align*}")
     left_out = _list_left_out(target, active)
     return "\n".join([*lines, f"% left out (switched off): {', '.join(left_out)}"] if left_out else lines)
 
@@ -92,15 +106,18 @@ def _factor(target: CheckedTarget, name: str, state: str, active: set[str]) -> F
     latent = node.fuse is not None and node.fuse.latent is not None
     own = _own_state(target, name) if latent else state
     said = [(child, _factor(target, child, own, active)) for child in target.children[name]]
-    speaking = [(child, factor) for child, factor in said if factor is not None]
+    speaking: list[tuple[str, Factor]] = [(child, factor) for child, factor in said if factor is not None]
+    factors = [child for child, factor in target.factors.items() if factor.parent == name]
+    speaking += [(child, Weight(child, own)) for child in factors]
     if not speaking:
         return None
     weights = dict.fromkeys((child for child, _ in speaking), 1.0)
     if node.fuse is not None and node.fuse.pool is not None:
         pool = node.fuse.pool
-        given = weights if isinstance(pool, str) else {child: pool[child] for child in weights}
+        pooled = [child for child in weights if child not in factors]
+        given = {child: 1.0 if isinstance(pool, str) else pool[child] for child in pooled}
         total = sum(given.values())
-        weights = {child: weight / total for child, weight in given.items()}
+        weights |= {child: weight / total for child, weight in given.items()}
     product = Product(tuple((factor, weights[child]) for child, factor in speaking))
     alone = len(speaking) == 1
     inner: Factor = speaking[0][1] if alone else product
@@ -111,6 +128,8 @@ def _text(factor: Factor, inside: bool) -> str:
     match factor:
         case Likelihood(agent, state):
             return f"p(e_{agent} | {_text_state(state)})"
+        case Weight(name, state):
+            return f"{name}({_text_state(state)})"
         case Integral(own, given, inner):
             state = _text_state(own)
             kernel = f"p({state} | {_text_state(given)})"
@@ -125,6 +144,8 @@ def _latex(factor: Factor, inside: bool) -> str:
     match factor:
         case Likelihood(agent, state):
             return rf"p(e_{{\mathrm{{{_escape(agent)}}}}} \mid {_latex_state(state)})"
+        case Weight(name, state):
+            return _latex_weight(name, state)
         case Integral(own, given, inner):
             state = _latex_state(own)
             kernel = rf"p({state} \mid {_latex_state(given)})"
@@ -183,6 +204,35 @@ def _latent_nodes(target: CheckedTarget) -> list[tuple[str, str, Given]]:
         if latent is not None:
             found.append((states[name], above, latent.given))
     return found
+
+
+def _weights(target: CheckedTarget) -> list[tuple[str, str, Expression]]:
+    """Each factor, the state that it is about, and its expression."""
+    found = []
+    for name, factor in target.factors.items():
+        node: str | None = factor.parent
+        while node is not None:
+            fuse = target.inference(node).fuse
+            if fuse is not None and fuse.latent is not None:
+                break
+            node = target.parent[node]
+        found.append((name, target.root if node is None else _own_state(target, node), factor))
+    return found
+
+
+def _expression(factor: Expression) -> str:
+    constants = "".join(f", {name} = {value:g}" for name, value in factor.constants.items())
+    return text_of(factor.term) + constants
+
+
+def _latex_weight(name: str, state: str) -> str:
+    return rf"\mathrm{{{_escape(name)}}}({_latex_state(state)})"
+
+
+def _latex_constants(factor: Expression) -> str:
+    return "".join(
+        rf", \quad \mathit{{{_escape(name)}}} = {value:g}" for name, value in factor.constants.items()
+    )
 
 
 def _own_state(target: CheckedTarget, name: str) -> str:

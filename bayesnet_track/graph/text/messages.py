@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from typing import Any
 
@@ -82,12 +82,23 @@ class GraphError(ValueError):
 class Positions:
     """Where each key and value of a graph stands: path -> (line, column), from 1.
 
-    Without any (a graph written in Python) messages name the path of keys.
+    Without any (a graph written in Python) messages name the path of keys. `texts` holds the texts that stand
+    in the file letter for letter, and how many quotes stand before each.
     """
 
     file: str = "<python>"
     keys: Mapping[Path, tuple[int, int]] = field(default_factory=dict)
     values: Mapping[Path, tuple[int, int]] = field(default_factory=dict)
+    texts: Mapping[Path, int] = field(default_factory=dict)
+
+    def inside(self, message: GraphMessage, character: int) -> GraphMessage:
+        """The message at a character of the text that it is about.
+
+        Where the file writes the text in several lines or with escapes, the message names the character.
+        """
+        if message.column is None or message.path not in self.texts:
+            return replace(message, found=f"{message.found} at character {character + 1}")
+        return replace(message, column=message.column + self.texts[message.path] + character)
 
     def message(
         self,

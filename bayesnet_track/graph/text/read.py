@@ -62,6 +62,10 @@ def _only_in_python(document: Document) -> Iterator[GraphMessage]:
         name = path[-1] if path else "graph"
         if value is None:
             yield document.at.message(path, f"{shown_name(name)} is empty", "a value, or no such key")
+        elif len(path) == 4 and isinstance(value, dict) and "factor" in value:
+            for key in (key for key, inside in value.items() if inside is None):
+                found, allowed = "factor is cut at a comma", "quotes around the expression"
+                yield document.at.message((*path, key), found, allowed, on_key=True)
         elif name == "agent" and len(path) == 5 and isinstance(value, dict):
             if "cue" in value:
                 yield document.at.message(

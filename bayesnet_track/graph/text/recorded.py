@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import Cues, check
 from bayesnet_track.graph.settings.base import Choice, PluginChoice
-from bayesnet_track.graph.spec import AgentNode, GraphSpec, InferenceNode
+from bayesnet_track.graph.spec import AgentNode, FactorNode, GraphSpec, InferenceNode, node_kind
 from bayesnet_track.graph.text.document import read_document
 from bayesnet_track.graph.text.explain import shape_of
 from bayesnet_track.graph.text.messages import GraphError, Positions
@@ -77,7 +77,7 @@ def _kind(data: Any, annotation: Any) -> Any:
     shape = shape_of(annotation)
     kinds = [shape_of(kind).only for kind in shape.kinds]
     if AgentNode in kinds:
-        return AgentNode if isinstance(data, Mapping) and "agent" in data else InferenceNode
+        return {"agent": AgentNode, "factor": FactorNode}.get(node_kind(data), InferenceNode)
     settings = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
     return (settings or kinds)[0]
 

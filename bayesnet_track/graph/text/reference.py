@@ -13,10 +13,13 @@ from pydantic_core import PydanticUndefined
 
 from bayesnet_track.graph.checks.cues import CUE_CHECKS
 from bayesnet_track.graph.checks.evidence import evidence_counts_once
+from bayesnet_track.graph.checks.factors import CONSTANT_CHECKS, FACTOR_CHECKS
 from bayesnet_track.graph.checks.joins import JOIN_CHECKS
 from bayesnet_track.graph.checks.lifecycle import LIFE_CHECKS
 from bayesnet_track.graph.checks.trees import TREE_CHECKS
 from bayesnet_track.graph.checks.values import RULE_CHECKS, VALUE_CHECKS
+from bayesnet_track.graph.expressions.terms import MAX_CHARACTERS, MAX_NESTING, MAX_TERMS
+from bayesnet_track.graph.expressions.vocabulary import FRAME_NAMES, FUNCTIONS, PARENT, STATE_NAMES
 from bayesnet_track.graph.settings.base import Choice, Model, PluginChoice
 from bayesnet_track.graph.spec import LANGUAGE_VERSION, GraphSpec
 from bayesnet_track.graph.text.document import MAX_BYTES, MAX_DEPTH, MAX_NODES, MAX_SCALAR
@@ -43,7 +46,13 @@ Every error names `file:line:column: node: what was found; what is allowed; near
 def language_reference(cues: Mapping[str, CueDeclaration] | None = None) -> str:
     """The whole reference page; `cues` are the installed ones unless given."""
     cues = installed_cues() if cues is None else cues
-    sections = [_OPENING, *(_section(model) for model in _models_in_order()), *_cues(cues), _checks()]
+    sections = [
+        _OPENING,
+        *(_section(model) for model in _models_in_order()),
+        _expressions(),
+        *_cues(cues),
+        _checks(),
+    ]
     return "\n".join(sections)
 
 
@@ -135,6 +144,24 @@ def _default(field: FieldInfo) -> str:
     return f"`{flow_text(as_plain(value))}`"
 
 
+def _expressions() -> str:
+    lines = [
+        "## Expressions\n",
+        "Numbers, names, `+ - * / **`, `< <= > >= == !=`, `and or not` and functions; at most "
+        f"{MAX_CHARACTERS:,} characters, {MAX_TERMS} numbers, names and operations, "
+        f"and {MAX_NESTING} levels of nesting. [More about expressions](expressions.md).\n",
+        "| function | gives |",
+        "|---|---|",
+        *(f"| `{name}{one.form}` | {one.meaning} |" for name, one in FUNCTIONS.items()),
+        "",
+        "| name | stands for |",
+        "|---|---|",
+        *(f"| `{name}` | {meaning} |" for name, meaning in (STATE_NAMES | FRAME_NAMES).items()),
+        f"| `{PARENT}x` ... `{PARENT}h` | the same of the state that a latent node is drawn around |",
+    ]
+    return "\n".join(lines) + "\n"
+
+
 def _cues(cues: Mapping[str, CueDeclaration]) -> Iterator[str]:
     yield "## Cues\n"
     yield "The installed cues. Every cue's likelihood is at most 1 and at least its `floor`.\n"
@@ -155,6 +182,8 @@ def _checks() -> str:
         *VALUE_CHECKS,
         *RULE_CHECKS,
         evidence_counts_once,
+        *FACTOR_CHECKS,
+        *CONSTANT_CHECKS,
         *JOIN_CHECKS,
     )
     lines = ["## Checks\n", "A graph is accepted when all of these hold:\n"]

@@ -1,0 +1,172 @@
+"""Factors: exact against enumeration for every belief, always on, and reported where they make no sense."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from bayesnet_track.belief.grid.belief import GridFilter
+from bayesnet_track.belief.motion.models import make_motion
+from bayesnet_track.belief.particles.belief import ParticleFilter
+from bayesnet_track.graph import spec
+from bayesnet_track.graph.expressions.evaluate import log_values
+from bayesnet_track.graph.expressions.parse import parse
+from bayesnet_track.inference.compile import describe_plan
+from bayesnet_track.inference.messages import evaluate, without
+from bayesnet_track.journal.events.beliefs import DegenerateBelief, FactorFlawed
+from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.observation.cue import Hypotheses
+
+SIZE = "normal(h, 0.3 * y + 8, 2) * where(x > 40, 1, 0.2)"
+WALK = {"random_walk": {"sd_px": {"x": 6, "y": 6}, "sd_log": {"scale": 0.2}}}
+START = np.array([50.0, 40.0, 20.0, 20.0])
+AGENT = {"parent": "s", "agent": "a"}
+
+
+def factor(expression, parent="s"):
+    return {"parent": parent, "factor": expression}
+
+
+def plan_of(fakes, nodes, sees=None):
+    """A plan with all agents, and an observer for them."""
+    sees = {"a": fakes.gaussian(55, 42, 7)} if sees is None else sees
+    cues = {name: fakes.Oracle(see) for name, see in sees.items()}
+    graph = fakes.graph(nodes, {name: fakes.declare(cue) for name, cue in cues.items()})
+    target = graph.targets["plate"]
+    return fakes.compile_plan(target, target.agents, cues), partial(fakes.observer, cues)
+
+
+def boxes_at(xs, y=40.0):
+    return np.array([[x, y, 20.0, 20.0] for x in xs])
+
+
+def asked(fakes, nodes, boxes, sees=None, prior=None):
+    """The evidence of hypotheses in these boxes, and the observer."""
+    plan, observe = plan_of(fakes, nodes, sees)
+    observer = observe()
+    prior = LogWeights.uniform(len(boxes)).log if prior is None else prior
+    return evaluate(plan, observer, Hypotheses(boxes), prior), observer, plan
+
+
+def log_of(expression, boxes):
+    return log_values(parse(expression), dict(zip("xywh", boxes.T, strict=True)))
+
+
+@pytest.mark.parametrize(
+    "belief", [ParticleFilter(spec.Particles(size=300)), GridFilter(spec.Grid(cell_px=4, cut=0))], ids=type
+)
+def test_a_posterior_is_prior_times_likelihood_times_factor(fakes, belief):
+    plan, observe = plan_of(fakes, {"s": {}, "a": AGENT, "size": factor(SIZE)})
+    motion = make_motion(spec.Motion.model_validate(WALK))
+    posterior = belief.start(START, motion, observe().stream)
+    for index in range(1, 4):
+        observer = observe(index=index)
+        step = belief.step(posterior, motion, 1.0, partial(evaluate, plan, observer), observer.stream)
+        boxes = step.support.boxes
+        seen = fakes.gaussian(55, 42, 7)(None, Hypotheses(boxes), None)
+        product = np.exp(step.prior.log + seen + log_of(SIZE, boxes))
+        weights = step.support.weights.weights
+        np.testing.assert_allclose(weights, product / product.sum(), rtol=0, atol=1e-12)
+        assert step.log_evidence == pytest.approx(np.log(product.sum()), abs=1e-9)
+        posterior = step.posterior
+
+
+def test_in_a_pool_a_factor_counts_once(fakes):
+    nodes = {"s": {"fuse": {"pool": {"a": 3, "b": 1}}}, "a": "s", "b": "s", "f": factor("exp(x / 10)")}
+    boxes = boxes_at([30, 50, 70])
+    sees = {"a": fakes.gaussian(55, 42, 7), "b": fakes.gaussian(30, 40, 9)}
+    evidence, _, _ = asked(fakes, nodes, boxes, sees)
+    said = evidence.messages
+    expected = 0.75 * said["a"] + 0.25 * said["b"] + boxes[:, 0] / 10
+    np.testing.assert_allclose(evidence.log_likelihood, expected, rtol=1e-14)
+
+
+def test_a_factor_is_always_on_and_no_message_of_an_agent(fakes):
+    nodes = {"s": {"fuse": "product"}, "a": "s", "g": {"parent": "s"}, "b": "g", "f": factor("x", "g")}
+    boxes = boxes_at([30, 50])
+    sees = {"a": fakes.flat(), "b": fakes.flat()}
+    plan, observe = plan_of(fakes, nodes, sees)
+    evidence = evaluate(plan, observe(), Hypotheses(boxes), np.log([0.5, 0.5]))
+    assert set(evidence.messages) == {"a", "b", "g"}
+    assert set(evidence.factors) == {"f"}
+    left = without(plan, evidence, "b", Hypotheses(boxes), np.log([0.5, 0.5]))
+    np.testing.assert_allclose(left["s"], np.log([30, 50]))
+    assert "  weigh    f at s: x" in describe_plan(plan)
+
+
+def test_names_stand_for_state_frame_and_constants(fakes):
+    motion = {"constant_velocity": {"sd_px": {"x": 6, "y": 6}}}
+    expression = "vx * dt + frame_width / frame_height * pi + y"
+    plan, observe = plan_of(fakes, {"s": {"motion": motion}, "a": AGENT, "f": factor(expression)})
+    fields = {"vx": np.array([2.0, 3.0]), "vy": np.zeros(2)}
+    evidence = evaluate(plan, observe(), Hypotheses(boxes_at([1, 2]), fields), np.log([0.5, 0.5]))
+    np.testing.assert_allclose(np.exp(evidence.factors["f"]), fields["vx"] + 1.2 * np.pi + 40)
+
+
+def test_a_factor_of_a_latent_node_knows_its_parents_state(fakes):
+    given = {"sd_px": {"x": 3, "y": 3}}
+    nodes = {
+        "s": {"fuse": "product"},
+        "n": {"parent": "s", "fuse": {"latent": {"given": given}}},
+        "a": "n",
+        "f": factor("normal(x - parent.x, 2, 1)", "n"),
+    }
+    boxes = boxes_at([30, 50, 70])
+    evidence, _, _ = asked(fakes, nodes, boxes, {"a": fakes.flat()})
+    away = evidence.latent["n"].boxes[:, 0] - boxes[:, 0]
+    np.testing.assert_allclose(evidence.log_likelihood, -0.5 * (away - 2) ** 2 - 0.5 * np.log(2 * np.pi))
+
+
+def test_hypotheses_without_a_value_are_impossible(fakes):
+    evidence, observer, _ = asked(
+        fakes, {"s": {}, "a": AGENT, "f": factor("sqrt(x - 40)")}, boxes_at([30, 50])
+    )
+    assert evidence.log_likelihood[0] == -np.inf
+    assert np.isfinite(evidence.log_likelihood[1])
+    flaw = observer.factors.flaws["f"]
+    assert (flaw.undefined, flaw.hypotheses, flaw.ignored) == (1, 2, False)
+
+
+@pytest.mark.parametrize("expression", ["x > 1000", "0 / 0", "-1", "normal(x, 0, -1)"])
+def test_a_factor_that_leaves_nothing_possible_is_left_out(fakes, expression):
+    boxes = boxes_at([30, 50])
+    evidence, observer, _ = asked(fakes, {"s": {}, "a": AGENT, "f": factor(expression)}, boxes)
+    np.testing.assert_array_equal(evidence.log_likelihood, evidence.messages["a"])
+    assert observer.factors.flaws["f"].ignored
+    assert evidence.factors == {}
+
+
+def test_later_hypotheses_may_all_be_impossible(fakes):
+    plan, observe = plan_of(fakes, {"s": {}, "a": AGENT, "f": factor("x < 40")})
+    observer, equal = observe(), np.log([0.5, 0.5])
+    assert np.isfinite(evaluate(plan, observer, Hypotheses(boxes_at([30, 50])), equal).log_likelihood[0])
+    assert np.all(evaluate(plan, observer, Hypotheses(boxes_at([60, 50])), equal).log_likelihood == -np.inf)
+    assert observer.factors.flaws == {}
+
+
+def test_what_is_wrong_with_a_factor_is_written_down(fakes):
+    engine, _ = fakes.engine({"s": {}, "a": AGENT, "f": factor("x > 1000")}, {"a": fakes.flat()})
+    outcomes = fakes.play(engine, 2)
+    events = [event for outcome in outcomes for event in outcome.events]
+    assert [type(event) for event in events if event.frame > 0] == [FactorFlawed, FactorFlawed]
+    assert not [event for event in events if isinstance(event, DegenerateBelief)]
+    assert (events[-1].frame, events[-1].node, events[-1].ignored) == (2, "f", True)
+
+
+@pytest.mark.parametrize("belief", ["particles", "grid", "gaussian"])
+def test_a_factor_pulls_every_belief(fakes, belief):
+    """Kalman's update is exact for a linear Gaussian factor; the others match it."""
+    nodes = {"s": {"belief": belief}, "a": AGENT, "f": factor("normal(x, 60, 4)")}
+    engine, _ = fakes.engine(nodes, {"a": fakes.flat()})
+    mean = fakes.play(engine, 1)[-1].state.targets["1"].belief.mean
+    assert mean[0] == pytest.approx(50 + 10 * 64 / (64 + 16), abs=0.5)
+
+
+def test_rules_see_no_factor(fakes):
+    nodes = {"s": {}, "a": AGENT, "f": factor("normal(x, 52, 4)")}
+    engine, _ = fakes.engine(nodes, {"a": fakes.flat()})
+    metrics = fakes.play(engine, 2)[-1].metrics[0]
+    assert "f" not in metrics.kl
+    assert "f" not in metrics.active
