@@ -32,6 +32,7 @@ from bayesnet_track.cli.commands.smooth import smooth
 from bayesnet_track.cli.commands.tracking import run
 from bayesnet_track.cli.commands.verify import verify
 from bayesnet_track.cli.commands.what_if import what_if
+from bayesnet_track.cli.diagnose.command import diagnose
 from bayesnet_track.cli.fitting.fit import fit
 from bayesnet_track.graph.text.excerpt import describe_error
 from bayesnet_track.graph.text.messages import GraphError
@@ -39,6 +40,7 @@ from bayesnet_track.numerics.compile_watch import WATCH
 
 COMPILING = "compiling kernels, once, about 20 s"
 TRACKING = ("demo", "run", "resume", "batch", "what-if")
+LOOKS_BACK = ("log", "score", "report", "compare", "diagnose", "export")
 SILENT = ("quiet", "log_json", "json")
 """Options with which nothing is said of it: somebody reads by program, or does not want to know."""
 
@@ -54,6 +56,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "compare": compare,
     "completion": completion,
     "detect": detect,
+    "diagnose": diagnose,
     "export": export,
     "fit": fit,
     "report": report,
@@ -151,5 +154,5 @@ def _code_of(error: Exception, command: str) -> int | None:
     if isinstance(error, RecipeError | CheckpointError | ResumeError | ManifestError):
         return BAD_SOURCE
     if isinstance(error, RunDirectoryError):
-        return BAD_SOURCE if command in ("log", "score", "report", "compare", "export") else BAD_OUTPUT
+        return BAD_SOURCE if command in LOOKS_BACK else BAD_OUTPUT
     return BAD_OUTPUT if isinstance(error, OutputError) else None

@@ -81,7 +81,10 @@ def say_next(options: argparse.Namespace, out: Path, summary: Summary) -> None:
         complain(f"next: {again if can_resume else ''}{shows}")
     else:
         shows = f"`bayesnet-track report {out} --open` shows the run in a browser"
-        complain(f"next: {shows}; `bayesnet-track log {out}` prints its decisions")
+        then = f"`bayesnet-track log {out}` prints its decisions"
+        if summary.lost_frames:
+            then = f"`bayesnet-track diagnose {out}` names a key to try where it is lost"
+        complain(f"next: {shows}; {then}")
 
 
 def _rate(summary: Summary) -> float:

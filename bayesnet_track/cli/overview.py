@@ -9,7 +9,7 @@ from typing import Any
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "see it work": ("demo", "doctor", "list", "completion"),
     "track": ("run", "batch", "resume", "verify"),
-    "look at a run": ("report", "log", "smooth", "export"),
+    "look at a run": ("report", "log", "diagnose", "smooth", "export"),
     "measure": ("score", "compare", "what-if"),
     "write a graph": ("init", "validate", "graph", "schema"),
     "fit to your videos": ("fit", "learn-shape", "learn-stereo"),
@@ -29,6 +29,7 @@ EXAMPLES: Mapping[str, str] = {
     "report": "report runs/mine --open",
     "log": "log runs/mine --why 120",
     "smooth": "smooth runs/mine --out runs/mine_smoothed",
+    "diagnose": "diagnose runs/mine",
     "export": "export runs/mine --format coco --out tracks.json",
     "score": "score runs/mine --truth groundtruth.txt",
     "compare": "compare runs/a runs/b --html differences.html",

@@ -15,6 +15,7 @@ from bayesnet_track.cli.commands.smooth import add_smooth
 from bayesnet_track.cli.commands.tracking import add_run
 from bayesnet_track.cli.commands.verify import add_verify
 from bayesnet_track.cli.commands.what_if import add_what_if
+from bayesnet_track.cli.diagnose.command import add_diagnose
 from bayesnet_track.cli.fitting.fit import add_fit
 from bayesnet_track.cli.options.arguments import pixels, whole_number
 from bayesnet_track.cli.options.doctor import add_doctor
@@ -120,5 +121,6 @@ def make_parser() -> MainParser:
     add_compare(commands)
     add_what_if(commands)
     add_export(commands)
+    add_diagnose(commands)
     add_examples(commands)
     return parser

@@ -1,0 +1,127 @@
+"""What the files of a run say of how well its net worked: measures of its lines, each against a level."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from statistics import median
+
+from bayesnet_track.journal.metrics import FrameMetrics
+
+FEW_FRAMES = 10
+"""Below so many frames of a target nothing is said of it."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that was measured and is beyond its level.
+
+    Attributes:
+        target: whom it is about.
+        what: the measure, its value and the level, in words.
+        remedy: name of the row in `remedies`.
+        agent: the agent that it is about, or None.
+        frame: a frame in which to look, or None.
+    """
+
+    target: str
+    what: str
+    remedy: str
+    agent: str | None = None
+    frame: int | None = None
+
+
+Lines = Sequence[FrameMetrics]
+
+
+def find(lines: Lines) -> Iterator[Finding]:
+    """What stands out in the lines of one target, in the order of frames, without its first frame."""
+    later = lines[1:]
+    if len(later) < FEW_FRAMES:
+        return
+    for check in CHECKS:
+        yield from check(later)
+
+
+def _effective(lines: Lines) -> Iterator[Finding]:
+    shares = [line.ess / line.particles for line in lines if line.particles > 20]
+    if shares and median(shares) < 0.05:
+        worst = min(lines, key=lambda line: line.ess / max(line.particles, 1))
+        what = f"half of the time less than {median(shares):.1%} of the hypotheses count (below 5 %)"
+        remedy = "few_hypotheses" if median(shares) > 0.02 else "sharp"
+        agent = _loudest(lines) if remedy == "sharp" else None
+        yield Finding(lines[0].target, what, remedy, agent, worst.frame)
+
+
+def _surprise(lines: Lines) -> Iterator[Finding]:
+    usual = median(line.surprise for line in lines)
+    if usual > 3.0:
+        worst = max(lines, key=lambda line: line.surprise)
+        what = f"a frame moves the belief by {usual:.1f} nats (median; above 3), more than motion explains"
+        yield Finding(lines[0].target, what, "too_slow", frame=worst.frame)
+
+
+def _unforeseen(lines: Lines) -> Iterator[Finding]:
+    values = [line.log_evidence for line in lines]
+    usual = median(values)
+    spread = median(abs(value - usual) for value in values)
+    poor = [line for line in lines if line.log_evidence < usual - max(8 * spread, 3.0)]
+    if 0 < len(poor) <= len(lines) // 5:
+        what = (
+            f"in {len(poor)} of {len(lines)} frames the evidence is far below what was predicted, "
+            f"first in frame {poor[0].frame}"
+        )
+        yield Finding(lines[0].target, what, "bursts", frame=poor[0].frame)
+
+
+def _contradiction(lines: Lines) -> Iterator[Finding]:
+    agents = dict.fromkeys(agent for line in lines for agent in line.kl)
+    for agent in agents:
+        values = [line.kl[agent] for line in lines if agent in line.kl and len(line.kl) > 1]
+        if len(values) >= FEW_FRAMES and median(values) > 4.0:
+            what = f"{agent} contradicts the belief: KL {median(values):.1f} nats (median; above 4)"
+            yield Finding(lines[0].target, what, "sharp", agent)
+
+
+def _lost(lines: Lines) -> Iterator[Finding]:
+    lost = [line for line in lines if line.status == "lost"]
+    if not lost:
+        return
+    what = f"lost in {len(lost)} of {len(lines)} frames, first in frame {lost[0].frame}"
+    is_gone = lines[-1].status == "lost"
+    yield Finding(lines[0].target, what, "gone" if is_gone else "false_alarm", frame=lost[0].frame)
+
+
+def _learning(lines: Lines) -> Iterator[Finding]:
+    learnt = sum(line.learn_rate > 0 for line in lines)
+    if learnt < len(lines) // 10:
+        what = f"references learned in {learnt} of {len(lines)} frames only (below 10 %)"
+        yield Finding(lines[0].target, what, "stale")
+
+
+def _switching(lines: Lines) -> Iterator[Finding]:
+    changes = sum(a.active != b.active for a, b in pairwise(lines))
+    if changes > len(lines) // 4:
+        what = f"the active agents change in {changes} of {len(lines)} frames (above a quarter)"
+        yield Finding(lines[0].target, what, "flicker")
+
+
+def _loudest(lines: Lines) -> str | None:
+    """The agent with the largest contribution, on average."""
+    totals: dict[str, float] = {}
+    for line in lines:
+        for agent, value in line.contribution.items():
+            totals[agent] = totals.get(agent, 0.0) + value
+    return max(totals, key=lambda agent: totals[agent], default=None)
+
+
+CHECKS: Sequence[Callable[[Lines], Iterator[Finding]]] = (
+    _lost,
+    _effective,
+    _surprise,
+    _unforeseen,
+    _contradiction,
+    _learning,
+    _switching,
+)

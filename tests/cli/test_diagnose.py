@@ -1,0 +1,109 @@
+"""What `diagnose` finds in the lines of a run, and that what it says can be done."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from bayesnet_track.cli.diagnose.command import names_of
+from bayesnet_track.cli.diagnose.findings import FEW_FRAMES, find
+from bayesnet_track.cli.diagnose.remedies import REMEDIES, remedies_table, settings
+from bayesnet_track.cli.main import main
+from bayesnet_track.cli.parser import make_parser
+from bayesnet_track.graph.text.change import change_graph
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.journal.metrics import FrameMetrics
+
+GENERAL = load_graph("general").text
+FRAMES = 40
+
+
+@pytest.fixture
+def lines():
+    """A run in which nothing is wrong."""
+    one = FrameMetrics(
+        0, 0.0, "1", (30.0, 35.0, 40.0, 30.0), (30.0, 35.0, 40.0, 30.0), (1.0,) * 4, 50.0, {}, None,
+        "tracking", 0.9, -2.0, 0.5, 250.0, 500, ("color", "filter"), {"color": 0.1, "filter": 0.2},
+        {"color": 0.1, "filter": 2.0}, {}, {}, 0.03, (0.0, 1.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0), (),
+    )  # fmt: skip
+    return [replace(one, frame=n, log_evidence=-2.0 - 0.01 * (n % 7)) for n in range(FRAMES)]
+
+
+def test_a_run_in_which_nothing_is_wrong(lines):
+    assert list(find(lines)) == []
+    assert list(find([replace(line, status="lost") for line in lines[:FEW_FRAMES]])) == []
+
+
+@pytest.mark.parametrize(
+    ("changed", "frames", "remedy", "words"),
+    [
+        ({"status": "lost"}, range(30, 40), "gone", "lost in 10 of 39 frames, first in frame 30"),
+        ({"status": "lost"}, range(10, 14), "false_alarm", "lost in 4 of 39 frames, first in frame 10"),
+        ({"ess": 15.0}, range(40), "few_hypotheses", "less than 3.0% of the hypotheses count (below 5 %)"),
+        ({"ess": 5.0}, range(40), "sharp", "less than 1.0% of the hypotheses count (below 5 %)"),
+        ({"surprise": 4.0}, range(40), "too_slow", "moves the belief by 4.0 nats (median; above 3)"),
+        ({"log_evidence": -9.0}, range(20, 23), "bursts", "in 3 of 39 frames the evidence is far below"),
+        ({"kl": {"color": 0.1, "filter": 5.0}}, range(40), "sharp", "filter contradicts the belief: KL 5.0"),
+        ({"learn_rate": 0.0}, range(40), "stale", "references learned in 0 of 39 frames only"),
+        ({"active": ("color",)}, range(0, 40, 3), "flicker", "the active agents change in 25 of 39 frames"),
+    ],
+)
+def test_what_stands_out(lines, changed, frames, remedy, words):
+    (found,) = find([replace(line, **changed) if line.frame in frames else line for line in lines])
+    assert found.remedy == remedy and words in found.what
+    assert found.agent == ("filter" if remedy == "sharp" else None)
+
+
+def test_every_key_of_the_table_is_one_of_the_language():
+    names = names_of(GENERAL, "target", "filter")
+    assert names == {
+        "ROOT": "target",
+        "MOTION": "random_walk",
+        "AGENT": "filter",
+        "CUE": "correlation_filter",
+    }
+    for setting in settings(names):
+        changed = change_graph(GENERAL, [setting]).text
+        assert changed != GENERAL, f"{setting}: that is the value that it has already"
+
+
+@pytest.mark.parametrize("name", REMEDIES)
+def test_every_row_names_a_command_that_shows_it(name):
+    words = REMEDIES[name].command.replace("--why N", "--why 3").split()
+    assert make_parser().parse_args(words).command == words[0]
+
+
+def test_the_page_has_the_table():
+    page = Path(__file__).parents[2] / "docs" / "which_key.md"
+    assert remedies_table() in page.read_text(encoding="utf-8"), "remedies_table() prints it"
+
+
+def test_the_command_reads_a_run_and_what_it_says_is_a_command(tmp_path, capsys):
+    out = str(tmp_path / "run")
+    assert (
+        main(
+            [
+                "demo",
+                "gray_square",
+                "--end",
+                "30",
+                "-q",
+                "-o",
+                out,
+                "--set",
+                "square.belief.particles.size=30",
+            ]
+        )
+        == 0
+    )
+    assert main(["diagnose", out, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["run"] == out and all(one["try"] or one["key"] for one in found["findings"])
+    assert main(["diagnose", out]) == 0
+    said = capsys.readouterr().out
+    assert "bayesnet-track " in said
+    assert main(["diagnose", out, "--target", "7"]) == 2
+    assert main(["diagnose", str(tmp_path)]) == 4
