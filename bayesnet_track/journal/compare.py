@@ -14,6 +14,10 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.reidentification import Returned
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision, Switch
+from bayesnet_track.journal.text.wording import plural
+
+MOST = 0.9
+"""Share of the frames that must have evidence of the same agents for one run to explain the video better."""
 
 NEAR = 0.5
 """Two boxes hold the same target when their centres are nearer than this share of their mean size."""
@@ -213,6 +217,31 @@ def _totals(first: RunRecord, second: RunRecord) -> tuple[Total, ...]:
     # A clock's figures differ as much between equal runs on a busy machine.
     better = ("agents per frame", "declared ms per frame", "frames lost", "median UD, px²")
     return tuple(Total(name, mine[name], theirs[name], True if name in better else None) for name in mine)
+
+
+def total_evidence(first: RunRecord, second: RunRecord, pairs: Iterable[tuple[str, str]]) -> Total:
+    """The log-evidence of both, over the frames of `pairs` in which the same agents gave evidence.
+
+    It compares models of one and the same evidence: the graphs must have the same agents. The name says how
+    many frames count. Where less than `MOST` of them do, neither is called better: a run that lost its target
+    has no evidence in the frames that would have told against it.
+    """
+    sums, frames, common = [0.0, 0.0], 0, 0
+    for mine, theirs in pairs:
+        others = {line.frame: line for line in second.metrics if line.target == theirs}
+        for line in first.metrics:
+            other = others.get(line.frame)
+            if line.target != mine or other is None or not (line.kl or other.kl):
+                continue
+            common += 1
+            values = line.log_evidence, other.log_evidence
+            if line.kl.keys() == other.kl.keys() and all(map(math.isfinite, values)):
+                sums = [total + value for total, value in zip(sums, values, strict=True)]
+                frames += 1
+    if not frames:
+        return Total("log-evidence, nats", None, None)
+    name = f"log-evidence, nats ({frames} of {plural(common, 'frame')})"
+    return Total(name, sums[0], sums[1], False if frames >= MOST * common else None)
 
 
 def _figures(run: RunRecord) -> dict[str, float | None]:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 
-from bayesnet_track.journal.compare import compare
+from bayesnet_track.journal.compare import compare, total_evidence
 from bayesnet_track.journal.events.births import CandidateConfirmed, TargetStarted
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated
@@ -154,3 +154,36 @@ def test_a_target_that_only_one_run_has_is_never_taken_for_another_one_of_that_i
     text = compare_text(a, b, found, [])
     assert "they part first at frame 0, target 2 of B\n  A  frame 0: it has no such target\n" in text
     assert "frame 5, target 2 of A, 3 of B, motion\n    A  frame 5: UD 210" in text
+
+
+def with_evidence(name, *frames):
+    """Frames as (log-evidence, agents that gave it)."""
+    lines = [
+        replace(line(n), log_evidence=value, kl=dict.fromkeys(agents, 0.1))
+        for n, (value, agents) in enumerate(frames)
+    ]
+    return Record(name, [start()], lines)
+
+
+def test_evidence_counts_where_the_same_agents_gave_it():
+    one = with_evidence("a", (0.0, ()), (-3.0, ("color",)), (-4.0, ("color", "motion")), (-5.0, ("color",)))
+    other = with_evidence("b", (0.0, ()), (-2.0, ("color",)), (-9.0, ("color",)), (float("-inf"), ("color",)))
+    found = total_evidence(one, other, [("1", "1")])
+    assert (found.name, found.first, found.second) == ("log-evidence, nats (1 of 3 frames)", -3.0, -2.0)
+    assert found.less_is_better is None
+
+
+def test_the_larger_evidence_is_better_where_most_frames_have_it():
+    one, other = (
+        with_evidence(name, *[(value, ("color",))] * 9, (0.0, ()))
+        for name, value in (("a", -3.0), ("b", -2.0))
+    )
+    found = total_evidence(one, other, [("1", "1")])
+    assert (found.name, found.first, found.second) == ("log-evidence, nats (9 of 9 frames)", -27.0, -18.0)
+    assert found.less_is_better is False
+
+
+def test_without_a_frame_of_the_same_agents_there_is_no_evidence():
+    one, other = with_evidence("a", (-3.0, ("color",))), with_evidence("b", (-3.0, ("motion",)))
+    found = total_evidence(one, other, [("1", "1")])
+    assert (found.name, found.first, found.second) == ("log-evidence, nats", None, None)

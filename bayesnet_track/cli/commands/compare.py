@@ -85,7 +85,8 @@ def show_comparison(first: Run, second: Run, options: argparse.Namespace) -> int
     from bayesnet_track.journal.text.compare_text import compare_text, settings_apart
 
     compared = compare_runs(first, second)
-    compared = replace(compared, totals=(*compared.totals, *_scores(first, second, compared, options.truth)))
+    scores = _scores(first, second, compared, options.truth)
+    compared = replace(compared, totals=(*compared.totals, *_evidence(first, second, compared), *scores))
     settings = settings_apart(first.started, second.started)
     settings += [str(one) for one in differences(first.graph_text, second.graph_text)]
     if options.html is not None:
@@ -101,6 +102,23 @@ def show_comparison(first: Run, second: Run, options: argparse.Namespace) -> int
     if options.html is not None:
         complain(f"wrote {options.html}")
     return OK
+
+
+def _evidence(first: Run, second: Run, compared: Comparison) -> list[Total]:
+    """Which graph explains the video better, where both have the same agents."""
+    from bayesnet_track.graph.spec import AgentNode
+    from bayesnet_track.journal.compare import total_evidence
+
+    agents = [
+        {
+            (plate, name): node.agent
+            for plate, target in run.spec.targets.items()
+            for name, node in target.nodes.items()
+            if isinstance(node, AgentNode)
+        }
+        for run in (first, second)
+    ]
+    return [total_evidence(first, second, compared.pairs)] if agents[0] == agents[1] else []
 
 
 def _scores(first: Run, second: Run, compared: Comparison, given: str | None) -> list[Total]:
