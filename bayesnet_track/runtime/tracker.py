@@ -135,7 +135,7 @@ class Tracker(Boxed):
 
     @property
     def centre_box(self) -> tuple[float, ...]:
-        """The estimate of the first target as numbers: centre x, y, width, height; zeros without any target.
+        """Centre x, y, width and height of the first target, as numbers; zeros without any target.
 
         Raises:
             RuntimeError: `init` was not called.
