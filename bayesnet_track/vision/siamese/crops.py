@@ -1,0 +1,100 @@
+"""Which crops of a frame a Siamese network sees, and what its map says in pixels of the frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.vision.siamese.networks import SEARCH, TEMPLATE, Bytes, Floats, Response
+
+TILE = 0.8
+"""Distance of the crops' centres on the lattice, in sides of the square that the template shows."""
+NEAR = 1.1
+"""How far from the middle of a crop off the lattice boxes are read in it, in the same distances."""
+
+
+@dataclass(frozen=True)
+class Crop:
+    """A square cut out of a frame: `side` px from column `left` and row `top`."""
+
+    left: int
+    top: int
+    side: int
+
+    def cut(self, image: Bytes, size: int) -> Bytes:
+        """(size, size, 3) of an (H, W, 3) image; beyond the image is its mean colour."""
+        import cv2
+
+        height, width = image.shape[:2]
+        x0, y0 = max(self.left, 0), max(self.top, 0)
+        x1, y1 = min(self.left + self.side, width), min(self.top + self.side, height)
+        if (x1 - x0, y1 - y0) == (self.side, self.side):
+            part = image[y0:y1, x0:x1]
+        else:
+            part = np.empty((self.side, self.side, 3), np.uint8)
+            part[:] = np.rint(cv2.mean(image)[:3]).astype(np.uint8)
+            if x1 > x0 and y1 > y0:
+                part[y0 - self.top : y1 - self.top, x0 - self.left : x1 - self.left] = image[y0:y1, x0:x1]
+        return np.asarray(cv2.resize(part, (size, size), interpolation=cv2.INTER_LINEAR), np.uint8)
+
+    def boxes(self, response: Response) -> Floats:
+        """(S * S, 4) centre boxes in the frame, px, row by row; sides of no extent are left tiny."""
+        cells = len(response.probabilities)
+        line = (np.arange(cells) - cells // 2) * float(response.stride)
+        left, top, right, bottom = response.sides.reshape(4, cells, cells).astype(np.float64)
+        scale = self.side / SEARCH
+        x = self.left - 0.5 + scale * (0.5 * SEARCH + line[None, :] + 0.5 * (right - left))
+        y = self.top - 0.5 + scale * (0.5 * SEARCH + line[:, None] + 0.5 * (bottom - top))
+        w, h = (scale * np.maximum(extent, 1e-3) for extent in (left + right, top + bottom))
+        return np.stack([x, y, w, h], axis=-1).reshape(-1, 4)
+
+
+def context_side(size: Floats) -> float:
+    """Side of the square that the template shows, px, for a target of w, h: half their sum around it."""
+    w, h = (float(side) for side in size)
+    return max(float(np.sqrt((w + 0.5 * (w + h)) * (h + 0.5 * (w + h)))), 2.0)
+
+
+def template_crop(box: Floats) -> Crop:
+    """What the template shows of a target in a centre box (4,)."""
+    return _around(box[0], box[1], context_side(box[2:]))
+
+
+def search_crop(x: float, y: float, size: Floats) -> Crop:
+    """What is searched around a place for a target of this size, at the template's scale."""
+    return _around(x, y, context_side(size) * SEARCH / TEMPLATE)
+
+
+def _around(x: float, y: float, side: float) -> Crop:
+    whole = max(round(side), 1)
+    return Crop(round(x - (whole - 1) / 2), round(y - (whole - 1) / 2), whole)
+
+
+def crops_for(
+    boxes: Floats, asked: NDArray[np.bool_], place: Floats, size: Floats, most: int
+) -> Iterator[tuple[Crop, NDArray[np.intp]]]:
+    """Search crops, and which of the centre boxes (N, 4) that are `asked` are to be read in each.
+
+    The crops' centres are on a lattice around `place`: whichever boxes there are, one is read in the same
+    crop. Where more than `most` would be needed, each crop is centred on the median of the boxes that are
+    left, and takes those near it; after `most` crops the rest is left out.
+    """
+    reach = TILE * context_side(size)
+    tiles = np.rint((boxes[:, :2] - place) / reach)
+    left = np.flatnonzero(asked)
+    knots, which = np.unique(tiles[left], axis=0, return_inverse=True)
+    if len(knots) <= most:
+        for k, knot in enumerate(knots):
+            x, y = place + knot * reach
+            yield search_crop(float(x), float(y), size), left[which.reshape(-1) == k]
+        return
+    for _ in range(most):
+        if not len(left):
+            return
+        x, y = np.median(boxes[left, :2], axis=0)
+        near = (np.abs(boxes[left, :2] - [x, y]) <= NEAR * reach).all(axis=1)
+        yield search_crop(float(x), float(y), size), left[near]
+        left = left[~near] if near.any() else left[:0]

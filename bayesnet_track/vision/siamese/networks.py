@@ -1,0 +1,155 @@
+"""A Siamese tracking network as two ONNX files, run by OpenCV: where in a crop is what the template shows?
+
+The files are those that OpenCV's `TrackerNano` takes (NanoTrack). The backbone describes a crop; the head
+compares the descriptions of template and search crop, and gives for each cell of a square map how probable it
+is that the target covers it, and how far the four sides of the target's box are from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.observation.capabilities import CueError
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+
+TEMPLATE = 127
+"""Side of the template's crop, px of the network."""
+SEARCH = 255
+"""Side of the search crop, px of the network: at the template's scale."""
+STRIDE = 16
+"""Between cells of the map, px of the network."""
+
+
+class SiameseError(CueError):
+    """Model files that are missing, are no models, or are not the two halves of such a network."""
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """What the network says of a search crop.
+
+    Attributes:
+        probabilities: (S, S) that the target covers the cell, 0..1.
+        sides: (4, S, S) from the cell to the left, top, right and bottom side of its box, px of the network.
+        stride: between cells, px of the network; cell S // 2 is in the crop's middle.
+    """
+
+    probabilities: Singles
+    sides: Singles
+    stride: int
+
+
+@dataclass(frozen=True)
+class Networks:
+    """The two halves.
+
+    Attributes:
+        describe: (TEMPLATE, TEMPLATE, 3) uint8 BGR -> features of the template.
+        compare: features of the template, (SEARCH, SEARCH, 3) uint8 BGR, (2,) w and h that the target is
+            expected to have in it -> response.
+    """
+
+    describe: Callable[[Bytes], Singles]
+    compare: Callable[[Singles, Bytes, Floats], Response]
+
+
+def missing_file(key: str, path: str) -> str | None:
+    """Why a model file cannot be there, in words; None when it is."""
+    if not path:
+        return f"{key}: no path; the path of an ONNX file is needed, as for the other half of the network"
+    if not Path(path).is_file():
+        return f"{key}: {path}: no such model file; the path of an ONNX file is needed"
+    return None
+
+
+def load_networks(backbone: str, head: str) -> Networks:
+    """The network of two ONNX files, tried once.
+
+    Raises:
+        SiameseError: a file is missing or no ONNX model, or the two are not the halves of such a network.
+    """
+    body, neck = _read("backbone", backbone), _read("head", head)
+
+    def describe(crop: Bytes) -> Singles:
+        body.setInput(_blob(crop))
+        return np.array(body.forward(), np.float32)
+
+    def compare(template: Singles, crop: Bytes, size: Floats) -> Response:
+        neck.setInput(template, "input1")
+        neck.setInput(describe(crop), "input2")
+        scores, sides = neck.forward(["output1", "output2"])
+        return _response(np.asarray(scores, np.float32), np.asarray(sides, np.float32))
+
+    networks = Networks(describe, compare)
+    _try_out(networks, backbone, head)
+    return networks
+
+
+def _blob(crop: Bytes) -> Singles:
+    """(1, 3, side, side) of a BGR crop, red first, gray levels as they are."""
+    return np.ascontiguousarray(crop[..., ::-1].transpose(2, 0, 1)[None], dtype=np.float32)
+
+
+def _response(scores: Singles, sides: Singles) -> Response:
+    cells = scores.shape[-1]
+    if scores.shape != (1, 2, cells, cells) or sides.shape != (1, 4, cells, cells):
+        raise SiameseError(
+            f"gives outputs of {_shape(scores)} and {_shape(sides)}; allowed: 1x2xSxS and 1x4xSxS"
+        )
+    difference = np.clip(scores[0, 0] - scores[0, 1], -80.0, 80.0)
+    return Response((1.0 / (1.0 + np.exp(difference))).astype(np.float32), sides[0], STRIDE)
+
+
+def _shape(array: Singles) -> str:
+    return "x".join(str(side) for side in array.shape)
+
+
+def _read(key: str, path: str) -> Any:
+    import cv2
+
+    if absent := missing_file(key, path):
+        raise SiameseError(absent)
+    try:
+        return cv2.dnn.readNetFromONNX(path)
+    except cv2.error as error:
+        raise SiameseError(
+            f"{key}: {path}: OpenCV cannot read it as an ONNX model: {_reason(error)}"
+        ) from error
+
+
+def _try_out(networks: Networks, backbone: str, head: str) -> None:
+    """Run both once on gray crops; raises SiameseError."""
+    import cv2
+
+    swapped = "; are backbone and head interchanged?"
+    try:
+        template = networks.describe(np.full((TEMPLATE, TEMPLATE, 3), 114, np.uint8))
+    except cv2.error as error:
+        size = f"a 3-channel input of {TEMPLATE}x{TEMPLATE} px"
+        raise SiameseError(
+            f"backbone: {backbone}: does not run on {size}{swapped} {_reason(error)}"
+        ) from error
+    try:
+        found = networks.compare(template, np.full((SEARCH, SEARCH, 3), 114, np.uint8), np.ones(2))
+    except SiameseError as error:
+        raise SiameseError(f"head: {head}: {error}") from error
+    except cv2.error as error:
+        takes = f"features of {_shape(template)} as input1 and of the search crop as input2"
+        raise SiameseError(f"head: {head}: does not run on {takes}{swapped} {_reason(error)}") from error
+    if not (np.isfinite(found.probabilities).all() and (np.abs(found.sides) < 1e6).all()):
+        raise SiameseError(f"head: {head}: its outputs are not finite numbers")
+
+
+def _reason(error: Exception) -> str:
+    """OpenCV's own words without its file and line."""
+    text = str(error).split("error: ", 1)[-1].strip()
+    return " ".join(text.split())[:200]

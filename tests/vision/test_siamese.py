@@ -1,0 +1,200 @@
+"""A Siamese network: two tiny halves written here, the crops they see, and files that do not fit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bayesnet_track.vision.kernels.proposal_kernels import explained
+from bayesnet_track.vision.siamese.crops import Crop, crops_for, search_crop, template_crop
+from bayesnet_track.vision.siamese.memory import Memory
+from bayesnet_track.vision.siamese.networks import (
+    SEARCH,
+    STRIDE,
+    TEMPLATE,
+    Networks,
+    Response,
+    SiameseError,
+    load_networks,
+)
+from bayesnet_track.vision.siamese.plain import plain
+
+
+def varint(value):
+    low, rest = value & 127, value >> 7
+    return bytes([low | (128 if rest else 0)]) + (varint(rest) if rest else b"")
+
+
+def whole(field, value):
+    return varint(field << 3) + varint(value)
+
+
+def part(field, data):
+    data = data if isinstance(data, bytes) else data.encode()
+    return varint(field << 3 | 2) + varint(len(data)) + data
+
+
+def tensor(name, values):
+    sides = b"".join(whole(1, side) for side in values.shape)
+    return part(5, sides + whole(2, 1) + part(8, name) + part(9, values.astype(np.float32).tobytes()))
+
+
+def node(kind, inputs, output, **ints):
+    names = b"".join(part(1, name) for name in inputs) + part(2, output) + part(4, kind)
+    lists = (
+        part(5, part(1, name) + b"".join(whole(8, v) for v in values) + whole(20, 7))
+        for name, values in ints.items()
+    )
+    return part(1, names + b"".join(lists))
+
+
+def value(field, name, shape):
+    sides = b"".join(part(1, whole(1, side)) for side in shape)
+    return part(field, part(1, name) + part(2, part(1, whole(1, 1) + part(2, sides))))
+
+
+def model(nodes, tensors, values):
+    graph = b"".join(nodes) + part(2, "g") + b"".join(tensors) + b"".join(values)
+    return whole(1, 8) + part(7, graph) + part(8, part(1, "") + whole(2, 13))
+
+
+def backbone():
+    """How bright each cell of 16 x 16 px is, 0..1."""
+    conv = node("Conv", ["x", "w"], "y", kernel_shape=[STRIDE] * 2, strides=[STRIDE] * 2, pads=[8, 8, 7, 7])
+    weights = tensor("w", np.full((1, 3, STRIDE, STRIDE), 1 / (3 * 255 * STRIDE**2)))
+    values = [value(11, "x", (1, 3, SEARCH, SEARCH)), value(12, "y", (1, 1, 16, 16))]
+    return model([conv], [weights], values)
+
+
+def head(half=TEMPLATE / 4):
+    """Bright cells are the target, as far as the template is bright; its sides are `half` px from each."""
+    nodes = [
+        node("GlobalAveragePool", ["input1"], "usual"),
+        node("Mul", ["input2", "usual"], "alike"),
+        node("Conv", ["alike", "w", "b"], "output1", kernel_shape=[1, 1]),
+        node("Conv", ["input2", "none", "half"], "output2", kernel_shape=[1, 1]),
+    ]
+    tensors = [
+        tensor("w", np.array([0.0, 80.0]).reshape(2, 1, 1, 1)),
+        tensor("b", np.array([0.0, -10.0])),
+        tensor("none", np.zeros((4, 1, 1, 1))),
+        tensor("half", np.full(4, half)),
+    ]
+    values = [
+        value(11, "input1", (1, 1, 8, 8)),
+        value(11, "input2", (1, 1, 16, 16)),
+        value(12, "output1", (1, 2, 16, 16)),
+        value(12, "output2", (1, 4, 16, 16)),
+    ]
+    return model(nodes, tensors, values)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("halves")
+    for name, content in (("backbone", backbone()), ("head", head())):
+        (folder / f"{name}.onnx").write_bytes(content)
+    return {name: str(folder / f"{name}.onnx") for name in ("backbone", "head")}
+
+
+def bright(x, y):
+    image = np.zeros((240, 320, 3), np.uint8)
+    image[y - 20 : y + 20, x - 20 : x + 20] = 255
+    return image
+
+
+def test_the_proposals_of_two_files_are_where_the_target_is_now(files):
+    memory = Memory(load_networks(**files))
+    template = template_crop(np.array([159.5, 119.5, 40.0, 40.0])).cut(bright(160, 120), TEMPLATE)
+    size = np.array([40.0, 40.0])
+    boxes, logs = memory.proposals(bright(184, 112), search_crop(170.0, 120.0, size), template, size)
+    sure = boxes[logs > np.log(0.5)]
+    assert 9 <= len(sure) <= 25  # cells are 10 px apart, the target is 40 px wide
+    assert np.abs(sure[:, :2].mean(axis=0) - [183.5, 111.5]).max() <= 5.0
+    np.testing.assert_allclose(sure[:, 2:], 40.0, rtol=0.03)
+    assert (np.diff(logs) <= 0).all()
+
+
+def test_the_network_runs_once_for_the_same_question():
+    runs, stand_in = [], plain()
+    memory = Memory(Networks(stand_in.describe, lambda *given: runs.append(1) or stand_in.compare(*given)))
+    image, size = bright(160, 120), np.array([40.0, 40.0])
+    crop, template = search_crop(160.0, 120.0, size), np.full((TEMPLATE, TEMPLATE, 3), 9, np.uint8)
+    for _ in range(3):
+        memory.proposals(image, crop, template.copy(), size)
+    assert len(runs) == 1
+    memory.proposals(image, crop, template + 1, size)
+    memory.proposals(bright(100, 100), crop, template, size)
+    assert len(runs) == 3
+
+
+@pytest.mark.parametrize("size", [(40.0, 40.0), (13.0, 37.0), (101.5, 20.25)])
+def test_the_middle_cell_of_a_search_crop_is_its_place(size):
+    """And its box, whose sides are as far as the target's in the template, has the target's size."""
+    size = np.array(size)
+    crop, shown = search_crop(150.3, 99.8, size), template_crop(np.array([150.3, 99.8, *size]))
+    sides = np.zeros((4, 16, 16), np.float32)
+    sides[:] = np.tile(size / 2 * TEMPLATE / shown.side, 2)[:, None, None]
+    found = crop.boxes(Response(np.ones((16, 16), np.float32), sides, STRIDE)).reshape(16, 16, 4)[8, 8]
+    assert np.abs(found[:2] - [150.3, 99.8]).max() <= 0.5 + 1e-9  # whole pixels are cut out
+    np.testing.assert_allclose(found[2:], size, rtol=0.03)
+
+
+def test_beyond_the_frame_a_crop_has_its_mean_colour():
+    image = np.full((20, 30, 3), (10, 20, 30), np.uint8)
+    for crop in (Crop(-5, -5, 40), Crop(100, 100, 8), Crop(2, 2, 8)):
+        assert (crop.cut(image, 16) == (10, 20, 30)).all()
+
+
+def test_crops_cover_the_boxes_or_the_most_that_are_allowed():
+    rng = np.random.default_rng(2)
+    boxes = np.column_stack([rng.normal(100, 40, (200, 2)), np.full((200, 2), 20.0)])
+    asked, place, size = np.ones(200, bool), np.array([100.0, 100.0]), np.array([20.0, 20.0])
+    every = list(crops_for(boxes, asked, place, size, 64))
+    assert sorted(np.concatenate([which for _, which in every])) == list(range(200))
+    few = list(crops_for(boxes, asked, place, size, 3))
+    read = np.concatenate([which for _, which in few])
+    assert len(few) == 3 and len(set(read)) == len(read) > 0.3 * 200
+    assert list(crops_for(boxes, ~asked, place, size, 3)) == []
+
+
+def test_a_hypothesis_is_as_likely_as_the_proposal_that_explains_it_best():
+    proposals = np.array([[10.0, 10.0, 20.0, 10.0], [50.0, 10.0, 20.0, 10.0]])
+    boxes = np.array(
+        [[10.0, 10.0, 20.0, 10.0], [52.0, 10.0, 20.0, 10.0], [10.0, 10.0, 20.0 * np.e**0.1, 10.0]]
+    )
+    found = explained(boxes, proposals, np.array([0.0, -1.0]), 0.1, 0.1)
+    np.testing.assert_allclose(found, [0.0, -1.5, -0.5])
+    assert explained(boxes, proposals[:0], np.zeros(0), 0.1, 0.1).max() == -np.inf
+
+
+WRONG = {
+    "missing": "head: .*none.onnx: no such model file",
+    "one alone": "backbone: no path",
+    "no model": "head: .*x.onnx: OpenCV cannot read it as an ONNX model",
+    "truncated": "backbone: .*x.onnx: ",
+    "interchanged": "are backbone and head interchanged",
+    "not finite": "head: .*x.onnx: its outputs are not finite",
+}
+
+
+def spoiled(case, folder, files):
+    return {
+        "missing": lambda: {**files, "head": str(folder / "none.onnx")},
+        "one alone": lambda: {**files, "backbone": ""},
+        "no model": lambda: {**files, "head": written(folder, b"no network")},
+        "truncated": lambda: {**files, "backbone": written(folder, backbone()[:-300])},
+        "interchanged": lambda: {"backbone": files["head"], "head": files["backbone"]},
+        "not finite": lambda: {**files, "head": written(folder, head(np.nan))},
+    }[case]()
+
+
+def written(folder, content):
+    (folder / "x.onnx").write_bytes(content)
+    return str(folder / "x.onnx")
+
+
+@pytest.mark.parametrize("case", sorted(WRONG))
+def test_files_that_do_not_fit_are_named(tmp_path, files, case):
+    with pytest.raises(SiameseError, match=WRONG[case]):
+        load_networks(**spoiled(case, tmp_path, files))
