@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from pathlib import Path
 from typing import Protocol
 
 import cv2
@@ -87,3 +88,16 @@ def peers() -> Mapping[str, Callable[[], Peer]]:
             found[name] = partial(Whole, create)
     found["mean shift"] = MeanShift
     return found
+
+
+def nanotrack(folder: Path) -> Mapping[str, Callable[[], Peer]]:
+    """NanoTrack with `*backbone*.onnx` and `*head*.onnx` of the folder, as OpenCV's `TrackerNano`."""
+
+    def create() -> Peer:
+        given = cv2.TrackerNano.Params()
+        given.backbone = str(next(folder.glob("*backbone*.onnx")))
+        given.neckhead = str(next(folder.glob("*head*.onnx")))
+        tracker: Peer = cv2.TrackerNano.create(given)
+        return tracker
+
+    return {"NanoTrack": partial(Whole, create)}

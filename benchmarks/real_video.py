@@ -143,10 +143,10 @@ def run_graph(name: str, spec: GraphSpec, sequence: Sequence, seed: int) -> Line
 class Elsewhere:
     """OpenCV's trackers by another interpreter, asked for one pass at a time."""
 
-    def __init__(self, python: str) -> None:
+    def __init__(self, python: str, arguments: list[str] | None = None) -> None:
         script = str(Path(__file__).with_name("real_video_peers.py"))
         self.process = subprocess.Popen(
-            [python, script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            [python, script, *(arguments or [])], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
         found = self._answer()
         self.opencv, self.trackers = str(found["opencv"]), list(found["trackers"])
@@ -166,6 +166,12 @@ class Elsewhere:
 
     def run(self, name: str, sequence: Sequence, seed: int) -> Line:
         """One pass of a peer."""
+        return self.run_with_boxes(name, sequence, seed)[0]
+
+    def run_with_boxes(
+        self, name: str, sequence: Sequence, seed: int
+    ) -> tuple[Line, list[tuple[float, ...]], list[bool]]:
+        """One pass of a peer, its corner boxes, and where it said that it had lost the target."""
         assert self.process.stdin is not None
         asked = {
             "tracker": name,
@@ -178,7 +184,7 @@ class Elsewhere:
         answer = self._answer()
         found = score(answer["boxes"], answer["lost"], sequence.truth)
         every = score(answer["boxes"], [False] * len(answer["boxes"]), sequence.truth)
-        return Line(
+        line = Line(
             name,
             "",
             sequence.name,
@@ -190,6 +196,7 @@ class Elsewhere:
             answer["cpu_s"],
             auc_every=every.auc,
         )
+        return line, [tuple(box) for box in answer["boxes"]], answer["lost"]
 
 
 def passes(

@@ -1,7 +1,8 @@
 """OpenCV's trackers in an environment of their own: one pass over a sequence for each line asked.
 
 Needs NumPy and OpenCV alone. `benchmarks/real_video.py --peers-python PYTHON` starts it with the interpreter
-of an environment that has `opencv-contrib-python-headless` (CSRT and KCF are in that build only).
+of an environment that has `opencv-contrib-python-headless` (CSRT and KCF are in that build only). With a
+folder as its argument NanoTrack takes part, too, by the two model files there.
 """
 
 from __future__ import annotations
@@ -9,16 +10,17 @@ from __future__ import annotations
 import json
 import sys
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
-from peers import peers
+from peers import nanotrack, peers
 
 
 def main() -> None:
     """Say which trackers there are, then answer requests, one JSON object a line."""
     cv2.setNumThreads(1)
-    known = peers()
+    known = {**peers(), **(nanotrack(Path(sys.argv[1])) if len(sys.argv) > 1 else {})}
     print(json.dumps({"opencv": cv2.__version__, "trackers": list(known)}), flush=True)
     for line in sys.stdin:
         asked = json.loads(line)

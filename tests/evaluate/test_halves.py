@@ -1,0 +1,60 @@
+"""The halves of the real sequences, and the figures that are reported of them."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+@pytest.fixture(scope="module")
+def frames():
+    sys.path.insert(0, str(BENCHMARKS))
+    try:
+        import real_video_frames
+
+        yield real_video_frames
+    finally:
+        sys.path.remove(str(BENCHMARKS))
+
+
+def test_the_coin_splits_each_stratum_and_never_falls_anew(frames):
+    coin = sys.modules["real_video_coin"]
+    assert coin.toss() == coin.HALVES
+    assert set(coin.HALVES["A"]).isdisjoint(coin.HALVES["B"])
+    assert {*coin.HALVES["A"], *coin.HALVES["B"]} == {*coin.OLD, *coin.NEW}
+    assert [len(set(half) & set(coin.NEW)) for half in coin.HALVES.values()] == [6, 6]
+    assert coin.HALVES["A"][:3] == ("Basketball", "Crossing", "Girl")
+
+
+def _made(frames, sequence, iou, score, tracker="one", auc=0.5):
+    status = ["tracking" if value > 0.5 else "lost" for value in score]
+    found = frames.Frames(iou, score, status, [0.01] * len(iou))
+    return frames.Pass(tracker, "g", sequence, 0, auc, auc, 0.0, 2.0, 0.5, 0.9, found)
+
+
+def test_auroc_weighs_sequences_alike(frames):
+    """Good frames of a: .9, .2 and of b: .6; poor ones of a: .3, of b: .3 and .7."""
+    passes = [
+        _made(frames, "a", [0.8, 0.8, 0.0], [0.9, 0.2, 0.3]),
+        _made(frames, "b", [0.8, 0.0, 0.0], [0.6, 0.3, 0.7]),
+    ]
+    # Pairs above: .9 over .3, .3, .7; .2 over none; .6 over .3, .3; all frames weigh a third.
+    assert frames.auroc(passes) == pytest.approx(5 / 9)
+    assert frames.share(passes, lambda _, s: s != "tracking", lambda iou: iou > 0.5) == pytest.approx(0.25)
+
+
+def test_a_difference_names_the_sequence_that_moves_it_most(frames):
+    passes = [
+        _made(frames, name, [0.8], [0.9], tracker, auc)
+        for name, own, other in (("a", 0.9, 0.2), ("b", 0.5, 0.4), ("c", 0.5, 0.6))
+        for tracker, auc in (("one", own), ("two", other))
+    ]
+    label, mean, interval, rest = frames.difference(passes, "one", "two")
+    assert (label, mean, rest) == ("one − two", "+0.233", "+0.000 (a)")
+    low, high = (float(part) for part in interval.split(" .. "))
+    assert np.isclose(low, -0.1, atol=0.07) and np.isclose(high, 0.7, atol=0.1)
