@@ -48,13 +48,19 @@ def test_a_run_in_which_nothing_is_wrong(lines):
         ({"log_evidence": -9.0}, range(20, 23), "bursts", "in 3 of 39 frames the evidence is far below"),
         ({"kl": {"color": 0.1, "filter": 5.0}}, range(40), "sharp", "filter contradicts the belief: KL 5.0"),
         ({"learn_rate": 0.0}, range(40), "stale", "references learned in 0 of 39 frames only"),
-        ({"active": ("color",)}, range(0, 40, 3), "flicker", "the active agents change in 25 of 39 frames"),
     ],
 )
 def test_what_stands_out(lines, changed, frames, remedy, words):
     (found,) = find([replace(line, **changed) if line.frame in frames else line for line in lines])
     assert found.remedy == remedy and words in found.what
     assert found.agent == ("filter" if remedy == "sharp" else None)
+
+
+def test_agents_that_are_only_sampled_do_not_flicker_and_change_no_evidence(lines):
+    sampled = {"active": ("color",), "log_evidence": -9.0}
+    assert list(find([replace(line, **sampled) if line.frame % 3 else line for line in lines], 1)) == []
+    (found,) = find(lines, 20)
+    assert found.remedy == "flicker" and found.what.startswith("agents are switched 20 times in 39 frames")
 
 
 def test_every_key_of_the_table_is_one_of_the_language():

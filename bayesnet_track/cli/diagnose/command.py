@@ -40,8 +40,11 @@ def diagnose(options: argparse.Namespace) -> int:
 
 def find_all(run: Run, target: str | None = None) -> Iterator[Finding]:
     """The findings of one target, or of all."""
+    from bayesnet_track.journal.net.net import Switch
+
     for one in run.targets if target is None else (target,):
-        for finding in find([line for line in run.metrics if line.target == one]):
+        switches = sum(isinstance(event, Switch) and event.target == one for event in run.events)
+        for finding in find([line for line in run.metrics if line.target == one], switches):
             if finding.remedy != "stale" or "learn:" in run.graph_text:  # else nothing is meant to learn
                 yield finding
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from statistics import median
 
 from bayesnet_track.journal.metrics import FrameMetrics
@@ -35,13 +34,17 @@ class Finding:
 Lines = Sequence[FrameMetrics]
 
 
-def find(lines: Lines) -> Iterator[Finding]:
-    """What stands out in the lines of one target, in the order of frames, without its first frame."""
+def find(lines: Lines, switches: int = 0) -> Iterator[Finding]:
+    """What stands out in the lines of one target, in the order of frames, without its first frame.
+
+    `switches` is how many times an agent of its net was switched on or off.
+    """
     later = lines[1:]
     if len(later) < FEW_FRAMES:
         return
     for check in CHECKS:
         yield from check(later)
+    yield from _switching(later, switches)
 
 
 def _effective(lines: Lines) -> Iterator[Finding]:
@@ -63,16 +66,27 @@ def _surprise(lines: Lines) -> Iterator[Finding]:
 
 
 def _unforeseen(lines: Lines) -> Iterator[Finding]:
+    """Evidence is compared among frames with the same agents: one more agent lowers it."""
+    by_agents: dict[tuple[str, ...], list[FrameMetrics]] = {}
+    for line in lines:
+        by_agents.setdefault(line.active, []).append(line)
+    poor = [line for same in by_agents.values() for line in _far_below(same)]
+    if poor and len(poor) <= len(lines) // 5:
+        first = min(line.frame for line in poor)
+        what = (
+            f"in {len(poor)} of {len(lines)} frames the evidence is far below that of other frames, "
+            f"first in frame {first}"
+        )
+        yield Finding(lines[0].target, what, "bursts", frame=first)
+
+
+def _far_below(lines: Lines) -> Lines:
+    if len(lines) < FEW_FRAMES:
+        return []
     values = [line.log_evidence for line in lines]
     usual = median(values)
     spread = median(abs(value - usual) for value in values)
-    poor = [line for line in lines if line.log_evidence < usual - max(8 * spread, 3.0)]
-    if 0 < len(poor) <= len(lines) // 5:
-        what = (
-            f"in {len(poor)} of {len(lines)} frames the evidence is far below what was predicted, "
-            f"first in frame {poor[0].frame}"
-        )
-        yield Finding(lines[0].target, what, "bursts", frame=poor[0].frame)
+    return [line for line in lines if line.log_evidence < usual - max(8 * spread, 3.0)]
 
 
 def _contradiction(lines: Lines) -> Iterator[Finding]:
@@ -100,10 +114,9 @@ def _learning(lines: Lines) -> Iterator[Finding]:
         yield Finding(lines[0].target, what, "stale")
 
 
-def _switching(lines: Lines) -> Iterator[Finding]:
-    changes = sum(a.active != b.active for a, b in pairwise(lines))
-    if changes > len(lines) // 4:
-        what = f"the active agents change in {changes} of {len(lines)} frames (above a quarter)"
+def _switching(lines: Lines, switches: int) -> Iterator[Finding]:
+    if switches > len(lines) // 4:
+        what = f"agents are switched {switches} times in {len(lines)} frames (above once in four)"
         yield Finding(lines[0].target, what, "flicker")
 
 
@@ -123,5 +136,4 @@ CHECKS: Sequence[Callable[[Lines], Iterator[Finding]]] = (
     _unforeseen,
     _contradiction,
     _learning,
-    _switching,
 )
