@@ -40,6 +40,7 @@ def run_data(
     timings: Sequence[Mapping[str, Any]] = (),
     graph: CheckedGraph | None = None,
     truth: ArrayLike | None = None,
+    name: str = "",
 ) -> tuple[dict[str, Any], Columns]:
     """Header and columns of a run's page.
 
@@ -53,6 +54,7 @@ def run_data(
         timings: the lines of ``timings.jsonl``.
         graph: the run's graph; without it the page draws no net and no levels.
         truth: (n, 4) corner boxes of target 1, row i for frame i, NaN where it is absent.
+        name: of the run; its graph's stands in for it where it has none.
 
     Raises:
         ValueError: the journal does not begin with a `run_started`.
@@ -77,7 +79,7 @@ def run_data(
         columns["run/truth"] = short_floats(np.asarray(truth, dtype=np.float64).reshape(-1, 4))
     header = {
         "version": VERSION,
-        "run": _about(started, events),
+        "run": {**_about(started, events), "name": name},
         "plates": {} if graph is None else plates(graph, started.costs_ms),
         "targets": targets,
         "events": event_rows(events),

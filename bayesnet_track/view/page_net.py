@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import yaml
+
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.spec import AgentNode, InferenceNode, Level, Lost
+from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.view.graph_layout import MARGIN, lay_out
 
 LEGEND_ROOM = 46.0
@@ -22,7 +25,22 @@ def _plate(target: CheckedTarget, costs_ms: Mapping[str, float]) -> dict[str, An
     for name in target.agents:
         cue = target.agent(name).agent.cue
         agents.append({"name": name, "cue": cue, "cost_ms": costs_ms.get(cue)})
-    return {"root": target.root, "agents": agents, "rules": _rules(target), "net": _net(target)}
+    return {
+        "root": target.root,
+        "agents": agents,
+        "rules": _rules(target),
+        "net": _net(target),
+        "settings": {name: settings_text(target, name) for name in target.spec.nodes},
+    }
+
+
+def settings_text(target: CheckedTarget, name: str) -> str:
+    """What holds of a node, as YAML: what the graph says of it, and all parameters of a cue."""
+    plain = {key: value for key, value in as_plain(target.spec.nodes[name]).items() if key != "parent"}
+    parameters = target.parameters.get(name)
+    if parameters is not None:
+        plain["agent"] = {target.agent(name).agent.cue: parameters.model_dump(mode="json")}
+    return yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=60).strip()
 
 
 def _net(target: CheckedTarget) -> dict[str, Any]:

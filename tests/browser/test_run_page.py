@@ -44,6 +44,29 @@ def test_scrubbing_moves_picture_boxes_and_numbers(browser, demo):
     assert browser.complaints() == []
 
 
+def test_the_head_names_the_run_and_says_what_is_not_known(browser, demo):
+    page = demo("two_squares")
+    browser.open(page)
+    assert text_of(browser, "h1") == page.parent.name  # the run's own name, without "partial run"
+    names = browser.run("return [...document.querySelectorAll('.headline dt')].map(d => d.innerText)")
+    assert names[1:3] == ["lost", "uncertain"]
+    # No score was fitted to this graph: a box that is followed is not shown as one that is right.
+    assert browser.run("return document.querySelector('.status .chip').className") == "chip not-judged"
+    assert "cannot tell whether the box is right" in text_of(browser, ".status")
+
+
+def test_pressing_a_node_shows_its_parameters_and_hides_them_again(browser, demo):
+    browser.open(demo("two_squares"))
+    press = (
+        "[...document.querySelectorAll('.node')].find(n => n.querySelector('.name').textContent === 'motion')"
+        ".dispatchEvent(new MouseEvent('click', {bubbles: true}))"
+    )
+    browser.run(press)
+    assert "coherent_px: 1" in browser.wait("return document.querySelector('.settings')?.innerText")
+    browser.run(press)
+    browser.wait("return document.querySelector('.settings') === null")
+
+
 def test_clicking_an_event_shows_its_frame_and_its_sentence(browser, demo):
     browser.open(demo("two_squares"))
     browser.run(

@@ -128,6 +128,9 @@ def test_the_run_itself_is_no_row():
 
 def test_levels_and_net_come_from_the_graph():
     plate = plates(load_graph("two_squares"), {"color_histogram": 2.0})["square"]
+    assert plate["settings"]["square"].startswith("belief: particles\nmotion:\n  random_walk:")
+    # All parameters of a cue, those that the graph leaves out, too.
+    assert {"floor: 0.003", "bins: 32"} <= {line.strip() for line in plate["settings"]["color"].splitlines()}
     assert plate["root"] == "square"
     assert plate["agents"][0] == {"name": "color", "cue": "color_histogram", "cost_ms": 2.0}
     levels = {(rule["rule"], rule["unit"]): rule["level"] for rule in plate["rules"]}

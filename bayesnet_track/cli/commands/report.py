@@ -35,7 +35,14 @@ def report(options: argparse.Namespace) -> int:
     if not events or not isinstance(events[0], RunStarted):
         raise UsageError(f"{directory.journal}: it does not begin with run_started; there is nothing to show")
     truth = _truth(directory, options.truth)
-    data = run_data(events, metrics, read_timings(directory.timings), _graph(directory), truth)
+    data = run_data(
+        events,
+        metrics,
+        read_timings(directory.timings),
+        _graph(directory),
+        truth,
+        directory.path.resolve().name,
+    )
     frames = [line.frame for line in metrics]
     if options.frames == "none" or not frames:
         missing = "left out by --frames none" if frames else "no frame was tracked"

@@ -45,12 +45,16 @@ export interface Net {
 
 export interface Plate {
   root: string;
+  /** Node -> what the graph says of it, as YAML; not in pages of earlier versions. */
+  settings?: Record<string, string>;
   agents: { name: string; cue: string; cost_ms: number | null }[];
   rules: Rule[];
   net: Net;
 }
 
 export interface About {
+  /** Of the run; empty where it has none, as a run in progress. */
+  name?: string;
   graph: string;
   graph_sha256: string;
   source: string;

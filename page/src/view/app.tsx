@@ -18,9 +18,12 @@ export function App({ state }: { state: State }) {
     <>
       <header class="top">
         <div>
-          <h1>{about.graph}</h1>
+          <h1>
+            {about.name || about.graph}
+            {state.live === null && !ended?.complete && <span class="partial"> partial run</span>}
+          </h1>
           <p>
-            on <span class="source">{about.source}</span> · {about.width} × {about.height} px · seed {about.seed}
+            {about.name && about.name !== about.graph && `${about.graph} `}on <span class="source">{about.source}</span> · {about.width} × {about.height} px · seed {about.seed}
             {ended === null && state.live === null && " · the run has no end: it was stopped, or goes on"}
             {ended !== null && state.live === null && !ended.complete && ` · ended early: ${ended.reason.replaceAll("_", " ")}`}
           </p>

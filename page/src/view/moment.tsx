@@ -36,14 +36,17 @@ function Status({ state }: { state: State }) {
   const seconds = track?.value("time_s", row) ?? NaN;
   const status = track !== undefined && row >= 0 ? track.status(row) : "not there";
   const score = track?.value("score", row) ?? NaN;
+  // Without a fitted score nothing says that a box which is followed is on the target.
+  const judged = track?.calibrated === true || status !== "tracking";
   return (
     <p class="status">
       <b>Frame {state.frame.value}</b>
       {Number.isFinite(seconds) && <span class="time">{seconds.toFixed(2)} s</span>}
-      <span class={`chip ${status.replace(" ", "-")}`}>{status}</span>
+      <span class={`chip ${judged ? status.replace(" ", "-") : "not-judged"}`}>{status}</span>
       {Number.isFinite(score) && (
         <span title={track?.calibrated ? "probability of being on target" : "index of certainty, not calibrated"}>
           {track?.calibrated ? "on target" : "score"} <b>{score.toFixed(2)}</b>
+          {!track?.calibrated && <small> index, not fitted: it cannot tell whether the box is right</small>}
         </span>
       )}
     </p>

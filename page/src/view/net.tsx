@@ -1,5 +1,6 @@
 /** The net: agents are lit while they are on, edges are as wide as the last message was strong. */
 
+import { useSignal } from "@preact/signals";
 import type { State } from "../state";
 import type { NetNode } from "../data/types";
 import { agentsOf } from "../data/totals";
@@ -22,6 +23,8 @@ export function Net({ state }: { state: State }) {
   const strength = (name: string) => track.value(`nodes/${name}/strength`, row);
   const held = state.run.heldIn(track.id, state.frame.value);
   const hand = handOf(state);
+  const chosen = useSignal<string | null>(null);
+  const settings = plate?.settings ?? {};
   const told = agents.map((name) => `${name} ${track.isActive(name, row) ? "on" : "off"}`).join(", ");
   return (
     <section class="net" aria-label="Net">
@@ -71,14 +74,23 @@ export function Net({ state }: { state: State }) {
             index={agents.indexOf(node.name)}
             held={held.get(node.name)}
             hand={hand}
+            chosen={chosen.value === node.name}
+            choose={node.name in settings ? () => (chosen.value = chosen.value === node.name ? null : node.name) : null}
           />
         ))}
       </svg>
       <p class="hint">
         Filled: on. Edges as wide as the message is strong, in nats.
+        {hand === null && Object.keys(settings).length > 0 && " Press a node for its parameters."}
         {hand !== null && <b> Press an agent to switch it by hand.</b>}
         {hand === null && state.live?.isOn.value && !state.following.value && " To switch agents, go to the newest frame."}
       </p>
+      {chosen.value !== null && settings[chosen.value] !== undefined && (
+        <div class="settings">
+          <h3>{chosen.value} in the graph</h3>
+          <pre>{settings[chosen.value]}</pre>
+        </div>
+      )}
       {hand !== null && <ByHand state={state} hand={hand} agents={agents} />}
     </section>
   );
@@ -145,33 +157,48 @@ interface NodeProps {
   index: number;
   held: boolean | undefined;
   hand: Hand | null;
+  chosen: boolean;
+  /** Show or hide its parameters; null where none are known. */
+  choose: (() => void) | null;
 }
 
-function Node({ node, on, silent, index, held, hand }: NodeProps) {
+function Node({ node, on, silent, index, held, hand, chosen, choose }: NodeProps) {
   const { x, y, w, h } = node;
   const asked = node.agent ? hand?.asked(node.name) : undefined;
-  const look = `node ${node.agent ? "agent" : "belief"}${on ? " on" : ""}${asked === undefined ? "" : " asked"}`;
+  const look = `node ${node.agent ? "agent" : "belief"}${on ? " on" : ""}${asked === undefined ? "" : " asked"}${chosen ? " chosen" : ""}`;
   const tint = node.agent ? { "--tint": agentVariable(index) } : {};
   const wanted = !(asked ?? held ?? on);
-  const press = () => hand?.switch(node.name, wanted);
+  const switches = hand !== null && node.agent;
+  const press = () => (switches ? hand.switch(node.name, wanted) : choose?.());
+  const onKeyDown = (event: KeyboardEvent) => {
+    if (event.key !== "Enter" && event.key !== " ") return;
+    event.preventDefault();
+    press();
+  };
+  const shows = {
+    role: "button" as const,
+    tabindex: 0,
+    "aria-expanded": chosen,
+    "aria-label": `${node.name}: its parameters`,
+    onClick: press,
+    onKeyDown,
+  };
   const button =
-    hand === null || !node.agent
-      ? {}
+    !switches
+      ? choose === null || hand !== null
+        ? {}
+        : shows
       : {
           role: "button" as const,
           tabindex: 0,
           "aria-pressed": on,
           "aria-label": `${node.name}: ${on ? "on" : "off"}${held === undefined ? "" : " by hand"}. Press to switch it ${wanted ? "on" : "off"} by hand`,
           onClick: press,
-          onKeyDown: (event: KeyboardEvent) => {
-            if (event.key !== "Enter" && event.key !== " ") return;
-            event.preventDefault();
-            press();
-          },
+          onKeyDown,
         };
   return (
     <g class={look} style={tint} {...button}>
-      {"role" in button && <title>{`press: ${node.name} ${wanted ? "on" : "off"} by hand`}</title>}
+      {"role" in button && <title>{switches ? `press: ${node.name} ${wanted ? "on" : "off"} by hand` : `press: parameters of ${node.name}`}</title>}
       {node.agent ? (
         <rect x={x - w / 2} y={y - h / 2} width={w} height={h} rx={9} />
       ) : (

@@ -20,6 +20,11 @@ export function Headline({ state }: { state: State }) {
         title={`${plural(all.lost, "frame")} of ${all.frames} in which a target was lost`}
       />
       <Figure
+        name="uncertain"
+        value={`${short((100 * all.uncertain) / Math.max(1, all.frames))} %`}
+        title={`${plural(all.uncertain, "frame")} of ${all.frames} in which the net was unsure of a target`}
+      />
+      <Figure
         name="agents a frame"
         value={`${short(all.agentsPerFrame)}`}
         of={`of ${short(all.agents)}`}
