@@ -235,6 +235,9 @@ def overlapping(
     in one frame the later named is the younger. Targets whose centres lie a box apart are not compared.
     """
     first, second = near_pairs(means)
+    first, second = _that_may_overlap(first, second, means, covariances, rule.overlap)
+    if not len(first):
+        return {}
     values = belief_overlap(means[first], covariances[first], means[second], covariances[second])
     streaks = {}
     for pair in np.flatnonzero(values >= rule.overlap).tolist():
@@ -243,6 +246,20 @@ def overlapping(
         streak = (*before.get((younger, older), ()), value)
         streaks[younger, older] = streak[-rule.frames :]
     return streaks
+
+
+def _that_may_overlap(
+    first: Owners, second: Owners, means: Floats, covariances: Floats, least: float
+) -> tuple[Owners, Owners]:
+    """The pairs whose fields, each alone, do not rule out an overlap of `least`: cheap, and leaves few."""
+    if least <= 0.0 or not len(first):
+        return first, second
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    spread = (variances[first] + variances[second]) / 2
+    spread += (SAME_PLACE * ((means[first] + means[second]) / 2)[:, [2, 3, 2, 3]]) ** 2
+    away = (means[first] - means[second]) ** 2
+    may = (away <= -8.0 * np.log(least) * (1.0 + 1e-9) * spread).all(axis=1)
+    return first[may], second[may]
 
 
 def near_pairs(boxes: Floats) -> tuple[Owners, Owners]:

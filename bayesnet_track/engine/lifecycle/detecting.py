@@ -74,10 +74,14 @@ def look(
     states = dict(history.detectors)
     for name in dict.fromkeys(due.values()):
         plates = [plate for plate in due if due[plate] == name]
-        shown = next((targets[0] for plate in plates if (targets := held(plate))), None)
-        at = None if shown is None else boxes([shown])[0]
+        detector, at = engine.detectors[name], None
+        if hasattr(
+            detector, "knows_target"
+        ):  # else it has nothing to learn, and asking who is held takes long
+            shown = next((targets[0] for plate in plates if (targets := held(plate))), None)
+            at = None if shown is None else boxes([shown])[0]
         try:
-            found[name], states[name] = _ask(engine.detectors[name], states.get(name), pair, at)
+            found[name], states[name] = _ask(detector, states.get(name), pair, at)
         except FAULTS as error:  # a detector is a guest's code: whatever it raises must not end the run
             until, times = next_try(frame.index, history.failed.get(name))
             word = _word(engine, plates[0])
@@ -98,7 +102,7 @@ def _ask(
     detector: Detector, state: DetectorState | None, pair: FramePair, shown: Floats | None
 ) -> tuple[Detections, DetectorState]:
     now = detector.start() if state is None else state
-    if isinstance(detector, LearningDetector) and shown is not None and not detector.knows_target(now):
+    if shown is not None and isinstance(detector, LearningDetector) and not detector.knows_target(now):
         now = detector.learn(pair, shown, now)
     found, after = detector.detect(pair, now)
     found = check_detections(found)

@@ -112,8 +112,8 @@ class _Births:
 def _give_birth(now: _Births, found: Found, owners: tuple[str | None, ...] | None) -> None:
     """What becomes of a plate's detections; `owners` says whose each is where they were given before."""
     tracks, apart, covered = now.tracks, now.birth.min_distance_box, now.birth.max_overlap
-    held = tracks.held(now.plate)
     if owners is None:
+        held = tracks.held(now.plate)
         sd = np.array([_sd_px(tracks.state(target)) for target in held])
         owner, free = associate(found.boxes, tracks.boxes(held), sd, apart, covered)
         seen = [held[k] for k in owner if k != NOBODY]
@@ -121,9 +121,11 @@ def _give_birth(now: _Births, found: Found, owners: tuple[str | None, ...] | Non
         seen = [target for target in owners if target is not None]
         free = np.array([one is None for one in owners], dtype=bool)
         if free.any():
-            near = tracks.boxes(list(dict.fromkeys([*held, *seen])))
+            near = tracks.boxes(list(dict.fromkeys([*tracks.held(now.plate), *seen])))
             free[free] = ~alike(found.boxes[free], near, apart, covered).any(axis=1)
     tracks.mark_seen(seen)
+    if not free.any() and tracks.history.candidates.get(now.plate) == ():
+        return
     found = found.only(free)
     at = _find_lost(now, found, seen)
     found = found.only(np.logical_not(np.any(alike(found.boxes, at, apart, covered), axis=1)))

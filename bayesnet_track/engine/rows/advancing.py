@@ -81,8 +81,7 @@ def advance_rows(work: FrameWork, state: State, rows: Rows) -> tuple[Outcome, As
     )
     work.charge("belief", started)
 
-    updated = replace(
-        before,
+    updated = before.changed(
         mean=mean,
         covariance=covariance,
         size=numbers[:, 3].astype(np.int64),
@@ -91,7 +90,7 @@ def advance_rows(work: FrameWork, state: State, rows: Rows) -> tuple[Outcome, As
     )
     after, measured, decisions = judge_rows(work, rows, updated, numbers)
     net = apply_decisions(work.net, decisions)
-    table = replace(rows.with_columns(after, frame.time), checked=net.targets)
+    table = rows.with_columns(after, frame.time).with_nets(net.targets)
     outcome = Outcome(
         replace(
             state,
@@ -171,8 +170,7 @@ def judge_rows(
     value = np.where(is_known, ud / np.where(is_known, scale, 1.0), 0.0)
     is_wide, fits = is_known & (value > level.settings), fit >= rule.lost.fit_below
     looks_lost, looks_found = is_wide | ~fits, fits & ~is_wide
-    after = replace(
-        updated,
+    after = updated.changed(
         nats=before.nats + numbers[:, 1],
         nat_frames=before.nat_frames + 1,
         quiet=quiet,
@@ -185,14 +183,16 @@ def judge_rows(
     )
     measured = RowMeasures(numbers, medians)
     count = np.where(before.is_lost, after.found_count, after.lost_count)
-    turning = np.flatnonzero(count >= rule.lost.frames)
+    turning = (count >= rule.lost.frames).nonzero()[0]
     decisions: list[Decision] = []
     for row in turning.tolist():
         decisions += _decide_status(work, rows, rows.with_columns(after, work.frame.time), measured, row)
-    is_lost = before.is_lost.copy()
-    is_lost[turning] = ~is_lost[turning]
+    if len(turning):
+        is_lost = before.is_lost.copy()
+        is_lost[turning] = ~is_lost[turning]
+        after = after.changed(is_lost=is_lost)
     work.charge("measure", started)
-    return replace(after, is_lost=is_lost), measured, decisions
+    return after, measured, decisions
 
 
 def _append(values: Floats, new: Floats) -> Floats:

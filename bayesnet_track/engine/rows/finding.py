@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.outcome import State
 from bayesnet_track.engine.rows.columns import RowRecords, Rows, RowStates, make_rows
@@ -27,7 +25,7 @@ def find_rows(work: FrameWork, state: State) -> Rows | None:
         if rows.checked is nets:
             return rows
         fits = nets_fit(rows.rule, (nets[target] for target in rows.ids))
-        return replace(rows, checked=nets) if fits else None
+        return rows.with_nets(nets) if fits else None
     plates = {nets[target].template for target in before}
     rule = row_rule(work.engine, plates.pop()) if len(plates) == 1 else None
     if rule is None or state.previous is None or not nets_fit(rule, (nets[target] for target in before)):
@@ -36,4 +34,4 @@ def find_rows(work: FrameWork, state: State) -> Rows | None:
         return None
     lost = [nets[target].status == "lost" for target in before]
     rows = make_rows(rule, before, state.history.records, lost, state.previous.time)
-    return replace(rows, checked=nets)
+    return rows.with_nets(nets)

@@ -19,6 +19,9 @@ from bayesnet_track.observation.planes import Frame
 
 Floats = NDArray[np.float64]
 
+LEAST = np.array([0.0, 0.0, 1.0, 1.0])
+"""Least centre and sides of an estimate, px (`engine.state.inside_frame`)."""
+
 
 @dataclass(frozen=True, eq=False)
 class RowMeasures:
@@ -57,14 +60,12 @@ class RowMetrics(Sequence[FrameMetrics]):
         self.rows, self.measured, self.born = rows, measured, born
         self._streams, self._was_lost = streams, was_lost
         self._index, self._time_s = frame.index, frame.time_s
-        limits = np.array([[0.0, 0.0, 1.0, 1.0], [frame.width - 1.0, frame.height - 1.0] * 2])
-        limits[1, 2:] = 2.0 * frame.width, 2.0 * frame.height
-        self.boxes: Floats = np.clip(rows.columns.mean[:, :4], limits[0], limits[1])
+        high = np.array([frame.width - 1.0, frame.height - 1.0, 2.0 * frame.width, 2.0 * frame.height])
+        self.boxes: Floats = np.minimum(np.maximum(rows.columns.mean[:, :4], LEAST), high)
         variances = np.maximum(np.diagonal(rows.columns.covariance, axis1=1, axis2=2)[:, :4], 0.0)
         self._sds = np.sqrt(variances)
         area = np.maximum(measured.numbers[:, 7], 1.0)
         self._scores = measured.numbers[:, 6] / (1.0 + measured.numbers[:, 5] / area)
-        self._regions = [self._region(share) for share in (0.5, 0.9)]
         self._made: tuple[FrameMetrics, ...] | None = None
 
     def with_born(self, born: Sequence[FrameMetrics]) -> RowMetrics:
@@ -83,10 +84,12 @@ class RowMetrics(Sequence[FrameMetrics]):
 
     def _lines(self) -> tuple[FrameMetrics, ...]:
         if self._made is None:
-            self._made = (*map(self._line, range(len(self.rows.ids))), *self.born)
+            regions = zip(self._region(0.5).tolist(), self._region(0.9).tolist(), strict=True)
+            lines = (self._line(row, *both) for row, both in enumerate(regions))
+            self._made = (*lines, *self.born)
         return self._made
 
-    def _line(self, row: int) -> FrameMetrics:
+    def _line(self, row: int, region50: list[float], region90: list[float]) -> FrameMetrics:
         rule, target, now = self.rows.rule, self.rows.ids[row], self.rows.columns
         log_evidence, nats, ess, size, agent_ud, ud, _, _ = self.measured.numbers[row].tolist()
         quiet = float(self.measured.quiet[row])
@@ -115,8 +118,8 @@ class RowMetrics(Sequence[FrameMetrics]):
             agent_ud_px2={rule.agent: agent_ud},
             strength={rule.agent: nats},
             learn_rate=0.0,
-            region50=tuple(self._regions[0][row].tolist()),
-            region90=tuple(self._regions[1][row].tolist()),
+            region50=tuple(region50),
+            region90=tuple(region90),
             cloud=tuple(map(tuple, cloud)),
             silent=() if now.given[row] == GIVEN else (rule.agent,),
         )

@@ -70,8 +70,7 @@ class RowTable:
         now = self.rows.columns
         is_new = now.since < 0
         known = is_new | ~(now.is_lost | (now.lost_count > 0))
-        columns = replace(
-            now,
+        columns = now.changed(
             since=np.where(is_new, frame.index, now.since),
             known_mean=np.where(known[:, None], now.mean, now.known_mean),
             known_covariance=np.where(known[:, None, None], now.covariance, now.known_covariance),
@@ -132,7 +131,7 @@ class RowTable:
         """Targets have a detection of their own."""
         unseen = self.rows.columns.unseen_frames.copy()
         unseen[[self.rows.index[target] for target in targets]] = 0
-        self.rows = self.rows.with_columns(replace(self.rows.columns, unseen_frames=unseen), self.rows.time)
+        self.rows = self.rows.with_columns(self.rows.columns.changed(unseen_frames=unseen), self.rows.time)
 
     def add(self, target: str, state: TargetState, record: TrackRecord, metrics: FrameMetrics) -> None:
         """A target starts."""
@@ -185,13 +184,5 @@ class RowTable:
                 return {**RowStates(rows), **states}, {**RowRecords(rows), **records}
             new = make_rows(rows.rule, states, records, [False] * len(states), frame.time)
             rows = Rows(rows.rule, (*rows.ids, *new.ids), rows.columns.extend(new.columns), frame.time)
-        rows = replace(rows, checked=self.net.targets) if rows is not self.rows else _checked(rows, self.net)
+        rows = rows.with_nets(self.net.targets)
         return RowStates(rows), RowRecords(rows)
-
-
-def _checked(rows: Rows, net: Net) -> Rows:
-    if rows.checked is net.targets:
-        return rows
-    after = replace(rows, checked=net.targets)
-    after.__dict__["index"] = rows.index
-    return after
