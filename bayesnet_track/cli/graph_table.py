@@ -1,0 +1,88 @@
+"""The page of all installed graphs, made from their files: ``python -m bayesnet_track.cli.graph_table``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
+
+from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graphs import graphs_about
+from bayesnet_track.observation.cue import installed_cues
+from bayesnet_track.observation.detector import GIVEN
+
+MEASURED: Mapping[str, str] = MappingProxyType(
+    {
+        "general": "[success AUC .639 on twelve real sequences](benchmarks.md)",
+        "two_squares": "[50 of 50 crossings as stated, 39 of 50 random ones](benchmarks.md)",
+        "kalman_detections": "[MOTA .845 on noisy detections](benchmarks.md#many-people-in-a-real-sequence)",
+        "people_detections": "[MOTA .845 on noisy detections](benchmarks.md#many-people-in-a-real-sequence)",
+        "orange_and_gray_detected": "[both squares in 49 of 50 scenes](targets.md)",
+    }
+)
+"""Graph -> what a page has measured, with that page."""
+
+DEPTH = ("stereo",)
+
+HEAD = """\
+# The installed graphs
+
+<!-- Made by python -m bayesnet_track.cli.graph_table; do not edit. -->
+
+Each of these graphs can be named without a path, as in `bayesnet-track run general …`. Start with `general`
+for one target of unknown appearance, and with `kalman_detections` if you have a detector's boxes. The
+others belong to the scenes of `bayesnet-track demo` and show one thing each; copy the file that is nearest
+to your task. `bayesnet-track graph NAME --formula` prints the density that a graph stands for.
+
+Cost is what the cues of all agents declare for 1000 hypotheses of 60 × 60 px, in ms, with all of them on: a
+figure to compare graphs by. [Benchmarks](benchmarks.md) have measured times. Where the column of accuracy
+is empty, no page has measured it.
+"""
+
+
+def graph_page() -> str:
+    """The page as Markdown."""
+    rows = ["| graph | for | needs | beliefs | cost, ms | accuracy |", "|---|---|---|---|---:|---|"]
+    rows += [_row(name, about, load_graph(name)) for name, about in graphs_about().items()]
+    return f"{HEAD}\n" + "\n".join(rows) + "\n"
+
+
+def _row(name: str, about: str, graph: CheckedGraph) -> str:
+    plates = list(graph.targets.values())
+    needs = dict.fromkeys(need for plate in plates for need in _needs(plate))
+    beliefs = dict.fromkeys(belief for plate in plates for belief in _beliefs(plate))
+    cost = sum(_cost(plate) for plate in plates)
+    cells = [f"`{name}`", about, ", ".join(needs), ", ".join(beliefs), f"{cost:.3g}", MEASURED.get(name, "")]
+    return f"| {' | '.join(cells)} |"
+
+
+def _cues(plate: CheckedTarget) -> Sequence[str]:
+    return [plate.agent(agent).agent.cue for agent in plate.agents]
+
+
+def _needs(plate: CheckedTarget) -> Iterator[str]:
+    birth, cues = plate.spec.birth, _cues(plate)
+    declared = installed_cues(cues)
+    if birth is None:
+        yield "a start box"
+    elif birth.detector.detector == GIVEN:
+        yield "a file of detections"
+    if any(declared[cue].needs_color for cue in cues):
+        yield "colour"
+    if any(cue in DEPTH for cue in cues):
+        yield "a stereo pair or depth"
+
+
+def _beliefs(plate: CheckedTarget) -> Iterator[str]:
+    belief = getattr(plate.spec.nodes[plate.root], "belief", None)
+    yield str(getattr(belief, "kind", "particles"))
+
+
+def _cost(plate: CheckedTarget) -> float:
+    declared = installed_cues(_cues(plate))
+    return sum(declared[cue].cost_ms for cue in _cues(plate))
+
+
+if __name__ == "__main__":
+    sys.stdout.write(graph_page())
