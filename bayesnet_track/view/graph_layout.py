@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import AgentNode, FactorNode
@@ -33,6 +33,7 @@ class NodeShape:
         y: centre, px.
         w: width, px.
         h: height, px.
+        is_factor: a factor (rectangle).
     """
 
     name: str
@@ -43,6 +44,7 @@ class NodeShape:
     y: float
     w: float
     h: float = NODE_HEIGHT
+    is_factor: bool = False
 
 
 @dataclass(frozen=True)
@@ -124,6 +126,7 @@ def lay_out(target: CheckedTarget, active: Set[str]) -> GraphLayout:
             centre[name],
             top + LAYER * depth[name],
             widths[name],
+            is_factor=name in target.factors,
         )
         for name in target.order
     )
@@ -140,20 +143,33 @@ def lay_out(target: CheckedTarget, active: Set[str]) -> GraphLayout:
     )
 
 
+def with_factors(target: CheckedTarget) -> CheckedTarget:
+    """The plate as it is drawn: its factors are leaves, behind the other children of the node above."""
+    below = {
+        name: [own for own, one in target.factors.items() if one.parent == name] for name in target.order
+    }
+    return replace(
+        target,
+        order=(*target.order, *target.factors),
+        parent={**target.parent, **{name: factor.parent for name, factor in target.factors.items()}},
+        children={name: (*children, *below[name]) for name, children in target.children.items()},
+    )
+
+
 def pool_weights(target: CheckedTarget, node: str, alive: Set[str]) -> dict[str, float]:
     """Child -> weight in the log-linear pool of `node`: they sum to 1 over the children that are alive."""
     fuse = target.inference(node).fuse
     if fuse is None or fuse.pool is None:
         return {}
-    children = [child for child in target.children[node] if child in alive]
+    children = [child for child in target.children[node] if child in alive and child not in target.factors]
     raw = {child: 1.0 if fuse.pool == "equal" else fuse.pool[child] for child in children}
     total = sum(raw.values())
     return {child: value / total for child, value in raw.items()}
 
 
 def _alive(target: CheckedTarget, active: Set[str]) -> frozenset[str]:
-    """The active agents and every node above one."""
-    found: set[str] = set()
+    """The active agents and every node above one, and the factors."""
+    found: set[str] = set(target.factors)
     for agent in set(target.agents) & set(active):
         node: str | None = agent
         while node is not None and node not in found:
@@ -184,7 +200,7 @@ def _width(target: CheckedTarget, name: str) -> float:
 
 
 def _fork(target: CheckedTarget, parent: NodeShape) -> Fork | None:
-    if parent.is_agent:
+    if parent.is_agent or parent.is_factor:
         return None
     fuse = target.inference(parent.name).fuse
     if fuse is None or (len(target.children[parent.name]) < 2 and fuse.latent is None):

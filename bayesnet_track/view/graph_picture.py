@@ -18,6 +18,7 @@ from bayesnet_track.view.graph_layout import (
     GraphLayout,
     NodeShape,
     lay_out,
+    with_factors,
 )
 from bayesnet_track.view.svg import document, element, text_of
 
@@ -32,7 +33,7 @@ LEGEND = (("belief", False, True), ("active agent", True, True), ("inactive agen
 
 def graph_svg(target: CheckedTarget, active: Set[str]) -> str:
     """The net as an SVG file: inference nodes as ellipses, agents as boxes, inactive ones dashed and gray."""
-    layout = lay_out(target, active)
+    layout = lay_out(with_factors(target), active)
     body = [*map(_svg_edge, layout.edges), *map(_svg_fork, layout.forks), *map(_svg_node, layout.nodes)]
     body += [_svg_node(node) for node in _legend(layout)]
     on = [agent for agent in target.agents if agent in active]
@@ -42,7 +43,7 @@ def graph_svg(target: CheckedTarget, active: Set[str]) -> str:
 
 def graph_image(target: CheckedTarget, active: Set[str], scale: float = 2.0) -> Image:
     """The same picture as pixels: (rows, columns, 3) uint8 BGR, `scale` pixels per unit of the layout."""
-    layout = lay_out(target, active)
+    layout = lay_out(with_factors(target), active)
     painter = _Pixels(layout, scale)
     for edge in layout.edges:
         painter.edge(edge)
@@ -69,6 +70,8 @@ def _colours(node: NodeShape) -> tuple[str, str, str]:
     """Fill, line and text colour."""
     if not node.active:
         return "#ffffff", PALE if not node.is_agent else SOFT, SOFT
+    if node.is_factor:
+        return "#ffffff", INK, INK
     return (AGENT_FILL, AGENT_LINE, INK) if node.is_agent else (INFERENCE_FILL, INFERENCE_LINE, INK)
 
 
@@ -92,9 +95,9 @@ def _svg_node(node: NodeShape) -> str:
         "stroke_width": 1.8,
         "stroke_dasharray": None if node.active else "5 4",
     }
-    if node.is_agent:
-        left, top = node.x - node.w / 2, node.y - node.h / 2
-        shape = element("rect", x=left, y=top, width=node.w, height=node.h, rx=10.0, **look)
+    if node.is_agent or node.is_factor:
+        left, top, radius = node.x - node.w / 2, node.y - node.h / 2, 10.0 if node.is_agent else 0.0
+        shape = element("rect", x=left, y=top, width=node.w, height=node.h, rx=radius, **look)
     else:
         shape = element("ellipse", cx=node.x, cy=node.y, rx=node.w / 2, ry=node.h / 2, **look)
     texts = [
@@ -177,7 +180,9 @@ class _Pixels:
 
     def node(self, node: NodeShape) -> None:
         fill, line, ink = _colours(node)
-        outline = _rounded(node.x, node.y, node.w, node.h, 10.0) if node.is_agent else _ellipse(node)
+        radius = 10.0 if node.is_agent else 0.0
+        is_box = node.is_agent or node.is_factor
+        outline = _rounded(node.x, node.y, node.w, node.h, radius) if is_box else _ellipse(node)
         self._fill(outline, fill)
         self._line(np.vstack([outline, outline[:1]]), line, dashed=not node.active)
         for text, size, y, is_name in _lines(node):

@@ -7,8 +7,9 @@ import pytest
 
 from bayesnet_track.engine.starts import Start, start_targets
 from bayesnet_track.engine.step import first_look, make_engine, step
-from bayesnet_track.graph.checks.run import check
+from bayesnet_track.graph.checks.run import check, check_graph
 from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.joins import Joined, Parted
 from bayesnet_track.journal.events.joint_beliefs import AttachmentChanged, OcclusionChanged
@@ -18,6 +19,9 @@ from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.carried import BEHIND, carried_box
 from bayesnet_track.sources.scenes.crowd import crowd
+
+FEW = 18
+"""Frames in which some of the crowd meet."""
 
 
 def tracked(scene, graph, seed, frames=None):
@@ -141,3 +145,22 @@ def test_scenes_are_whole(name):
     else:
         assert scene.truth[:, :2].min() >= -1e-9
         assert (scene.truth[:, :2] + scene.truth[:, 2:] <= [scene.width, scene.height]).all()
+
+
+def test_a_factor_that_is_the_same_everywhere_changes_no_joint_belief():
+    """It belongs to the prior of each: taken for evidence of pixels it would change the shares that match."""
+    scene, plain = crowd(1, count=16), as_plain(load_graph("crowd").spec)
+    (kind,) = plain["targets"]
+    root = next(name for name, node in plain["targets"][kind]["nodes"].items() if "parent" not in node)
+    plain["targets"][kind]["nodes"][root]["belief"] = {"particles": {"size": 60}}
+    without = tracked(scene, check_graph(plain), 3, FEW)
+    plain["targets"][kind]["nodes"]["same"] = {"parent": root, "factor": "exp(-9)"}
+    outcomes = tracked(scene, check_graph(plain), 3, FEW)
+    assert any(outcome.state.net.joins for outcome in outcomes)
+    for one, other in zip(outcomes, without, strict=True):
+        for own, before in zip(one.metrics, other.metrics, strict=True):
+            assert own.centre_box == pytest.approx(before.centre_box, abs=1e-6)
+            assert own.ud_px2 == pytest.approx(before.ud_px2, rel=1e-6)
+            assert (own.join is None) == (before.join is None)
+            if own.join is not None and before.join is not None:
+                assert own.join.hidden == pytest.approx(before.join.hidden, abs=1e-6)

@@ -14,6 +14,7 @@ from bayesnet_track.graph import spec
 from bayesnet_track.graph.expressions.evaluate import log_values
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.inference.compile import describe_plan
+from bayesnet_track.inference.factors import log_prior_factor, log_seen
 from bayesnet_track.inference.messages import evaluate, without
 from bayesnet_track.journal.events.beliefs import DegenerateBelief, FactorFlawed
 from bayesnet_track.numerics.log_weights import LogWeights
@@ -170,3 +171,38 @@ def test_rules_see_no_factor(fakes):
     metrics = fakes.play(engine, 2)[-1].metrics[0]
     assert "f" not in metrics.kl
     assert "f" not in metrics.active
+
+
+def test_what_was_seen_is_told_from_the_prior(fakes):
+    """Factors of products up to the root are a part of its prior; those in pools and latent nodes are not."""
+    nodes = {
+        "s": {"fuse": "product"},
+        "a": "s",
+        "p": {"parent": "s", "fuse": "pool"},
+        "b": "p",
+        "c": "p",
+        "f": factor("exp(x / 10) * (x > 40)"),
+        "g": factor("exp(1)", "p"),
+    }
+    boxes = boxes_at([30, 50, 70])
+    sees = {"a": fakes.gaussian(55, 42, 7), "b": fakes.flat(), "c": fakes.flat()}
+    evidence, _, plan = asked(fakes, nodes, boxes, sees)
+    assert [one.is_prior for one in plan.factors] == [True, True]
+    np.testing.assert_allclose(log_prior_factor(plan.factors, evidence), [-np.inf, 6, 8])
+    seen = log_seen(plan.factors, evidence)
+    np.testing.assert_allclose(seen[1:], evidence.messages["a"][1:])
+    assert seen[0] == -np.inf
+
+
+def test_a_factor_below_a_node_of_a_pool_counts_by_its_weight(fakes):
+    nodes = {
+        "s": {"fuse": {"pool": {"a": 1, "n": 3}}},
+        "a": "s",
+        "n": {"parent": "s"},
+        "b": "n",
+        "f": factor("exp(x / 10)", "n"),
+    }
+    evidence, _, plan = asked(fakes, nodes, boxes_at([30, 50]), {"a": fakes.flat(), "b": fakes.flat()})
+    assert [one.is_prior for one in plan.factors] == [False]
+    np.testing.assert_allclose(evidence.log_likelihood, [0.75 * 3, 0.75 * 5])
+    np.testing.assert_array_equal(log_prior_factor(plan.factors, evidence), [0, 0])

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.view.graph_layout import MARGIN, lay_out, pool_weights
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.view.graph_layout import MARGIN, lay_out, pool_weights, with_factors
 from bayesnet_track.view.graph_picture import graph_image, graph_svg
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -139,3 +140,16 @@ def test_a_latent_node_says_how_it_holds_its_state(fakes):
         own = node if belief is None else {**node, "belief": belief}
         plate, _ = fakes.plate({"root": {}, "part": own, "a": "part"})
         assert f">{note}<" in graph_svg(plate, {"a"})
+
+
+def test_a_factor_is_a_rectangle_below_its_node():
+    target = load_graph("road").targets["target"]
+    layout = lay_out(with_factors(target), set())
+    place = {node.name: node for node in layout.nodes}
+    assert list(place) == ["target", "color", "road"]
+    assert (place["road"].is_factor, place["road"].note, place["road"].active) == (True, "factor", True)
+    assert place["road"].y == place["color"].y
+    assert place["color"].x < place["road"].x
+    assert len(layout.edges) == 2
+    assert 'rx="0' in graph_svg(target, set())
+    assert graph_image(target, set()).shape[2] == 3
