@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 from measuring import environment, on_one_thread
-from real_video import Elsewhere, changed, digest
+from real_video import SWITCHES, Elsewhere, changed, digest
 from real_video_coin import HALVES
 from real_video_frames import Frames, Pass, report
 from sequences import Sequence, find_sequences
@@ -35,12 +35,9 @@ from bayesnet_track import Tracker
 from bayesnet_track.evaluate.scores import score
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.net.net import SelfStopped
-from bayesnet_track.journal.net.rule_decisions import Activated, Deactivated
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 
 SEEDLESS = ("CSRT", "KCF", "NanoTrack")
-SWITCHES = (Activated, Deactivated, SelfStopped)
 
 
 def read_graph(name: str) -> tuple[str, GraphSpec]:
