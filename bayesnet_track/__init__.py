@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from bayesnet_track.observation.cue import CueParameters as CueParameters
     from bayesnet_track.observation.geometry import box_means as box_means
     from bayesnet_track.observation.likelihoods import floored as floored
+    from bayesnet_track.runtime.detections_tracker import DetectionsTracker as DetectionsTracker
     from bayesnet_track.runtime.recording.interchange import Detections as Detections
     from bayesnet_track.runtime.recording.run_reader import Run as Run
     from bayesnet_track.runtime.recording.run_reader import open_run as open_run
@@ -38,6 +39,7 @@ _HOMES = {
     "CueDeclaration": "bayesnet_track.observation.cue",
     "CueParameters": "bayesnet_track.observation.cue",
     "Detections": "bayesnet_track.runtime.recording.interchange",
+    "DetectionsTracker": "bayesnet_track.runtime.detections_tracker",
     "GraphSpec": "bayesnet_track.graph.spec",
     "GrayPlane": "bayesnet_track.vision.planes.gray_plane",
     "Result": "bayesnet_track.runtime.run",
@@ -55,6 +57,7 @@ __all__ = [
     "CueDeclaration",
     "CueParameters",
     "Detections",
+    "DetectionsTracker",
     "GraphSpec",
     "GrayPlane",
     "Result",

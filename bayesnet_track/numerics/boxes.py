@@ -37,6 +37,12 @@ def xyxy_from_centre(centre: ArrayLike) -> Floats:
     return np.concatenate([corner[..., :2], corner[..., :2] + corner[..., 2:]], axis=-1)
 
 
+def centre_from_xyxy(corners: ArrayLike) -> Floats:
+    """Centre boxes (..., 4): the inverse of `xyxy_from_centre`."""
+    box = np.asarray(corners, dtype=np.float64)
+    return centre_from_corner(np.concatenate([box[..., :2], box[..., 2:] - box[..., :2]], axis=-1))
+
+
 def overlap(a: ArrayLike, b: ArrayLike) -> Floats:
     """Intersection over union of centre boxes (..., 4), broadcast; 0 where the union is empty."""
     first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)

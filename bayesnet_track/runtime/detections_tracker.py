@@ -1,0 +1,123 @@
+"""A tracker of detections with the `update` of Roboflow's `trackers`, for pipelines that already detect."""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass, field
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.engine.starts import start_targets
+from bayesnet_track.engine.step import Engine, State, make_engine, step
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.numerics.boxes import centre_from_xyxy, overlap
+from bayesnet_track.observation.detector import GIVEN, NOTHING, Detections, DetectorState
+from bayesnet_track.observation.planes import Frame, FramePair
+from bayesnet_track.sources.images import to_bgr
+
+NO_TARGET = -1
+"""The `tracker_id` of a detection that belongs to no target, or to one that is not confirmed yet."""
+
+LEAST_OVERLAP = 0.3
+
+
+@dataclass
+class _Fed:
+    """A detector that finds what it is given."""
+
+    now: Detections = field(default=NOTHING)
+
+    def start(self) -> DetectorState:
+        return {}
+
+    def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
+        return self.now, state
+
+
+class DetectionsTracker:
+    """Give the detections of each frame the identities of targets, by a graph whose births use `detections`.
+
+    Args:
+        graph: name or path of the graph, or the graph itself.
+        size: width and height of the frames in px, where `update` is given none.
+        seed: seed of all randomness.
+
+    Raises:
+        GraphError: every error of the graph.
+
+    Example::
+
+        tracker = DetectionsTracker("kalman_detections", size=(640, 480))
+        detections = tracker.update(detections)  # an object like supervision's Detections
+        detections.tracker_id                    # (n,) int: the target of each box, -1 for none
+    """
+
+    def __init__(
+        self,
+        graph: str | PathLike[str] | GraphSpec | CheckedGraph = "kalman_detections",
+        size: tuple[int, int] = (1920, 1080),
+        seed: int = 0,
+    ) -> None:
+        self._graph, self._seed = load_graph(graph), seed
+        self._blank: NDArray[np.uint8] = np.zeros((size[1], size[0], 3), np.uint8)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all targets: another video begins."""
+        self._fed = _Fed()
+        self._engine: Engine = make_engine(self._graph, self._seed, detectors={GIVEN: self._fed})
+        self._state: State | None = None
+        self._index = 0
+        self.targets: tuple[FrameMetrics, ...] = ()
+
+    def update(self, detections: Any, frame: NDArray[np.uint8] | None = None) -> Any:
+        """A copy of the detections with `tracker_id`, (n,) int64; `targets` has all that was measured.
+
+        Args:
+            detections: with `xyxy` (n, 4) in px and, if it has them, `confidence` (n,) in 0..1.
+            frame: the BGR frame, for graphs that look at it.
+
+        Raises:
+            ValueError: boxes that are not (n, 4) finite numbers with an area.
+        """
+        boxes = _boxes(detections)
+        given = getattr(detections, "confidence", None)
+        scores = np.ones(len(boxes)) if given is None else np.asarray(given, dtype=np.float64)
+        self._fed.now = Detections(boxes, scores, ("",) * len(boxes))
+        image, has_color = to_bgr(self._blank if frame is None else np.array(frame))
+        now = Frame(self._index, float(self._index), image, has_color, math.nan, None)
+        if self._state is None:
+            outcome = start_targets(self._graph, self._engine, now, [])
+        else:
+            outcome = step(self._engine, self._state, now)
+        self._state, self._index, self.targets = outcome.state, self._index + 1, tuple(outcome.metrics)
+        marked = copy.copy(detections)
+        marked.tracker_id = owners(boxes, [one for one in self.targets if one.status != "lost"])
+        return marked
+
+
+def owners(boxes: NDArray[np.float64], targets: list[FrameMetrics]) -> NDArray[np.int64]:
+    """The target of each centre box (n, 4), the best overlap first; a target has at most one."""
+    found = np.full(len(boxes), NO_TARGET, dtype=np.int64)
+    if not len(boxes) or not targets:
+        return found
+    shares = overlap(boxes[:, None], np.array([one.centre_box for one in targets])[None])
+    for row, column in zip(*np.unravel_index(np.argsort(-shares, axis=None), shares.shape), strict=True):
+        number = int(targets[column].target)
+        if shares[row, column] >= LEAST_OVERLAP and found[row] == NO_TARGET and number not in found:
+            found[row] = number
+    return found
+
+
+def _boxes(detections: Any) -> NDArray[np.float64]:
+    corners = np.asarray(detections.xyxy, dtype=np.float64).reshape(-1, 4)
+    if not np.isfinite(corners).all() or (corners[:, 2:] <= corners[:, :2]).any():
+        raise ValueError("detections: xyxy needs finite boxes left, top, right, bottom, with an area")
+    return centre_from_xyxy(corners)

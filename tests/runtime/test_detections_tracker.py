@@ -1,0 +1,49 @@
+"""Detections of a pipeline get identities: the `update` of Roboflow's `trackers`, by a graph."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bayesnet_track import DetectionsTracker
+from bayesnet_track.runtime.detections_tracker import NO_TARGET
+
+
+def crossing(frame, order=(0, 1)):
+    """Two people who walk past each other, in another order in every other frame."""
+    boxes = np.array(
+        [[20 + 8 * frame, 100, 60 + 8 * frame, 200], [500 - 8 * frame, 110, 540 - 8 * frame, 210]]
+    )
+    return SimpleNamespace(
+        xyxy=boxes[list(order)].astype(float), confidence=np.array([0.9, 0.8]), tracker_id=None
+    )
+
+
+def test_identities_stay_through_a_crossing_and_another_order():
+    tracker, seen = DetectionsTracker(size=(640, 480)), []
+    for frame in range(50):
+        order = (0, 1) if frame % 2 else (1, 0)
+        given = crossing(frame, order)
+        marked = tracker.update(given)
+        assert given.tracker_id is None and marked.tracker_id.dtype == np.int64
+        seen.append(marked.tracker_id[list(order)])
+    assert (seen[0] == NO_TARGET).all()  # not confirmed yet
+    assert {tuple(ids) for ids in seen[5:]} == {tuple(seen[-1])} and len(set(seen[-1])) == 2
+    assert [one.target for one in tracker.targets] == sorted(map(str, seen[-1]))
+    tracker.reset()
+    assert (tracker.update(crossing(0)).tracker_id == NO_TARGET).all()
+
+
+def test_frames_without_detections_and_without_confidence():
+    tracker = DetectionsTracker(size=(640, 480))
+    empty = SimpleNamespace(xyxy=np.empty((0, 4)), confidence=None)
+    assert tracker.update(empty).tracker_id.shape == (0,)
+    for frame in range(6):
+        found = tracker.update(SimpleNamespace(xyxy=crossing(frame).xyxy)).tracker_id
+    assert (found > 0).all()
+
+
+@pytest.mark.parametrize("box", [[1, 2, 1, 4], [1, 2, np.nan, 4]])
+def test_boxes_without_area_are_refused(box):
+    with pytest.raises(ValueError, match="xyxy needs finite boxes left, top, right, bottom, with an area"):
+        DetectionsTracker(size=(64, 48)).update(SimpleNamespace(xyxy=[box]))
