@@ -55,7 +55,8 @@ class CheckedTarget:
 
     def __repr__(self) -> str:
         """Name and size."""
-        return f"CheckedTarget({self.name}: {len(self.order)} nodes, {len(self.agents)} of them agents)"
+        nodes = len(self.order) + len(self.factors)
+        return f"CheckedTarget({self.name}: {nodes} nodes, {len(self.agents)} of them agents)"
 
     @cached_property
     def agents(self) -> tuple[str, ...]:
@@ -101,7 +102,7 @@ class CheckedGraph:
     def __repr__(self) -> str:
         """Name and size: the whole specification would fill pages."""
         agents = sum(len(plate.agents) for plate in self.targets.values())
-        nodes = sum(len(plate.order) for plate in self.targets.values())
+        nodes = sum(len(plate.order) + len(plate.factors) for plate in self.targets.values())
         return f"CheckedGraph({self.spec.name}: {nodes} nodes, {agents} of them agents)"
 
     def _repr_html_(self) -> str:

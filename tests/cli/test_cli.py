@@ -579,8 +579,8 @@ MISTAKES = {
         3,
         "{wrong}/bad.yaml:1:1: graph: key 'targets' is missing; allowed: a mapping, each a mapping with "
         "state, birth, merge_duplicates, death, reidentify, nodes\n  1 | bayesnet: 1\n    | ^\n"
-        "{wrong}/bad.yaml:3:1: graph: unknown key 'targts'; allowed: bayesnet, name, about, targets, joins; "
-        "nearest: targets\n  3 | targts: {{}}\n    | ^",
+        "{wrong}/bad.yaml:3:1: graph: unknown key 'targts'; allowed: bayesnet, name, about, constants, "
+        "targets, joins; nearest: targets\n  3 | targts: {{}}\n    | ^",
     ),
     # a source, or a run, that cannot be read
     "run general --source {wrong}/nothing --out {out} --init 1,2,3,4": (

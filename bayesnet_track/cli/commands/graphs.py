@@ -27,7 +27,7 @@ def validate(options: argparse.Namespace) -> int:
             complain(describe_error(error))
             code = BAD_GRAPH
             continue
-        nodes = sum(len(plate.order) for plate in graph.targets.values())
+        nodes = sum(len(plate.order) + len(plate.factors) for plate in graph.targets.values())
         agents = sum(len(plate.agents) for plate in graph.targets.values())
         say(f"{name}: ok ({graph.spec.name}: {nodes} nodes, {agents} of them agents)")
         opaque = ", ".join(_opaque(graph))
