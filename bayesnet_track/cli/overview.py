@@ -33,7 +33,7 @@ EXAMPLES: Mapping[str, str] = {
     "export": "export runs/mine --format coco --out tracks.json",
     "score": "score runs/mine --truth groundtruth.txt",
     "compare": "compare runs/a runs/b --html differences.html",
-    "what-if": "what-if runs/mine --set target.adapt.activate.above.ud_box=0.5",
+    "what-if": "what-if runs/mine --set target.belief.particles.size=1000",
     "init": "init mine.yaml",
     "validate": "validate mine.yaml",
     "graph": "graph general --formula",

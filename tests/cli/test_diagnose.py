@@ -10,14 +10,13 @@ import pytest
 
 from bayesnet_track.cli.diagnose.command import names_of
 from bayesnet_track.cli.diagnose.findings import FEW_FRAMES, find
-from bayesnet_track.cli.diagnose.remedies import REMEDIES, remedies_table, settings
+from bayesnet_track.cli.diagnose.remedies import REMEDIES, remedies_table
 from bayesnet_track.cli.main import main
 from bayesnet_track.cli.parser import make_parser
 from bayesnet_track.graph.text.change import change_graph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.metrics import FrameMetrics
 
-GENERAL = load_graph("general").text
 FRAMES = 40
 
 
@@ -63,17 +62,19 @@ def test_agents_that_are_only_sampled_do_not_flicker_and_change_no_evidence(line
     assert found.remedy == "flicker" and found.what.startswith("agents are switched 20 times in 39 frames")
 
 
-def test_every_key_of_the_table_is_one_of_the_language():
-    names = names_of(GENERAL, "target", "filter")
-    assert names == {
-        "ROOT": "target",
-        "MOTION": "random_walk",
-        "AGENT": "filter",
-        "CUE": "correlation_filter",
-    }
-    for setting in settings(names):
-        changed = change_graph(GENERAL, [setting]).text
-        assert changed != GENERAL, f"{setting}: that is the value that it has already"
+@pytest.mark.parametrize("name", REMEDIES)
+def test_every_key_of_the_table_is_one_of_the_language(name):
+    """Of `general`, or of a graph whose agents are switched by rules."""
+    of = "two_squares" if ".adapt." in REMEDIES[name].key else "general"
+    text = load_graph(of).text
+    plate, agent = ("square", "color") if of == "two_squares" else ("target", "filter")
+    setting = REMEDIES[name].setting(names_of(text, plate, agent))
+    assert change_graph(text, [setting]).text != text, f"{setting}: that is the value that it has already"
+
+
+def test_names_of_a_graph():
+    names = names_of(load_graph("general").text, "target", "filter")
+    assert (names["ROOT"], names["MOTION"], names["CUE"]) == ("target", "random_walk", "correlation_filter")
 
 
 @pytest.mark.parametrize("name", REMEDIES)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -127,7 +127,7 @@ REMEDIES: Mapping[str, Remedy] = MappingProxyType(
             "an agent is switched on only after the box is wrong",
             "log RUN --kind activated",
             "ROOT.adapt.activate.above",
-            "{ud_box: 0.065}",
+            "{ud_px2: 110}",
             "agents are switched on earlier, and are on longer",
         ),
         "flicker": Remedy(
@@ -165,8 +165,3 @@ def remedies_table() -> str:
 
 def _row(one: Remedy) -> str:
     return f"| {one.symptom} | `{one.command}` | `{one.key}` | `{one.value}` | {one.why} |"
-
-
-def settings(names: Mapping[str, str]) -> Iterator[str]:
-    """Every row's `PATH=VALUE` with the names of a graph."""
-    return (one.setting(names) for one in REMEDIES.values())
