@@ -218,3 +218,27 @@ def test_targets_with_a_factor_go_one_by_one():
             target["nodes"]["size"] = factor
         engine = steps.make_engine(check_graph(plain), 0, detectors={"detections": FileDetector({})})
         assert (row_rule(engine, plate) is None) == (factor is not None)
+
+
+@pytest.mark.parametrize("as_rows", [True, False])
+def test_a_detector_that_fails_is_left_alone_for_a_while(graph, found, monkeypatch, as_rows):
+    asked = []
+
+    class Failing(FileDetector):
+        def detect(self, frames, state):
+            asked.append(frames.current.index)
+            if frames.current.index == 10:
+                raise RuntimeError("no camera")
+            return super().detect(frames, state)
+
+    if not as_rows:
+        monkeypatch.setattr(steps, "find_rows", lambda work, state: None)
+    engine = steps.make_engine(graph, 0, detectors={"detections": Failing(found)})
+    state = None
+    for index in range(23):
+        frame = Frame(index=index, time=float(index), time_s=index / 25, image=IMAGE)
+        outcome = (
+            start_targets(graph, engine, frame, ()) if state is None else steps.step(engine, state, frame)
+        )
+        state = outcome.state
+    assert asked == [*range(11), *range(20, 23)]

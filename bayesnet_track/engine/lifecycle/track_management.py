@@ -71,6 +71,8 @@ def manage_tracks(work: FrameWork, outcome: Outcome, associated: Associated | No
         found, tracks.history, events = look(work, tracks.history, tracks.boxes, tracks.held)
     else:
         found, events = associated.found, associated.events
+        looked = associated.history
+        tracks.history = replace(tracks.history, detectors=looked.detectors, failed=looked.failed)
     tracks.events += events
     for plate, rule in rules.items():
         if plate in found and rule.birth is not None:
