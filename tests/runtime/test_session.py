@@ -97,6 +97,7 @@ def test_a_run_directory_with_a_video(video, tmp_path):
     assert held == {".lock", *FILES.values()} - {
         "checkpoint.previous",
         "truth.txt",
+        "beliefs.jsonl",
         "manifest.json",
         "inputs.jsonl",
         "inputs_ahead.jsonl",
