@@ -22,6 +22,7 @@ from bayesnet_track.journal.events.by_hand import Released, Toggled
 from bayesnet_track.journal.events.load import LateFrame
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.runtime.checkpoints.state_codec import decode_state, encode_state
 from bayesnet_track.sources.detection_files import FileDetector
 from bayesnet_track.sources.scenes.crowd_detector import DetectorSettings, detect_crowd
 from bayesnet_track.sources.scenes.walkers import CrowdSettings, make_crowd
@@ -242,3 +243,17 @@ def test_a_detector_that_fails_is_left_alone_for_a_while(graph, found, monkeypat
         )
         state = outcome.state
     assert asked == [*range(11), *range(20, 23)]
+
+
+def test_rows_that_were_stored_go_on_as_rows_to_the_same_bytes(graph, found):
+    done = outcomes(graph, found, None, 25)
+    engine = steps.make_engine(graph, 0, detectors={"detections": FileDetector(found)})
+    frames = [Frame(index=k, time=float(k), time_s=k / 25, image=IMAGE) for k in range(25)]
+    state = decode_state(encode_state(done[17].state), engine, frames[17])
+    for index in range(18, 25):
+        outcome = steps.step(engine, state, frames[index])
+        state = outcome.state
+        assert isinstance(outcome.metrics, RowMetrics)
+        for kind in ("metrics", "events"):
+            own, other = getattr(outcome, kind), getattr(done[index], kind)
+            assert [to_json(one) for one in own] == [to_json(one) for one in other]
