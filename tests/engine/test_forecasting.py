@@ -100,8 +100,8 @@ def test_the_same_again_is_the_same_and_doubt_grows(scene):
     first = tracker.predict(3)
     again = tracker.predict(3)
     assert first == again
-    widths = [one.region90[1] - one.region90[0] for one in first]
-    assert widths == sorted(widths)
+    sds = [one.sd[0] for one in first]
+    assert sds == sorted(sds)
 
 
 def test_wrong_use_says_what_to_do(scene):

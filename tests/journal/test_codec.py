@@ -85,9 +85,9 @@ def test_round_trip(event):
 def plain(value):
     """What a line holds, by the values alone: for `json.dumps`."""
     if is_dataclass(value):
-        given = {item.name: getattr(value, item.name) for item in fields(value)}
-        empty = {f.name for f in fields(value) if f.metadata.get("left_out_when_empty") and not given[f.name]}
-        return {name: plain(one) for name, one in given.items() if name not in empty}
+        given = {item: getattr(value, item.name) for item in fields(value)}
+        kept = {f: one for f, one in given.items() if one or not f.metadata.get("left_out_when_empty")}
+        return {f.metadata.get("key", f.name): plain(one) for f, one in kept.items()}
     if isinstance(value, Mapping):
         return {key: plain(value[key]) for key in sorted(value)}
     if isinstance(value, tuple):

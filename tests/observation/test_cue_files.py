@@ -154,7 +154,7 @@ def test_a_graph_that_names_an_unknown_cue_says_where_and_which_there_are(folder
     assert main(["validate", "glanced.yaml", "--cue-file", "glance.py"]) == 3
     said = capsys.readouterr().err
     assert said.startswith("glanced.yaml:11:35: one: unknown cue 'glanse'; allowed: ")
-    assert said.endswith("; nearest: glance\n")
+    assert "; nearest: glance\n" in said
 
 
 FLAGS = 'CUE = CueDeclaration("glance", make=Glance, adapts=True)'

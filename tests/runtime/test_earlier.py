@@ -35,7 +35,7 @@ def version(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     [
         (["log"], "frame 11: "),
         (["log", "--why", "12"], "frame 12"),
-        (["log", "--target", "1"], "target 1"),
+        (["log", "--target", "1"], "square 1"),
         (["log", "--json"], '"event": "toggled"'),
         (["report", "--frames", "none"], "report.html"),
         (["export", "--format", "mot"], "1,1,"),
