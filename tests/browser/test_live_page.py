@@ -142,7 +142,9 @@ def test_from_a_dragged_box_to_a_run_that_is_held_switched_stopped_and_repeated(
     press_button(browser, "Go on")
     browser.wait(f"return +document.querySelector('.scrubber input').max > {at + 8}")
     assert browser.frame == 0
-    assert agent(browser, "color").get_attribute("role") is None
+    node = agent(browser, "color")
+    assert node.get_attribute("aria-pressed") is None
+    assert node.get_attribute("aria-label") == "color: its parameters"
     assert "frames ahead" in browser.run("return document.querySelector('.catch-up').innerText")
     browser.screenshot("live_back.png")
     browser.press("l")

@@ -98,6 +98,10 @@ for name in ("SIGKILL", "SIGIO", "SIGXCPU", "SIGHUP", "SIGALRM", "SIGUSR1", "SIG
 for where, name in ((select, "poll"), (socket, "AF_UNIX"), (socket, "send_fds"), (socket, "recv_fds")):
     if hasattr(where, name):
         delattr(where, name)
+def pair():  # what Python does where the system has no pairs of sockets
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return socket.create_connection(server.getsockname()), server.accept()[0]
+socket.socketpair = pair
 import bayesnet_track, bayesnet_track.cues
 for package in (bayesnet_track, bayesnet_track.cues):
     for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
