@@ -5,6 +5,7 @@ import pytest
 
 from bayesnet_track import Tracker
 from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.journal.codec import to_json
 from bayesnet_track.sources.scenes import make_scene
 
 VELOCITY = {"constant_velocity": {"sd_velocity_px": 1.0, "start_velocity_sd_px": 3.0}}
@@ -91,7 +92,7 @@ def test_looking_ahead_changes_nothing(graph, scene):
             if looks:
                 assert len(tracker.predict(3)) == 3
             tracker.update(image)
-        found.append(tracker.metrics)
+        found.append(to_json(tracker.metrics))
     assert found[0] == found[1]
 
 

@@ -153,3 +153,20 @@ def test_files_are_closed_when_one_cannot_be_made(graph, tmp_path, monkeypatch):
     # What is left may be overwritten like any run.
     directory.csv.rmdir()
     RunDirectory.create(directory.path, overwrite=True).clear()
+
+
+def test_times_are_written_before_what_they_time(graph, tmp_path, monkeypatch):
+    """A run that is killed between two files has a time for every frame that it measured."""
+    flushed = []
+    flush = LineFile.flush
+    monkeypatch.setattr(LineFile, "flush", lambda self: (flushed.append(self.path.name), flush(self))[1])
+    scene = make_scene("two_squares")
+    directory = RunDirectory.create(tmp_path / "run")
+    with Recorder(directory, graph, 0.04, ("beliefs",)) as recorder:
+        source = SceneSource(scene, "scene", 2)
+        for _ in run(graph, source, [Start(scene.start_box)], sinks=[recorder]):
+            of_frame = [
+                name for name in flushed if name in (FILES["timings"], FILES["frames"], FILES["beliefs"])
+            ]
+            assert of_frame[0] == FILES["timings"] and len(set(of_frame)) == 3
+            flushed.clear()

@@ -177,7 +177,8 @@ class Recorder:
         spent = {name: round(seconds, 7) for name, seconds in result.seconds.items()}
         line = {"frame": result.frame.index, "seconds": round(result.total_seconds, 7), "parts": spent}
         self._timings.append(json.dumps(line))
-        # A killed run has a time for every frame it measured, as scores want it.
+        # A killed run has a time for every frame it measured, as scores want it: times come first.
+        self._timings.flush()
         for file in self._lines().values():
             file.flush()
         if "video" in self._optional:
