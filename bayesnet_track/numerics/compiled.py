@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.compile_watch import WATCH
+from bayesnet_track.numerics.kernel_sources import fingerprint
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -17,7 +18,8 @@ Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 def compiled(function: Kernel) -> Kernel:
     """`function` compiled in no-Python mode, serial, releasing the interpreter lock.
 
-    Where the cache on disk cannot be written (read-only, full) or read (damaged), it compiles in memory.
+    Where the cache on disk cannot be written (read-only, full) or read (damaged), it compiles in memory. It
+    is compiled anew when something that it refers to has changed, in this file or in another.
     """
     return _compiled(function, False)
 
@@ -63,6 +65,9 @@ def _compiled(function: Kernel, relaxed: bool | set[str]) -> Kernel:
         return save(*arguments)
 
     cache.load_overload, cache.save_overload = load_or_begin, save_at_the_end
+    if hasattr(cache, "_index_key"):  # there is a folder for it
+        key_of = cache._index_key
+        cache._index_key = lambda *arguments: (*key_of(*arguments), fingerprint(kernel))
     compiled_kernel: Kernel = kernel
     return compiled_kernel
 

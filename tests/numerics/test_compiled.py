@@ -99,6 +99,70 @@ def test_importing_the_kernels_of_the_library_does_not_need_a_cache(tmp_path):
     assert done.returncode == 0
 
 
+KERNEL_AND_OTHER_FILE = {
+    "sources.py": "SCALE = 2.0",
+    "between.py": """
+import sources
+from bayesnet_track.numerics.compiled import compiled
+from sources import SCALE
+
+@compiled
+def scaled(x):
+    return x * SCALE + 0.0 * sources.SCALE
+""",
+    "caller.py": """
+from between import scaled
+from bayesnet_track.numerics.compiled import compiled
+
+@compiled
+def twice(x):
+    return scaled(scaled(x))
+""",
+}
+
+
+@pytest.fixture
+def call(tmp_path, monkeypatch):
+    """Calls a kernel that calls one of another file, which reads a constant of a third, as anew."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def written(**changed):
+        for name, text in {**KERNEL_AND_OTHER_FILE, **{f"{one}.py": changed[one] for one in changed}}.items():
+            if not (tmp_path / name).exists() or (tmp_path / name).read_text() != text:
+                (tmp_path / name).write_text(text)
+            sys.modules.pop(name.removesuffix(".py"), None)
+        importlib.invalidate_caches()
+        kernel = importlib.import_module("caller").twice
+        return kernel(1.0), bool(kernel.stats.cache_hits)
+
+    yield written
+    for name in KERNEL_AND_OTHER_FILE:
+        sys.modules.pop(name.removesuffix(".py"), None)
+
+
+def test_a_kernel_is_compiled_anew_when_a_constant_in_another_file_has_changed(call):
+    assert call() == (4.0, False)
+    assert call() == (4.0, True)
+    assert call(sources="SCALE = 3.0") == (9.0, False)
+    assert call(sources="SCALE = 3.0") == (9.0, True)
+
+
+def test_a_kernel_is_compiled_anew_when_one_that_it_calls_in_another_file_has_changed(call):
+    assert call() == (4.0, False)
+    changed = KERNEL_AND_OTHER_FILE["between.py"].replace("x * SCALE", "x + SCALE")
+    assert call(between=changed) == (5.0, False)
+
+
+def test_a_kernel_is_compiled_anew_with_other_settings(call):
+    assert call() == (4.0, False)
+    changed = KERNEL_AND_OTHER_FILE["between.py"].replace("compiled", "compiled_summing")
+    changed = changed.replace("numerics.compiled_summing", "numerics.compiled")
+    assert call(between=changed) == (4.0, False)
+
+
 def test_with_the_jit_off_kernels_stay_plain_python(load, monkeypatch):
     monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)  # as NUMBA_DISABLE_JIT=1 does
     kernels = load()
