@@ -73,7 +73,7 @@ def assign_pairs(rows: Owners, columns: Owners, gains: Floats, count: int, found
     and those in which nobody wants what another wants are plain.
     """
     # Imported here: a graph is validated without compiling anything.
-    from bayesnet_track.numerics.kernels.row_kernels import settle_pairs
+    from bayesnet_track.numerics.kernels.pair_kernels import settle_pairs
 
     owner, group = settle_pairs(rows, columns, gains, count, found)
     disputed = np.flatnonzero(group >= 0)

@@ -9,13 +9,10 @@ from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.models import linear_gaussian, make_motion
 from bayesnet_track.graph.spec import Gaussian, Motion
 from bayesnet_track.numerics.gaussian import ALONE, chi_square_quantile, linear_update, root
-from bayesnet_track.numerics.kernels.row_kernels import (
-    append_medians,
-    gate_rows,
-    predict_rows,
-    root_of,
-    update_rows,
-)
+from bayesnet_track.numerics.kernels.cholesky_kernels import root_of
+from bayesnet_track.numerics.kernels.pair_kernels import gate_rows
+from bayesnet_track.numerics.kernels.row_columns import ESS, FIT, LOG_EVIDENCE, UD
+from bayesnet_track.numerics.kernels.row_kernels import append_medians, predict_rows, update_rows
 from bayesnet_track.observation.cue import AssociationRule
 
 IMAGE = np.array([640.0, 480.0])
@@ -76,9 +73,9 @@ def test_rows_are_corrected_by_the_kalman_update(beliefs):
             mean[row], np.maximum(expected[0], [-np.inf] * 2 + [1] * 2 + [-np.inf] * 2)
         )
         np.testing.assert_allclose(covariance[row], expected[1], rtol=1e-9, atol=1e-10)
-        assert found[row, 0] == pytest.approx(after.log_likelihood if seen[row] else 0.0)
-        assert found[row, 5] == pytest.approx(np.trace(expected[1][:2, :2]))
-    assert found[2, 6] == 0.0 and found[2, 2] == pytest.approx(1 / (1 / 49 + 12 / 14**2))
+        assert found[row, LOG_EVIDENCE] == pytest.approx(after.log_likelihood if seen[row] else 0.0)
+        assert found[row, UD] == pytest.approx(np.trace(expected[1][:2, :2]))
+    assert found[2, FIT] == 0.0 and found[2, ESS] == pytest.approx(1 / (1 / 49 + 12 / 14**2))
 
 
 def test_pairs_within_the_gate_have_the_gains_of_one_target_at_a_time(beliefs):

@@ -29,6 +29,7 @@ from bayesnet_track.engine.rows.row_metrics import RowMeasures, RowMetrics
 from bayesnet_track.engine.state import apply_decisions
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.gaussian import ALONE, chi_square_quantile
+from bayesnet_track.numerics.kernels.row_columns import AREA, FIT, HYPOTHESES, NATS, UD
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -84,7 +85,7 @@ def advance_rows(work: FrameWork, state: State, rows: Rows) -> tuple[Outcome, As
     updated = before.changed(
         mean=mean,
         covariance=covariance,
-        size=numbers[:, 3].astype(np.int64),
+        size=numbers[:, HYPOTHESES].astype(np.int64),
         own=own,
         given=np.where(is_given, GIVEN, GIVEN_NONE),
     )
@@ -134,7 +135,7 @@ def held_rows(rows: Rows, plate: str) -> list[str]:
 
 def share_out(rule: RowRule, predicted: Predicted, seen: Found) -> Ints:
     """(T,) the detection of each target, or `NOBODY`; see `adapt.assign`."""
-    from bayesnet_track.numerics.kernels.row_kernels import gate_rows
+    from bayesnet_track.numerics.kernels.pair_kernels import gate_rows
 
     mean, covariance, boxes = predicted.mean, predicted.covariance, np.ascontiguousarray(seen.boxes)
     if not len(boxes):
@@ -160,7 +161,7 @@ def judge_rows(
 
     started = work.engine.clock()
     rule, before = rows.rule, rows.columns
-    ud, fit, area = numbers[:, 5].copy(), numbers[:, 6], numbers[:, 7]
+    ud, fit, area = numbers[:, UD].copy(), numbers[:, FIT], numbers[:, AREA]
     quiet, quiet_count, medians = append_medians(
         before.quiet, before.quiet_count, ud, ~before.is_lost, QUIET_MINIMUM
     )
@@ -171,7 +172,7 @@ def judge_rows(
     is_wide, fits = is_known & (value > level.settings), fit >= rule.lost.fit_below
     looks_lost, looks_found = is_wide | ~fits, fits & ~is_wide
     after = updated.changed(
-        nats=before.nats + numbers[:, 1],
+        nats=before.nats + numbers[:, NATS],
         nat_frames=before.nat_frames + 1,
         quiet=quiet,
         quiet_count=quiet_count,
@@ -204,7 +205,7 @@ def _decide_status(
 ) -> list[Decision]:
     """The decision about a target's status, as `judge_status` takes it of one."""
     rule, target = before.rule, before.ids[row]
-    ud, fit, area = (float(measured.numbers[row, column]) for column in (5, 6, 7))
+    ud, fit, area = (float(column[row]) for column in (measured.ud, measured.fit, measured.area))
     silent = () if after.columns.given[row] == GIVEN else (rule.agent,)
     measures = Measures({rule.root: ud}, {}, {}, {}, {}, fit, area, silent)
     now = Situation(

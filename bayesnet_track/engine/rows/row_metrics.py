@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bayesnet_track.engine.frame_metrics import CLOUD_SIZE
 from bayesnet_track.engine.rows.columns import GIVEN, Rows
 from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.numerics.kernels.row_columns import AREA, FIT, UD
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.planes import Frame
 
@@ -28,12 +29,27 @@ class RowMeasures:
     """What was measured of T targets.
 
     Attributes:
-        numbers: (T, 8) as `numerics.kernels.row_kernels.update_rows` has them.
+        numbers: (T, 8) in the columns of `numerics.kernels.row_columns`.
         quiet: (T,) baselines of UD, NaN while unknown.
     """
 
     numbers: Floats
     quiet: Floats
+
+    @property
+    def ud(self) -> Floats:
+        """(T,) px^2."""
+        return self.numbers[:, UD]
+
+    @property
+    def fit(self) -> Floats:
+        """(T,) best likelihoods, 0 where nothing was given."""
+        return self.numbers[:, FIT]
+
+    @property
+    def area(self) -> Floats:
+        """(T,) of the mean boxes, px^2."""
+        return self.numbers[:, AREA]
 
 
 class RowMetrics(Sequence[FrameMetrics]):
@@ -64,8 +80,8 @@ class RowMetrics(Sequence[FrameMetrics]):
         self.boxes: Floats = np.minimum(np.maximum(rows.columns.mean[:, :4], LEAST), high)
         variances = np.maximum(np.diagonal(rows.columns.covariance, axis1=1, axis2=2)[:, :4], 0.0)
         self._sds = np.sqrt(variances)
-        area = np.maximum(measured.numbers[:, 7], 1.0)
-        self._scores = measured.numbers[:, 6] / (1.0 + measured.numbers[:, 5] / area)
+        area = np.maximum(measured.area, 1.0)
+        self._scores = measured.fit / (1.0 + measured.ud / area)
         self._made: tuple[FrameMetrics, ...] | None = None
 
     def with_born(self, born: Sequence[FrameMetrics]) -> RowMetrics:

@@ -1,8 +1,7 @@
 """Compiled kernels over the rows of a table: one Gaussian belief a row, all of one linear motion.
 
 They do for T targets what `belief.gaussian` and `inference.measure` do for one, in a fixed order of
-arithmetic that no linear algebra library decides: a row's result does not depend on the rows beside it. All
-that they call stands in this file and constants come as arguments, so that no cached kernel is stale.
+arithmetic that no linear algebra library decides: a row's result does not depend on the rows beside it.
 """
 
 from __future__ import annotations
@@ -13,6 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.numerics.kernels.cholesky_kernels import factor, root_of
+from bayesnet_track.numerics.kernels.row_columns import (
+    AGENT_UD,
+    AREA,
+    ESS,
+    FIT,
+    HYPOTHESES,
+    LOG_EVIDENCE,
+    NATS,
+    UD,
+)
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -73,164 +83,6 @@ def predict_rows(
                 for k in range(size):
                     spread[t, i, k] *= shrink[i] * shrink[k]
     return new, spread
-
-
-@compiled
-def factor(matrix: Floats, lower: Floats, size: int) -> float:
-    """Fill `lower` with Cholesky's factor of the first `size` rows and columns; half the log determinant."""
-    half = 0.0
-    for j in range(size):
-        for i in range(j, size):
-            value = matrix[i, j]
-            for k in range(j):
-                value -= lower[i, k] * lower[j, k]
-            if i == j:
-                lower[j, j] = math.sqrt(max(value, 1e-300))
-                half += math.log(lower[j, j])
-            else:
-                lower[i, j] = value / lower[j, j]
-    return half
-
-
-@compiled
-def gate_rows(
-    mean: Floats,
-    covariance: Floats,
-    boxes: Floats,
-    variances: Floats,
-    order: Ints,
-    starts: Ints,
-    ends: Ints,
-    limit: float,
-    min_overlap: float,
-) -> tuple[Ints, Ints, Floats]:
-    """Which of the detections (N, 4) may be whose, of targets predicted with (T, D) and (T, D, D).
-
-    Rows, columns and gains (P,) of the pairs within the gate d^2 <= `limit` that overlap enough: the numbers
-    of `adapt.assign.gated_gains`. Looked at are the detections `order[starts[t]:ends[t]]`.
-    """
-    count = mean.shape[0]
-    room = 0
-    for t in range(count):
-        room += ends[t] - starts[t]
-    rows, columns, gains = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
-    spread, lower, away = np.empty((4, 4)), np.zeros((4, 4)), np.empty(4)
-    pairs = 0
-    for t in range(count):
-        for at in range(starts[t], ends[t]):
-            n = order[at]
-            dy = boxes[n, 1] - mean[t, 1]
-            if dy * dy > limit * (covariance[t, 1, 1] + variances[n, 1]) * (1.0 + 1e-9):
-                continue
-            shared, area, other = 1.0, 1.0, 1.0
-            for k in range(2):
-                low = max(mean[t, k] - mean[t, k + 2] / 2, boxes[n, k] - boxes[n, k + 2] / 2)
-                high = min(mean[t, k] + mean[t, k + 2] / 2, boxes[n, k] + boxes[n, k + 2] / 2)
-                shared *= max(high - low, 0.0)
-                area *= mean[t, k + 2]
-                other *= boxes[n, k + 2]
-            union = area + other - shared
-            if (shared / union if union > 0 else 0.0) < min_overlap:
-                continue
-            for i in range(4):
-                away[i] = boxes[n, i] - mean[t, i]
-                for j in range(4):
-                    spread[i, j] = covariance[t, i, j]
-                spread[i, i] += variances[n, i]
-            half = factor(spread, lower, 4)
-            d2 = 0.0
-            for i in range(4):
-                value = away[i]
-                for j in range(i):
-                    value -= lower[i, j] * away[j]
-                away[i] = value / lower[i, i]
-                d2 += away[i] * away[i]
-            if d2 <= limit:
-                rows[pairs], columns[pairs], gains[pairs] = t, n, -0.5 * (d2 + 2.0 * half)
-                pairs += 1
-    return rows[:pairs].copy(), columns[:pairs].copy(), gains[:pairs].copy()
-
-
-@compiled
-def find_group(parents: Ints, one: int) -> int:
-    """The number of the group that `one` is in."""
-    while parents[one] != one:
-        parents[one] = parents[parents[one]]
-        one = parents[one]
-    return one
-
-
-@compiled
-def settle_pairs(rows: Ints, columns: Ints, gains: Floats, count: int, found: int) -> tuple[Ints, Ints]:
-    """Assign where it is plain: (T,) columns of the rows or -1, and of each pair (P,) its open group or -1.
-
-    Rows and columns that pairs connect form a group. Where the best columns of all its rows differ, or the
-    best rows of all its columns do, these are as many pairs as can be, and the best.
-    """
-    owner = np.full(count, -1)
-    parents = np.arange(count + found)
-    best_of_row, best_of_column = np.full(count, -1), np.full(found, -1)
-    for p in range(rows.shape[0]):
-        t, n = rows[p], columns[p]
-        if best_of_row[t] < 0 or gains[p] > gains[best_of_row[t]]:
-            best_of_row[t] = p
-        if best_of_column[n] < 0 or gains[p] > gains[best_of_column[n]]:
-            best_of_column[n] = p
-        first, second = find_group(parents, t), find_group(parents, count + n)
-        if first != second:
-            parents[second] = first
-    taken_columns, taken_rows = np.zeros(found, np.bool_), np.zeros(count, np.bool_)
-    by_rows, by_columns = np.ones(count + found, np.bool_), np.ones(count + found, np.bool_)
-    for t in range(count):
-        if best_of_row[t] >= 0:
-            n = columns[best_of_row[t]]
-            if taken_columns[n]:
-                by_rows[find_group(parents, t)] = False
-            taken_columns[n] = True
-    for n in range(found):
-        if best_of_column[n] >= 0:
-            t = rows[best_of_column[n]]
-            if taken_rows[t]:
-                by_columns[find_group(parents, count + n)] = False
-            taken_rows[t] = True
-    group = np.full(rows.shape[0], -1)
-    for p in range(rows.shape[0]):
-        own = find_group(parents, rows[p])
-        if by_rows[own]:
-            if best_of_row[rows[p]] == p:
-                owner[rows[p]] = columns[p]
-        elif by_columns[own]:
-            if best_of_column[columns[p]] == p:
-                owner[rows[p]] = columns[p]
-        else:
-            group[p] = own
-    return owner, group
-
-
-@compiled
-def root_of(covariance: Floats, lower: Floats, rest: Floats, scale: Floats, alone: float) -> int:
-    """Fill `lower` (D, K) as `numerics.gaussian.root` does; K."""
-    size = covariance.shape[0]
-    for i in range(size):
-        sd = math.sqrt(max(covariance[i, i], 0.0))
-        scale[i] = sd if sd > 0 else 1.0
-    for i in range(size):
-        for j in range(size):
-            rest[i, j] = covariance[i, j] / (scale[i] * scale[j])
-    width = 0
-    for k in range(size):
-        if rest[k, k] > alone:
-            by = math.sqrt(rest[k, k])
-            for i in range(size):
-                lower[i, width] = rest[i, k] / by
-            for i in range(size):
-                for j in range(size):
-                    rest[i, j] -= lower[i, width] * lower[j, width]
-            width += 1
-    for i in range(size):
-        for k in range(width):
-            lower[i, k] *= scale[i]
-    return width
 
 
 @compiled
@@ -305,9 +157,10 @@ def update_rows(
 ) -> Floats:
     """Update rows (T, D), (T, D, D) in place by the boxes `own` (T, 4) of those `seen`; (T, 8) of each.
 
-    The columns: log evidence; KL of the hypotheses' posterior from their prior; effective sample size; number
-    of hypotheses; the agent's UD; UD; best likelihood (0 where not seen); area of the mean box. The
-    hypotheses are the sigma points; `counts` (4,) are the fields of UD.
+    The columns: `LOG_EVIDENCE`; `NATS`, KL of the hypotheses' posterior from their prior; `ESS`, effective
+    sample size; how many `HYPOTHESES`; `AGENT_UD`; `UD`, both px^2; `FIT`, the best likelihood (0 where not
+    seen); `AREA` of the mean box, px^2. The hypotheses are the sigma points; `counts` (4,) are the fields of
+    UD.
     """
     count, size = mean.shape
     found = np.zeros((count, 8))
@@ -362,18 +215,18 @@ def update_rows(
         if seen[t]:
             for k in range(4):
                 away[k] = own[t, k] - mean[t, k]
-            found[t, 0] = correct_row(mean[t], covariance[t], away, variances[t], work)
-            found[t, 1] = max(moved, 0.0)
-            found[t, 6] = math.exp(log[best])
-        found[t, 2], found[t, 3], found[t, 4] = 1.0 / squares, points, agent_ud
+            found[t, LOG_EVIDENCE] = correct_row(mean[t], covariance[t], away, variances[t], work)
+            found[t, NATS] = max(moved, 0.0)
+            found[t, FIT] = math.exp(log[best])
+        found[t, ESS], found[t, HYPOTHESES], found[t, AGENT_UD] = 1.0 / squares, points, agent_ud
         for k in range(4):
             if counts[k]:
-                found[t, 5] += covariance[t, k, k]
+                found[t, UD] += covariance[t, k, k]
         mean[t, 2], mean[t, 3] = max(mean[t, 2], 1.0), max(mean[t, 3], 1.0)
         sides = 1.0
         for k in range(2):
             sides *= min(max(mean[t, k + 2], 1.0), 2.0 * image[k])
-        found[t, 7] = sides
+        found[t, AREA] = sides
     return found
 
 

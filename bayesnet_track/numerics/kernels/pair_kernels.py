@@ -1,0 +1,130 @@
+"""Compiled kernels that share detections out among targets: the gate, and the plain part of an assignment.
+
+They follow `adapt.assign` in a fixed order of arithmetic that no linear algebra library decides.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.numerics.kernels.cholesky_kernels import factor
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@compiled
+def gate_rows(
+    mean: Floats,
+    covariance: Floats,
+    boxes: Floats,
+    variances: Floats,
+    order: Ints,
+    starts: Ints,
+    ends: Ints,
+    limit: float,
+    min_overlap: float,
+) -> tuple[Ints, Ints, Floats]:
+    """Which of the detections (N, 4) may be whose, of targets predicted with (T, D) and (T, D, D).
+
+    Rows, columns and gains (P,) of the pairs within the gate d^2 <= `limit` that overlap enough: the numbers
+    of `adapt.assign.gated_gains`. Looked at are the detections `order[starts[t]:ends[t]]`.
+    """
+    count = mean.shape[0]
+    room = 0
+    for t in range(count):
+        room += ends[t] - starts[t]
+    rows, columns, gains = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
+    spread, lower, away = np.empty((4, 4)), np.zeros((4, 4)), np.empty(4)
+    pairs = 0
+    for t in range(count):
+        for at in range(starts[t], ends[t]):
+            n = order[at]
+            dy = boxes[n, 1] - mean[t, 1]
+            if dy * dy > limit * (covariance[t, 1, 1] + variances[n, 1]) * (1.0 + 1e-9):
+                continue
+            shared, area, other = 1.0, 1.0, 1.0
+            for k in range(2):
+                low = max(mean[t, k] - mean[t, k + 2] / 2, boxes[n, k] - boxes[n, k + 2] / 2)
+                high = min(mean[t, k] + mean[t, k + 2] / 2, boxes[n, k] + boxes[n, k + 2] / 2)
+                shared *= max(high - low, 0.0)
+                area *= mean[t, k + 2]
+                other *= boxes[n, k + 2]
+            union = area + other - shared
+            if (shared / union if union > 0 else 0.0) < min_overlap:
+                continue
+            for i in range(4):
+                away[i] = boxes[n, i] - mean[t, i]
+                for j in range(4):
+                    spread[i, j] = covariance[t, i, j]
+                spread[i, i] += variances[n, i]
+            half = factor(spread, lower, 4)
+            d2 = 0.0
+            for i in range(4):
+                value = away[i]
+                for j in range(i):
+                    value -= lower[i, j] * away[j]
+                away[i] = value / lower[i, i]
+                d2 += away[i] * away[i]
+            if d2 <= limit:
+                rows[pairs], columns[pairs], gains[pairs] = t, n, -0.5 * (d2 + 2.0 * half)
+                pairs += 1
+    return rows[:pairs].copy(), columns[:pairs].copy(), gains[:pairs].copy()
+
+
+@compiled
+def find_group(parents: Ints, one: int) -> int:
+    """The number of the group that `one` is in."""
+    while parents[one] != one:
+        parents[one] = parents[parents[one]]
+        one = parents[one]
+    return one
+
+
+@compiled
+def settle_pairs(rows: Ints, columns: Ints, gains: Floats, count: int, found: int) -> tuple[Ints, Ints]:
+    """Assign where it is plain: (T,) columns of the rows or -1, and of each pair (P,) its open group or -1.
+
+    Rows and columns that pairs connect form a group. Where the best columns of all its rows differ, or the
+    best rows of all its columns do, these are as many pairs as can be, and the best.
+    """
+    owner = np.full(count, -1)
+    parents = np.arange(count + found)
+    best_of_row, best_of_column = np.full(count, -1), np.full(found, -1)
+    for p in range(rows.shape[0]):
+        t, n = rows[p], columns[p]
+        if best_of_row[t] < 0 or gains[p] > gains[best_of_row[t]]:
+            best_of_row[t] = p
+        if best_of_column[n] < 0 or gains[p] > gains[best_of_column[n]]:
+            best_of_column[n] = p
+        first, second = find_group(parents, t), find_group(parents, count + n)
+        if first != second:
+            parents[second] = first
+    taken_columns, taken_rows = np.zeros(found, np.bool_), np.zeros(count, np.bool_)
+    by_rows, by_columns = np.ones(count + found, np.bool_), np.ones(count + found, np.bool_)
+    for t in range(count):
+        if best_of_row[t] >= 0:
+            n = columns[best_of_row[t]]
+            if taken_columns[n]:
+                by_rows[find_group(parents, t)] = False
+            taken_columns[n] = True
+    for n in range(found):
+        if best_of_column[n] >= 0:
+            t = rows[best_of_column[n]]
+            if taken_rows[t]:
+                by_columns[find_group(parents, count + n)] = False
+            taken_rows[t] = True
+    group = np.full(rows.shape[0], -1)
+    for p in range(rows.shape[0]):
+        own = find_group(parents, rows[p])
+        if by_rows[own]:
+            if best_of_row[rows[p]] == p:
+                owner[rows[p]] = columns[p]
+        elif by_columns[own]:
+            if best_of_column[columns[p]] == p:
+                owner[rows[p]] = columns[p]
+        else:
+            group[p] = own
+    return owner, group
