@@ -1,0 +1,174 @@
+"""Compiled kernels of marginal association probabilities: exact by sets, and by belief propagation."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.numerics.compiled import compiled
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+@compiled
+def group_pairs(rows: Ints, columns: Ints, count: int, found: int) -> tuple[Ints, Ints]:
+    """The pairs (P,) ordered by the connected groups that they form, and where each group begins (G + 1,).
+
+    Groups come in the order of their first pairs, and pairs keep their order within a group.
+    """
+    parents = np.arange(count + found)
+    for p in range(rows.shape[0]):
+        ends = np.array([rows[p], count + columns[p]])
+        for k in range(2):
+            one = ends[k]
+            while parents[one] != one:
+                parents[one] = parents[parents[one]]
+                one = parents[one]
+            ends[k] = one
+        parents[ends[1]] = ends[0]
+    group_of, sizes = np.full(count + found, -1), np.zeros(rows.shape[0] + 1, np.int64)
+    own = np.empty(rows.shape[0], np.int64)
+    groups = 0
+    for p in range(rows.shape[0]):
+        one = rows[p]
+        while parents[one] != one:
+            one = parents[one]
+        if group_of[one] < 0:
+            group_of[one] = groups
+            groups += 1
+        own[p] = group_of[one]
+        sizes[own[p] + 1] += 1
+    starts = np.cumsum(sizes[: groups + 1])
+    order, next_of = np.empty(rows.shape[0], np.int64), starts.copy()
+    for p in range(rows.shape[0]):
+        order[next_of[own[p]]] = p
+        next_of[own[p]] += 1
+    return order, starts
+
+
+@compiled
+def sum_over_sets(outer: Ints, inner: Ints, weights: Floats, most_outer: int, most_inner: int) -> Floats:
+    """Exact marginals (E,) of a group of pairs: all one-to-one choices, by the sets of `inner` taken.
+
+    `outer` and `inner` (E,) number the ends from 0. O(2^most_inner E).
+    """
+    sets = 1 << most_inner
+    ahead, behind = np.zeros((most_outer + 1, sets)), np.ones((most_outer + 1, sets))
+    by_outer = np.argsort(outer, kind="mergesort")
+    starts = np.searchsorted(outer[by_outer], np.arange(most_outer + 1))
+    ahead[0, 0] = 1.0
+    for k in range(most_outer):
+        for taken in range(sets):
+            ahead[k + 1, taken] = ahead[k, taken]
+        for at in range(starts[k], starts[k + 1]):
+            e = by_outer[at]
+            bit = 1 << inner[e]
+            for taken in range(sets):
+                if taken & bit:
+                    ahead[k + 1, taken] += weights[e] * ahead[k, taken ^ bit]
+    for k in range(most_outer - 1, -1, -1):
+        for taken in range(sets):
+            behind[k, taken] = behind[k + 1, taken]
+        for at in range(starts[k], starts[k + 1]):
+            e = by_outer[at]
+            bit = 1 << inner[e]
+            for taken in range(sets):
+                if not taken & bit:
+                    behind[k, taken] += weights[e] * behind[k + 1, taken | bit]
+    found = np.zeros(weights.shape[0])
+    for e in range(weights.shape[0]):
+        k, bit = outer[e], 1 << inner[e]
+        for taken in range(sets):
+            if not taken & bit:
+                found[e] += ahead[k, taken] * behind[k + 1, taken | bit]
+        found[e] *= weights[e] / behind[0, 0]
+    return found
+
+
+@compiled
+def propagate(rows: Ints, columns: Ints, weights: Floats, sweeps: int, tolerance: float) -> Floats:
+    """Marginals (E,) of a group of pairs by loopy sum-product (Williams & Lau 2014). O(sweeps E d).
+
+    d is the largest number of pairs of one row or column. Sums leave one message out by adding up the others,
+    because a difference would lose them beside a large one.
+    """
+    edges = weights.shape[0]
+    by_row, by_column = np.argsort(rows, kind="mergesort"), np.argsort(columns, kind="mergesort")
+    row_starts = np.searchsorted(rows[by_row], np.arange(rows.max() + 2))
+    column_starts = np.searchsorted(columns[by_column], np.arange(columns.max() + 2))
+    to_rows, to_columns = np.ones(edges), np.zeros(edges)
+    for _ in range(sweeps):
+        for at in range(edges):
+            e = by_row[at]
+            total = 1.0
+            for other in range(row_starts[rows[e]], row_starts[rows[e] + 1]):
+                if other != at:
+                    total += weights[by_row[other]] * to_rows[by_row[other]]
+            to_columns[e] = weights[e] / total
+        moved = 0.0
+        for at in range(edges):
+            e = by_column[at]
+            total = 1.0
+            for other in range(column_starts[columns[e]], column_starts[columns[e] + 1]):
+                if other != at:
+                    total += to_columns[by_column[other]]
+            moved = max(moved, abs(to_rows[e] - 1.0 / total))
+            to_rows[e] = 1.0 / total
+        if moved <= tolerance:
+            break
+    found = np.empty(edges)
+    for k in range(row_starts.shape[0] - 1):
+        total = 1.0
+        for at in range(row_starts[k], row_starts[k + 1]):
+            total += weights[by_row[at]] * to_rows[by_row[at]]
+        for at in range(row_starts[k], row_starts[k + 1]):
+            found[by_row[at]] = weights[by_row[at]] * to_rows[by_row[at]] / total
+    return found
+
+
+@compiled
+def weigh_pairs(
+    rows: Ints,
+    columns: Ints,
+    weights: Floats,
+    count: int,
+    found: int,
+    most: int,
+    sweeps: int,
+    tolerance: float,
+) -> tuple[Floats, Bools]:
+    """The marginals (P,) of all pairs, a group at a time, and whether each is exact.
+
+    A group is exact when one of its sides has at most `most` members.
+    """
+    order, starts = group_pairs(rows, columns, count, found)
+    marginals, is_exact = np.empty(rows.shape[0]), np.ones(rows.shape[0], np.bool_)
+    local = np.full(count + found, -1)
+    for group in range(starts.shape[0] - 1):
+        pairs = order[starts[group] : starts[group + 1]]
+        if pairs.shape[0] == 1:
+            marginals[pairs[0]] = weights[pairs[0]] / (1.0 + weights[pairs[0]])
+            continue
+        own_rows, own_columns = np.empty(pairs.shape[0], np.int64), np.empty(pairs.shape[0], np.int64)
+        row_count, column_count = 0, 0
+        for k in range(pairs.shape[0]):
+            t, n = rows[pairs[k]], count + columns[pairs[k]]
+            if local[t] < 0:
+                local[t] = row_count
+                row_count += 1
+            if local[n] < 0:
+                local[n] = column_count
+                column_count += 1
+            own_rows[k], own_columns[k] = local[t], local[n]
+        own = weights[pairs]
+        if column_count <= row_count and column_count <= most:
+            own = sum_over_sets(own_rows, own_columns, own, row_count, column_count)
+        elif row_count <= most:
+            own = sum_over_sets(own_columns, own_rows, own, column_count, row_count)
+        else:
+            own = propagate(own_rows, own_columns, own, sweeps, tolerance)
+            is_exact[pairs] = False
+        marginals[pairs] = own
+    return marginals, is_exact
