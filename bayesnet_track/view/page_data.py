@@ -121,6 +121,7 @@ def _about(started: RunStarted, events: Sequence[Event]) -> dict[str, Any]:
         "declared_frames": started.declared_frames,
         "frame_interval_s": _finite(started.frame_interval_s),
         "versions": dict(started.versions),
+        "smoothed": started.smoothed,
         "ended": None if ended is None else {"complete": ended.complete, "reason": ended.reason},
     }
 

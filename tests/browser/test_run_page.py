@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayesnet_track import Start, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.net.causes import FitCause
+from bayesnet_track.sources.scene_source import SceneSource
 
 pytestmark = pytest.mark.slow
 
@@ -53,6 +55,32 @@ def test_the_head_names_the_run_and_says_what_is_not_known(browser, demo):
     # No score was fitted to this graph: a box that is followed is not shown as one that is right.
     assert browser.run("return document.querySelector('.status .chip').className") == "chip not-judged"
     assert "cannot tell whether the box is right" in text_of(browser, ".status")
+
+
+def test_the_page_of_a_smoothed_run_says_so_and_which_numbers_are_the_filters(browser, tmp_path):
+    source = SceneSource.named("flying_ball", 0, 12)
+    starts = [Start(source.scene.start_box)]
+    list(track("kalman_ball", source, starts, out=tmp_path / "run", keep_beliefs=True))
+    assert main(["smooth", str(tmp_path / "run"), "--out", str(tmp_path / "smoothed")]) == 0
+    assert main(["report", str(tmp_path / "smoothed")]) == 0
+    browser.open(tmp_path / "smoothed" / "report.html")
+    assert text_of(browser, "h1 .smoothed").strip() == "smoothed"
+    names = browser.run("return [...document.querySelectorAll('.numbers dt')].map(d => d.innerText)")
+    assert {"UD", "log evidence, filter", "surprise, filter"} <= set(names)
+
+
+def test_the_frame_is_saved_as_a_picture_named_after_the_run(browser, demo):
+    browser.open(demo("two_squares"), hash="#frame=12")
+    browser.wait_for_frame(12)
+    browser.run(
+        "const made = URL.createObjectURL;"
+        "URL.createObjectURL = blob => { window.picture = blob; return made(blob); };"
+        "HTMLAnchorElement.prototype.click = function() { window.saved = this.download; };"
+        "document.querySelector('.take button').click()"
+    )
+    assert browser.wait("return window.saved").endswith("_frame_12.png")
+    head = browser.run("return window.picture.arrayBuffer().then(b => [...new Uint8Array(b.slice(0, 4))])")
+    assert bytes(head) == b"\x89PNG"
 
 
 def test_pressing_a_node_shows_its_parameters_and_hides_them_again(browser, demo):
@@ -137,7 +165,7 @@ def test_targets_are_chosen_by_name_and_on_the_picture(browser, demo):
     assert "Net of orange" in text_of(browser, ".net")
     browser.run("document.querySelectorAll('nav.targets button')[1].click()")
     browser.wait("return document.querySelector('.net h2').textContent === 'Net of gray'")
-    assert "target 2" in text_of(browser, ".charts h2")
+    assert "gray 2" in text_of(browser, ".charts h2")
     # The orange square's centre in frame 0 is (270, 190) of 320 x 240.
     browser.run(
         "const c = document.querySelector('.picture canvas'), r = c.getBoundingClientRect();"

@@ -64,6 +64,8 @@ export interface About {
   declared_frames: number | null;
   frame_interval_s: number | null;
   versions: Record<string, string>;
+  /** Whether boxes and UD are those of beliefs given the whole sequence. */
+  smoothed?: boolean;
   ended: { complete: boolean; reason: string } | null;
 }
 

@@ -10,6 +10,7 @@ import { Agents, Net } from "./net";
 import { Stage } from "./stage";
 import { Headline, TotalsTable } from "./totals";
 import { Transport } from "./transport";
+import { nameOf } from "./words";
 
 export function App({ state }: { state: State }) {
   const { about } = state.run;
@@ -21,12 +22,19 @@ export function App({ state }: { state: State }) {
           <h1>
             {about.name || about.graph}
             {state.live === null && !ended?.complete && <span class="partial"> partial run</span>}
+            {about.smoothed === true && <span class="smoothed"> smoothed</span>}
           </h1>
           <p>
             {about.name && about.name !== about.graph && `${about.graph} `}on <span class="source">{about.source}</span> · {about.width} × {about.height} px · seed {about.seed}
             {ended === null && state.live === null && " · the run has no end: it was stopped, or goes on"}
             {ended !== null && state.live === null && !ended.complete && ` · ended early: ${ended.reason.replaceAll("_", " ")}`}
           </p>
+          {about.smoothed === true && (
+            <p>
+              Boxes, regions, UD and hypotheses are given the whole sequence. Status, score and all that is said of agents are the
+              tracker's, given the frames before.
+            </p>
+          )}
         </div>
         <Headline state={state} />
       </header>
@@ -74,7 +82,7 @@ function Targets({ state }: { state: State }) {
         <select value={state.target.value} onChange={(e) => (state.target.value = e.currentTarget.value)}>
           {tracks.map((track) => (
             <option key={track.id} value={track.id}>
-              {track.id} ({track.plate})
+              {nameOf(track)}
             </option>
           ))}
         </select>
@@ -91,12 +99,12 @@ function Targets({ state }: { state: State }) {
             key={track.id}
             type="button"
             aria-pressed={track.id === state.target.value}
-            title={`target ${track.id}, ${track.plate}: ${status.replace("-", " ")}`}
+            title={`${nameOf(track)}: ${status.replace("-", " ")}`}
             onClick={() => (state.target.value = track.id)}
           >
             <i class={`dot ${status}`} aria-hidden="true" />
+            {track.plate && <small>{track.plate} </small>}
             {track.id}
-            {Object.keys(state.run.plates).length > 1 && <small> {track.plate}</small>}
           </button>
         );
       })}

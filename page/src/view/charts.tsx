@@ -9,7 +9,7 @@ import { Icon } from "./transport";
 import { framesOf, panelsOf, type Panel } from "./panels";
 import { lanes, marks, people, shade, stems } from "./plot_ink";
 import { colour } from "./theme";
-import { short } from "./words";
+import { nameOf, short } from "./words";
 
 const NEAR = 7;
 
@@ -24,7 +24,7 @@ export function Charts({ state }: { state: State }) {
   return (
     <section class="charts" aria-label="Timelines">
       <header>
-        <h2>Over time{state.run.tracks.size > 1 ? `, target ${track.id}` : ""}</h2>
+        <h2>Over time{state.run.tracks.size > 1 ? `, ${nameOf(track)}` : ""}</h2>
         <div class="zoom">
           <span>
             frames {from}–{to}

@@ -137,14 +137,15 @@ function Last({ state }: { state: State }) {
 function Numbers({ state, track, row }: { state: State; track: Track; row: number }) {
   const value = (name: string, place = 0) => short(track.value(name, row, place));
   const overlap = state.run.overlap(track, row);
+  const ofFilter = state.run.about.smoothed === true ? ", filter" : "";
   const items: [string, string, string][] = [
     ["UD", `${value("ud_px2")} px²`, "uncertainty deviation"],
     ["baseline", `${value("quiet_px2")} px²`, "UD where nothing is wrong, as measured"],
     ["sd of centre", `${value("sd", 0)}, ${value("sd", 1)} px`, "posterior standard deviation of x and y"],
     ["box", `${value("box", 2)} × ${value("box", 3)} px`, "size of the estimate"],
-    ["log evidence", value("log_evidence"), "how well the frame was foreseen"],
-    ["surprise", `${value("surprise")} nats`, "KL(posterior ‖ prior): how far the frame moved the belief"],
-    ["effective", `${value("ess")} of ${value("particles")}`, "hypotheses: as how many they count, and how many there are"],
+    [`log evidence${ofFilter}`, value("log_evidence"), "how well the frame was foreseen"],
+    [`surprise${ofFilter}`, `${value("surprise")} nats`, "KL(posterior ‖ prior): how far the frame moved the belief"],
+    [`effective${ofFilter}`, `${value("ess")} of ${value("particles")}`, "hypotheses: as how many they count, and how many there are"],
     ["learning rate", value("learn_rate"), "0 while UD is above the level"],
     ["time", `${short(state.run.ms("ms", state.frame.value))} ms`, "of the whole step"],
   ];

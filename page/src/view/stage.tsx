@@ -1,6 +1,6 @@
 /** The picture of the frame with what is believed over it. */
 
-import { useSignalEffect } from "@preact/signals";
+import { useSignal, useSignalEffect } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 import type { Picture } from "../pictures";
 import type { Layer, State } from "../state";
@@ -88,9 +88,46 @@ export function Stage({ state }: { state: State }) {
           <input type="checkbox" checked={state.close.value} onChange={() => (state.close.value = !state.close.value)} />
           close up
         </label>
+        <span class="take">
+          <button type="button" title="this frame with what is drawn on it, as PNG" onClick={() => save(canvas.current!, state)}>
+            save picture
+          </button>
+          {state.live === null && <CopyLink />}
+        </span>
         {pictures?.annotated && <small>Pictures from the run's annotated video.</small>}
       </fieldset>
     </section>
+  );
+}
+
+/** Offers the canvas as a file that names the run, the frame and the target. */
+function save(canvas: HTMLCanvasElement, state: State): void {
+  const { about } = state.run;
+  const name = [about.name || about.graph, `frame_${state.frame.value}`, ...(state.run.tracks.size > 1 ? [`target_${state.target.value}`] : [])];
+  canvas.toBlob((picture) => {
+    if (picture === null) return;
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(picture);
+    link.download = `${name.join("_").replaceAll(/[^\w.-]+/g, "_")}.png`;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+  });
+}
+
+/** The address names frame and target (`main.tsx`). */
+function CopyLink() {
+  const told = useSignal("copy link");
+  const copy = () => {
+    const copied = navigator.clipboard?.writeText(location.href) ?? Promise.reject(new Error("no clipboard"));
+    copied
+      .then(() => (told.value = "copied"))
+      .catch(() => (told.value = "copy the address bar"))
+      .finally(() => setTimeout(() => (told.value = "copy link"), 2000));
+  };
+  return (
+    <button type="button" title="a link to this frame" onClick={copy}>
+      {told.value}
+    </button>
   );
 }
 

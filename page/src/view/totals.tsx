@@ -3,7 +3,7 @@
 import { useComputed } from "@preact/signals";
 import { costs, sum, totals, type Totals } from "../data/totals";
 import type { State } from "../state";
-import { duration, percent, plural, short } from "./words";
+import { duration, nameOf, percent, plural, short } from "./words";
 
 export function Headline({ state }: { state: State }) {
   const all = useComputed(() => {
@@ -121,7 +121,7 @@ function Row({ state, row, has }: RowProps) {
           row.target
         ) : (
           <button type="button" aria-pressed={chosen} onClick={() => (state.target.value = row.target)}>
-            {row.target}
+            {nameOf(state.run.tracks.get(row.target)!)}
           </button>
         )}
       </th>

@@ -22,6 +22,11 @@ export function plural(count: number, noun: string): string {
   return `${count.toLocaleString("en")} ${noun}${count === 1 ? "" : "s"}`;
 }
 
+/** "ball 1": what a target is, and which one. */
+export function nameOf(track: { id: string; plate: string }): string {
+  return track.plate === "" ? `target ${track.id}` : `${track.plate} ${track.id}`;
+}
+
 /** What follows a number of a rule, and the word for the rule. */
 export const RULES: Record<string, string> = {
   activate: "switch on above",
