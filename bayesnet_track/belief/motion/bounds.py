@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.belief.contract import Ancestors, Floats, MotionModel
-from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.belief.contract import Ancestors, Floats
+from bayesnet_track.belief.motion.wrapped import Wrapped
 
 
 @dataclass(frozen=True, eq=False)
-class Confined:
+class Confined(Wrapped):
     """`motion`, with centres kept on the image and sizes at most twice the image's.
 
     A lost target's hypotheses would otherwise drift away for ever and could not find it again. The density
@@ -23,22 +23,8 @@ class Confined:
         height: rows of the image.
     """
 
-    motion: MotionModel
     width: int
     height: int
-
-    @property
-    def fields(self) -> tuple[str, ...]:
-        """Those of the model."""
-        return self.motion.fields
-
-    def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
-        """As the model."""
-        return self.motion.start(box, size, rng)
-
-    def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
-        """As the model."""
-        return self.motion.start_moments(box)
 
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
@@ -49,10 +35,6 @@ class Confined:
     def drift(self, states: Floats, dt: float) -> Floats:
         """As the model, then confined."""
         return self.confine(self.motion.drift(states, dt))
-
-    def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
-        """As the model."""
-        return self.motion.linearise(state, dt)
 
     def confine(self, moved: Floats) -> Floats:
         """`moved` (N, D), changed in place: centres on the image, sizes of 1 px to twice the image's."""
@@ -67,11 +49,3 @@ class Confined:
         low = np.array([0.0, 0.0, 1.0, 1.0])
         high = np.array([self.width - 1.0, self.height - 1.0, 2.0 * self.width, 2.0 * self.height])
         return np.asarray(np.sqrt((high - low) ** 2 / 12 + (mean[:4] - (low + high) / 2) ** 2))
-
-    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
-        """As the model."""
-        return self.motion.log_density(new, old, dt)
-
-    def transition(self, old: Floats, dt: float) -> Transition:
-        """As the model."""
-        return self.motion.transition(old, dt)

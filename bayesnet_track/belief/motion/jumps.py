@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.belief.motion.wrapped import Wrapped
 from bayesnet_track.belief.particles.fitted import flatten
 from bayesnet_track.belief.particles.particle_set import Inputs
 from bayesnet_track.belief.states import hypotheses_of
@@ -81,10 +82,10 @@ class Search:
 
 
 @dataclass(frozen=True, eq=False)
-class Jumping:
+class Jumping(Wrapped):
     """`motion`, or with probability `share` the position is anywhere: (1 - share) p + share / (W H).
 
-    What jumps keeps the motion's size and derivatives.
+    What jumps keeps the motion's size and derivatives. Drift and derivatives are those without jumps.
 
     Attributes:
         motion: the model.
@@ -94,29 +95,15 @@ class Jumping:
         search: how hypotheses that jump are drawn by a belief which weights them.
     """
 
-    motion: MotionModel
     share: float
     width: int
     height: int
     search: Search
 
     @property
-    def fields(self) -> tuple[str, ...]:
-        """Those of the model."""
-        return self.motion.fields
-
-    @property
     def area(self) -> float:
         """px^2 of where centres lie."""
         return float((self.width - 1) * (self.height - 1))
-
-    def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
-        """As the model."""
-        return self.motion.start(box, size, rng)
-
-    def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
-        """As the model."""
-        return self.motion.start_moments(box)
 
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
@@ -126,14 +113,6 @@ class Jumping:
         jumps = np.flatnonzero(rng.random(len(moved)) < self.share)
         moved[jumps, :2] = self.evenly().draw(len(jumps), rng)
         return moved
-
-    def drift(self, states: Floats, dt: float) -> Floats:
-        """As the model: where it goes when it does not jump."""
-        return self.motion.drift(states, dt)
-
-    def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
-        """As the model, without jumps."""
-        return self.motion.linearise(state, dt)
 
     def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
         """Of the mixture, for states inside the frame."""

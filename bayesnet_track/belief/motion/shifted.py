@@ -8,9 +8,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Ancestors, MotionModel
+from bayesnet_track.belief.contract import Ancestors
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.belief.motion.wrapped import Wrapped
 from bayesnet_track.graph.settings.motion import SizeReversion
 
 Floats = NDArray[np.float64]
@@ -29,27 +30,13 @@ class Shift(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class ShiftedMotion:
+class ShiftedMotion(Wrapped):
     """`motion` after `shift`: p(x | x') is that of the motion from shift(x'), exactly.
 
     It is made for one frame: the shift is that frame's, whatever `dt`.
     """
 
-    motion: MotionModel
     shift: Shift
-
-    @property
-    def fields(self) -> tuple[str, ...]:
-        """Those of the model."""
-        return self.motion.fields
-
-    def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
-        """As the model."""
-        return self.motion.start(box, size, rng)
-
-    def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
-        """As the model."""
-        return self.motion.start_moments(box)
 
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
