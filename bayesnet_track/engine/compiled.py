@@ -9,6 +9,7 @@ from typing import Any
 from bayesnet_track.belief.contract import Belief, MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianFilter
 from bayesnet_track.belief.grid.belief import GridFilter
+from bayesnet_track.belief.motion.borders import Reflecting
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.motion.rotating import Rotating
 from bayesnet_track.belief.particles.belief import ParticleFilter
@@ -196,8 +197,11 @@ def _compile_plate(
 
 def make_plate_motion(chosen: spec.Motion) -> MotionModel:
     """The motion that a graph asks for, before anything of a frame influences it."""
-    motion, sd = make_motion(chosen), chosen.settings.sd_angle_deg
-    return motion if sd == 0.0 else Rotating(motion, sd)
+    settings = chosen.settings
+    motion: MotionModel = make_motion(chosen)
+    if settings.sd_angle_deg > 0:
+        motion = Rotating(motion, settings.sd_angle_deg)
+    return Reflecting(motion) if settings.borders == "reflect" else motion
 
 
 def _finder(moving: Moving) -> Detector | None:

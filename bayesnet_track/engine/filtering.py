@@ -8,7 +8,7 @@ from functools import partial
 
 from bayesnet_track.adapt.backoff import quarantine
 from bayesnet_track.belief.contract import MotionModel, Posterior, Step
-from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.predicting import PredictedMotion, predict_motion
 from bayesnet_track.engine.shedding import within
@@ -93,7 +93,7 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
         )
         stepped = belief.step(
             prior,
-            Confined(moves.motion, frame.width, frame.height),
+            confined(moves.motion, frame.width, frame.height),
             dt,
             partial(evaluate, before.plan, observer),
             stream,

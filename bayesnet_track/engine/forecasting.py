@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel, Posterior
-from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.composed import compose_motion
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.score import blur_regions
@@ -56,7 +56,7 @@ def forecast(
     the target jumps is not expected.
     """
     compiled = engine.plates[state.plan.target]
-    motion = Confined(_motion_of(compiled, state), *size)
+    motion = confined(_motion_of(compiled, state), *size)
     belief, found = state.belief, []
     for ahead in range(1, frames + 1):
         stream = engine.streams.of(last.target, compiled.plate.root, last.frame + ahead, "forecast")

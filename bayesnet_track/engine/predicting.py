@@ -11,11 +11,9 @@ from bayesnet_track.adapt.backoff import next_try
 from bayesnet_track.adapt.conditions import Reading, read_level
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.attached import Attached
-from bayesnet_track.belief.motion.composed import Influences, compose_motion
+from bayesnet_track.belief.motion.composed import Influences, compose_motion, kinematics_of
 from bayesnet_track.belief.motion.inflation import inflation_factor
 from bayesnet_track.belief.motion.jumps import Jumping, Search
-from bayesnet_track.belief.motion.models import KinematicMotion
-from bayesnet_track.belief.motion.rotating import Rotating
 from bayesnet_track.belief.motion.shifted import CameraShift, camera_shift
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.graph.settings.adapt import Level
@@ -115,10 +113,8 @@ def predict_motion(
     unsure, and with some probability the position is anywhere instead. `given` stands in for the plate's
     motion; where that is of a target which may be carried, all this is how it moves on its own.
     """
-    settings, plain = compiled.moving, compiled.motion
-    if isinstance(plain, Rotating):
-        plain = plain.motion
-    if settings is None or known is None or not isinstance(plain, KinematicMotion):
+    settings = compiled.moving
+    if settings is None or known is None or kinematics_of(compiled.motion) is None:
         return PredictedMotion(compiled.motion if given is None else given, known)
     inflation = 1.0
     if settings.inflate is not None:

@@ -13,7 +13,7 @@ from bayesnet_track.adapt.backoff import next_try, quarantine
 from bayesnet_track.adapt.memory import Memory, Streak
 from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.belief.contract import Posterior
-from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_metrics import first_frame_metrics
 from bayesnet_track.engine.frame_work import FrameWork
@@ -164,6 +164,6 @@ def _first_lesson(
 
 def _start_belief(work: FrameWork, compiled: CompiledPlate, target: str, box: Floats) -> Posterior:
     """The belief of a target that fills `box`."""
-    motion = Confined(compiled.motion, work.frame.width, work.frame.height)
+    motion = confined(compiled.motion, work.frame.width, work.frame.height)
     belief: Posterior = compiled.belief.start(box, motion, work.stream(target, compiled.plate.root))
     return belief

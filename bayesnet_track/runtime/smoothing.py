@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
-from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.composed import compose_motion
 from bayesnet_track.belief.motion.jumps import Jumping, Search
 from bayesnet_track.belief.particles.particle_set import ParticleSet
@@ -155,7 +155,7 @@ def _motion_into(
         motion = compose_motion(plain, chosen.settings, influences)
         if influences.jump_share > 0:
             motion = Jumping(motion, influences.jump_share, *size, NO_SEARCH)
-    return Confined(motion, *size)
+    return confined(motion, *size)
 
 
 def _described(run: Run, line: FrameMetrics, belief: Smoothed, rng: np.random.Generator) -> FrameMetrics:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.motion.borders import Reflecting
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.functions import FunctionMotion
 from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian
@@ -97,6 +98,8 @@ def require_linear(motion: MotionModel) -> None:
     """
     free = motion.motion if isinstance(motion, Confined) else motion
     free = free.motion if isinstance(free, Rotating) else free
+    if isinstance(free, Reflecting):
+        raise ValueError("the kalman filter is of linear motion; take extended or unscented beside borders")
     if isinstance(free, KinematicMotion):
         linear_gaussian(free, 1.0)
     elif isinstance(free, FunctionMotion):

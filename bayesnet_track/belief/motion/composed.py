@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.motion.borders import Reflecting
 from bayesnet_track.belief.motion.inflation import inflate_noise
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.rotating import Rotating
@@ -40,10 +41,10 @@ def compose_motion(plain: MotionModel, settings: Moving, influences: Influences)
     """The plate's motion under what influenced it, but for jumps: `plain` where nothing can.
 
     In this order: the camera moves the states, their sizes are drawn back, noise is added, widened while
-    unsure.
+    unsure, and what left the frame is reflected.
     """
-    own = plain.motion if isinstance(plain, Rotating) else plain
-    if not isinstance(own, KinematicMotion):
+    own = kinematics_of(plain)
+    if own is None:
         return plain
     own = inflate_noise(own, influences.inflation)
     motion: MotionModel = own
@@ -51,4 +52,18 @@ def compose_motion(plain: MotionModel, settings: Moving, influences: Influences)
         motion = revert_size(own, settings.size_reversion, influences.first_size, influences.dt)
     if influences.camera is not None:
         motion = ShiftedMotion(motion, influences.camera)
-    return replace(plain, motion=motion) if isinstance(plain, Rotating) else motion
+    return _put_inside(plain, motion)
+
+
+def kinematics_of(plain: MotionModel) -> KinematicMotion | None:
+    """The kinematics inside a plate's motion; None of a motion of another kind."""
+    while isinstance(plain, Rotating | Reflecting):
+        plain = plain.motion
+    return plain if isinstance(plain, KinematicMotion) else None
+
+
+def _put_inside(plain: MotionModel, motion: MotionModel) -> MotionModel:
+    """The plate's motion with another one in place of its kinematics."""
+    if isinstance(plain, Rotating | Reflecting):
+        return replace(plain, motion=_put_inside(plain.motion, motion))
+    return motion

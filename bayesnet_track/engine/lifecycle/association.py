@@ -19,7 +19,7 @@ from bayesnet_track.adapt.assign import assign, gated_gains
 from bayesnet_track.adapt.association import NOBODY
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.belief.gaussian.predict import predict
-from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.detecting import Found, look
 from bayesnet_track.engine.state import TargetState
@@ -104,7 +104,7 @@ def _predict_box(work: FrameWork, target: str, before: TargetState) -> tuple[Flo
     Exact of a Gaussian belief under linear motion, else by moments and the motion's derivative.
     """
     frame = work.frame
-    motion = Confined(work.plate_of(target).motion, frame.width, frame.height)
+    motion = confined(work.plate_of(target).motion, frame.width, frame.height)
     belief, elapsed = before.belief, frame.time - before.time
     mean, covariance = predict(belief.mean, belief.covariance, motion, elapsed, Gaussian())
     return mean[:4], covariance[:4, :4]

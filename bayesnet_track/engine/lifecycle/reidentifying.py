@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.lifecycle import AppearanceMemory
-from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.recognise import Compared, draw_elsewhere, weigh_appearance, weigh_place
 from bayesnet_track.graph.settings.lifecycle import Reidentify
@@ -27,7 +27,7 @@ def compare(
 ) -> Compared:
     """One remembered target against detections (M, 4); `others` (K, 4) are boxes of objects in this frame."""
     compiled, frame = work.engine.plates[plate], work.frame
-    motion = Confined(compiled.motion, frame.width, frame.height)
+    motion = confined(compiled.motion, frame.width, frame.height)
     area = float(frame.width * frame.height)
     fading, place, distance = weigh_place(known, motion, boxes, frame.time, area, rule)
     agents = tuple(

@@ -71,6 +71,25 @@ def belief_holds_the_motion(plate: Plate) -> Iterator[GraphMessage]:
                 yield plate.message(name, found, "proposal: bootstrap", key=here, on_key=True)
 
 
+def borders_can_be_met(plate: Plate) -> Iterator[GraphMessage]:
+    """`borders: reflect` is for particles drawn from the motion, and for extended and unscented filters."""
+    for name, key, settings in _moving(plate):
+        if settings.borders is None:
+            continue
+        here, belief = (*key, "borders"), plate.inference[name].belief
+        if belief is None:
+            continue
+        if belief.grid is not None:
+            found = "borders: reflect beside a grid, whose cells all move alike"
+            yield plate.message(name, found, "particles or gaussian", key=here, on_key=True)
+        elif belief.gaussian is not None and belief.gaussian.filter == "kalman":
+            found = "borders: reflect beside filter: kalman, which is of linear motion"
+            yield plate.message(name, found, "filter: extended or unscented", key=here, on_key=True)
+        elif belief.particles is not None and belief.particles.proposal.kind != "bootstrap":
+            found = f"borders: reflect beside proposal: {belief.particles.proposal.kind}"
+            yield plate.message(name, found, "proposal: bootstrap", key=here, on_key=True)
+
+
 def angle_is_seen(plate: Plate) -> Iterator[GraphMessage]:
     """A grid has no cells for the angle; elsewhere some agent must read it."""
     for name, key, settings in _moving(plate):
@@ -124,6 +143,7 @@ def jumps_have_places(plate: Plate) -> Iterator[GraphMessage]:
 MOTION_CHECKS: tuple[Check, ...] = (
     size_is_drawn_back_from_somewhere,
     belief_holds_the_motion,
+    borders_can_be_met,
     angle_is_seen,
     jumps_have_places,
 )

@@ -130,6 +130,11 @@ class Moving(Noise):
         default=None, description="move hypotheses with the background's flow first; default not"
     )
     relocalize: Relocalize | None = Field(default=None, description="reappearing anywhere; default never")
+    borders: Literal["reflect"] | None = Field(
+        default=None,
+        description="the box bounces off the borders of the frame, and its velocity turns round; default: "
+        "its centre stops there",
+    )
 
     @property
     def is_plain(self) -> bool:

@@ -262,6 +262,7 @@ def _motion(target: CheckedTarget) -> str:
     )
     further += [] if settings.size_reversion is None else ["around the first size"]
     further += [] if settings.camera is None else ["with the camera"]
+    further += [] if settings.borders is None else ["reflected at the borders"]
     if settings.relocalize is not None:
         further.append(f"anywhere with probability {settings.relocalize.share:g} while unsure")
     return ", ".join(filter(None, (motion.kind.replace("_", " "), _noise(settings), *further)))

@@ -1,0 +1,131 @@
+"""Targets that bounce off the borders of the frame, and motions that depend on its size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import Ancestors, MotionModel
+from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.belief.motion.wrapped import Wrapped
+
+Floats = NDArray[np.float64]
+
+ALONG = (("x", "vx", "ax"), ("y", "vy", "ay"))
+"""The fields that turn round where a box bounces off a border, for each axis."""
+
+
+def confined(motion: MotionModel, width: int, height: int) -> Confined:
+    """The motion on an image of `width` columns and `height` rows."""
+    return Confined(framed(motion, (width, height)), width, height)
+
+
+def framed(motion: MotionModel, frame: tuple[int, int]) -> MotionModel:
+    """The motion with the frame (width, height) where it, or one inside it, depends on that."""
+    changes: dict[str, Any] = {"frame": frame} if hasattr(motion, "frame") else {}
+    if (inner := getattr(motion, "motion", None)) is not None and (
+        known := framed(inner, frame)
+    ) is not inner:
+        changes["motion"] = known
+    return cast(MotionModel, replace(cast(Any, motion), **changes)) if changes else motion
+
+
+@dataclass(frozen=True, eq=False)
+class Reflecting(Wrapped):
+    """`motion`, the box reflected at the borders of the frame, and its velocity and acceleration with it.
+
+    A box touches a border where its side reaches it: the centre's column stays in
+    [w / 2 - 1/2, W - 1/2 - w / 2]. A box that is larger than the frame is centred. The noise is added first,
+    so that what it carries over a border is reflected, too.
+
+    Attributes:
+        motion: how it moves away from borders.
+        frame: columns and rows of the frame; None before one is known, where nothing is reflected.
+    """
+
+    frame: tuple[int, int] | None = None
+
+    def propagate(
+        self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
+    ) -> Floats:
+        """As the model, then reflected."""
+        return self.reflect(self.motion.propagate(states, dt, rng, parents))
+
+    def drift(self, states: Floats, dt: float) -> Floats:
+        """As the model, then reflected."""
+        return self.reflect(self.motion.drift(states, dt))
+
+    def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
+        """J F and J Q J', J the derivative of the reflection where the drift leads."""
+        transition, noise = self.motion.linearise(state, dt)
+        turn = self._jacobian(self.motion.drift(state[None], dt)[0])
+        return turn @ transition, turn @ noise @ turn.T
+
+    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+        """(M, N) log of the sum over the mirror images of each new state, one reflection an axis."""
+        free = self.motion.transition(old, dt)
+        if self.frame is None:
+            return free.log_density(new)
+        total = free.log_density(new)
+        for image in list(product((None, 0, 1), repeat=2))[1:]:
+            mirrored = new
+            for axis, side in enumerate(image):
+                mirrored = mirrored if side is None else self._mirrored(mirrored, axis, side)
+            total = np.logaddexp(total, free.log_density(mirrored))
+        return np.asarray(total)
+
+    def transition(self, old: Floats, dt: float) -> Transition:
+        """The model's around the reflected drift: what noise alone carries over a border is left out."""
+        own = self.motion.transition(old, dt)
+        return replace(own, means=own.coordinates(self.drift(old, dt))[0])
+
+    def reflect(self, moved: Floats) -> Floats:
+        """`moved` (N, D), changed in place: folded back into the frame as often as it takes."""
+        for axis in (0, 1) if self.frame is not None else ():
+            low, room = self._room(moved, axis)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                away = np.where(room > 0, (moved[:, axis] - low) % (2.0 * room), 0.0)
+            moved[:, axis] = low + np.minimum(away, 2.0 * room - away)
+            turned = (away > room)[:, None]
+            columns = self._derivatives(axis)
+            moved[:, columns] = np.where(turned, -moved[:, columns], moved[:, columns])
+        return moved
+
+    def _room(self, states: Floats, axis: int) -> tuple[Floats, Floats]:
+        """(N,) least position of the centre along an axis, and how far it may go from there, at least 0."""
+        assert self.frame is not None
+        size, half = self.frame[axis], states[:, 2 + axis] / 2
+        return np.minimum(half - 0.5, (size - 1) / 2), np.maximum(size - 2.0 * half, 0.0)
+
+    def _derivatives(self, axis: int) -> list[int]:
+        return [k for k, name in enumerate(self.fields) if name in ALONG[axis][1:]]
+
+    def _mirrored(self, states: Floats, axis: int, side: int) -> Floats:
+        """(N, D) states mirrored at the low (0) or the high (1) border of an axis."""
+        low, room = self._room(states, axis)
+        mirrored = states.copy()
+        mirrored[:, axis] = 2.0 * (low + side * room) - states[:, axis]
+        columns = self._derivatives(axis)
+        mirrored[:, columns] *= -1.0
+        return mirrored
+
+    def _jacobian(self, moved: Floats) -> Floats:
+        """(D, D) derivative of the reflection at a state (D,) that was moved."""
+        found = np.eye(len(moved))
+        for axis in (0, 1) if self.frame is not None else ():
+            low, room = (float(one[0]) for one in self._room(moved[None], axis))
+            if room == 0.0:
+                found[axis, axis] = 0.0
+                continue
+            times = int(np.floor((moved[axis] - low) / room))
+            sign = -1.0 if times % 2 else 1.0
+            found[axis, axis] = sign
+            found[axis, 2 + axis] = sign * times  # borders stand half a side inside the frame
+            for column in self._derivatives(axis):
+                found[column, column] = sign
+        return found
