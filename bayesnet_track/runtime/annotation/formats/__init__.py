@@ -1,0 +1,1 @@
+"""Annotations in other tools' formats, written and read."""

@@ -1,0 +1,94 @@
+"""What a tracker finds from an answered box on, forward or backward: a pure function of frame and box."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.runtime.annotation.answers import Box
+from bayesnet_track.runtime.tracker import Tracker
+
+Image = NDArray[np.uint8]
+
+
+class Frames(Protocol):
+    """The frames of a video, in any order."""
+
+    def __len__(self) -> int:
+        """How many there are."""
+        ...
+
+    def image(self, frame: int) -> Image:
+        """A frame (H, W, 3) uint8, BGR."""
+        ...
+
+
+@dataclass(frozen=True)
+class Found:
+    """What was found in a frame: a box, and how sure it is.
+
+    Attributes:
+        probability: of being on target, IoU above 0.5.
+        sd: standard deviations of the centre, px.
+        status: tracking, uncertain or lost.
+    """
+
+    box: Box
+    probability: float
+    sd: tuple[float, float]
+    status: str
+
+
+class Runs(Protocol):
+    """Where a target is found in `frame` by a run that starts with `box` in `start`."""
+
+    def at(self, start: int, box: Box, frame: int) -> Found:
+        """Forward where `frame` is later than `start`, else backward."""
+        ...
+
+
+@dataclass
+class TrackerRuns:
+    """Runs of the tracker, each as far as it was asked for. They are kept: the same question costs nothing.
+
+    A run begins with references learnt from its own box, so that a correction is what is learnt from; and
+    it depends on nothing but its start, so that taking an answer back gives what there was before.
+    """
+
+    graph: CheckedGraph
+    frames: Frames
+    seed: int = 0
+    _runs: dict[tuple[int, Box, int], _Run] = field(default_factory=dict)
+
+    def at(self, start: int, box: Box, frame: int) -> Found:
+        """See `Runs`."""
+        step = 1 if frame > start else -1
+        key = (start, box, step)
+        if key not in self._runs:
+            self._runs[key] = _Run(self._find(start, box, step))
+        return self._runs[key].at(abs(frame - start) - 1)
+
+    def _find(self, start: int, box: Box, step: int) -> Iterator[Found]:
+        tracker = Tracker(self.graph, self.seed)
+        tracker.init(self.frames.image(start), box)
+        last = len(self.frames) if step > 0 else -1
+        for frame in range(start + step, last, step):
+            tracker.update(self.frames.image(frame))
+            x, y, w, h = (float(value) for value in tracker.xywh)
+            sd = tracker.metrics.sd
+            yield Found((x, y, w, h), tracker.score, (float(sd[0]), float(sd[1])), tracker.status)
+
+
+class _Run:
+    def __init__(self, ahead: Iterator[Found]) -> None:
+        self._ahead, self._found = ahead, list[Found]()
+
+    def at(self, number: int) -> Found:
+        while len(self._found) <= number:
+            self._found.append(next(self._ahead))
+        return self._found[number]

@@ -1,0 +1,170 @@
+"""Formats of other tools: what is written is read again, and what does not fit the video is refused."""
+
+import json
+
+import pytest
+
+from bayesnet_track.runtime.annotation.formats.coco import read_coco
+from bayesnet_track.runtime.annotation.formats.cvat import read_cvat
+from bayesnet_track.runtime.annotation.formats.document import Document, MismatchError, label_of
+from bayesnet_track.runtime.annotation.formats.formats import WRITERS, read_annotations, write_formats
+from bayesnet_track.runtime.annotation.formats.label_studio import read_label_studio
+from bayesnet_track.runtime.annotation.formats.mot import read_mot
+from bayesnet_track.runtime.annotation.formats.yolo import read_yolo
+from bayesnet_track.runtime.annotation.frame_store import Video
+from bayesnet_track.runtime.annotation.fusing import Mark
+
+VIDEO = Video("street.mp4", 6, 320, 240, 0.04)
+FILES = {
+    "coco": "coco.json",
+    "mot": "mot.txt",
+    "cvat": "cvat.xml",
+    "label-studio": "label_studio.json",
+    "yolo": "yolo",
+}
+
+
+def at(frame, how="given", probability=1.0):
+    return Mark(frame, (10.125 + frame, 20.5, 30.25, 40.0), how, probability)
+
+
+def document(*targets, how="given"):
+    return Document(VIDEO, {target: {n: at(n, how) for n in range(VIDEO.frames)} for target in targets})
+
+
+@pytest.mark.parametrize("name", list(WRITERS))
+def test_every_format_is_read_as_it_was_written(name, tmp_path):
+    targets = ("ball 1", "person 1") if name == "yolo" else ("ball 1", "ball 2", "person 1")
+    write_formats(tmp_path, (name,), document(*targets))
+    found = read_annotations(tmp_path / FILES[name], VIDEO)
+    assert {one.kind for one in found} == {"box"}
+    names = ("target 1", "target 2", "target 3") if name == "mot" else targets
+    assert sorted((one.target, one.frame) for one in found) == [(t, n) for t in names for n in range(6)]
+    for one in found:
+        assert one.box == pytest.approx(at(one.frame).box, abs=0.001)
+
+
+@pytest.mark.parametrize("name", ["coco", "cvat", "label-studio"])
+def test_only_given_boxes_come_back_and_what_is_gone_does(name, tmp_path):
+    own = {0: at(0), 1: at(1, "tracked", 0.8), 2: at(2, "interpolated", 0.4), 3: at(3)}
+    own |= {4: Mark(4, None, "gone"), 5: Mark(5, None, "gone")}
+    write_formats(tmp_path, (name,), Document(VIDEO, {"ball 1": own}))
+    found = read_annotations(tmp_path / FILES[name], VIDEO)
+    assert sorted((one.frame, one.kind) for one in found) == [(0, "box"), (3, "box"), (4, "gone")]
+
+
+def test_a_label_is_the_name_without_its_number():
+    assert [*map(label_of, ("ball 12", "car_3", "7", "lead car"))] == ["ball", "car", "target", "lead car"]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            lambda c: c["images"][2].update(width=640),
+            r"images\[2\]: frames of 640x240 px; ",
+        ),
+        (
+            lambda c: c["annotations"][3].update(bbox=[400, 0, 5, 5]),
+            r"annotations\[3\]: box 400,0,5,5",
+        ),
+        (lambda c: c["annotations"][1].update(image_id=99), r"annotations\[1\]: image_id 99 is none"),
+        (lambda c: c["annotations"][0].pop("track_id"), "no COCO of a video.*track_id"),
+        (lambda c: c["images"][5].update(frame_id=17), r"annotations\[5\]: frame 17 .*frames 0 to 5"),
+        (
+            lambda c: [i.pop("frame_id") for i in c["images"]] and c["images"].pop(),
+            "5 images without frame_id",
+        ),
+    ],
+)
+def test_a_coco_file_that_does_not_fit_is_refused_with_the_first_mismatch(change, said, tmp_path):
+    content = json.loads(WRITERS["coco"](document("ball 1"))["coco.json"])
+    change(content)
+    (tmp_path / "a.json").write_text(json.dumps(content))
+    with pytest.raises(MismatchError, match=said):
+        read_coco(tmp_path / "a.json", VIDEO)
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "said"),
+    [
+        ("<size>6</size>", "<size>7</size>", "size: 7 frames; the video has 6"),
+        ("<width>320</width>", "<width>32</width>", "frames of 32x240 px"),
+        ('frame="4"', 'frame="44"', "frame 44 .*0 to 5"),
+        ('frame="4"', 'frame="x"', "frame 'x'"),
+        ('xtl="10.125"', 'xtl="a"', "xtl, ytl"),
+        ("<annotations>", "<annotations><image/>", "CVAT for images"),
+        ("</annotations>", "", "no XML"),
+        ("<annotations>", "<!DOCTYPE a><annotations>", "declares entities"),
+    ],
+)
+def test_a_cvat_file_that_does_not_fit_is_refused(was, becomes, said, tmp_path):
+    text = WRITERS["cvat"](document("ball 1"))["cvat.xml"].decode()
+    assert was in text
+    (tmp_path / "a.xml").write_text(text.replace(was, becomes, 1))
+    with pytest.raises(MismatchError, match=said):
+        read_cvat(tmp_path / "a.xml", VIDEO)
+
+
+def test_key_frames_of_cvat_alone_are_given(tmp_path):
+    boxes = "".join(
+        f'<box frame="{n}" keyframe="{int(n in (0, 3))}" outside="{int(n == 5)}" occluded="0" '
+        'xtl="1" ytl="2" xbr="11" ybr="22" z_order="0"></box>'
+        for n in range(6)
+    )
+    (tmp_path / "a.xml").write_text(f'<annotations><track id="0" label="car">{boxes}</track></annotations>')
+    found = read_cvat(tmp_path / "a.xml", VIDEO)
+    assert [(one.target, one.frame, one.kind) for one in found] == [
+        ("car 1", 0, "box"),
+        ("car 1", 3, "box"),
+        ("car 1", 5, "gone"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda value: value.update(framesCount=8), "framesCount: 8 frames; the video has 6"),
+        (lambda value: value["sequence"][1].update(frame=9), r"frame 9 \(counted from 1\): frame 8"),
+        (lambda value: value["sequence"][1].update(x=130), "outside of the frame"),
+        (lambda value: value["sequence"][1].pop("x"), "no video task of Label Studio"),
+    ],
+)
+def test_a_label_studio_file_that_does_not_fit_is_refused(change, said, tmp_path):
+    (task,) = json.loads(WRITERS["label-studio"](document("ball 1"))["label_studio.json"])
+    change(task["annotations"][0]["result"][0]["value"])
+    (tmp_path / "a.json").write_text(json.dumps([task]))
+    with pytest.raises(MismatchError, match=said):
+        read_label_studio(tmp_path / "a.json", VIDEO)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [("9,1,1,1,5,5,1,-1,-1,-1", r"mot.txt:1: frame 8"), ("1,1,1,1", "mot.txt"), ("1,1,999,1,5,5", "outside")],
+)
+def test_a_mot_file_that_does_not_fit_is_refused(line, said, tmp_path):
+    (tmp_path / "mot.txt").write_text(f"{line}\n")
+    with pytest.raises(MismatchError, match=said):
+        read_mot(tmp_path / "mot.txt", VIDEO)
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (["0 0.5 0.5 0.1 0.1\n0 0.2 0.2 0.1 0.1\n"] * 6, "000000.txt:2: a second box of class 0"),
+        (["0 0.5 0.5 0.1 0.1\n"] * 5, "5 files of labels; the video has 6"),
+        (["0 160 120 30 40\n"] * 6, "parts of the frame"),
+        (["0 0.5 0.5\n"] * 6, "class cx cy w h"),
+    ],
+)
+def test_a_yolo_folder_that_does_not_fit_is_refused(lines, said, tmp_path):
+    for number, text in enumerate(lines):
+        (tmp_path / f"{number:06d}.txt").write_text(text)
+    with pytest.raises(MismatchError, match=said):
+        read_yolo(tmp_path, VIDEO)
+
+
+def test_what_is_neither_is_refused(tmp_path):
+    (tmp_path / "a.json").write_text("{")
+    with pytest.raises(MismatchError, match="no JSON"):
+        read_annotations(tmp_path / "a.json", VIDEO)
