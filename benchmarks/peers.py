@@ -40,6 +40,12 @@ class Whole:
         x, y, w, h = (round(value) for value in box)
         self._tracker.init(image, (x, y, w, h))
 
+    @property
+    def score(self) -> float:
+        """Its own score of the last picture; 1 where it has none."""
+        of = getattr(self._tracker, "getTrackingScore", None)
+        return 1.0 if of is None else float(of())
+
     def update(self, image: Image) -> tuple[bool, Corner]:
         """The box in the next picture."""
         ok, (x, y, w, h) = self._tracker.update(image)

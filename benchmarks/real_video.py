@@ -22,7 +22,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -164,6 +164,19 @@ class Elsewhere:
             raise RuntimeError("the interpreter of the peers ended")
         return dict(json.loads(line))
 
+    def find(self, name: str, files: Iterable[Path], box: Iterable[float], seed: int = 0) -> dict[str, Any]:
+        """What a peer finds from the box in the first picture: `boxes`, `lost`, `scores`, `cpu_s`."""
+        assert self.process.stdin is not None
+        asked = {
+            "tracker": name,
+            "seed": seed,
+            "box": [*box],
+            "files": [str(file.resolve()) for file in files],
+        }
+        self.process.stdin.write(json.dumps(asked) + "\n")
+        self.process.stdin.flush()
+        return self._answer()
+
     def run(self, name: str, sequence: Sequence, seed: int) -> Line:
         """One pass of a peer."""
         return self.run_with_boxes(name, sequence, seed)[0]
@@ -172,16 +185,7 @@ class Elsewhere:
         self, name: str, sequence: Sequence, seed: int
     ) -> tuple[Line, list[tuple[float, ...]], list[bool]]:
         """One pass of a peer, its corner boxes, and where it said that it had lost the target."""
-        assert self.process.stdin is not None
-        asked = {
-            "tracker": name,
-            "seed": seed,
-            "box": sequence.truth[0].tolist(),
-            "files": [str(file.resolve()) for file in sequence.files],
-        }
-        self.process.stdin.write(json.dumps(asked) + "\n")
-        self.process.stdin.flush()
-        answer = self._answer()
+        answer = self.find(name, sequence.files, sequence.truth[0].tolist(), seed)
         found = score(answer["boxes"], answer["lost"], sequence.truth)
         every = score(answer["boxes"], [False] * len(answer["boxes"]), sequence.truth)
         line = Line(

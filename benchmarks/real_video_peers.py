@@ -27,7 +27,7 @@ def main() -> None:
         cv2.setRNGSeed(asked["seed"])
         tracker = known[asked["tracker"]]()
         box = tuple(float(value) for value in asked["box"])
-        boxes, lost, seconds = [box], [False], 0.0
+        boxes, lost, scores, seconds = [box], [False], [1.0], 0.0
         for index, file in enumerate(asked["files"]):
             image = np.asarray(cv2.imread(file, cv2.IMREAD_COLOR), dtype=np.uint8)
             started = time.process_time()
@@ -38,7 +38,9 @@ def main() -> None:
             seconds += time.process_time() - started
             boxes.append(found)
             lost.append(not ok)
-        print(json.dumps({"boxes": boxes, "lost": lost, "cpu_s": seconds}), flush=True)
+            scores.append(getattr(tracker, "score", 1.0))
+        answer = {"boxes": boxes, "lost": lost, "scores": scores, "cpu_s": seconds}
+        print(json.dumps(answer), flush=True)
 
 
 if __name__ == "__main__":
