@@ -167,17 +167,17 @@ def names_in(path: Path) -> set[str]:
     return found | {word.replace("-", "_") for word in re.findall(r"[\"']([a-z][a-z_-]+)[\"']", text)}
 
 
-UNNAMED = {"__main__": 1, "adapt": 2, "cli": 26, "cues": 1, "engine": 12, "evaluate": 3}
+UNNAMED = {"__main__": 1, "adapt": 2, "cli": 24, "cues": 1, "engine": 12, "evaluate": 3}
 UNNAMED |= {
     "inference": 1,
-    "journal": 15,
+    "journal": 4,
     "numerics": 2,
     "observation": 1,
     "runtime": 10,
     "sources": 19,
     "view": 1,
 }
-UNNAMED |= {"graph": 11, "vision": 17}
+UNNAMED |= {"graph": 10, "vision": 17}
 """Room -> how many of its modules no test of the room names: tested only through others. May only fall."""
 
 
@@ -189,8 +189,13 @@ def test_each_module_is_named_by_a_test_of_its_room():
     for module, path in sorted(FILES.items()):
         if path.name != "__init__.py" and not {module, path.stem} & named.get(room(module), set()):
             unnamed.setdefault(room(module), []).append(module)
-    more = {name: found for name, found in unnamed.items() if len(found) > UNNAMED.get(name, 0)}
-    assert more == {}, "a test in the folder of the room must import the new one, or have its name"
+    more = [
+        f"{name}: no test in tests/{name} names {len(found)} modules; {UNNAMED.get(name, 0)} are allowed. "
+        f"Test the one that you added: import it there, or name the test after it. All: {', '.join(found)}"
+        for name, found in unnamed.items()
+        if len(found) > UNNAMED.get(name, 0)
+    ]
+    assert not more, "\n".join(more)
 
 
 def test_each_room_has_a_row_in_the_page_on_architecture():

@@ -57,10 +57,10 @@ def as_object(out: Path, summary: Summary) -> dict[str, object]:
 
 
 def as_sentence(summary: Summary) -> str:
-    """`12 frames in 2.0 s (6 per second), 1 reconfiguration`, and what went wrong."""
-    rate = f"{_rate(summary):.0f} per second"
+    """`12 frames in 2.0 s (6 frames per second), 1 reconfiguration`, and what went wrong."""
+    rate = f"{_rate(summary):.0f} frames per second"
     if summary.compiling_s >= 0.05:
-        rate += f" without {summary.compiling_s:.1f} s of compiling"
+        rate += f" not counting {summary.compiling_s:.1f} s of compiling"
     parts = [f"{_count(summary.frames, 'frame')} in {summary.seconds:.1f} s ({rate})"]
     parts.append(_count(summary.reconfigurations, "reconfiguration"))
     if summary.lost_frames:

@@ -23,7 +23,7 @@ from bayesnet_track.journal.text.sentences import explain
 
 LIVES = (TargetStarted, Returned, Reacquired, TargetDied, DuplicateEnded, Joined, Parted)
 ARROW = " → "
-_PREVENTED = re.compile(r"; (?=would have |not at )")
+_PREVENTED = re.compile(r"; (?=would (?:not )?have |not at )")
 _FRAME = re.compile(r"^frame \d+(?:, target [^:]*)?: ")
 
 

@@ -412,7 +412,7 @@ def test_lost_says_why(drive):
     assert bad.cause == FitCause(0.05, 0.02, 3, 0.03)
     assert explain(bad) == (
         "frame 3: the best hypothesis has a likelihood of 0.02 of a perfect match < fit_below 0.05 "
-        "for 3 frames → target 1 lost; would have stayed at fit_below ≤ 0.03"
+        "for 3 frames → target 1 lost; would not have been lost at fit_below ≤ 0.03"
     )
     (both,) = drive(net(lost=LOST), [500] * 3, fits=[0.01] * 3).of(StatusChanged)
     assert both.cause == FitCause(

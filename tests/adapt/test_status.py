@@ -53,11 +53,14 @@ def test_down_and_up_through_uncertain(statuses):
         ScoreCause(0.6, 0.8, 2, 0.7, False),
     ]
     assert [explain(one) for one in decisions] == [
-        "frame 2: score 0.4 < 0.6 for 2 frames → target 1 uncertain; would have stayed at "
+        "frame 2: score 0.4 < 0.6 for 2 frames → target 1 uncertain; would have stayed tracked at "
         "uncertain_below ≤ 0.5",
-        "frame 4: score 0.1 < 0.25 for 2 frames → target 1 lost; would have stayed at score_below ≤ 0.2",
-        "frame 6: score 0.4 ≥ 0.25 for 2 frames → target 1 uncertain; would have stayed at a level > 0.3",
-        "frame 8: score 0.8 ≥ 0.6 for 2 frames → target 1 found again; would have stayed at a level > 0.7",
+        "frame 4: score 0.1 < 0.25 for 2 frames → target 1 lost; would not have been lost at "
+        "score_below ≤ 0.2",
+        "frame 6: score 0.4 ≥ 0.25 for 2 frames → target 1 uncertain; would have stayed as it was at "
+        "a threshold > 0.3",
+        "frame 8: score 0.8 ≥ 0.6 for 2 frames → target 1 found again; would have stayed as it was at "
+        "a threshold > 0.7",
     ]
 
 

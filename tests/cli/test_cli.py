@@ -247,7 +247,8 @@ def test_run_on_a_folder_of_images(cli, images, tmp_path):
     assert code == 0
     assert {file.name for file in out.iterdir()} == RUN_FILES
     assert re.fullmatch(
-        rf"{re.escape(str(out))}: 8 frames in \d+\.\d s \(\d+ per second.*\), \d+ reconfigurations?\n", said
+        rf"{re.escape(str(out))}: 8 frames in \d+\.\d s \(\d+ frames per second.*\), \d+ reconfigurations?\n",
+        said,
     )
     assert re.fullmatch(
         r"frame 8/8 \| [\d.]+ fps \| 0:00 left \| [a-z, ]+ \| UD \d+ px² \| tracking\n"
@@ -431,7 +432,9 @@ def test_the_rate_is_without_the_seconds_of_compiling(cli, images, tmp_path, mon
     clock = SimpleNamespace(perf_counter=lambda: next(ticking))
     monkeypatch.setattr("bayesnet_track.runtime.run.time", clock)
     code, said, _ = cli(f"run general --source {images} --init {BOX} --end 2 --out", tmp_path / "run")
-    seconds, rate = re.search(r"2 frames in (\d+)\.0 s \((\d+) per second without 20\.0 s", said).groups()
+    seconds, rate = re.search(
+        r"2 frames in (\d+)\.0 s \((\d+) frames per second not counting 20\.0 s", said
+    ).groups()
     assert (code, int(rate)) == (0, round(2 / (int(seconds) - 20.0)))
 
 

@@ -22,7 +22,7 @@ def test_the_exit_code_tells_whether_all_was_read(capsys, complete, reason, code
     options = Namespace(command="run", quiet=False, verbose=False, log_json=False, stop=StopRequest())
     assert follow(options, (_ for _ in ()), summary, 12, Path("runs/a")) == code
     said = capsys.readouterr()
-    assert "runs/a: 12 frames in 2.0 s (6 per second), 1 reconfiguration" in said.out + said.err
+    assert "runs/a: 12 frames in 2.0 s (6 frames per second), 1 reconfiguration" in said.out + said.err
     assert ("the source is truncated" in said.out + said.err) == (not complete)
     assert f"... and {7 - SHOWN_NOTICES} more" in said.err
 

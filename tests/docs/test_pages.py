@@ -159,8 +159,7 @@ def test_the_cue_of_the_contributing_page_works_as_a_file_and_as_a_built_in_one(
     page = ROOT / "CONTRIBUTING.md"
     short, whole, own_test = blocks(page, "python")
     (graph,) = blocks(page, "yaml")
-    (tmp_path / "graphs").mkdir()
-    (tmp_path / "graphs" / "gray_cells.yaml").write_text(graph)
+    (tmp_path / "gray_cells.yaml").write_text(graph)
     monkeypatch.chdir(tmp_path)
     command = next(commands(page))
     for code in (short, whole):

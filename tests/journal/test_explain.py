@@ -189,7 +189,7 @@ GOLDEN = [
     (
         StatusChanged(120, "1", "lost", Cause("ud_box", 1.0, 1.2, 3, 1.1, 1920, 1600)),
         "frame 120: UD 1.2 × box area (1920 px²) > 1 × box area (1600 px²) for 3 frames → target 1 lost; "
-        "would have stayed at lost ≥ 1.1 × box area (1760 px²)",
+        "would not have been lost at lost.above ≥ 1.1 × box area (1760 px²)",
     ),
     (
         StatusChanged(130, "1", "tracking", Cause("ud_px2", 900, 870, 3, 860, 870, 1)),

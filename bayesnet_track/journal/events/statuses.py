@@ -45,9 +45,8 @@ def describe(event: Events) -> str:
     if not lost:
         fits = f", and {event.reason}" if event.reason else ""
         return f"{held(event.cause, '≤')}{fits} → {result}"
-    return (
-        f"{held(event.cause, '>')} → {result}; would have stayed at lost ≥ {show_turn(event.cause, up=True)}"
-    )
+    turning = show_turn(event.cause, up=True)
+    return f"{held(event.cause, '>')} → {result}; would not have been lost at lost.above ≥ {turning}"
 
 
 def change(net: TargetNet, decision: Decisions) -> TargetNet:
@@ -62,7 +61,7 @@ def _by_fit(cause: FitCause, result: str) -> str:
     if cause.turning is None:
         return f"{found} → {result}; would have been lost by its UD at any fit_below"
     turning = round_away(cause.turning, decimals(cause.turning, cause.level), up=False)
-    return f"{found} → {result}; would have stayed at fit_below ≤ {turning}"
+    return f"{found} → {result}; would not have been lost at fit_below ≤ {turning}"
 
 
 def _by_score(event: StatusChanged, cause: ScoreCause) -> str:
@@ -70,8 +69,11 @@ def _by_score(event: StatusChanged, cause: ScoreCause) -> str:
     span = f"for {plural(cause.frames, 'frame')}"
     found = f"score {score} {'<' if cause.fell else '≥'} {level} {span}"
     turning = round_away(cause.turning, decimals(cause.turning, cause.level), up=not cause.fell)
-    key = "score_below" if event.status == "lost" else "uncertain_below"
-    if cause.fell:
-        return f"{found} → target {event.target} {event.status}; would have stayed at {key} ≤ {turning}"
     status = "found again" if event.status == "tracking" else event.status
-    return f"{found} → target {event.target} {status}; would have stayed at a level > {turning}"
+    if not cause.fell:
+        otherwise = f"would have stayed as it was at a threshold > {turning}"
+    elif event.status == "lost":
+        otherwise = f"would not have been lost at score_below ≤ {turning}"
+    else:
+        otherwise = f"would have stayed tracked at uncertain_below ≤ {turning}"
+    return f"{found} → target {event.target} {status}; {otherwise}"
