@@ -48,7 +48,7 @@ def as_object(out: Path, summary: Summary) -> dict[str, object]:
         "run": str(out),
         "frames": summary.frames,
         "seconds": round(summary.seconds, 3),
-        "frames_per_second": round(_rate(summary), 1),
+        "frames_per_second": round(summary.frames_per_second, 1),
         "reconfigurations": summary.reconfigurations,
         "lost_frames": summary.lost_frames,
         "complete": summary.complete,
@@ -57,11 +57,15 @@ def as_object(out: Path, summary: Summary) -> dict[str, object]:
 
 
 def as_sentence(summary: Summary) -> str:
-    """`12 frames in 2.0 s (6 frames per second), 1 reconfiguration`, and what went wrong."""
-    rate = f"{_rate(summary):.0f} frames per second"
+    """`12 frames in 2.0 s (30 frames per second after the first), 1 reconfiguration`, and what went wrong."""
+    times = []
+    if summary.frames_per_second:
+        times.append(f"{summary.frames_per_second:.0f} frames per second after the first")
     if summary.compiling_s >= 0.05:
-        rate += f" not counting {summary.compiling_s:.1f} s of compiling"
-    parts = [f"{_count(summary.frames, 'frame')} in {summary.seconds:.1f} s ({rate})"]
+        times.append(f"{summary.compiling_s:.1f} s of compiling")
+    parts = [f"{_count(summary.frames, 'frame')} in {summary.seconds:.1f} s"]
+    if times:
+        parts[0] += f" ({', '.join(times)})"
     parts.append(_count(summary.reconfigurations, "reconfiguration"))
     if summary.lost_frames:
         parts.append(f"lost in {_count(summary.lost_frames, 'frame')}")
@@ -85,11 +89,6 @@ def say_next(options: argparse.Namespace, out: Path, summary: Summary) -> None:
         if summary.lost_frames:
             then = f"`bayesnet-track diagnose {out}` names a key to try where it is lost"
         complain(f"next: {shows}; {then}")
-
-
-def _rate(summary: Summary) -> float:
-    at_work = summary.seconds - summary.compiling_s
-    return summary.frames / at_work if at_work > 0 else 0.0
 
 
 def _count(number: int, noun: str) -> str:

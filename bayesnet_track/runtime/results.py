@@ -123,6 +123,8 @@ class Summary:
         reason: why it ended, in the words of `RunEnded.reason`.
         seconds: wall-clock seconds, decoding and writing included.
         compiling_s: seconds of them in which kernels were compiled here, as at the first run on a machine.
+        frames_per_second: after the first frame, in which everything is loaded, and without compiling; 0
+            where no second frame was tracked here.
         notices: what was wrong with the source.
     """
 
@@ -133,4 +135,5 @@ class Summary:
     reason: str = "error"
     seconds: float = 0.0
     compiling_s: float = 0.0
+    frames_per_second: float = 0.0
     notices: list[Event] = field(default_factory=list)

@@ -129,6 +129,7 @@ def run(
         totals.frames, totals.reconfigurations = after.reached.frames, after.reached.reconfigurations
         totals.lost_frames = after.reached.lost_frames
     opened, compiled_before = time.perf_counter(), WATCH.seconds
+    first_done: tuple[float, int] | None = None
     try:
         for event in () if after is None else after.events:
             emit(event)
@@ -165,6 +166,8 @@ def run(
             totals.lost_frames += any(metrics.status == "lost" for metrics in result.targets)
             for sink in sinks:
                 sink.frame(result)
+            if first_done is None:
+                first_done = _at_work(), totals.frames
             if checkpointer is not None:
                 now = RunPosition(item, state, totals.frames, totals.reconfigurations, totals.lost_frames)
                 checkpointer.reached(now)
@@ -182,10 +185,17 @@ def run(
     finally:
         totals.seconds = time.perf_counter() - opened
         totals.compiling_s = WATCH.seconds - compiled_before
+        if first_done is not None and totals.frames > first_done[1]:
+            totals.frames_per_second = (totals.frames - first_done[1]) / (_at_work() - first_done[0])
         if has_started:
             emit(RunEnded(totals.frames, source.expected_frames, totals.complete, totals.reason))
     if checkpointer is not None and has_started:
         checkpointer.ended()
+
+
+def _at_work() -> float:
+    """The clock as if it had stood while kernels were compiled."""
+    return time.perf_counter() - WATCH.seconds
 
 
 def _result(frame: Frame, outcome: Outcome, spent: float, before: State | None) -> Result:

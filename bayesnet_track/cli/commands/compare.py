@@ -82,7 +82,7 @@ def show_comparison(first: Run, second: Run, options: argparse.Namespace) -> int
 
     from bayesnet_track.graph.text.differences import differences
     from bayesnet_track.journal.compare import compare as compare_runs
-    from bayesnet_track.journal.text.compare_text import compare_text, settings_apart
+    from bayesnet_track.journal.text.compare_text import SHOWN_MOMENTS, compare_text, settings_apart
 
     compared = compare_runs(first, second)
     scores = _scores(first, second, compared, options.truth)
@@ -98,7 +98,7 @@ def show_comparison(first: Run, second: Run, options: argparse.Namespace) -> int
     if options.json:
         say(_as_json(first, second, compared, settings))
     else:
-        say(compare_text(first, second, compared, settings, 2**62 if options.all else 20))
+        say(compare_text(first, second, compared, settings, 2**62 if options.all else SHOWN_MOMENTS))
     if options.html is not None:
         complain(f"wrote {options.html}")
     return OK
@@ -208,5 +208,5 @@ def add_comparison_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--truth", metavar="FILE", help="ground truth to score both with (default: truth.txt of the first)"
     )
-    parser.add_argument("--all", action="store_true", help="list every difference, not only the first 20")
+    parser.add_argument("--all", action="store_true", help="list every difference, not only the first few")
     parser.add_argument("--json", action="store_true", help="print it as JSON")

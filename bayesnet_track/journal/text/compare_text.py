@@ -14,7 +14,7 @@ from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.journal.text.wording import plural
 
-SHOWN_MOMENTS = 20
+SHOWN_MOMENTS = 5
 
 
 def settings_apart(first: RunStarted, second: RunStarted) -> list[str]:
@@ -24,17 +24,17 @@ def settings_apart(first: RunStarted, second: RunStarted) -> list[str]:
         said.append(f"graph: {first.graph} → {second.graph}")
     if first.seed != second.seed:
         said.append(f"seed: {first.seed} → {second.seed}")
-    said += [
-        f"{library}: {first.versions.get(library, 'none')} → {second.versions.get(library, 'none')}"
-        for library in dict.fromkeys([*first.versions, *second.versions])
-        if first.versions.get(library) != second.versions.get(library)
-    ]
     costs = dict.fromkeys([*first.costs_ms, *second.costs_ms])
     both = [cue for cue in costs if cue in first.costs_ms and cue in second.costs_ms]
     said += [
         f"declared cost of {cue}: {first.costs_ms[cue]:g} → {second.costs_ms[cue]:g} ms"
         for cue in both
         if first.costs_ms[cue] != second.costs_ms[cue]
+    ]
+    said += [
+        f"{library}: {first.versions.get(library, 'none')} → {second.versions.get(library, 'none')}"
+        for library in dict.fromkeys([*first.versions, *second.versions])
+        if first.versions.get(library) != second.versions.get(library)
     ]
     return said
 
@@ -49,6 +49,8 @@ def compare_text(
     """The whole comparison as plain text."""
     lines = [f"A  {first.name}", f"B  {second.name}", ""]
     lines += ["differ in", *(f"  {one}" for one in settings)] if settings else ["the same graph and settings"]
+    # What came of it before how: the moments are many.
+    lines += ["", *totals_lines(comparison.totals), "", *estimate_lines(comparison)]
     lines += ["", *parting_lines(first, second, comparison)]
     rest = comparison.moments[1:]
     if rest:
@@ -60,7 +62,6 @@ def compare_text(
             ]
         if len(rest) > shown:
             lines.append(f"  ... and {len(rest) - shown} more; --all tells them all, --html draws them")
-    lines += ["", *totals_lines(comparison.totals), "", *estimate_lines(comparison)]
     return "\n".join(lines)
 
 
