@@ -422,7 +422,7 @@ def test_it_is_said_once_that_kernels_are_compiled(cli, monkeypatch, line, outpu
 
 
 def test_the_rate_is_without_the_first_frame_and_the_seconds_of_compiling(cli, images, tmp_path, monkeypatch):
-    """As at the first run: 20 seconds of compiling in the first frame, 9 in the second, none of it in a rate."""
+    """As at the first run: 20 seconds of compiling in the first frame, 9 in the second, none in a rate."""
     watch, now = CompileWatch(), [0.0]
 
     def takes(seconds, compiling, work):
