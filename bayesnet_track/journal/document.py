@@ -25,7 +25,7 @@ def parts_of(kind: type) -> tuple[str, Mapping[str, str]]:
     """The text of a class' docstring before its attributes, and each attribute's description.
 
     >>> parts_of(Cause)[1]["level"]
-    'the level in that unit.'
+    'the threshold in that unit.'
     """
     text, _, attributes = cleandoc(kind.__doc__ or "").partition("\nAttributes:\n")
     described: dict[str, str] = {}
@@ -52,7 +52,7 @@ def document_events() -> str:
         "## Lines of `frames.jsonl`",
         _section(FrameMetrics, f"`{event_name(FrameMetrics)}`"),
         "## Lines of `inputs.jsonl`",
-        f"What came from outside, there only when something did. {both} stand in the journal, too.",
+        f"External inputs; the file exists only if there were any. {both} are in the journal, too.",
         *(_section(kind, f"`{event_name(kind)}`") for kind in outside),
         "## Objects inside lines",
         _section(PartMetrics, "`part_metrics`"),
@@ -101,17 +101,17 @@ _HEAD = """\
 # The files of a run, field by field
 
 Version {version} of the format. `journal.jsonl` holds what happened, `frames.jsonl` what was measured in each
-frame: one JSON object a line, ASCII, each line ended by a plain newline.
+frame: one JSON object per line, ASCII, each line ended by a plain newline.
 
 - The key `event` names the kind of the line; the other keys stand in the order given here.
-- Numbers are rounded to {digits} significant digits. JSON has no NaN and no infinity: where a number is one,
-  the text `"NaN"`, `"Infinity"` or `"-Infinity"` stands in its place.
+- Numbers are rounded to {digits} significant digits. JSON has no NaN and no infinity:
+  they are written as the texts `"NaN"`, `"Infinity"` and `"-Infinity"`.
 - Keys of an object that maps names to values are sorted.
 - Boxes are centre boxes `x, y, w, h` in pixels; the centre of the pixel in row 0, column 0 is (0, 0).
 - Frames count from 0. A decision made in frame n takes effect in frame n + 1.
-- A killed run leaves a journal without `run_ended`, and perhaps a torn last line, which readers drop.
-- Folding the decisions (`target_started` to `parted`) over the journal rebuilds the net
-  of any frame.
+- A killed run leaves a journal without `run_ended`, and perhaps a truncated last line, which readers drop.
+- Applying the decisions (`target_started` to `parted`) in order rebuilds the net of any
+  frame.
 
 ## How the format changes
 

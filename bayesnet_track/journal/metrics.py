@@ -17,8 +17,8 @@ class PartMetrics(Boxed):
             px.
         sd: posterior sd of x, y, w, h in px.
         ud_px2: uncertainty deviation about the estimate; the same as in `ud_nodes`.
-        status: seen; hidden (its agents look, and see nothing like it) or unwatched (none of them is active),
-            and then told from the rest of the target.
+        status: seen, hidden (its active agents find nothing like it) or unwatched (none of its agents is
+            active); when hidden or unwatched it is inferred from the rest of the target.
     """
 
     centre_box: tuple[float, ...] = field(metadata={"key": "box"})
@@ -57,37 +57,37 @@ class FrameMetrics(Boxed):
 
     Attributes:
         frame: frame index.
-        time_s: frame time in seconds; NaN of a `Tracker`, whose frames come without a clock.
+        time_s: frame time in seconds; NaN in a `Tracker`, whose frames have no times.
         target: target id.
         centre_box: estimate, centre box x, y, w, h in px.
         map: maximum a posteriori box.
-        sd: posterior sd of x, y, w, h in px, that of x and y with the graph's localization_error.
+        sd: posterior sd of x, y, w, h in px; those of x and y include the graph's localization_error.
         ud_px2: uncertainty deviation at the root.
         ud_nodes: inference node -> its UD in px^2.
         quiet_px2: measured baseline of UD at the root, or None.
         status: tracking, uncertain or lost.
-        score: probability of being on target, an overlap (IoU) above 0.5, where the graph has coefficients
-            for it; else an uncalibrated index in 0..1 from UD and evidence; high is sure.
+        score: probability of being on target (an IoU above 0.5) if the graph has coefficients for it; else an
+            uncalibrated index in 0..1 from UD and evidence, high when certain.
         log_evidence: log normalising constant of the frame.
         surprise: KL(posterior || prior) over the hypotheses, nats: how far the frame moved the belief.
         ess: effective sample size of the hypotheses' posterior weights.
-        particles: number of hypotheses at which the evidence was taken.
+        particles: number of hypotheses that the agents scored.
         active: agents that gave evidence in this frame.
         kl: active agent -> KL(belief || agent), nats.
         contribution: active agent -> KL(belief || belief without it), nats.
         agent_ud_px2: active agent -> UD about its own maximum-likelihood hypothesis.
-        strength: node -> KL(prior times message || prior), nats: how much its message says.
-        learn_rate: learning rate applied this frame (0 when UD is above the level).
+        strength: node -> KL(prior times message || prior), nats: the information in its message.
+        learn_rate: learning rate applied in this frame (0 when UD is above the threshold).
         region50: bounds of the central 50 % of the centre, with the graph's localization_error: x_low,
             x_high, y_low, y_high in px.
-        region90: the same of the central 90 %.
+        region90: the same for the central 90 %.
         cloud: hypotheses drawn from the posterior, whole px, centre boxes.
-        silent: those of the active agents that measure and did not see the target.
-        features: what a calibrated score was computed from; not written where it is an index.
-        parts: node that is a part of the target -> its own estimate; not written where there are none.
-        angle: rotation in the picture since the first frame, degrees, clockwise; not written while it is 0,
-            as it is without `sd_angle_deg`.
-        join: what the joint belief says of it; not written for a target that is not joined.
+        silent: active agents that measure and did not find the target.
+        features: what a calibrated score was computed from; left out when the score is an index.
+        parts: node that is a part of the target -> its own estimate; left out when there are none.
+        angle: rotation in the image since the first frame, degrees, clockwise; left out while it is 0, as it
+            is without `sd_angle_deg`.
+        join: results of the joint belief; left out for a target that is not joined.
     """
 
     frame: int

@@ -16,7 +16,7 @@ class DegenerateBelief:
     Attributes:
         frame: the frame.
         target: target id.
-        reason: the weights' fault.
+        reason: what was wrong with the weights.
     """
 
     frame: int
@@ -48,13 +48,13 @@ class FactorFlawed:
 
 @dataclass(frozen=True)
 class BeliefReset:
-    """A grid's evidence was not feasible under its prediction: gamma fell below a level.
+    """A grid's evidence was not feasible under its prediction: gamma fell below a threshold.
 
     Attributes:
         frame: the frame.
         target: target id.
         gamma: mean likelihood under the prediction, divided by its mean over the region.
-        below: level of gamma below which it happens.
+        below: threshold of gamma below which this happens.
         region: belief (the bounding box of the prediction) or image.
         region_px2: area of the region, px^2.
         action: reset (the belief starts again from the likelihood over the region) or ignore (the prediction

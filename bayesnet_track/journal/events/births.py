@@ -11,7 +11,7 @@ from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural
 
 @dataclass(frozen=True)
 class TargetStarted:
-    """A net is born: a copy of the plate `template` for the target inside `box`.
+    """A net starts: a copy of the plate `template` for the target inside `box`.
 
     Attributes:
         frame: frame at which it starts.
@@ -30,7 +30,7 @@ class TargetStarted:
 
 @dataclass(frozen=True)
 class CandidateConfirmed:
-    """What a detector found was seen often enough and is no target that is remembered: a new one is born.
+    """A candidate was detected often enough and is none of the remembered targets: a new target starts.
 
     Attributes:
         frame: the frame.
@@ -38,8 +38,8 @@ class CandidateConfirmed:
         template: name of the plate.
         detector: name of the detector.
         first_frame: frame in which it was first detected.
-        seen: in how many looks it was seen.
-        looks: of how many.
+        seen: in how many runs of the detector it was detected.
+        looks: of how many runs.
         score: mean score of these detections, 0..1.
         nearest: the remembered target that it was most likely to be, or null when none is remembered.
     """
@@ -57,7 +57,7 @@ class CandidateConfirmed:
 
 @dataclass(frozen=True)
 class BirthsRefused:
-    """Detections got no net, for a plate has as many live targets as it may. Told at 1, 10, 100, ... of them.
+    """Detections got no net: the plate has its maximum of live targets. Reported at the 1st, 10th, 100th, ...
 
     Attributes:
         frame: the frame.
@@ -65,7 +65,7 @@ class BirthsRefused:
         detector: name of the detector.
         live: live targets of the plate.
         max_targets: the rule's number.
-        refused: confirmed detections refused so far; one that stays counts in every look.
+        refused: confirmed detections refused so far; one that persists counts in every run of the detector.
         waiting: confirmed detections refused in this frame.
     """
 
@@ -80,7 +80,7 @@ class BirthsRefused:
 
 @dataclass(frozen=True)
 class DetectorFailed:
-    """A detector failed and is out for a while, longer with each failure in a row; it finds no targets then.
+    """A detector failed and is paused, longer with each failure in a row; meanwhile it detects nothing.
 
     Attributes:
         frame: frame at which it failed.

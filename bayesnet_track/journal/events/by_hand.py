@@ -10,10 +10,10 @@ from bayesnet_track.journal.net.target_net import TargetNet
 
 @dataclass(frozen=True)
 class Toggled:
-    """A person switched an agent on or off. It stays so until it is released: no rule switches it.
+    """An agent was switched on or off by hand. No rule switches it until it is released.
 
     Attributes:
-        frame: frame with which it was said; it works from the next frame on.
+        frame: frame in which this was requested; it takes effect in the next frame.
         target: target id.
         node: the agent.
         on: true when it was switched on.
@@ -27,10 +27,10 @@ class Toggled:
 
 @dataclass(frozen=True)
 class Released:
-    """A person gave an agent back to the rules. It stays as it is until one of them switches it.
+    """An agent was given back to the rules. It stays on or off until one of them switches it.
 
     Attributes:
-        frame: frame with which it was said; rules may switch it in the next frame.
+        frame: frame in which this was requested; rules may switch it in the next frame.
         target: target id.
         node: the agent.
     """
@@ -42,10 +42,10 @@ class Released:
 
 @dataclass(frozen=True)
 class InputRefused:
-    """What a person asked for cannot be done; the net stays as it is.
+    """A request by hand cannot be carried out; the net stays as it is.
 
     Attributes:
-        frame: the frame with which it was asked.
+        frame: frame in which it was made.
         target: target id.
         node: the agent.
         reason: why not.

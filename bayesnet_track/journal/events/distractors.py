@@ -9,7 +9,7 @@ from bayesnet_track.journal.text.wording import decimals, distinct_texts, round_
 
 @dataclass(frozen=True)
 class DistractorSeen:
-    """Something beside the target is nearly as likely to be it: they may be exchanged from now on.
+    """Something else is nearly as likely to be the target: the net may follow either from now on.
 
     Reported when the doubt begins; a distractor that is seen while it lasts prolongs it.
 
@@ -17,7 +17,7 @@ class DistractorSeen:
         frame: the frame.
         target: target id.
         x: centre of the distractor's best hypothesis, px.
-        y: the same, of rows.
+        y: the same, row.
         away_box: how far that is from the most probable hypothesis, roots of the estimate's area.
         behind_nats: how much less likely it is, nats.
         within_nats: difference below which it counts as a distractor.

@@ -37,8 +37,8 @@ class DuplicateEnded:
         frame: last frame of the net.
         target: id of the younger one, which ends.
         kept: id of the older one.
-        overlap: least Bhattacharyya coefficient of their beliefs over these frames.
-        level: the rule's least overlap.
+        overlap: smallest Bhattacharyya coefficient of their beliefs over these frames.
+        level: threshold of the rule.
         frames: for how many consecutive frames.
     """
 

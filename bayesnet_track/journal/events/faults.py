@@ -11,17 +11,17 @@ from bayesnet_track.journal.text.wording import plural
 
 @dataclass(frozen=True)
 class Quarantined:
-    """An agent failed: it is out, and tried again after a while that doubles with each failure in a row.
+    """An agent failed: it is paused, and tried again after a time that doubles with each failure in a row.
 
     Attributes:
         frame: frame at which it failed (its evidence is not used in this frame either).
         target: target id.
         node: the agent.
         reason: what it returned or raised.
-        until: first frame in which it may work again; null when it is out for the rest of the run, since it
-            could not learn its first reference or needs colour where the source is gray.
-        times: how many times in a row it has failed, this one included; an agent that then works ten times as
-            long as it was out begins anew.
+        until: first frame in which it may work again; null when it stays off for the rest of the run, because
+            it could not learn its first reference or needs colour and the source is gray.
+        times: how many times in a row it has failed, this one included; the count starts again once the agent
+            has worked ten times as long as it was paused.
     """
 
     frame: int
@@ -37,12 +37,12 @@ class Readmitted:
     """An agent that failed is tried again.
 
     Attributes:
-        frame: frame at which its time was over; it works from the next frame on.
+        frame: frame at which its pause ended; it works from the next frame on.
         target: target id.
         node: the agent.
-        on: whether it is switched on: it was when it failed, or a person wants it so.
+        on: whether it is switched on: because it was on when it failed, or by hand.
         times: how many times in a row it had failed.
-        waited: for how many frames it was out.
+        waited: for how many frames it was paused.
     """
 
     frame: int
@@ -55,18 +55,18 @@ class Readmitted:
 
 @dataclass(frozen=True)
 class AgentMissed:
-    """An agent gave no answer for a reason outside of it: its process died or hung, or the answer was late.
+    """An agent gave no answer, through no fault of its own: its process died or hung, or the answer was late.
 
-    It is left out of this frame as if it were switched off; what the others say does not change.
+    It is left out of this frame as if it were switched off; the other agents are not affected.
 
     Attributes:
         frame: the frame.
         target: target id.
         node: the agent.
         reason: what happened to it.
-        during: what it was asked for, which is left out: observing (and then all that follows in the frame),
-            guarding, learning, blending or adapting its reference, starting a target, joining, claiming or
-            recalling.
+        during: the request that got no answer and is left out: observing (and then all that follows in the
+            frame), guarding, learning, blending or adapting its reference, starting a target, joining,
+            claiming or recalling.
     """
 
     frame: int

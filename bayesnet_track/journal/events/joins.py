@@ -42,7 +42,8 @@ class Parted:
         overlap: overlap of the beliefs' reaches at this frame.
         below: overlap below which they count as apart.
         frames: consecutive frames in which they were.
-        turning: largest overlap in these frames: with a level at or below it they would have stayed joined.
+        turning: largest overlap in these frames: with a threshold at or below it they would have stayed
+            joined.
         together: frames for which they were joined.
     """
 

@@ -16,7 +16,7 @@ class OcclusionChanged:
         frame: the frame.
         target: target id of the one behind.
         other: the one in front.
-        hidden: true when most of it is hidden from this frame on, false when most of it is seen again.
+        hidden: true when most of it is hidden from this frame on, false when most of it is visible again.
         share: expected share of its box that is hidden.
         above: share above which it counts as hidden.
         in_front: probability that the other is in front.
@@ -56,18 +56,18 @@ class AttachmentChanged:
 
 @dataclass(frozen=True)
 class RingChanged:
-    """Joins closed a ring: joint beliefs live on a tree, so the pair that overlaps least is left out of it.
+    """Joins formed a ring. Joint beliefs need a tree, so the pair that overlaps least is left out.
 
-    Each of the two still hears of the other, but only what that one believes by itself: their joint belief is
-    an approximation until the ring opens.
+    Each of the two still takes the other's own belief into account: their joint belief is an approximation
+    until the ring opens.
 
     Attributes:
         frame: the frame.
         target: target id.
         other: the other target's id.
-        left_out: true when the pair is left out from this frame on, false when it is in again.
+        left_out: true when the pair is left out from this frame on, false when it is included again.
         overlap: overlap of the two beliefs' reaches.
-        group: all targets that hang together by joins.
+        group: all targets that are connected by joins.
     """
 
     frame: int

@@ -14,17 +14,17 @@ class Reappeared:
     Attributes:
         frame: the frame.
         target: target id.
-        by: what told them where to look: uniform, agents, or a detector's name.
+        by: what proposed the places: uniform, agents, or a detector's name.
         hypotheses: how many jumped.
         held: their share of the belief.
-        level: share above which this is told.
+        level: share above which this is reported.
         share: prior probability of reappearing in this frame.
         turning: largest prior probability with which these hypotheses would hold no more than `level`.
-        x: where they are, px; their mean.
-        y: the same, of rows.
+        x: mean column of these hypotheses, px.
+        y: the same, row.
         moved_px: how far that is from the last frame's mean.
         ud_px2: UD of the last frame.
-        above_px2: level of UD above which reappearing is likely, in px^2; 0 when it is not known yet.
+        above_px2: threshold of UD above which reappearing is likely, in px^2; 0 when it is not known yet.
     """
 
     frame: int

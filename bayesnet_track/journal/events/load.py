@@ -13,7 +13,7 @@ from bayesnet_track.journal.text.wording import plural, round_away
 
 @dataclass(frozen=True)
 class Shed:
-    """Frames were late: the agent that says least per millisecond is switched off until there is time.
+    """Frames were late: the agent with the least information per millisecond is switched off for a time.
 
     Attributes:
         frame: frame whose numbers caused it.
@@ -23,9 +23,10 @@ class Shed:
         budget_ms: what a frame may take.
         late: how many of the last frames were late.
         within: how many frames those were.
-        turning_ms: the budget at which it would have stayed on: so few frames would have been late.
+        turning_ms: the budget at which it would have stayed on, because few enough frames would have been
+            late.
         index: agent -> mean contribution per declared cost, nats per ms, for every agent of this target that
-            could be done without.
+            could be switched off.
     """
 
     frame: int
@@ -41,13 +42,13 @@ class Shed:
 
 @dataclass(frozen=True)
 class TakenBack:
-    """There is time again: an agent that was switched off for want of it is switched on.
+    """Frames are in time again: an agent that was switched off to save time is switched on.
 
     Attributes:
         frame: frame whose numbers caused it.
         target: target id.
         node: the agent.
-        spent_ms: the most that one of the frames in time took.
+        spent_ms: the longest that one of the frames in time took.
         expected_ms: the same with the agent, by declared costs.
         budget_ms: what a frame may take.
         frames: how many frames in a row were in time.
@@ -64,14 +65,14 @@ class TakenBack:
 
 @dataclass(frozen=True)
 class ParticlesLimited:
-    """Frames were late with no agent left to do without: fewer hypotheses. Or there is time again for more.
+    """Frames were late and no agent could be switched off: fewer hypotheses. Or there is time for more.
 
     Attributes:
         frame: frame whose numbers caused it.
         target: target id.
-        most: most hypotheses from now on; null when there is no limit any more.
+        most: largest number of hypotheses from now on; null when there is no limit any more.
         before: how many there were.
-        spent_ms: what frames took: the median of the late ones, or the most of those in time.
+        spent_ms: what frames took: the median of the late ones, or the longest of those in time.
         budget_ms: what a frame may take.
     """
 
@@ -88,7 +89,7 @@ class LateFrame:
     """The frame before this one took longer than its budget.
 
     Attributes:
-        frame: the frame whose decisions answer it.
+        frame: the frame in which rules respond to it.
         spent_ms: wall-clock milliseconds that the frame before took.
         budget_ms: milliseconds that it had.
     """
@@ -100,11 +101,11 @@ class LateFrame:
 
 @dataclass(frozen=True)
 class SpareTime:
-    """The frames before this one were done in time, while something is switched off for want of it.
+    """The frames before this one were in time, while something is switched off to save time.
 
     Attributes:
-        frame: the frame whose decisions answer it.
-        spent_ms: the most wall-clock milliseconds that one of them took.
+        frame: the frame in which rules respond to it.
+        spent_ms: the longest that one of them took, in wall-clock milliseconds.
         budget_ms: milliseconds that each had.
         frames: how many they were.
     """

@@ -9,18 +9,18 @@ from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural
 
 @dataclass(frozen=True)
 class ReferenceGuarded:
-    """An agent's reference and its slow one parted, or agree again: learning stopped, or goes on.
+    """An agent's reference and its slow one diverged, or agree again: learning stopped, or goes on.
 
     Attributes:
         frame: the frame.
         target: target id.
         node: the agent.
-        parted: true when they parted in this frame, false when they agree again.
+        parted: true when they diverged in this frame, false when they agree again.
         own: log-likelihood of the estimate by the agent's own reference, nats.
         slow: the same by its slow reference.
-        apart_nats: difference from which on they have parted.
-        pull: share of the slow reference that is mixed into the agent's own per frame while they are parted.
-        frames: for how many learning frames they were parted; 0 when they part.
+        apart_nats: difference from which on they count as diverged.
+        pull: share of the slow reference that is mixed into the agent's own per frame while they differ.
+        frames: for how many learning frames they had diverged; 0 when they diverge.
     """
 
     frame: int

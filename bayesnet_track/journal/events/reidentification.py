@@ -11,10 +11,10 @@ from bayesnet_track.journal.text.wording import distinct_texts, plural, round_aw
 
 @dataclass(frozen=True)
 class Recognition:
-    """The numbers by which a detection was compared with a target that is remembered.
+    """The numbers by which a detection was compared with a remembered target.
 
     Its odds against a new target are exp(fading + place + appearance); the probability is these odds divided
-    by 1 plus the odds of all targets that are remembered.
+    by 1 plus the odds of all remembered targets.
 
     Attributes:
         target: the target's id.
@@ -24,9 +24,9 @@ class Recognition:
         distance_px: distance of the detection from where its motion leads it.
         fading: log of g = exp(-away / reidentify.frames), nats.
         place: log of the frame's area times the density of its place there, nats.
-        appearance: log of the likelihood that its remembered looks give the box, over that of boxes elsewhere
-            (one in twenty is taken to look like it), nats.
-        agents: those that were asked about its appearance.
+        appearance: log of the likelihood of the box by its references, over that of boxes elsewhere (one in
+            twenty is assumed to look like it), nats.
+        agents: agents that scored its appearance.
         rival: what else it most probably is: another target's id, or new.
         rival_probability: the probability of that.
     """
@@ -46,7 +46,7 @@ class Recognition:
 
 @dataclass(frozen=True)
 class Returned:
-    """A target whose net had ended was recognised: a net is born with its identity and what it remembers.
+    """A target whose net had ended was recognised: a net starts with its identity and its references.
 
     Attributes:
         frame: frame at which it starts again.

@@ -52,7 +52,7 @@ class RunStarted:
 
 @dataclass(frozen=True)
 class RunEnded:
-    """Last line of a journal that was closed in order.
+    """Last line of a journal that was closed properly.
 
     Attributes:
         frames: frames read.

@@ -10,13 +10,13 @@ from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural
 
 @dataclass(frozen=True)
 class ParticlesResized:
-    """The number of hypotheses of an adaptive size is now a quarter above or below the one last written.
+    """The number of hypotheses of an adaptive size is now a quarter above or below the one last reported.
 
     Attributes:
         frame: the frame.
         target: target id.
         particles: the number of this frame.
-        before: the number that was last written, or the one at the start.
+        before: the number last reported, or the one at the start.
         method: kld, kld_revised, kld_revised_simplified, asymptotic_normal or likelihood_sum.
         need: the number that the method asked for, before rounding and bounds.
         limit: what kept the number away from the need: max, min, or ess (too few effective hypotheses to
@@ -31,7 +31,7 @@ class ParticlesResized:
         sd_px: sd of the field in the posterior, for asymptotic_normal.
         setting: the setting that the number depends on: error, error_px, error_sd or threshold.
         level: its value.
-        turning: its value at which the number would not have been written; null when no value is one.
+        turning: its value at which nothing would have been reported; null when there is none.
     """
 
     frame: int
@@ -62,7 +62,7 @@ class SecondPass:
         target: target id.
         method: second_pass or iterated.
         kl: KL(posterior || prior) of the first pass, nats; the larger one of its two halves.
-        above_kl: level above which a second pass is paid for.
+        above_kl: threshold above which a second pass is made.
         first: hypotheses of the first pass.
         particles: hypotheses drawn in addition.
         ess_first: effective hypotheses of the first pass.

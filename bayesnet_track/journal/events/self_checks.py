@@ -12,7 +12,7 @@ from bayesnet_track.journal.text.wording import held, show_turn
 
 @dataclass(frozen=True)
 class LocallyAdapted:
-    """An agent uncertain of itself tuned its own reference before stopping.
+    """An agent whose own likelihood was too wide sharpened it instead of stopping.
 
     Attributes:
         frame: frame whose numbers caused it.
@@ -31,7 +31,7 @@ class LocallyAdapted:
 
 @dataclass(frozen=True)
 class SelfStopped:
-    """An agent that stayed uncertain of itself stopped.
+    """An agent whose own likelihood stayed too wide stopped itself.
 
     Attributes:
         frame: frame whose numbers caused it.

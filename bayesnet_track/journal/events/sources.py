@@ -23,7 +23,7 @@ class FramesMissing:
 
 @dataclass(frozen=True)
 class FrameSizeChanged:
-    """The pictures change size or channels at this frame.
+    """The images change size or number of channels at this frame.
 
     Attributes:
         frame: the frame.
@@ -53,11 +53,11 @@ class SourceDamaged:
 
 @dataclass(frozen=True)
 class FramesDropped:
-    """Pictures of a live source were dropped, since something newer was there when the tracker was ready.
+    """Images of a live source were dropped, because newer ones had arrived when the tracker was ready.
 
     Attributes:
         frame: next frame to be read.
-        dropped: how many since the last line like this.
+        dropped: how many since the last such event.
     """
 
     frame: int
@@ -66,13 +66,13 @@ class FramesDropped:
 
 @dataclass(frozen=True)
 class SourceStalled:
-    """A live source gave no picture for a while; it is connected to anew.
+    """A live source delivered no image for a while; the program reconnects.
 
     Attributes:
         frame: next frame to be read.
-        seconds: wall-clock seconds since the last picture.
+        seconds: wall-clock seconds since the last image.
         reason: what was wrong.
-        attempt: how often that was tried since the last picture, this time included.
+        attempt: attempts to reconnect since the last image, this one included.
     """
 
     frame: int

@@ -11,14 +11,14 @@ from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, 
 
 @dataclass(frozen=True)
 class StatusChanged:
-    """A target was lost or found again, or is held uncertainly (the net stays as it is).
+    """The status of a target changed: tracking, uncertain or lost (the net stays as it is).
 
     Attributes:
         frame: frame whose numbers caused it.
         target: target id.
         status: tracking, uncertain or lost, from now on.
         cause: the numbers; None when every agent is off, or none saw it.
-        reason: why, when there is no cause; what else had to be when it was found again.
+        reason: why, when there is no cause; what else had to hold when it was found again.
     """
 
     frame: int

@@ -23,7 +23,7 @@ class Activated:
         governor: the inference node whose rule fired.
         cause: the numbers; None when it was switched on because no agent was active.
         helpfulness: mean contribution (nats) over the frames in which it was active; None when never measured
-            or when the rule does not go by it.
+            or when the rule does not use it.
         expected: agent -> expected information per declared cost, nats per ms, for every inactive agent it
             was chosen among by `information_per_ms`; infinite for one that was never active; else empty.
     """
@@ -47,8 +47,8 @@ class Deactivated:
         node: the agent.
         governor: the inference node whose rule fired.
         cause: the numbers.
-        drop: which index chose it: largest_kl, min_contribution_per_ms, min_information_per_ms or
-            most_expensive_redundant, most_expensive.
+        drop: which index chose it: largest_kl, min_contribution_per_ms, min_information_per_ms,
+            most_expensive_redundant or most_expensive.
         index: agent -> that index, for every active agent it was chosen among.
         sample_every: it is still evaluated in frames whose number this divides; 0 when it is not.
     """

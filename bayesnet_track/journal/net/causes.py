@@ -10,11 +10,11 @@ class Cause:
     """The numbers that made a threshold rule fire.
 
     Attributes:
-        unit: the level's unit: ud_px2, ud_box or ud_baseline.
-        level: the level in that unit.
+        unit: the threshold's unit: ud_px2, ud_box or ud_baseline.
+        level: the threshold in that unit.
         value: UD at this frame in that unit.
         frames: how many consecutive frames it had to hold.
-        turning: the level, in that unit, at which the rule would not have fired.
+        turning: the threshold, in that unit, at which the rule would not have fired.
         ud_px2: UD at this frame in px^2.
         scale_px2: px^2 per unit (1, the estimate's area, or the baseline).
     """
@@ -30,14 +30,14 @@ class Cause:
 
 @dataclass(frozen=True)
 class ScoreCause:
-    """The numbers that made a level of the score fire.
+    """The numbers that made a threshold of the score fire.
 
     Attributes:
-        level: the level, a probability of being on target.
+        level: the threshold, a probability of being on target.
         score: the score at this frame.
         frames: how many consecutive frames it had to be below, or not to be below.
-        turning: the level at which the status would have stayed: at or below it when the score fell, above it
-            when it rose.
+        turning: the threshold at which the status would have stayed: at or below it when the score fell,
+            above it when it rose.
         fell: whether the score fell below the level.
     """
 
@@ -50,13 +50,13 @@ class ScoreCause:
 
 @dataclass(frozen=True)
 class FitCause:
-    """The numbers that made a target be lost because nothing fitted it.
+    """The numbers by which a target was lost because no hypothesis fitted it.
 
     Attributes:
-        level: the level, `fit_below`: a likelihood as a share of that of a perfect match.
+        level: the threshold, `fit_below`: a likelihood as a share of that of a perfect match.
         fit: the best hypothesis' likelihood at this frame, as such a share.
         frames: how many consecutive frames it had to be below (UD too high counts as well).
-        turning: the level at or below which it would not have been lost; None when UD alone said so, too.
+        turning: the threshold at or below which it would not have been lost; None when UD alone said so, too.
     """
 
     level: float
@@ -74,7 +74,7 @@ class Concentration:
         within_box: radius of the window, in sqrt(w h) of the most probable state.
         confidence: confidence of the test.
         inside: share that lies inside at this frame.
-        trials: effective hypotheses that know it; infinite when it is exact.
+        trials: effective hypotheses, the trials of the test; infinite when the share is exact.
         vouched: largest `share` at which the test would say at this frame that the belief is concentrated.
         frames: how many consecutive frames it had to say so, or not to say so.
         turning: the `share` at which the rule would not have fired: at or below it for one that switches on,
