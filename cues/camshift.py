@@ -47,7 +47,8 @@ class CamShiftParameters(CueParameters):
         default=30,
         ge=1,
         le=255,
-        description="Pixels with a smaller difference of largest and smallest channel have no hue (of 255).",
+        description="Pixels with a smaller difference between largest and smallest channel have no hue (of "
+        "255).",
     )
     reach_sd: float = Field(
         default=2.0,
@@ -67,15 +68,18 @@ class CamShiftParameters(CueParameters):
         default=0.4,
         gt=0,
         lt=1,
-        description="Least back-projection in the box, as a share of that when learnt, else it is not seen.",
+        description="Smallest back-projection in the box at which the target is seen, as a share of that when"
+        " learnt.",
     )
     contrast_above: float = Field(
         default=1.5,
         gt=1,
-        description="Least back-projection in the box against that in the ring around it (ratio).",
+        description="Smallest ratio of the back-projection in the box to that in the ring around it.",
     )
-    max_steps: int = Field(default=20, ge=1, le=1000, description="Most shifts of the window (count).")
-    tolerance_px: float = Field(default=0.05, gt=0, description="A smaller shift ends the climb (px).")
+    max_steps: int = Field(
+        default=20, ge=1, le=1000, description="Largest number of shifts of the window (count)."
+    )
+    tolerance_px: float = Field(default=0.05, gt=0, description="The search ends with a smaller shift (px).")
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,8 @@ class ColorBlobsParameters(SizedCueParameters):
         default=30,
         ge=1,
         le=255,
-        description="Pixels with a smaller difference of largest and smallest channel have no hue (of 255).",
+        description="Pixels with a smaller difference between largest and smallest channel have no hue (of "
+        "255).",
     )
     median_px: Literal[1, 3, 5] = Field(
         default=3, description="Side of the median filter before hue is taken (px)."
@@ -53,7 +54,9 @@ class ColorBlobsParameters(SizedCueParameters):
     tolerance_deg: float = Field(
         default=15.0, ge=1.5, le=90, description="Largest hue difference of neighbours in one blob (degrees)."
     )
-    min_share: float = Field(default=0.05, gt=0, lt=1, description="Least size of a blob (share of the box).")
+    min_share: float = Field(
+        default=0.05, gt=0, lt=1, description="Smallest size of a blob (share of the box)."
+    )
     max_blobs: int = Field(default=6, ge=1, le=64, description="Blobs kept of each box, the largest (count).")
     sd_offset: float = Field(
         default=0.1, gt=0, description="Sd of a blob's centre (widths and heights of the box)."

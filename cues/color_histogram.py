@@ -48,7 +48,8 @@ class ColorHistogramParameters(SizedCueParameters):
         default=30,
         ge=1,
         le=255,
-        description="Pixels with a smaller difference of largest and smallest channel have no hue (of 255).",
+        description="Pixels with a smaller difference between largest and smallest channel have no hue (of "
+        "255).",
     )
     achromatic_distance: float = Field(
         default=0.5,
@@ -60,7 +61,8 @@ class ColorHistogramParameters(SizedCueParameters):
         default=0.03,
         gt=0,
         le=1,
-        description="Least distance at which the likelihood halves (share of the distance of opposite hues).",
+        description="Smallest distance at which the likelihood halves (share of the distance of opposite "
+        "hues).",
     )
 
 

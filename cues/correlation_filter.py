@@ -60,13 +60,15 @@ class CorrelationFilterParameters(SizedCueParameters):
     sharpness: float = Field(
         default=12.0,
         gt=0,
-        description="Log-likelihood between the filter's usual answer to the target and no answer (no unit).",
+        description="Log-likelihood between the filter's usual response to the target and no response (no "
+        "unit).",
     )
     context: float = Field(
         default=1.5,
         ge=0,
         le=6,
-        description="Surroundings that the filter sees in all, across and down (roots of the box's area).",
+        description="Width and height of the region that the filter sees, box included (roots of the box's "
+        "area).",
     )
     cells: int = Field(
         default=24, ge=8, le=64, multiple_of=2, description="Side of the filter, cells (count, even)."
@@ -270,7 +272,7 @@ def _make(parameters: CorrelationFilterParameters) -> Cue:
 
 CUE = CueDeclaration(
     name="correlation_filter",
-    summary="Answer of a correlation filter on oriented gradients and colour, learnt online.",
+    summary="Response of a correlation filter on oriented gradients and colour, learnt online.",
     parameters=CorrelationFilterParameters,
     make=_make,
     cost_ms=3.0,

@@ -38,21 +38,22 @@ class DetectionParameters(CueParameters):
         default=0.999,
         gt=0,
         le=1,
-        description="A detection farther from the prediction than this share of right ones is not the "
+        description="A detection farther from the prediction than this share of correct ones is not the "
         "target's (0..1).",
     )
     min_overlap: float = Field(
         default=0.2,
         ge=0,
         le=1,
-        description="Nor is one that overlaps the predicted box by less (intersection over union).",
+        description="A detection that overlaps the predicted box by less is not the target's (intersection "
+        "over union).",
     )
     appearance: float = Field(
         default=0.0,
         ge=0,
         le=10,
-        description="How much agents that know looks say in whose a detection is (exponent of their "
-        "likelihood; 0: place alone).",
+        description="Weight of the agents of appearance in the assignment (exponent of their likelihood; 0: "
+        "place alone).",
     )
 
 
@@ -92,7 +93,8 @@ class Detection:
 
 CUE = CueDeclaration(
     name="detection",
-    summary="The detection that is the target's, by where it is expected and by looks: a place and a size.",
+    summary="The detection assigned to the target, by expected place and appearance: measures place "
+    "and size.",
     parameters=DetectionParameters,
     make=Detection,
     cost_ms=0.05,

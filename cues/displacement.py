@@ -42,7 +42,7 @@ from bayesnet_track.observation.planes import Plane, Planes
 class DisplacementParameters(CueParameters):
     """Parameters of the displacement cue."""
 
-    points: int = Field(default=24, ge=1, le=200, description="Most points that are tracked, count.")
+    points: int = Field(default=24, ge=1, le=200, description="Largest number of tracked points, count.")
     spacing_px: int = Field(
         default=6, ge=3, le=128, description="Width of the lattice cells that hold one point each, pixels."
     )
@@ -57,12 +57,12 @@ class DisplacementParameters(CueParameters):
     min_gradient_gray: float = Field(
         default=2.0,
         gt=0,
-        description="Least gradient of a point in its weakest direction, gray levels of 255 per pixel.",
+        description="Smallest gradient of a point in its weakest direction, gray levels of 255 per pixel.",
     )
     sd_gray: float = Field(
         default=8.0,
         gt=0,
-        description="Standard deviation of the difference between patch and picture, gray levels of 255.",
+        description="Standard deviation of the difference between patch and image, gray levels of 255.",
     )
     sd_motion_px: float = Field(
         default=1.0,
@@ -80,14 +80,14 @@ class DisplacementParameters(CueParameters):
         "the largest probability.",
     )
     min_seen: float = Field(
-        default=0.25, gt=0, le=1, description="Least share of the points whose patch must fit somewhere."
+        default=0.25, gt=0, le=1, description="Smallest share of the points whose patch must fit somewhere."
     )
     correlation: float = Field(
         default=0.2,
         ge=0,
         le=1,
-        description="Correlation of the points' errors: n of them have the mean variance of one, times "
-        "(1 + (n - 1) of this) / n.",
+        description="Correlation c of the points' errors: the mean of n has the variance of one times (1 + (n"
+        " - 1) c) / n.",
     )
 
 

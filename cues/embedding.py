@@ -48,23 +48,27 @@ class EmbeddingParameters(SizedCueParameters):
     input_width: int = Field(default=16, ge=2, le=1024, description="Width of the network's input (px).")
     input_height: int = Field(default=16, ge=2, le=1024, description="Height of the network's input (px).")
     scale: float = Field(
-        default=1 / 255, gt=0, description="Gray levels are multiplied by this, after the mean is taken off."
+        default=1 / 255, gt=0, description="Gray levels are multiplied by this, after the mean is subtracted."
     )
     mean: tuple[float, float, float] = Field(
-        default=(0.0, 0.0, 0.0), description="Taken off the channels in the network's order (gray levels)."
+        default=(0.0, 0.0, 0.0),
+        description="Subtracted from the channels, in the network's order (gray levels).",
     )
     channels: Literal["rgb", "bgr"] = Field(default="rgb", description="Order of the network's channels.")
     max_crops: int = Field(
-        default=400, ge=1, le=10000, description="Most crops per frame; hypotheses share them (count)."
+        default=400,
+        ge=1,
+        le=10000,
+        description="Largest number of crops per frame; hypotheses share them (count).",
     )
     step: float = Field(
         default=0.1,
         gt=0,
         le=1,
-        description="Distance of crops where that needs no more than `max_crops` (sides of the box).",
+        description="Distance between crops if that needs no more than `max_crops` (sides of the box).",
     )
     alpha_min: float = Field(
-        default=0.02, gt=0, le=1, description="Least distance at which the likelihood halves (0..1)."
+        default=0.02, gt=0, le=1, description="Smallest distance at which the likelihood halves (0..1)."
     )
 
 

@@ -85,7 +85,10 @@ class ForegroundColorParameters(SizedCueParameters):
         description="How fast the wide ring is forgotten, as a share of the learning rate.",
     )
     prior: float = Field(
-        default=0.5, ge=0, le=1, description="Probability that a colour seen in neither is the target's."
+        default=0.5,
+        ge=0,
+        le=1,
+        description="Probability that a colour in neither of the two is the target's.",
     )
 
 

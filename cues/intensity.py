@@ -81,14 +81,15 @@ class IntensityParameters(SizedCueParameters):
         default=0,
         ge=0,
         le=16,
-        description="Cells per side of a first look at every hypothesis, before `grid` of them; 0 is without "
-        "(count). It pays for grids of 16 cells and more.",
+        description="Cells per side of a coarse first comparison of every hypothesis; 0: none (count). It "
+        "saves time for grids of 16 cells and more.",
     )
     coarse_below: float = Field(
         default=0.05,
         gt=0,
         lt=1,
-        description="Likelihood at the first look below which a hypothesis keeps it (share of the best).",
+        description="Likelihood by the first comparison below which a hypothesis keeps it (share of the "
+        "best).",
     )
 
 

@@ -43,15 +43,15 @@ from bayesnet_track.vision.point_tracking import (
 class KltParameters(CueParameters):
     """Parameters of the KLT tracker."""
 
-    points: int = Field(default=40, ge=1, le=100, description="Most points that are followed (count).")
-    spacing_px: float = Field(default=5.0, ge=1, description="Least distance between two points (px).")
+    points: int = Field(default=40, ge=1, le=100, description="Largest number of tracked points (count).")
+    spacing_px: float = Field(default=5.0, ge=1, description="Smallest distance between two points (px).")
     inner: float = Field(
         default=0.8, gt=0, le=1, description="Points lie in this share of the box's sides about its centre."
     )
     min_gradient_gray: float = Field(
         default=2.0,
         gt=0,
-        description="Least gradient of a point in its weakest direction (gray levels of 255 per px).",
+        description="Smallest gradient of a point in its weakest direction (gray levels of 255 per px).",
     )
     half_window_px: int = Field(
         default=5, ge=2, le=15, description="A patch reaches this far around its point (px of each level)."
@@ -66,26 +66,27 @@ class KltParameters(CueParameters):
         "the motion of all takes it (px).",
     )
     max_scale: float = Field(
-        default=1.5, gt=1, description="Largest change of size since the last look (factor)."
+        default=1.5,
+        gt=1,
+        description="Largest change of size since the last frame in which it was seen (factor).",
     )
     min_correlation: float = Field(
         default=0.6,
         ge=-1,
         le=1,
-        description="Least correlation of a point's patch with what it was when it was chosen (no unit).",
+        description="Smallest correlation of a point's patch with that of the frame in which it was chosen "
+        "(no unit).",
     )
     min_seen: float = Field(
-        default=0.3, gt=0, le=1, description="Least share of the points that must agree, else it is not seen."
+        default=0.3, gt=0, le=1, description="Smallest share of agreeing points at which the target is seen."
     )
     patience: float = Field(
         default=10.0,
         ge=0,
-        description="So long it looks for points that it does not find before it takes new ones where the "
-        "target is said to be (frame intervals).",
+        description="How long missing points are searched for before new ones are chosen at the estimate "
+        "(frame intervals).",
     )
-    sd_px: float = Field(
-        default=0.5, gt=0, description="Error of the place that remains however many points agree (px)."
-    )
+    sd_px: float = Field(default=0.5, gt=0, description="Error of the place with however many points (px).")
     sd_log_size: float = Field(
         default=0.02, gt=0, description="The same of the size, in its logarithm (no unit)."
     )

@@ -57,10 +57,12 @@ class MeanShiftParameters(CueParameters):
         default=0.5,
         gt=0,
         lt=1,
-        description="Least share of the target's colours under the window, else it is not seen.",
+        description="Smallest share of the target's colours under the window at which the target is seen.",
     )
-    max_steps: int = Field(default=20, ge=1, le=1000, description="Most shifts of each window (count).")
-    tolerance_px: float = Field(default=0.05, gt=0, description="A smaller shift ends the climb (px).")
+    max_steps: int = Field(
+        default=20, ge=1, le=1000, description="Largest number of shifts of each window (count)."
+    )
+    tolerance_px: float = Field(default=0.05, gt=0, description="The search ends with a smaller shift (px).")
 
 
 @dataclass(frozen=True)

@@ -43,11 +43,11 @@ class MotionParameters(SizedCueParameters):
     flow: Literal["sparse", "dense", "odp"] = Field(
         default="sparse",
         description="How flow is found: at corners by Lucas and Kanade's method, or for every pixel by dense "
-        "inverse search or by orthogonal dynamic programming (dear: for small boxes).",
+        "inverse search or by orthogonal dynamic programming (expensive: for small boxes).",
     )
     camera: Literal["ignore", "auto", "compensate"] = Field(
         default="ignore",
-        description="Whether the camera's motion is taken off all flow: never, where the picture clearly "
+        description="Whether the camera's motion is subtracted from all flow: never, if the image clearly "
         "moves as a whole, or whenever it can be estimated.",
     )
     compare: Literal["mean", "each"] = Field(
@@ -69,7 +69,7 @@ class MotionParameters(SizedCueParameters):
     min_gradient_gray: float = Field(
         default=3.0,
         gt=0,
-        description="Least gradient of a point in its weakest direction, gray levels of 255 per pixel.",
+        description="Smallest gradient of a point in its weakest direction, gray levels of 255 per pixel.",
     )
     half_window_px: int = Field(
         default=5,
@@ -78,12 +78,12 @@ class MotionParameters(SizedCueParameters):
         description="`sparse`: the matched patch reaches this far around a corner, pixels of each level.",
     )
     reach_px: int = Field(
-        default=24, ge=4, le=128, description="Largest displacement that is looked for, pixels in x and in y."
+        default=24, ge=4, le=128, description="Largest displacement that can be found, pixels in x and in y."
     )
     agree_px: float = Field(
         default=1.0,
         gt=0,
-        description="Largest distance between a point and where tracking there and back takes it, pixels.",
+        description="Largest error of tracking a point forward and back again, pixels.",
     )
     coherent_px: float | None = Field(
         default=None,

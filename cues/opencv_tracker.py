@@ -38,7 +38,7 @@ class OpencvTrackerParameters(CueParameters):
     """Parameters of an OpenCV tracker."""
 
     tracker: TrackerName = Field(
-        default="MIL", description="OpenCV's name of the tracker; which there are depends on the wheel."
+        default="MIL", description="OpenCV's name of the tracker; the wheel decides which are available."
     )
     models: dict[str, str] = Field(
         default={},
@@ -52,20 +52,20 @@ class OpencvTrackerParameters(CueParameters):
         default=0.3,
         ge=-1,
         le=1,
-        description="Least correlation of what it finds with what was last learnt, else it is not seen; "
-        "-1 believes the tracker.",
+        description="Smallest correlation of what it finds with what was last learnt; below, the target is "
+        "not seen; -1: trust the tracker.",
     )
     patience: int = Field(
         default=10,
         ge=0,
-        description="After so many frames in which it does not find the target it starts at the estimate "
+        description="Number of frames without the target after which it starts again at the estimate "
         "(frames).",
     )
     restart_below: float = Field(
         default=0.2,
         ge=0,
         le=1,
-        description="It starts anew where its box overlaps the estimate by less (intersection over union).",
+        description="It starts again if its box overlaps the estimate by less (intersection over union).",
     )
 
 

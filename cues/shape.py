@@ -72,14 +72,14 @@ class ShapeParameters(CueParameters):
         default=8.0,
         gt=0,
         le=100,
-        description="Gradient at which an edge starts, gray levels of 255 per pixel; local action tries half "
-        "and twice of it.",
+        description="Gradient at which an edge starts, gray levels of 255 per pixel; the local action tries "
+        "half and twice this value.",
     )
     blur_px: float = Field(
         default=1.0,
         ge=0,
         le=8,
-        description="Standard deviation of the Gaussian that smooths the picture before the edges, pixels.",
+        description="Standard deviation of the Gaussian that smooths the image before the edges, pixels.",
     )
     sharpness: float = Field(
         default=1.0, gt=0, description="Factor on the log-likelihood before the floor (no unit)."

@@ -43,7 +43,7 @@ class SiameseParameters(CueParameters):
     )
     without_files: Literal["plain", "refuse"] = Field(
         default="plain",
-        description="Without model files plain pixels stand in, for trying out a graph; or no run starts.",
+        description="Without model files: use plain pixels, to try out a graph, or refuse to start.",
     )
     sharpness: float = Field(
         default=6.0,

@@ -68,22 +68,27 @@ class StereoParameters(SizedCueParameters):
     )
     matcher: Literal["correlation", "semi_global"] = Field(
         default="correlation",
-        description="How the eyes are matched: normalised correlation or OpenCV's semi-global matching.",
+        description="How the two images are matched: by normalised correlation or by semi-global matching.",
     )
     window_px: int = Field(default=7, ge=3, le=21, description="Side of the matched window, odd (px).")
     min_texture_gray: float = Field(
         default=1.5,
         ge=0,
-        description="`correlation`: least sd of the filtered window (gray levels of 255); flat areas go.",
+        description="`correlation`: smallest sd of the filtered window (gray levels of 255); removes flat "
+        "areas.",
     )
     min_correlation: float = Field(
-        default=0.6, ge=0, le=1, description="`correlation`: least correlation of a match; occlusions go."
+        default=0.6,
+        ge=0,
+        le=1,
+        description="`correlation`: smallest correlation of a match; removes occlusions.",
     )
     min_difference: float = Field(
         default=0.1,
         ge=0,
         le=1,
-        description="`correlation`: least relative difference of the two highest peaks; repetitions go.",
+        description="`correlation`: smallest relative difference of the two highest peaks; removes "
+        "repetitions.",
     )
     separation_px: int = Field(
         default=2, ge=0, le=100, description="`correlation`: peaks nearer than this are one (px)."
@@ -93,7 +98,7 @@ class StereoParameters(SizedCueParameters):
     camera_height_m: float | None = Field(
         default=None,
         gt=0,
-        description="Height of the camera above the floor (m); without it none is cut off.",
+        description="Height of the camera above the floor (m); without it the floor is not removed.",
     )
     pitch_deg: float = Field(
         default=0.0, ge=-90, le=90, description="How far the camera looks down (degrees)."
@@ -101,7 +106,7 @@ class StereoParameters(SizedCueParameters):
     min_elevation_m: float = Field(default=0.1, description="Points lower than this are floor (m).")
     max_elevation_m: float = Field(default=2.5, description="Points higher than this are no target (m).")
     min_region_px: int = Field(
-        default=40, ge=1, le=400, description="Least size of a connected smooth region (pixels)."
+        default=40, ge=1, le=400, description="Smallest size of a connected smooth region (pixels)."
     )
 
     @field_validator("window_px")

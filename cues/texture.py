@@ -46,11 +46,14 @@ class TextureParameters(SizedCueParameters):
     form: Literal["gradients", "patterns"] = Field(
         default="gradients",
         description="Code of a pixel: direction of its `gradients`, or its local binary `patterns`, which do "
-        "not change when the target turns in the picture.",
+        "not change when the target rotates in the image.",
     )
     cells: int = Field(default=3, ge=1, le=8, description="Cells of the box per side (count).")
     noise_gray: int = Field(
-        default=8, ge=0, le=255, description="Differences of neighbours up to this are none (gray levels)."
+        default=8,
+        ge=0,
+        le=255,
+        description="Differences between neighbours up to this count as none (gray levels).",
     )
     alpha_share: float = Field(
         default=0.5,
@@ -59,7 +62,7 @@ class TextureParameters(SizedCueParameters):
         description="Distance at which the likelihood halves, as a share of that of boxes half a box away.",
     )
     alpha_min: float = Field(
-        default=0.05, gt=0, le=1, description="Least distance at which the likelihood halves (0..1)."
+        default=0.05, gt=0, le=1, description="Smallest distance at which the likelihood halves (0..1)."
     )
 
 

@@ -226,16 +226,17 @@ class AgentNode(Model):
     )
     on: Literal["engine", "process"] | None = Field(
         default=None,
-        description="where it works, which changes no result: `engine`, in the engine's own process; "
-        "`process`, in a worker process, which it may crash or hang; default: as `--executor` has it",
+        description="where it runs, without effect on results: `engine`, in the engine's own process; "
+        "`process`, in a worker process, so that the run survives its crash or hang; default: as "
+        "`--executor` says",
     )
 
 
 class FactorNode(Model):
     """A leaf that weighs each hypothesis by an [expression](expressions.md) instead of looking at the image.
 
-    Its density multiplies what the node above it says, in a pool with the exponent 1. It is always on: no
-    rule switches it, and it has no KL and no contribution of its own.
+    Its density multiplies the likelihood of the node above it, in a pool with the exponent 1. It is always
+    on: no rule switches it, and it has no KL and no contribution of its own.
 
     Example::
 

@@ -10,7 +10,7 @@ from bayesnet_track.graph.text.messages import GraphMessage
 
 
 def tests_in_order(plate: Plate) -> Iterator[GraphMessage]:
-    """What switches an agent off asks for no less concentration than what leaves it off."""
+    """`deactivate` asks for no less concentration than `activate`, or both could hold at once."""
     for name, node in plate.inference.items():
         adapt = node.adapt
         if adapt is None or adapt.activate is None or adapt.deactivate is None:
@@ -42,7 +42,7 @@ def _looser(
 
 
 def information_has_effect(plate: Plate) -> Iterator[GraphMessage]:
-    """What is remembered of agents' information serves a rule, and so does the hope of the unknown."""
+    """`information` needs a rule by information, `exploration` needs `which: information_per_ms`."""
     for name, node in plate.inference.items():
         adapt = node.adapt
         if adapt is None or adapt.information == Information():
@@ -62,7 +62,7 @@ def information_has_effect(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def dispensable_by_levels(plate: Plate) -> Iterator[GraphMessage]:
-    """What can be spared is told by levels of UD, not by tests."""
+    """`drop: most_expensive_redundant` needs thresholds of UD, not tests."""
     for name, node in plate.inference.items():
         adapt = node.adapt
         if adapt is None or adapt.deactivate is None or adapt.deactivate.drop != "most_expensive_redundant":

@@ -56,7 +56,7 @@ def parameters_fit_the_cue(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def cues_have_what_they_need(plate: Plate) -> Iterator[GraphMessage]:
-    """What an agent's parameters ask for is there: parts of other libraries, files."""
+    """Files and parts of other libraries that an agent's parameters need are there."""
     for name, node in plate.agents.items():
         declaration = plate.cues.get(node.agent.cue)
         if declaration is None or declaration.missing is None:

@@ -22,7 +22,7 @@ SHARED = 0.5
 
 
 def evidence_counts_once(plate: Plate) -> Iterator[GraphMessage]:
-    """Two agents that compute the same do not meet in a product; in a pool their weights share it.
+    """Two agents that compute the same are not multiplied, which would count it twice; a pool may hold them.
 
     For a sound tree. Thesis 2.6: colour is counted once by a node of its own. Agents that look at parts of
     the target compute the same where half of one part lies in the other.

@@ -31,7 +31,7 @@ def constants_have_their_own_names(spec: GraphSpec, at: Positions) -> Iterator[G
 
 
 def factors_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
-    """Every factor is an expression of names that there are at its node."""
+    """Every factor is an expression of names that exist at its node."""
     for name, node in plate.factors.items():
         try:
             parse(node.factor, names_at(plate, str(node.parent)))

@@ -28,7 +28,7 @@ def grid_holds_the_motion(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def grid_resets_at_one_level(plate: Plate) -> Iterator[GraphMessage]:
-    """A level of gamma is stated, or the rate of false resets that it follows from."""
+    """`reset` has a threshold of gamma or a rate of false resets, not both."""
     for name, node in plate.inference.items():
         reset = node.belief.grid.reset if node.belief is not None and node.belief.grid is not None else None
         if reset is not None and reset.below is not None and reset.false_rate is not None:

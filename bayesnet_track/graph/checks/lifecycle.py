@@ -45,7 +45,7 @@ def parameters_fit_the_detector(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def recall_has_a_detector(plate: Plate) -> Iterator[GraphMessage]:
-    """`reidentify` stands beside `birth`: without detections nothing is there to be recognised."""
+    """`reidentify` needs `birth`: without detections there is nothing to recognise."""
     if plate.spec.reidentify is not None and plate.spec.birth is None:
         yield _message(
             plate, ("reidentify",), "reidentify without birth", "birth, too, or no such key", on_key=True
@@ -53,7 +53,7 @@ def recall_has_a_detector(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def associating_agents_have_births(plate: Plate) -> Iterator[GraphMessage]:
-    """An agent that measures by detections stands beside `birth`, whose detector gives them."""
+    """An agent that measures by detections needs `birth`, whose detector gives them."""
     for name, node in plate.agents.items():
         declaration = plate.cues.get(node.agent.cue)
         if declaration is not None and declaration.reads_detection and plate.spec.birth is None:

@@ -47,7 +47,7 @@ def size_is_drawn_back_from_somewhere(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def belief_holds_the_motion(plate: Plate) -> Iterator[GraphMessage]:
-    """A grid is moved by no camera and keeps no size; only particles of a fixed size, drawn anew, jump."""
+    """A grid takes no `camera`, no `size_reversion`; `relocalize` needs particles of a fixed size."""
     for name, key, settings in _moving(plate):
         belief = plate.inference[name].belief
         if belief is not None and belief.grid is not None:

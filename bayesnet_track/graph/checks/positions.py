@@ -9,7 +9,7 @@ from bayesnet_track.graph.text.messages import GraphMessage
 
 
 def what_cannot_be_sent_stays(plate: Plate) -> Iterator[GraphMessage]:
-    """A cue that keeps something which cannot be stored cannot be sent to a worker process, either."""
+    """A cue whose state cannot be stored cannot be sent to a worker process, either."""
     for name, node in plate.agents.items():
         declaration = plate.cues.get(node.agent.cue)
         if node.on == "process" and declaration is not None and declaration.opaque:

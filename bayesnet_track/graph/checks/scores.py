@@ -10,7 +10,7 @@ from bayesnet_track.graph.text.messages import GraphMessage
 
 
 def score_serves_its_users(plate: Plate) -> Iterator[GraphMessage]:
-    """Levels of the score, and what is wide while it is low, need a score that is a probability."""
+    """`lost.score_below`, `lost_sd_box` and `distractors` need a `score`, which is a probability."""
     for name, node in plate.inference.items():
         if node.parent is not None or node.score is not None:
             continue
@@ -27,7 +27,7 @@ def score_serves_its_users(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def score_levels_in_order(plate: Plate) -> Iterator[GraphMessage]:
-    """Lost lies below uncertain, and one rule says when a target is lost."""
+    """`score_below` lies below `uncertain_below`, and one rule decides when a target is lost."""
     for name, node in plate.inference.items():
         rule = node.lost
         if rule is None:
@@ -45,7 +45,7 @@ def score_levels_in_order(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def distractors_are_noticed(plate: Plate) -> Iterator[GraphMessage]:
-    """A doubt makes the score one half: a level of uncertainty has to lie above."""
+    """`distractors` limit the score to one half, so they need an `uncertain_below` above it."""
     for name, node in plate.inference.items():
         high = None if node.lost is None else node.lost.uncertain_below
         if node.distractors is not None and (high is None or high <= 0.5):
@@ -58,7 +58,7 @@ def distractors_are_noticed(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def localization_error_is_larger_when_lost(plate: Plate) -> Iterator[GraphMessage]:
-    """Off target it is farther away than on target."""
+    """`lost_sd_box` is larger than `sd_box`."""
     for name, node in plate.inference.items():
         error = node.localization_error
         if error is not None and error.lost_sd_box is not None and error.lost_sd_box <= error.sd_box:

@@ -18,7 +18,7 @@ from bayesnet_track.graph.text.messages import GraphMessage
 
 
 def noise_is_there(plate: Plate) -> Iterator[GraphMessage]:
-    """A random walk takes steps, and a latent state differs from its parent's."""
+    """A random walk has noise, and so has a latent state around its parent's."""
     allowed = "an sd above 0, such as {sd_px: {x: 20, y: 20}}"
     for name, node in plate.inference.items():
         if (
@@ -63,7 +63,7 @@ def weights_name_the_children(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def thresholds_in_order(plate: Plate) -> Iterator[GraphMessage]:
-    """Off lies below on, and learning below loss, where their units are the same."""
+    """`deactivate.below` is below `activate.above`, and `learn.below` below `lost.above`, in equal units."""
     for name, node in plate.inference.items():
         adapt = node.adapt
         on = None if adapt is None or adapt.activate is None else adapt.activate.above

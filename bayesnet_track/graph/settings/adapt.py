@@ -10,7 +10,7 @@ from bayesnet_track.graph.settings.base import Choice, FrameCount, Model, NotNeg
 
 
 class Level(Choice):
-    """A level of the uncertainty deviation UD."""
+    """A threshold of the uncertainty deviation UD."""
 
     ud_px2: Positive | None = Field(default=None, description="in px^2")
     ud_box: Positive | None = Field(default=None, description="as a share of the estimate's area w h")
@@ -18,11 +18,11 @@ class Level(Choice):
 
 
 class Concentrated(Model):
-    """The belief lies around one mode: a binomial test can say so with `confidence` (thesis 6.2).
+    """The belief lies around one mode, as a binomial test shows with `confidence` (thesis 6.2).
 
-    It says so when at least `share` of the belief must have its centre within `within_box` of the most
-    probable state's. Trials are the effective hypotheses, 1 / sum w^2: with few of them it cannot say so
-    whatever they hold (29 are needed for 0.9 at 0.95). A Gaussian and a grid know the share exactly.
+    The test passes when at least `share` of the belief must have its centre within `within_box` of the most
+    probable state's. Its trials are the effective hypotheses, 1 / sum w^2: with few of them it cannot pass
+    (29 are needed for 0.9 at 0.95). For a Gaussian and a grid the share is exact.
     """
 
     share: Annotated[Number, Field(gt=0, lt=1)] = Field(
@@ -35,23 +35,23 @@ class Concentrated(Model):
 
 
 class Condition(Choice):
-    """What a test says of the belief."""
+    """A test of the belief."""
 
     concentrated: Concentrated | None = Field(default=None, description="it lies around one mode")
 
 
 class Activate(Model):
-    """Switch agents on when UD stays above a level, or as long as a test cannot say that all is well."""
+    """Switch agents on when UD stays above a threshold, or while a test shows no concentrated belief."""
 
-    above: Level | None = Field(default=None, description="level of UD; this or `unless`")
+    above: Level | None = Field(default=None, description="threshold of UD; this or `unless`")
     unless: Condition | None = Field(default=None, description="a test of the belief; this or `above`")
     frames: FrameCount = Field(
-        default=1, description="consecutive frames above the level, or without what the test asks for"
+        default=1, description="consecutive frames above the threshold, or in which the test fails"
     )
     which: Literal["all", "most_helpful", "information_per_ms"] = Field(
         default="all",
-        description="every inactive agent; the one that contributed most while active; or the one of which "
-        "most information per declared cost is expected, all while the target is lost",
+        description="every inactive agent; the one that contributed most while active; or the one with the "
+        "most expected information per declared cost (every one while the target is lost)",
     )
 
     @model_validator(mode="after")
@@ -62,12 +62,12 @@ class Activate(Model):
 
 
 class Deactivate(Model):
-    """Switch one agent off when UD stays below a level, or a test keeps saying that all is well."""
+    """Switch one agent off when UD stays below a threshold, or while a test shows a concentrated belief."""
 
-    below: Level | None = Field(default=None, description="level of UD; this or `when`")
+    below: Level | None = Field(default=None, description="threshold of UD; this or `when`")
     when: Condition | None = Field(default=None, description="a test of the belief; this or `below`")
     frames: FrameCount = Field(
-        default=5, description="consecutive frames below the level, or with what the test asks for"
+        default=5, description="consecutive frames below the threshold, or in which the test passes"
     )
     drop: Literal[
         "largest_kl",
@@ -79,8 +79,8 @@ class Deactivate(Model):
         default="largest_kl",
         description="which one: the largest KL(belief || agent); the smallest KL(belief || belief without "
         "it) per declared cost in this frame; the same, averaged over the frames in which it was active; the "
-        "largest declared cost among those without which UD, in this frame, would stay below the level that "
-        "switches agents on; or the largest declared cost",
+        "largest declared cost among those without which UD, in this frame, would stay below the "
+        "threshold that switches agents on; or the largest declared cost",
     )
     sample_every: Annotated[Whole, Field(ge=2, le=1000)] | None = Field(
         default=None,
@@ -123,8 +123,8 @@ class Adapt(Model):
 class Guard(Model):
     """A second, slow reference per agent keeps the first one from learning its own errors.
 
-    Agents that know the target by its looks have one; what another remembers, such as a speed, has to change.
-    In each `every`-th frame that would be learnt from, both score the estimate. Where the slow one's
+    Agents that know the target by its appearance have one; others remember what has to change, such as a
+    speed. In every `every`-th frame in which references learn, both score the estimate. If the slow one's
     likelihood is lower by more than `apart_nats`, the agent does not learn, and its reference moves toward
     the slow one by `pull`. Else the slow one moves toward the first by `rate`.
     """
@@ -133,12 +133,12 @@ class Guard(Model):
         default=0.002, description="rate of the slow reference per frame; 0 keeps the one of the first frame"
     )
     apart_nats: Positive = Field(
-        default=1.0, description="difference of log-likelihoods from which on the two have parted, nats"
+        default=1.0, description="difference of log-likelihoods from which on the two count as diverged, nats"
     )
     every: FrameCount = Field(default=5, description="frames between comparisons")
     pull: Annotated[Number, Field(ge=0, le=1)] = Field(
         default=0.05,
-        description="share of the slow reference that is mixed in per frame while they are parted",
+        description="share of the slow reference that is mixed in per frame while they differ",
     )
 
 
@@ -155,9 +155,9 @@ class Learn(Model):
 
 
 class Lost(Model):
-    """The target counts as lost while UD is above a level or nothing fits, until neither held as long.
+    """The target is lost when UD is above a threshold or nothing fits, until neither has held for as long.
 
-    With `score_below` the score alone says so, which then has to be a probability (`score`): lost below it,
+    With `score_below` the score alone decides, and has to be a probability (`score`): lost below it,
     uncertain below `uncertain_below`, else tracked, each from the last of `frames` consecutive frames on.
     While a target is uncertain, references do not learn and baselines are not measured.
     """
@@ -177,7 +177,7 @@ class Lost(Model):
 
 
 class SelfCheck(Model):
-    """An agent watches its own uncertainty: acts locally, then stops itself.
+    """An agent whose own likelihood is too wide first tries to sharpen it, then stops itself.
 
     After a self-stop the agent may be switched on again only after `rest` frames, by the `activate` rule
     above it (or when no agent is left); each further self-stop doubles its rest, so that it cannot oscillate.

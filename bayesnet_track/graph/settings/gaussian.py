@@ -28,8 +28,8 @@ class Unscented(Model):
 class Gaussian(Model):
     """One mean and one covariance: the Kalman family.
 
-    Takes what agents measure as it is (the Kalman update), and likelihoods that agents give by matching
-    moments over hypotheses of the prediction. One mode only: where two places are likely, take particles.
+    Measurements of agents enter by the Kalman update, likelihoods by matching moments over hypotheses drawn
+    from the prediction. There is one mode only: if two places are likely, use particles.
     """
 
     filter: Literal["kalman", "extended", "unscented"] = Field(
@@ -39,15 +39,16 @@ class Gaussian(Model):
     )
     likelihood: Literal["samples", "sigma_points"] = Field(
         default="samples",
-        description="where agents' likelihoods are asked for: samples of the prediction, or 2 D + 1 sigma "
-        "points: cheaper, right for likelihoods with one mode that are broader than the prediction",
+        description="where agents evaluate their likelihoods: at samples of the prediction, or at 2 D + 1 "
+        "sigma points, which is cheaper, and accurate for likelihoods with one mode that are "
+        "broader than the prediction",
     )
     samples: Annotated[Whole, Field(ge=20, le=1_000_000)] = Field(
         default=200, description="number of samples of the prediction"
     )
     gate: Share = Field(
         default=0.99,
-        description="a measurement farther from the prediction than this share of right ones is not used; "
-        "1: every one is",
+        description="a measurement farther from the prediction than this share of correct ones is not used; "
+        "1: all are used",
     )
     sigma: Unscented = Field(default=Unscented(), description="sigma points of the `unscented` filter")

@@ -22,8 +22,8 @@ class Reset(Model):
     """What happens when a frame's evidence is not feasible under the predicted belief.
 
     gamma = E L under the prediction / mean L over a region U (General Distribution Filter, eq. 5). Its value
-    depends on U, and so does the level that suits it: 1 for the belief's own bounding box; for the whole
-    image the level at which a right prediction would be reset in `false_rate` of the frames.
+    depends on U, and so does a suitable threshold: 1 for the belief's own bounding box; for the whole image
+    the one at which a correct prediction would be reset in `false_rate` of the frames.
     """
 
     region: Literal["belief", "image"] = Field(
@@ -34,7 +34,8 @@ class Reset(Model):
     )
     false_rate: Annotated[Number, Field(gt=0, lt=0.5)] | None = Field(
         default=None,
-        description="instead of `below`: share of frames of a right prediction; default 0.001 for the image",
+        description="instead of `below`: share of frames in which a correct prediction is reset; default "
+        "0.001 for the image",
     )
     then: Literal["reset", "ignore"] = Field(
         default="reset",
@@ -52,7 +53,8 @@ class Grid(Model):
 
     cell_px: Positive = Field(default=2.0, description="width and height of a cell, px")
     window: Annotated[Whole, Field(ge=8, le=512)] = Field(
-        default=128, description="most cells in x and in y; what lies further from the mean is cut off"
+        default=128,
+        description="largest number of cells in x and in y; what lies further from the mean is cut off",
     )
     velocity_cells: Odd = Field(default=9, description="cells per axis of the velocity, odd")
     velocity_cell_px: Positive = Field(
@@ -65,11 +67,11 @@ class Grid(Model):
         default=0.05, description="spacing of these cells"
     )
     cut: Annotated[Number, Field(ge=0, le=0.1)] = Field(
-        default=1e-4, description="share of the prior's mass at whose cells no evidence is taken"
+        default=1e-4, description="share of the prior's mass whose cells are not evaluated"
     )
     forget: Annotated[Number, Field(ge=1)] = Field(
         default=1.0, description="k: the prediction's density is raised to 1/k before each measurement"
     )
     reset: Reset | None = Field(
-        default=None, description="what to do about evidence that is not feasible; absent: nothing"
+        default=None, description="what to do if evidence is not feasible; default: nothing"
     )

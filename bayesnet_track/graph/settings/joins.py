@@ -22,22 +22,22 @@ class Exclusion(Model):
     """Two targets cannot be explained by the same pixels.
 
     Where two boxes overlap, the pixels give evidence for the one in front only. Without `occlusion` either
-    may be in front, anew in every frame.
+    may be in front, independently in every frame.
     """
 
     nats: NotNegative = Field(
         default=0.0,
-        description="further log-odds against one box lying wholly on the other: large for things that never "
-        "hide each other, as seen from above",
+        description="further log-odds against one box lying wholly on the other; large for objects that never"
+        " hide each other, such as people seen from above",
     )
 
 
 class Occlusion(Model):
-    """Who is in front is a variable that persists over frames, and keeps to one of two values.
+    """Which target is in front is a variable with two values that persists over frames.
 
-    The box of the one behind gives evidence by its visible share only. For the rest stands its `level`, the
-    evidence that the target had in frames in which it was seen: to be hidden is better than to match badly,
-    and worse than to match well.
+    The box of the target behind gives evidence by its visible share only. The rest counts with its `level`,
+    the evidence that the target had in frames in which it was visible: being hidden is better than matching
+    badly, and worse than matching well.
     """
 
     stay: Annotated[Number, Field(ge=0.5, lt=1)] = Field(
@@ -58,7 +58,9 @@ class Attachment(Model):
     stay: Annotated[Number, Field(gt=0, lt=1)] = Field(
         default=0.97, description="probability per frame that it stays carried"
     )
-    sd_px: Positive = Field(default=1.0, description="sd of its motion beside the carrier's, px per frame")
+    sd_px: Positive = Field(
+        default=1.0, description="sd of its motion relative to the carrier's, px per frame"
+    )
 
 
 class Together(Model):
@@ -68,7 +70,7 @@ class Together(Model):
     box, widened by one sd of the centre on each side.
     """
 
-    overlap: Share = Field(default=0.05, description="least overlap to be joined")
+    overlap: Share = Field(default=0.05, description="smallest overlap at which they are joined")
     apart_frames: FrameCount = Field(
         default=5, description="consecutive frames with a smaller overlap before they part"
     )

@@ -48,12 +48,12 @@ class Confirm(Model):
 
 
 class Birth(Model):
-    """A detector's finds that no live target claims become targets of this plate, each with a net of its own.
+    """Detections that no live target claims become targets of this plate, each with its own net.
 
     A live target claims one detection: the nearest within `min_distance_box`, or within twice the sd of its
     belief beyond that. Further ones within `min_distance_box`, or that share at least `max_overlap` of the
-    smaller box with it, are taken for the same object. While a target is lost it claims none. Where an agent
-    measures by detections, they are given to targets before, lost ones too, as that agent says.
+    smaller box with it, are taken for the same object. A lost target claims none. If an agent measures by
+    detections, these are assigned to targets first, lost ones included, by the parameters of that agent.
     """
 
     detector: DetectorChoice = Field(description="what finds targets")
@@ -67,12 +67,12 @@ class Birth(Model):
     )
     min_distance_box: NotNegative = Field(
         default=0.5,
-        description="smallest distance of a birth's centre from a live target's, in the mean of both "
+        description="smallest distance between the centres of a new and a live target, in the mean of both "
         "sqrt(w h)",
     )
     max_overlap: Share = Field(
         default=0.5,
-        description="share of the smaller box that two boxes have in common, from which on they are one",
+        description="overlap, as a share of the smaller box, from which on two boxes are one object",
     )
 
 
@@ -88,7 +88,7 @@ class MergeDuplicates(Model):
 
 
 class Death(Model):
-    """The net of a target ends when it was lost for so long, or when no detection was its own for so long."""
+    """The net of a target ends when the target has been lost, or has claimed no detection, for so long."""
 
     lost_frames: FrameCount = Field(default=30, description="consecutive frames in which it is lost")
     unseen_frames: FrameCount | None = Field(
@@ -98,23 +98,23 @@ class Death(Model):
 
 
 class Reidentify(Model):
-    """What a detection has to show to be taken for a target that is lost, or whose net has ended.
+    """When a detection is taken for a target that is lost, or whose net has ended.
 
     P(it is k) = o_k / (1 + sum o), the 1 standing for a new target, o_k = g p_k(x, y) A r_k: g = exp(-t /
     frames) for t frames since k was last well seen, A the frame's area, p_k = g N(where its motion leads it)
-    + (1 - g) / A, and r_k the likelihood that its remembered looks give the box against what they give boxes
-    elsewhere, of which one in twenty is taken to look like it.
+    + (1 - g) / A, and r_k the likelihood of the box by its references over that of boxes elsewhere, of which
+    one in twenty is assumed to look like it.
     """
 
     frames: FrameCount = Field(
-        default=300, description="frames over which the memory fades; after as many a dead one is forgotten"
+        default=300,
+        description="frames over which the memory fades; a target whose net has ended is forgotten after as "
+        "many",
     )
     min_probability: Annotated[Number, Field(gt=0, le=1)] = Field(
         default=0.5, description="smallest probability at which it is taken for that target"
     )
-    lost: Truth = Field(
-        default=True, description="whether targets that are lost are found by detections, too"
-    )
+    lost: Truth = Field(default=True, description="whether a detection can also find a target that is lost")
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ class HeavyTail(Model):
     """A share of the hypotheses moves with a larger sd: heavy tails for sudden motion."""
 
     weight: Annotated[Number, Field(gt=0, lt=1)] = Field(description="share of the hypotheses")
-    factor: Annotated[Number, Field(gt=1)] = Field(description="how many times the position's sd")
+    factor: Annotated[Number, Field(gt=1)] = Field(description="factor on the sd of the position")
 
 
 class Noise(Model):
@@ -56,11 +56,13 @@ class Noise(Model):
 class Inflate(Model):
     """The position's noise is inflated while the belief is uncertain.
 
-    Its sd is multiplied by sqrt(UD / level), UD being the last frame's: by 1 up to the level, and by
-    `max_factor` at most. The search widens as fast as the belief, and narrows with it.
+    Its sd is multiplied by sqrt(UD / threshold), with the UD of the last frame: by 1 up to the threshold, and
+    by `max_factor` at most. The search widens as fast as the belief, and narrows with it.
     """
 
-    above: Level = Field(default=Level(ud_box=0.12), description="level of UD up to which nothing changes")
+    above: Level = Field(
+        default=Level(ud_box=0.12), description="threshold of UD up to which nothing changes"
+    )
     max_factor: Annotated[Number, Field(gt=1)] = Field(default=4.0, description="largest factor on the sd")
 
 
@@ -80,34 +82,40 @@ class SizeReversion(Model):
 
 
 class Probes(Model):
-    """Boxes of the belief's size on a lattice over the frame, which the net's own active agents score."""
+    """Boxes of the belief's size on a lattice over the frame, scored by the active agents of the net."""
 
     max_boxes: Annotated[Whole, Field(ge=16, le=10_000)] = Field(default=400, description="boxes at most")
 
 
 class LookedFor(Choice):
-    """What tells where in the frame to look; weights make up for it, so it changes no probability."""
+    """How the places to search are chosen; weights correct for the choice, so it changes no probability."""
 
-    uniform: Empty | None = Field(default=None, description="nothing: evenly over the frame")
-    agents: Probes | None = Field(default=None, description="the net's own agents, at boxes on a lattice")
+    uniform: Empty | None = Field(default=None, description="evenly over the frame")
+    agents: Probes | None = Field(
+        default=None,
+        description="by the net's own agents, at boxes on a lattice",
+    )
     detector: DetectorChoice | None = Field(
-        default=None, description="the boxes of a detector; one that learns is shown the first box"
+        default=None, description="by the boxes of a detector; one that learns is given the first box"
     )
 
 
 class Relocalize(Model):
     """The target may reappear anywhere: p(x | x') = (1 - share) motion + share / (W H) in its position.
 
-    So it is found again after an occlusion, or after leaving the view. Needs particles of a fixed `size` with
-    `proposal: bootstrap`.
+    It is then found again after an occlusion, or after leaving the view. Needs particles of a fixed `size`
+    with `proposal: bootstrap`.
     """
 
     share: Annotated[Number, Field(gt=0, lt=1)] = Field(
-        default=0.1, description="probability per frame interval that it reappears, while unsure or lost"
+        default=0.1,
+        description="probability per frame interval that it reappears elsewhere, while uncertain or lost",
     )
-    above: Level = Field(default=Level(ud_box=0.5), description="level of UD above which it is unsure")
+    above: Level = Field(
+        default=Level(ud_box=0.5), description="threshold of UD above which the belief is uncertain"
+    )
     usual: Annotated[Number, Field(ge=0, lt=1)] = Field(
-        default=0.0, description="the same probability while it is sure"
+        default=0.0, description="the same probability while it is certain"
     )
     hypotheses: Annotated[Number, Field(gt=0, lt=1)] = Field(
         default=0.2, description="share of the hypotheses that look for it, in proportion to the probability"
@@ -118,22 +126,24 @@ class Relocalize(Model):
 class Moving(Noise):
     """A motion of the target: its noise, and what else is known of it."""
 
-    inflate: Inflate | None = Field(default=None, description="more noise while uncertain; default never")
+    inflate: Inflate | None = Field(default=None, description="more noise while uncertain; default: never")
     size_reversion: SizeReversion | None = Field(
-        default=None, description="reverts the size to the first one; default not"
+        default=None, description="pulls the size back to the first one; default: no"
     )
     sd_angle_deg: NotNegative = Field(
         default=0.0,
-        description="of the target's rotation in the picture, degrees; 0: the state has no angle",
+        description="of the target's rotation in the image plane, degrees; 0: the state has no angle",
     )
     camera: Literal["compensate"] | None = Field(
-        default=None, description="move hypotheses with the background's flow first; default not"
+        default=None, description="first move hypotheses with the flow of the background; default: no"
     )
-    relocalize: Relocalize | None = Field(default=None, description="reappearing anywhere; default never")
+    relocalize: Relocalize | None = Field(
+        default=None, description="the target may reappear anywhere; default: never"
+    )
     borders: Literal["reflect"] | None = Field(
         default=None,
-        description="the box bounces off the borders of the frame, and its velocity turns round; default: "
-        "its centre stops there",
+        description="the box bounces off the borders of the frame, and its velocity is reversed; default: its"
+        " centre stops there",
     )
 
     @property

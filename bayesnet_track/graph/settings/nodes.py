@@ -44,12 +44,13 @@ class Nearest(Model):
     """The optimised working point of the General Distribution Filter (1.3)."""
 
     epsilon: Share = Field(
-        default=0.5, description="least posterior weight, as a share of the largest, of a hypothesis"
+        default=0.5,
+        description="smallest posterior weight of a probable hypothesis, as a share of the largest",
     )
 
 
 class Estimate(Choice):
-    """Which single box stands for the belief in tracks and pictures."""
+    """Which single box represents the belief in the outputs."""
 
     map: Empty | None = Field(
         default=None, description="maximum a posteriori hypothesis, prior density included"
@@ -60,7 +61,7 @@ class Estimate(Choice):
         default=None, description="weighted mean inside a window around the best"
     )
     nearest: Nearest | None = Field(
-        default=None, description="the probable hypothesis that lies nearest to the motion's prediction"
+        default=None, description="among the probable hypotheses the one nearest to the prediction"
     )
 
 
@@ -75,7 +76,7 @@ class OffsetBox(Model):
 
 
 class SizeBox(Model):
-    """How large a part is, beside its parent's box."""
+    """How large a part is, relative to its parent's box."""
 
     w: Positive = Field(default=1.0, description="its width, in widths of the parent's box")
     h: Positive = Field(default=1.0, description="its height, in heights of the parent's box")
@@ -96,10 +97,13 @@ class Given(Noise):
 
     offset_box: OffsetBox | None = Field(
         default=None,
-        description="the part's centre in the parent's box; the parent's own with `size_box` alone",
+        description="the part's centre in the parent's box; default, with `size_box` alone: the parent's "
+        "centre",
     )
     size_box: SizeBox | None = Field(
-        default=None, description="the part's size in the parent's; as large with `offset_box` alone"
+        default=None,
+        description="the part's size relative to the parent's; default, with `offset_box` alone: the same "
+        "size",
     )
 
     @property
@@ -112,9 +116,9 @@ class Latent(Model):
     """The node has a state of its own, drawn around its parent's hypothesis by `given`.
 
     The node's `belief` says how its evidence is held. `particles`: one draw per hypothesis is unbiased but
-    noisy: with 1000 hypotheses and `given` wider than the agents its 50 % region held the truth in 30 % of
-    cases; it needs some 30,000. The kernel is accurate with 1000 (47 %), and takes about 0.1 s a message
-    there. `grid` is the kernel by convolution over cells of x and y, in milliseconds, for `given` in px.
+    noisy: with 1000 hypotheses and `given` wider than the agents its 50 % region held the true value in 30 %
+    of cases; it needs some 30,000. The kernel is accurate with 1000 (47 %), and then takes about 0.1 s per
+    message. `grid` is the kernel by convolution over cells of x and y, in milliseconds, for `given` in px.
     `gaussian` is as accurate where the likelihood has one mode, in O(N), and sends a Gaussian message.
     """
 

@@ -33,9 +33,9 @@ class BinnedSize(Model):
 
     bin_px: Positive = Field(description="width of a bin, px")
     error: Positive = Field(default=0.1, description="largest KL divergence, nats")
-    confidence: Confidence = Field(default=0.95, description="probability that it is kept")
+    confidence: Confidence = Field(default=0.95, description="probability that the bound holds")
     fields: BoxFields = Field(
-        default=("x", "y"), description="fields looked at, each by itself; the largest number counts"
+        default=("x", "y"), description="fields considered, each by itself; the largest number counts"
     )
 
 
@@ -46,9 +46,9 @@ class NormalSize(Model):
     error_sd: Positive | None = Field(
         default=None, description="largest error of the mean, as a share of the posterior's sd"
     )
-    confidence: Confidence = Field(default=0.95, description="probability that it is kept")
+    confidence: Confidence = Field(default=0.95, description="probability that the bound holds")
     fields: BoxFields = Field(
-        default=("x", "y"), description="fields looked at, each by itself; the largest number counts"
+        default=("x", "y"), description="fields considered, each by itself; the largest number counts"
     )
 
 
@@ -61,25 +61,27 @@ class LikelihoodSize(Model):
 class AdaptiveSize(Choice):
     """A number of hypotheses that follows each frame's evidence, between `min` and `max` (thesis 5.4).
 
-    A frame begins with as many as the last one asked for. Where its own evidence asks for at least a quarter
-    more they are drawn in the same frame, in a way that keeps the frame's evidence unbiased. The number does
-    not fall while fewer than 10 hypotheses are effective: so few cannot tell. It needs `when: every_frame`.
+    A frame begins with the number that the last one asked for. If its own evidence asks for at least a
+    quarter more, they are drawn in the same frame, in a way that keeps the frame's evidence unbiased. The
+    number does not fall while fewer than 10 hypotheses are effective, which are too few to estimate it. It
+    needs `when: every_frame`.
     """
 
     kld: BinnedSize | None = Field(
         default=None, description="KLD-sampling, as if hypotheses came from the posterior (eq. 5.6)"
     )
     kld_revised: BinnedSize | None = Field(
-        default=None, description="times the variance that the prior costs the mean (eq. 5.10)"
+        default=None,
+        description="KLD-sampling times the variance that drawing from the prior adds to the mean (eq. 5.10)",
     )
     kld_revised_simplified: BinnedSize | None = Field(
-        default=None, description="times hypotheses per effective hypothesis (eq. 5.14)"
+        default=None, description="KLD-sampling times the number of hypotheses per effective one (eq. 5.14)"
     )
     asymptotic_normal: NormalSize | None = Field(
         default=None, description="by the normal approximation of the mean's error (eq. 5.17, corrected)"
     )
     likelihood_sum: LikelihoodSize | None = Field(
-        default=None, description="by the match alone: blind to how complex the posterior is (5.4.1)"
+        default=None, description="by the likelihoods alone, whatever the shape of the posterior (5.4.1)"
     )
 
     @property
@@ -107,9 +109,10 @@ class Particles(Model):
     size: Annotated[
         Annotated[Count, Tag("number")] | Annotated[AdaptiveSize, Tag("method")],
         Discriminator(_number_or_method),
-    ] = Field(default=500, description="number of hypotheses, or what it follows")
+    ] = Field(default=500, description="number of hypotheses, fixed or adaptive")
     min: Annotated[Whole, Field(ge=100, le=1_000_000)] | None = Field(
-        default=None, description="least number of an adaptive size, which starts with it; default 500"
+        default=None,
+        description="smallest number of an adaptive size, and the number at the start; default 500",
     )
     max: Count | None = Field(default=None, description="largest number of an adaptive size; default 5000")
     resample: Literal["systematic", "multinomial"] = Field(
@@ -119,10 +122,11 @@ class Particles(Model):
         Annotated[Literal["every_frame"], Tag("word")] | Annotated[EssBelow, Tag("mapping")],
         Discriminator(word_or_mapping),
     ] = Field(
-        default="every_frame", description="at every frame, or only when the weights have become uneven"
+        default="every_frame",
+        description="when to resample: in every frame, or only when the weights have become uneven",
     )
     proposal: Proposal = Field(
-        default=Proposal(bootstrap=Empty()), description="from where hypotheses are drawn"
+        default=Proposal(bootstrap=Empty()), description="the distribution that hypotheses are drawn from"
     )
 
     @property

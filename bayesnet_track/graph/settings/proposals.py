@@ -21,14 +21,14 @@ Defensive = Annotated[Number, Field(ge=0, lt=1)]
 
 
 class SecondPassProposal(Model):
-    """A second pass, drawn where the first one found the target, in frames that surprise (thesis 5.5.2).
+    """A second pass, drawn where the first one found the target, in surprising frames (thesis 5.5.2).
 
-    The first pass is drawn from the motion model and its hypotheses are kept. A surprise is
-    KL(posterior || prior), the larger one of two halves of the first pass. It refines what that pass saw: a
-    target that leapt out of its reach stays lost, and only `likelihood_mixture` looks there.
+    The first pass is drawn from the motion model and its hypotheses are kept. A surprise is KL(posterior ||
+    prior), the larger one of two halves of the first pass. The second pass refines what the first one found:
+    a target that jumped out of its reach stays lost, and only `likelihood_mixture` searches there.
 
     `by: parents, neighbours: 1, weights: second_only, defensive: 0` is the form printed in the thesis. At
-    equal cost that one loses to a plain filter where motion noise, not the choice of parents, decides.
+        equal cost this form is worse than a plain filter if motion noise, not the choice of parents, decides.
     """
 
     above_kl: NotNegative = Field(
@@ -55,7 +55,7 @@ class SecondPassProposal(Model):
 class Auxiliary(Model):
     """The auxiliary particle filter: parents by the likelihood of where they move without noise (5.20).
 
-    Each parent costs one evaluation more, each frame.
+    It costs one more evaluation per parent and frame.
     """
 
     defensive: Defensive = Field(default=0.1, description="share of the parents drawn by their weight alone")
@@ -94,25 +94,28 @@ class LikelihoodMixture(Model):
     """Part of the hypotheses from where the likelihood is high, the rest from the motion; quadratic cost.
 
     The likelihood is probed at as many places as there are hypotheses, spread evenly over the prior's
-    surroundings; positions are drawn around the likely ones, what else a state holds is drawn given them.
+    surroundings; positions are drawn around the likely ones, the other fields of the state given the
+    position.
     """
 
     share: Annotated[Number, Field(gt=0, lt=1)] = Field(
         default=0.5, description="share of the hypotheses that come from the likelihood"
     )
     reach_sd: Positive = Field(
-        default=5.0, description="how far from the prior's mean to probe, in its sd, at each side"
+        default=5.0, description="how far from the prior's mean to probe on each side, in its sd"
     )
 
 
 class Proposal(Choice):
-    """From where the hypotheses of a frame are drawn (thesis 5.5), weighted so that none is favoured."""
+    """The distribution that the hypotheses of a frame are drawn from (thesis 5.5); weights correct for it."""
 
     bootstrap: Empty | None = Field(default=None, description="from the motion model")
     second_pass: SecondPassProposal | None = Field(
-        default=None, description="with a second pass in frames that surprise"
+        default=None, description="with a second pass in surprising frames"
     )
-    auxiliary: Auxiliary | None = Field(default=None, description="from parents that a look ahead favours")
+    auxiliary: Auxiliary | None = Field(
+        default=None, description="from parents that were chosen by looking ahead"
+    )
     prior_editing: PriorEditing | None = Field(default=None, description="prior editing")
     iterated: IteratedProposal | None = Field(
         default=None, description="from kernels around the weighted hypotheses"

@@ -12,8 +12,8 @@ from bayesnet_track.graph.settings.base import Choice, FrameCount, Model, NotNeg
 class Logistic(Model):
     """Probability of being on target, 1 / (1 + exp(-(bias + sum of coefficient times feature))).
 
-    On target is an overlap (IoU) above 0.5 with the true box. Features are filtered over frames,
-    s <- s + (1 - exp(-1 / memory_frames)) (x - s), beginning with the first frame's. `bayesnet-track fit`
+    On target means an overlap (IoU) above 0.5 with the ground truth. Features are filtered over frames, s <-
+    s + (1 - exp(-1 / memory_frames)) (x - s), beginning with the first frame's. `bayesnet-track fit`
     estimates the coefficients from videos with ground truth.
     """
 
@@ -40,12 +40,12 @@ class Logistic(Model):
     full_fit: Annotated[Number, Field(ge=0, le=1)] = Field(
         default=0.0,
         description="the score is at most fit / full_fit of this frame, fit as in `log_fit`, neither logged "
-        "nor smoothed, so that it falls at once where nothing fits; 0 for no such bound",
+        "nor smoothed, so that it falls at once when nothing fits; 0: no such bound",
     )
 
 
 class Score(Choice):
-    """How the score of a frame comes about."""
+    """How the score of a frame is computed."""
 
     logistic: Logistic | None = Field(default=None, description="a logistic function of a few features")
 

@@ -31,8 +31,8 @@ _OPENING = f"""# The language, version {LANGUAGE_VERSION}
 
 <!-- Made by bayesnet_track.graph.text.reference; do not edit. -->
 
-A graph is one YAML file. Names begin with a letter and go on with letters, digits and `_`. Units stand in the
-keys (`_px`, `_px2`, `_box`: relative to the box). A *choice* is written as one key with its settings,
+A graph is one YAML file. Names begin with a letter, followed by letters, digits and `_`. Units are part of
+the keys (`_px`, `_px2`, `_box`: relative to the box). A *choice* is written as one key with its settings,
 `fuse: {{pool: {{a: 1, b: 2}}}}`, or, where every setting has a default, as a bare word, `fuse: product`.
 
 The file is UTF-8, at most {MAX_BYTES // 1024} KiB, {MAX_DEPTH} levels, {MAX_NODES:,} values, and
@@ -167,10 +167,10 @@ def _cues(cues: Mapping[str, CueDeclaration]) -> Iterator[str]:
     yield "The installed cues. Every cue's likelihood is at most 1 and at least its `floor`.\n"
     for name, cue in cues.items():
         facts = [f"{cue.summary[:1].upper()}{cue.summary[1:].rstrip('.')}."]
-        facts += ["Blind on a gray source."] if cue.needs_color else []
+        facts += ["Off on a gray source."] if cue.needs_color else []
         facts += [f"Declared cost {cue.cost_ms:g} ms for 1000 hypotheses."]
         facts += [f"Learns at up to {cue.rate_max:g} per frame."] if cue.rate_max is not None else []
-        facts += ["Opaque: what it keeps cannot be stored."] if cue.opaque else []
+        facts += ["Opaque: its state cannot be stored."] if cue.opaque else []
         yield f"### {name}\n\n{' '.join(facts)}\n\n{_table(cue.parameters)}"
 
 
