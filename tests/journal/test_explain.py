@@ -316,24 +316,29 @@ GOLDEN = [
     ),
     (
         CandidateConfirmed(3, "2", "square", "gray_level", 0, 3, 4, 0.8214, None),
-        "frame 3: gray_level saw it in 3 of 4 looks since frame 0, mean score 0.82 → target 2 is new",
+        "frame 3: gray_level detected it in 3 of 4 runs since frame 0, mean score 0.82 → target 2 is new",
     ),
     (
         CandidateConfirmed(3, "2", "square", "gray_level", 3, 1, 1, 0.8214, UNLIKELY),
-        "frame 3: gray_level saw it in 1 of 1 look, mean score 0.82 → target 2 is new: it is target 1 with "
-        "probability 0.123 < 0.5 (41 frames away -0.14, 235 px off -1.20, looks by color, intensity -0.70 "
+        "frame 3: gray_level detected it in 1 of 1 run, mean score 0.82 → target 2 is new: it is "
+        "target 1 with "
+        "probability 0.123 < 0.5 (unseen for 41 frames -0.14, 235 px off -1.20, appearance by "
+        "color, intensity -0.70 "
         "nats); would have been target 1 at min_probability ≤ 0.123",
     ),
     (
         Returned(60, "3", "square", BORN.box, ("color",), LIKELY),
-        "frame 60: a detection is target 3 with probability 0.931 ≥ 0.5 (41 frames away -0.14, 35 px off "
-        "+2.13, looks by color, intensity +7.40 nats; next a new target, 0.069) → target 3 is back, centre "
+        "frame 60: a detection is target 3 with probability 0.931 ≥ 0.5 (unseen for 41 frames "
+        "-0.14, 35 px off "
+        "+2.13, appearance by color, intensity +7.40 nats; next a new target, 0.069) → target 3 is "
+        "back, centre "
         "270, 190, 40 x 40 px; would have been a new target at min_probability ≥ 0.94",
     ),
     (
         Reacquired(60, "3", BORN.box, replace(LIKELY, probability=1.0, rival="1", rival_probability=2e-12)),
-        "frame 60: a detection is target 3 with probability 1 ≥ 0.5 (41 frames away -0.14, 35 px off "
-        "+2.13, looks by color, intensity +7.40 nats; next target 1, 2e-12) → target 3 found again, centre "
+        "frame 60: a detection is target 3 with probability 1 ≥ 0.5 (unseen for 41 frames -0.14, 35 px off "
+        "+2.13, appearance by color, intensity +7.40 nats; next target 1, 2e-12) → target 3 found "
+        "again, centre "
         "270, 190, 40 x 40 px",
     ),
     (
@@ -352,7 +357,7 @@ GOLDEN = [
     (
         BirthsRefused(9, "square", "motion", 20, 20, 31, 12),
         "frame 9: 20 targets of square live, the maximum → 12 births refused, 31 so far; would "
-        "have been born at max_targets ≥ 32",
+        "have started at max_targets ≥ 32",
     ),
     (
         DetectorFailed(4, "motion", "raised ValueError: no", 14),
@@ -536,7 +541,7 @@ def test_why():
         "  color      off  gave no evidence\n"
         "             off since the start\n"
         f"  from here  {explain(ON).removeprefix('frame 29: ')}\n"
-        "  levels     square deactivates below 130 px², square activates above 200 px², "
+        "  thresholds square deactivates below 130 px², square activates above 200 px², "
         "color stops itself above 2500 px²"
     )
 

@@ -51,7 +51,7 @@ REMEDIES: Mapping[str, Remedy] = MappingProxyType(
             "report RUN",
             "ROOT.motion.MOTION.heavy_tail",
             "{weight: 0.5, factor: 8}",
-            "half of the hypotheses look eight times as far; the others stay precise",
+            "half of the hypotheses spread eight times as far; the others stay precise",
         ),
         "size": Remedy(
             "the box keeps its size while the target grows or shrinks",
@@ -61,7 +61,7 @@ REMEDIES: Mapping[str, Remedy] = MappingProxyType(
             "the size may change by a tenth per frame; needs an agent that sees size, such as a filter",
         ),
         "few_hypotheses": Remedy(
-            "the box trembles, and another seed gives another result",
+            "the box jitters, and another seed gives another result",
             "diagnose RUN",
             "ROOT.belief.particles.size",
             "1000",
@@ -79,17 +79,17 @@ REMEDIES: Mapping[str, Remedy] = MappingProxyType(
             "log RUN --why N",
             "ROOT.learn.rate_max",
             "0.01",
-            "references follow the target more slowly, and its mistakes, too",
+            "references change more slowly, and so learn fewer errors",
         ),
         "guard": Remedy(
             "it drifts although learning is slow",
             "log RUN --kind reference_guarded",
             "ROOT.learn.guard",
             "{rate: 0.002}",
-            "a second, slow reference stops the first where the two part",
+            "a second, slow reference stops the first when the two diverge",
         ),
         "stale": Remedy(
-            "the target changes its appearance, and references grow old",
+            "the target changes its appearance, and references become outdated",
             "log RUN --why N",
             "ROOT.learn.below",
             "{ud_box: 0.4}",
@@ -100,10 +100,10 @@ REMEDIES: Mapping[str, Remedy] = MappingProxyType(
             "log RUN --target 1",
             "ROOT.motion.MOTION.relocalize",
             "{share: 0.1}",
-            "a share of the hypotheses looks everywhere while it is unsure",
+            "a share of the hypotheses searches the whole frame while the belief is uncertain",
         ),
         "look_alike": Remedy(
-            "it follows something that looks the same, and is sure of it",
+            "it follows something that looks the same, and is certain",
             "log RUN --kind distractor_seen",
             "ROOT.distractors.within_nats",
             "6",
@@ -149,7 +149,8 @@ REMEDIES: Mapping[str, Remedy] = MappingProxyType(
             "report RUN",
             "ROOT.belief.particles.size",
             "200",
-            "fewer hypotheses; or `run --budget-ms` does without what says least for its time",
+            "fewer hypotheses; or `run --budget-ms` switches off the agents with the least "
+            "information per millisecond",
         ),
     }
 )

@@ -122,8 +122,8 @@ def describe(event: Events) -> str:
 
 
 def _describe_confirmed(event: CandidateConfirmed) -> str:
-    """`gray_level saw it in 3 of 4 looks ...  → target 3 is new`."""
-    seen = f"{event.detector} saw it in {event.seen} of {plural(event.looks, 'look')}"
+    """`gray_level detected it in 3 of 4 runs ...  → target 3 is new`."""
+    seen = f"{event.detector} detected it in {event.seen} of {plural(event.looks, 'run')}"
     since = f" since frame {event.first_frame}" if event.first_frame < event.frame else ""
     found = f"{seen}{since}, mean score {event.score:.2f} → target {event.target} is new"
     near = event.nearest
@@ -144,7 +144,7 @@ def _describe_refused(event: BirthsRefused) -> str:
     so_far = f", {event.refused} so far" if event.refused > event.waiting else ""
     return (
         f"{plural(event.live, 'target')} of {event.template} live, the maximum → "
-        f"{plural(event.waiting, 'birth')} refused{so_far}; would have been born at max_targets ≥ "
+        f"{plural(event.waiting, 'birth')} refused{so_far}; would have started at max_targets ≥ "
         f"{event.live + event.waiting}"
     )
 

@@ -117,8 +117,8 @@ def explain_odds(by: Recognition) -> str:
     """The log-odds' parts."""
     whom = f" by {', '.join(by.agents)}" if by.agents else ""
     return (
-        f"{plural(by.away, 'frame')} away {by.fading:+.2f}, {by.distance_px:.0f} px off {by.place:+.2f}, "
-        f"looks{whom} {by.appearance:+.2f} nats"
+        f"unseen for {plural(by.away, 'frame')} {by.fading:+.2f}, {by.distance_px:.0f} px off "
+        f"{by.place:+.2f}, appearance{whom} {by.appearance:+.2f} nats"
     )
 
 

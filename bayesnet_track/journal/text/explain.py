@@ -110,7 +110,7 @@ def _account(events: Sequence[Event], line: FrameMetrics) -> str:
         f"  from here  {explain(event).partition(': ')[2]}" for event in now if not _is_start(event, line)
     ]
     levels = _levels(mine)
-    rows += [f"  levels     {', '.join(levels)}"] if levels else []
+    rows += [f"  thresholds {', '.join(levels)}"] if levels else []
     return "\n".join(rows)
 
 
