@@ -63,6 +63,8 @@ def readmit(now: Situation) -> list[Decision]:
 
 def give_up_on_missing(now: Situation, memory: Memory, decisions: list[Decision]) -> Memory:
     """Put out agents that gave no answer for some frames in a row; what is remembered of them."""
+    if not now.missed and not memory.missed:
+        return memory
     missed = {agent: memory.missed.get(agent, 0) + 1 for agent in now.missed}
     for agent, count in list(missed.items()):
         if count >= MISSED_FRAMES:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from statistics import median
 
 from bayesnet_track.adapt.information import Worth
+from bayesnet_track.numerics.records import changed
 
 QUIET_WINDOW = 50
 QUIET_MINIMUM = 10
@@ -108,7 +109,7 @@ class Memory:
         for agent, nats in contribution.items():
             total, frames = counted.get(agent, (0.0, 0))
             counted[agent] = (total + nats, frames + 1)
-        return replace(self, helpful=counted)
+        return changed(self, helpful=counted)
 
     def helpfulness(self, agent: str) -> float | None:
         """Mean contribution in nats over the frames on which the agent was active; None when it never was."""

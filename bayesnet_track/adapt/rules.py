@@ -8,7 +8,7 @@ status. Decisions take effect on the next frame.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from bayesnet_track.adapt.backoff import give_up_on_missing, readmit
 from bayesnet_track.adapt.conditions import Reading, Tested, apply_test, read_level
@@ -21,6 +21,7 @@ from bayesnet_track.journal.events.faults import Readmitted
 from bayesnet_track.journal.events.self_checks import LocallyAdapted, SelfStopped
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.numerics.records import changed
 
 
 def decide(now: Situation, memory: Memory) -> tuple[tuple[Decision, ...], Memory]:
@@ -51,7 +52,7 @@ def _note_worth(now: Situation, memory: Memory) -> Memory:
                 if now.plate.governor[agent] == node
             }
             worth[node] = worth.get(node, Worth()).after(governed, rules.information.memory_frames)
-    return replace(memory, worth=worth)
+    return changed(memory, worth=worth) if worth else memory
 
 
 def _goes_by_worth(rules: Adapt) -> bool:
@@ -73,7 +74,7 @@ def _note_quiet(now: Situation, memory: Memory) -> Memory:
             loud = found is not None and found.above
         if active and not loud:
             quiet[node] = quiet.get(node, Quiet()).seen(active, ud)
-    return replace(memory, quiet=quiet)
+    return changed(memory, quiet=quiet)
 
 
 def _find(
@@ -98,7 +99,7 @@ def _check_selves(now: Situation, memory: Memory, decisions: list[Decision]) -> 
     target is lost: nobody can be sure of what cannot be seen, and the agents are needed when it comes back.
     """
     if now.net.status == "lost":
-        return replace(memory, self_check={})
+        return changed(memory, self_check={})
     streaks: dict[str, Streak] = {}
     active = set(now.net.active)
     quiet = quiet_level(now.plate, now.net, memory, now.plate.root)
@@ -119,7 +120,7 @@ def _check_selves(now: Situation, memory: Memory, decisions: list[Decision]) -> 
             cause = reading.cause(1, reading.value)
             decisions.append(LocallyAdapted(now.frame, now.target, agent, streak.count, cause))
         streaks[agent] = streak
-    return replace(memory, self_check=streaks)
+    return changed(memory, self_check=streaks)
 
 
 # ------------------------------------------------------------------------------------ inference nodes
@@ -164,7 +165,7 @@ def _govern(now: Situation, memory: Memory, node: str, rules: Adapt, decisions: 
                 fired = True
     if fired:
         up, down = Streak(), Streak()
-    return replace(
+    return changed(
         memory, activate={**memory.activate, node: up}, deactivate={**memory.deactivate, node: down}
     )
 

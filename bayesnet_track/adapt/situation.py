@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from bayesnet_track.adapt.conditions import Reading, read_level
@@ -65,11 +65,4 @@ def read_ud_beside_more(now: Situation, memory: Memory, node: str, level: Level)
 
 def active_below(plate: CheckedTarget, net: TargetNet, node: str) -> frozenset[str]:
     """The active agents below an inference node."""
-    return frozenset(agent for agent in net.active if node in _ancestors(plate, agent))
-
-
-def _ancestors(plate: CheckedTarget, node: str) -> Iterator[str]:
-    above = plate.parent[node]
-    while above is not None:
-        yield above
-        above = plate.parent[above]
+    return plate.below[node] & net.active

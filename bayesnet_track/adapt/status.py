@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.situation import Situation, read_ud
@@ -11,6 +10,7 @@ from bayesnet_track.graph.spec import Lost
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.net.causes import Cause, FitCause, ScoreCause
 from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.numerics.records import changed
 
 
 def judge_status(now: Situation, memory: Memory, decisions: list[Decision]) -> Memory:
@@ -29,7 +29,7 @@ def _by_score(
     Without `uncertain_below` there are only tracking and lost.
     """
     high = low if rule.uncertain_below is None else rule.uncertain_below
-    memory = replace(
+    memory = changed(
         memory,
         lost=memory.lost.then(score < low, score, rule.frames),
         seen=memory.seen.then(score >= low, score, rule.frames),
@@ -87,7 +87,7 @@ def _by_ud(now: Situation, memory: Memory, rule: Lost, decisions: list[Decision]
             fitting = f"{now.measures.fit:.3g} of a perfect match ≥ fit_below {rule.fit_below:.3g}"
             reason = f"the best hypothesis has a likelihood of {fitting}"
         decisions.append(StatusChanged(now.frame, now.target, status, cause, reason))
-    return replace(memory, lost=lost, found=found, unfit=unfit)
+    return changed(memory, lost=lost, found=found, unfit=unfit)
 
 
 def _blind(now: Situation) -> str:

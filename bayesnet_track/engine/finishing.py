@@ -32,6 +32,7 @@ from bayesnet_track.inference.measure import measure
 from bayesnet_track.inference.part_measures import part_rates
 from bayesnet_track.journal.events.beliefs import DegenerateBelief, FactorFlawed
 from bayesnet_track.journal.events.event import Event
+from bayesnet_track.numerics.records import changed
 
 Floats = NDArray[np.float64]
 
@@ -57,7 +58,8 @@ def measure_target(work: FrameWork, filtered: Filtered, state: Floats) -> Measur
     box = inside_frame(state[:4], work.frame)
     by_hand = work.by_hand.get(filtered.target, ())
     net = apply_decisions(work.net, (*filtered.faults, *by_hand)).targets[filtered.target]
-    net = replace(net, active=net.active - filtered.missed.keys())
+    if filtered.missed:
+        net = changed(net, active=net.active - set(filtered.missed))
     measures = measure(compiled.plate, filtered.plan, filtered.step, float(box[2] * box[3]))
     scored = filtered.before.scored
     if root.score is None:
@@ -112,6 +114,8 @@ def learn_target(work: FrameWork, filtered: Filtered, measured: Measured, decide
     )
     learnt = learn(lesson, compiled, filtered.before, decided, rates)
     first, still_out = start_late(lesson, decided.now, learnt.references, decided.chosen)
+    if not first and not still_out:
+        return changed(learnt, rate=rate)
     slow = {**learnt.watched.slow, **watch(first, compiled.looks, compiled.guard).slow}
     return replace(
         learnt,

@@ -63,6 +63,16 @@ class CheckedTarget:
         """The agent nodes, in `order`."""
         return tuple(name for name in self.order if isinstance(self.spec.nodes[name], AgentNode))
 
+    @cached_property
+    def below(self) -> Mapping[str, frozenset[str]]:
+        """Inference node -> the nodes below it, at any depth."""
+        found: dict[str, frozenset[str]] = {}
+        for name in reversed(self.order):  # children before their parents
+            if name in self.children:
+                own = self.children[name]
+                found[name] = frozenset(own).union(*(found.get(child, frozenset()) for child in own))
+        return found
+
     def agent(self, name: str) -> AgentNode:
         """The specification of an agent node."""
         node = self.spec.nodes[name]
