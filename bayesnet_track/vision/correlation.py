@@ -8,6 +8,8 @@ target by whole cells are never learnt from the picture, they come for nothing.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,7 @@ Singles = NDArray[np.float32]
 Spectra = NDArray[np.complex64]
 
 
+@lru_cache(maxsize=8)
 def hann(side: int, width: float, height: float) -> Singles:
     """(side, side) window: cos^2 over `width` and `height` cells in the middle, 0 beyond."""
     place = np.arange(side) - 0.5 * (side - 1)
@@ -24,7 +27,9 @@ def hann(side: int, width: float, height: float) -> Singles:
         within = min(span, float(side))
         return np.where(np.abs(place) < within / 2, np.cos(np.pi * place / within) ** 2, 0.0)
 
-    return np.outer(line(height), line(width)).astype(np.float32)
+    window = np.outer(line(height), line(width)).astype(np.float32)
+    window.setflags(write=False)  # shared by all who ask for it
+    return window
 
 
 def gaussian_label(side: int, sd: float, x: float = 0.0, y: float = 0.0) -> Floats:
@@ -54,7 +59,10 @@ def solve(numerator: Spectra, denominator: Floats, ridge: float) -> Singles:
 
 
 def spectra(patch: Singles) -> list[Singles]:
-    """The Fourier transform of each channel (F, F), packed as OpenCV does."""
+    """The Fourier transform of each channel (F, F), packed as OpenCV does.
+
+    An array each: small ones are memory that was just in use, one large one is new from the system each time.
+    """
     import cv2
 
     return [np.asarray(cv2.dft(one), np.float32) for one in patch]
@@ -76,9 +84,11 @@ def answers(patch: list[Singles], kernel: list[Singles], side: int) -> Singles:
     """
     import cv2
 
+    from bayesnet_track.vision.kernels.correlation_kernels import add_product
+
     total = np.zeros_like(patch[0])
     for one, other in zip(patch, kernel, strict=True):
-        cv2.add(total, cv2.mulSpectrums(one, other, 0, conjB=True), total)
+        add_product(one, other, total)
     valid = len(total) - side + 1
     back = cv2.dft(total, flags=cv2.DFT_INVERSE | cv2.DFT_SCALE)
     return np.asarray(back[:valid, :valid], np.float32)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.vision.kernels.correlation_kernels import read_answers, resized_filter
+from bayesnet_track.vision.kernels.correlation_kernels import add_product, read_answers, resized_filter
 
 
 def test_scale_1_keeps_the_filter() -> None:
@@ -53,3 +54,13 @@ def test_places_beyond_the_map_read_its_rim() -> None:
     read = np.empty(4)
     read_answers(maps, 0, x, np.full(4, 4.0), np.zeros(4), np.arange(4), read)
     assert read[0] == read[1] and read[2] == read[3] == maps[0, 4, 6]
+
+
+@pytest.mark.parametrize("side", [4, 24, 64])
+def test_a_product_of_spectra_is_that_of_opencv_to_the_bit(side: int) -> None:
+    rng = np.random.default_rng(side)
+    one, other, total = (rng.normal(size=(side, side)).astype(np.float32) for _ in range(3))
+    one, other = cv2.dft(one), cv2.dft(other)
+    expected = total + cv2.mulSpectrums(one, other, 0, conjB=True)
+    add_product(one, other, total)
+    np.testing.assert_array_equal(total, expected)

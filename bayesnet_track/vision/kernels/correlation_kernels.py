@@ -91,3 +91,31 @@ def read_answers(
                     line += across[a] * one[j + b - 1, i + a - 1]
                 total += weight * down[b] * line
         answers[n] = total
+
+
+@compiled
+def add_product(one: Singles, other: Singles, total: Singles) -> None:
+    """Add the product of the spectra `one` and conj(`other`) to `total`, each (F, F) with even F.
+
+    Packed as OpenCV packs spectra of real images: pairs of real and imaginary part lie along a row, in the
+    first and in the last column along the column. Products are taken in double precision, as OpenCV does.
+    """
+    side = one.shape[0]
+    pairs = side // 2 - 1
+    for j in range(side):
+        a, b, sums = one[j], other[j], total[j]
+        for k in range(pairs):
+            i = 2 * k + 1
+            a_re, a_im = np.float64(a[i]), np.float64(a[i + 1])
+            b_re, b_im = np.float64(b[i]), np.float64(b[i + 1])
+            sums[i] += np.float32(a_re * b_re + a_im * b_im)
+            sums[i + 1] += np.float32(a_im * b_re - a_re * b_im)
+    for i in (0, side - 1):
+        for j in (0, side - 1):
+            total[j, i] += one[j, i] * other[j, i]
+        for k in range(pairs):
+            j = 2 * k + 1
+            a_re, a_im = np.float64(one[j, i]), np.float64(one[j + 1, i])
+            b_re, b_im = np.float64(other[j, i]), np.float64(other[j + 1, i])
+            total[j, i] += np.float32(a_re * b_re + a_im * b_im)
+            total[j + 1, i] += np.float32(a_im * b_re - a_re * b_im)
