@@ -138,6 +138,10 @@ class Posterior(Protocol):
         """x_low, x_high, y_low, y_high in px: the central `share` of the centre's weight on each axis."""
         ...
 
+    def regions(self, shares: Sequence[float]) -> Floats:
+        """(S, 4) the region of each share."""
+        ...
+
     def draw(self, size: int, rng: np.random.Generator) -> Floats:
         """(size, 4) centre boxes drawn from it."""
         ...

@@ -43,13 +43,13 @@ def frame_metrics(
     plate = work.plate_of(target).plate
     posterior, weights = stepped.posterior, stepped.support.weights
     cloud = posterior.draw(CLOUD_SIZE, work.stream(target, plate.root)("cloud"))
-    variances = np.clip(np.diag(covariance)[:4], 0.0, None)
+    variances = np.maximum(covariance.diagonal()[:4], 0.0)
     score, features = index(measures, plate.root), {}
     if measured.score is not None:
         score, features = measured.score, {**measured.scored.smooth, "most": measured.bound}
     localization_error = plate.inference(plate.root).localization_error
     if localization_error is None:
-        region50, region90 = posterior.region(0.5), posterior.region(0.9)
+        region50, region90 = map(tuple, posterior.regions((0.5, 0.9)).tolist())
     else:
         side = float(np.sqrt(max(measures.area_px2, 1.0)))
         wide = blur_regions(posterior, localization_error, score, side)
@@ -77,8 +77,8 @@ def frame_metrics(
         agent_ud_px2=measures.agent_ud_px2,
         strength=measures.strength,
         learn_rate=learnt.rate,
-        region50=_floats(region50),
-        region90=_floats(region90),
+        region50=region50,
+        region90=region90,
         cloud=tuple(map(tuple, np.rint(cloud).astype(np.int64).tolist())),
         silent=measures.silent,
         angle=learnt.angle,

@@ -132,7 +132,7 @@ def blur_regions(posterior: Posterior, rule: Localization, score: float, side_px
 def marginal_points(posterior: Posterior) -> Floats:
     """(2, 32) equally probable x and y of the centre, px: the quantiles (i + 1/2) / 32 of each."""
     shares = [1.0 - (2 * i + 1) / MARGINAL_POINTS for i in range(MARGINAL_POINTS // 2)]
-    bounds = np.array([posterior.region(share) for share in shares])
+    bounds = posterior.regions(shares)
     return np.concatenate([bounds[:, 0::2], bounds[::-1, 1::2]]).T
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -9,6 +10,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesnet_track.adapt.conditions import read_level
 from bayesnet_track.graph.spec import Learn
@@ -226,9 +228,13 @@ def _failure(error: BaseException) -> str | Missing:
 def _check(reference: Reference) -> Reference | str:
     for name, values in reference.items():
         array = np.asarray(values)
-        if array.dtype.kind in "fc" and not np.isfinite(array).all():
+        if array.dtype.kind in "fc" and not _is_finite(array):
             return f"made a reference whose {name!r} is not finite"
     return seal(reference)
+
+
+def _is_finite(array: NDArray[Any]) -> bool:
+    return cmath.isfinite(array.item()) if array.ndim == 0 else bool(np.isfinite(array).all())
 
 
 def _split_faults(

@@ -117,6 +117,8 @@ def join_messages(
     Missing children, and agents that measured nothing, are left out, a pool's weights scaled to sum to 1 over
     those present.
     """
+    if not measured and not latent:
+        return _join_plain(plan, said, len(hypotheses))
     messages = dict(said)
     gaussians = {agent: own for agent, own in measured.items() if own is not None}
     # What of a source's message is not in its Gaussian: all, nothing, or what a latent node's is scaled by.
@@ -159,6 +161,19 @@ def join_messages(
         source: to_power(own, at_root[source]) for source, own in gaussians.items() if source in at_root
     }
     return Joined(messages, reaching, _rest(at_root, rests, len(hypotheses)) if reaching else None)
+
+
+def _join_plain(plan: Plan, said: Mapping[str, Floats], size: int) -> Joined:
+    """As `join_messages` where nothing was measured and no node is latent: products and pools only."""
+    messages = dict(said)
+    for fusion in plan.fusions:
+        weights = fusion.weights(messages)
+        if weights:
+            total = np.zeros(size)
+            for child, weight in weights.items():
+                total = total + (messages[child] if weight == 1.0 else weight * messages[child])
+            messages[fusion.node] = total
+    return Joined(messages, {}, None)
 
 
 def without(

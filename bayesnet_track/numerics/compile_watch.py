@@ -20,13 +20,14 @@ class CompileWatch:
 
     Attributes:
         seconds: of all spans that are over.
+        of_thread: `seconds` of those that are over in a thread, where there are any.
     """
 
     def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
         self.seconds = 0.0
         self._clock = clock
         self._open: list[tuple[Hashable, float]] = []
-        self._of_thread = threading.local()
+        self.of_thread = threading.local()
         self._listeners: list[Listener] = []
 
     def begins(self, kernel: Hashable) -> None:
@@ -43,13 +44,13 @@ class CompileWatch:
                 if not self._open:
                     spent = self._clock() - began
                     self.seconds += spent
-                    self._of_thread.seconds = self.seconds_here + spent
+                    self.of_thread.seconds = self.seconds_here + spent
                 return
 
     @property
     def seconds_here(self) -> float:
         """Of the spans that are over in the calling thread."""
-        return float(getattr(self._of_thread, "seconds", 0.0))
+        return float(getattr(self.of_thread, "seconds", 0.0))
 
     @contextmanager
     def notifying(self, listener: Listener) -> Iterator[None]:
@@ -67,4 +68,4 @@ WATCH = CompileWatch()
 
 def working_clock() -> float:
     """Seconds that the calling thread did not compile, of any origin: what an agent's work is timed by."""
-    return time.perf_counter() - WATCH.seconds_here
+    return time.perf_counter() - getattr(WATCH.of_thread, "seconds", 0.0)  # asked ten times a target

@@ -6,6 +6,7 @@ f is a belief, beta its prior weights, L a likelihood; all live on one set of N 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,10 +33,14 @@ def kl(log_f: Floats, log_g: Floats) -> float:
 
 def select(columns: Sequence[int]) -> slice | list[int]:
     """What selects these columns: a slice, which copies nothing, where they stand side by side."""
+    side_by_side = _slice_of(tuple(columns))
+    return list(columns) if side_by_side is None else side_by_side
+
+
+@lru_cache(maxsize=64)
+def _slice_of(columns: tuple[int, ...]) -> slice | None:
     first, size = columns[0], len(columns)
-    if tuple(columns) == tuple(range(first, first + size)):
-        return slice(first, first + size)
-    return list(columns)
+    return slice(first, first + size) if columns == tuple(range(first, first + size)) else None
 
 
 def uncertainty_deviation(states: Floats, weights: Floats, centre: Floats) -> float:

@@ -67,7 +67,7 @@ class LogWeights:
         """(N,) weights that sum to 1, read-only."""
         return _frozen(np.exp(self.log))
 
-    @property
+    @cached_property
     def ess(self) -> float:
         """Effective sample size 1 / sum(w^2): N for equal weights, 1 when one holds all."""
         return float(np.exp(-_log_sum_exp(2.0 * self.log)))

@@ -70,6 +70,10 @@ class GaussianPosterior:
         x, y = float(self.mean[0]), float(self.mean[1])
         return x - float(reach[0]), x + float(reach[0]), y - float(reach[1]), y + float(reach[1])
 
+    def regions(self, shares: Sequence[float]) -> Floats:
+        """(S, 4) the region of each share."""
+        return np.array([self.region(share) for share in shares])
+
     def draw(self, size: int, rng: np.random.Generator) -> Floats:
         """(size, 4) boxes; widths and heights at least 1 px."""
         lower = root(self.covariance[:4, :4])

@@ -144,6 +144,10 @@ class GridBelief:
         x_low, x_high, y_low, y_high = bounds
         return x_low, x_high, y_low, y_high
 
+    def regions(self, shares: Sequence[float]) -> Floats:
+        """(S, 4) the region of each share."""
+        return np.array([self.region(share) for share in shares])
+
     def draw(self, size: int, rng: np.random.Generator) -> Floats:
         """(size, 4) boxes: cells drawn systematically, the centre even inside its cell."""
         positions = self.positions

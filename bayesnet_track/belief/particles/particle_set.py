@@ -77,10 +77,16 @@ class ParticleSet:
 
     def region(self, share: float) -> tuple[float, float, float, float]:
         """x_low, x_high, y_low, y_high in px: the central `share` of the centre's weight on each axis."""
-        tails = np.array([(1.0 - share) / 2.0, (1.0 + share) / 2.0])
-        x_low, x_high = _quantiles(*self._ordered[0], tails)
-        y_low, y_high = _quantiles(*self._ordered[1], tails)
+        x_low, x_high, y_low, y_high = self.regions((share,))[0].tolist()
         return x_low, x_high, y_low, y_high
+
+    def regions(self, shares: Sequence[float]) -> Floats:
+        """(S, 4) the region of each share."""
+        tails = np.array([[(1.0 - share) / 2.0, (1.0 + share) / 2.0] for share in shares])
+        found = np.empty((len(tails), 4))
+        for axis, (ordered, cumulative) in enumerate(self._ordered):
+            found[:, 2 * axis : 2 * axis + 2] = ordered[cumulative.searchsorted(tails * cumulative[-1])]
+        return found
 
     @cached_property
     def _ordered(self) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
