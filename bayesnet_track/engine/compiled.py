@@ -10,6 +10,7 @@ from bayesnet_track.belief.contract import Belief, MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianFilter
 from bayesnet_track.belief.grid.belief import GridFilter
 from bayesnet_track.belief.motion.borders import Reflecting
+from bayesnet_track.belief.motion.formulas import make_formula_motion
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.motion.rotating import Rotating
 from bayesnet_track.belief.particles.belief import ParticleFilter
@@ -133,7 +134,8 @@ def make_engine(
     if unknown:
         raise ValueError(f"motion for {unknown[0]!r}; the graph has {', '.join(graph.targets)}")
     plates = {
-        name: _compile_plate(plate, declarations, own.get(name)) for name, plate in graph.targets.items()
+        name: _compile_plate(plate, declarations, own.get(name), graph.spec.constants)
+        for name, plate in graph.targets.items()
     }
     made = _make_detectors([one for one in plates.values() if one.detector], detectors or {})
     return Engine(plates, Streams(seed), detectors=made, joins=graph.spec.joins)
@@ -161,7 +163,10 @@ def _make_detectors(plates: Sequence[CompiledPlate], given: Mapping[str, Detecto
 
 
 def _compile_plate(
-    plate: CheckedTarget, declarations: Mapping[str, CueDeclaration], own: MotionModel | None
+    plate: CheckedTarget,
+    declarations: Mapping[str, CueDeclaration],
+    own: MotionModel | None,
+    constants: Mapping[str, float],
 ) -> CompiledPlate:
     root = plate.inference(plate.root)
     of = {agent: declarations[plate.agent(agent).agent.cue] for agent in plate.agents}
@@ -175,7 +180,7 @@ def _compile_plate(
         plate=plate,
         cues=made,
         belief=make_belief(root.belief),
-        motion=make_plate_motion(root.motion) if own is None else own,
+        motion=make_plate_motion(root.motion, constants) if own is None else own,
         costs_ms={agent: of[agent].cost_ms for agent in plate.agents},
         rate_max={agent: _rate_max(plate, agent, of[agent], root.learn) for agent in plate.agents},
         adaptable=frozenset(agent for agent in plate.agents if of[agent].adapts),
@@ -195,10 +200,14 @@ def _compile_plate(
     )
 
 
-def make_plate_motion(chosen: spec.Motion) -> MotionModel:
-    """The motion that a graph asks for, before anything of a frame influences it."""
+def make_plate_motion(chosen: spec.Motion, constants: Mapping[str, float]) -> MotionModel:
+    """The motion that a graph with these constants asks for, before anything of a frame influences it."""
     settings = chosen.settings
-    motion: MotionModel = make_motion(chosen)
+    motion: MotionModel
+    if chosen.expressions is not None:
+        motion = make_formula_motion(chosen.expressions, constants)
+    else:
+        motion = make_motion(chosen)
     if settings.sd_angle_deg > 0:
         motion = Rotating(motion, settings.sd_angle_deg)
     return Reflecting(motion) if settings.borders == "reflect" else motion

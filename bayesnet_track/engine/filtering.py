@@ -9,6 +9,7 @@ from functools import partial
 from bayesnet_track.adapt.backoff import quarantine
 from bayesnet_track.belief.contract import MotionModel, Posterior, Step
 from bayesnet_track.belief.motion.borders import confined
+from bayesnet_track.belief.motion.formulas import Undefined, undefined_in
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.predicting import PredictedMotion, predict_motion
 from bayesnet_track.engine.shedding import within
@@ -47,6 +48,7 @@ class Filtered:
         missed: agents that gave no answer for a reason outside of them -> that reason.
         join: what a joint belief says of it, once there is one; None for a target that is in none.
         flaws: factor -> what was wrong with its values.
+        undefined: expression of the motion -> at how many states it had no value.
     """
 
     target: str
@@ -58,6 +60,7 @@ class Filtered:
     missed: Mapping[str, str] = field(default_factory=dict)
     join: JoinMetrics | None = None
     flaws: Mapping[str, Flaw] = field(default_factory=dict)
+    undefined: Mapping[str, Undefined] = field(default_factory=dict)
 
     @property
     def hidden(self) -> float:
@@ -78,6 +81,7 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
     given, prior = (None, before.belief) if ride is None else (ride.motion, ride.belief)
     moves = predict_motion(compiled, given, before.motion_context, live.status == "lost", dt, work.cache)
     belief = within(compiled.belief, live.most_particles)
+    motion = confined(moves.motion, frame.width, frame.height)
     failed: dict[str, str] = {}
     while True:
         observer = Observer(
@@ -93,7 +97,7 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
         )
         stepped = belief.step(
             prior,
-            confined(moves.motion, frame.width, frame.height),
+            motion,
             dt,
             partial(evaluate, before.plan, observer),
             stream,
@@ -107,4 +111,5 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
     if out:
         plan = compile_plan(compiled.plate, plan.active - out, compiled.cues)
     missed, flaws = dict(observer.missed), dict(observer.factors.flaws)
-    return Filtered(target, before, stepped, faults, moves, plan, missed, flaws=flaws)
+    undefined = undefined_in(motion)
+    return Filtered(target, before, stepped, faults, moves, plan, missed, flaws=flaws, undefined=undefined)

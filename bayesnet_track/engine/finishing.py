@@ -30,8 +30,9 @@ from bayesnet_track.inference.guard import changes, watch
 from bayesnet_track.inference.learn import Lesson, learning_rate, over_frames
 from bayesnet_track.inference.measure import measure
 from bayesnet_track.inference.part_measures import part_rates
-from bayesnet_track.journal.events.beliefs import DegenerateBelief, FactorFlawed
+from bayesnet_track.journal.events.beliefs import DegenerateBelief
 from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed
 from bayesnet_track.numerics.records import changed
 
 Floats = NDArray[np.float64]
@@ -169,15 +170,13 @@ def describe_target(
         learnt.watched,
         filtered.predicted.after(ud_px2, measures.area_px2, decided.quiet_px2),
         measured.scored,
+        frozenset({*filtered.flaws, *filtered.undefined}),
     )
     events: list[Event] = [
         *filtered.predicted.events,
         *(report(frame.index, target) for report in stepped.reports),
     ]
-    events += [
-        FactorFlawed(frame.index, target, factor, flaw.undefined, flaw.hypotheses, flaw.ignored)
-        for factor, flaw in filtered.flaws.items()
-    ]
+    events += _report_flaws(filtered, frame.index, after.flawed)
     if stepped.degenerate is not None:
         events.append(DegenerateBelief(frame.index, target, stepped.degenerate))
     if measured.distractor is not None and measured.scored.doubt > 0 and not before.scored.doubt:
@@ -187,3 +186,21 @@ def describe_target(
     metrics = frame_metrics(work, filtered, measured, decided, learnt, spread)
     decisions = (*filtered.faults, *work.by_hand.get(target, ()), *learnt.decisions)
     return TargetResult(after, metrics, decisions, tuple(events), spread)
+
+
+def _report_flaws(filtered: Filtered, frame: int, now: frozenset[str]) -> list[Event]:
+    """What is written of expressions that begin to have no value in this frame, and of those that end to."""
+    target, before = filtered.target, filtered.before.flawed
+    return [
+        *(
+            FactorFlawed(frame, target, factor, flaw.undefined, flaw.hypotheses, flaw.ignored)
+            for factor, flaw in filtered.flaws.items()
+            if factor not in before
+        ),
+        *(
+            MotionFlawed(frame, target, part, one.states, one.asked)
+            for part, one in filtered.undefined.items()
+            if part not in before
+        ),
+        *(FlawEnded(frame, target, what) for what in sorted(before - now)),
+    ]

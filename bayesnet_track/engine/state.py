@@ -35,6 +35,7 @@ class TargetState:
         watched: the slow references that guard the others against drift.
         motion_context: what its motion depends on besides its states; None when on nothing.
         scored: what its score remembers.
+        flawed: expressions that had no value for some hypotheses in the last frame.
     """
 
     belief: Posterior
@@ -45,6 +46,7 @@ class TargetState:
     watched: Watched = field(default_factory=Watched)
     motion_context: MotionContext | None = None
     scored: Scored = field(default_factory=Scored)
+    flawed: frozenset[str] = frozenset()
 
 
 def apply_decisions(net: Net, decisions: Iterable[Decision]) -> Net:

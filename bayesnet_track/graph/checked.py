@@ -41,6 +41,7 @@ class CheckedTarget:
         parameters: agent -> its cue's typed parameters.
         governor: agent -> the nearest inference node above it that has `adapt` rules, or None.
         factors: factor node -> its expression, in file order.
+        constants: numbers that expressions use by name.
     """
 
     name: str
@@ -52,6 +53,7 @@ class CheckedTarget:
     parameters: Mapping[str, NoParameters]
     governor: Mapping[str, str | None]
     factors: Mapping[str, Factor] = field(default_factory=dict)
+    constants: Mapping[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Name and size."""

@@ -40,6 +40,7 @@ from bayesnet_track.graph.settings.lifecycle import (
 )
 from bayesnet_track.graph.settings.motion import (
     BoxSd,
+    ByExpressions,
     ConstantAcceleration,
     ConstantVelocity,
     DampedVelocity,
@@ -50,6 +51,7 @@ from bayesnet_track.graph.settings.motion import (
     Motion,
     Moving,
     Noise,
+    OwnField,
     PixelSd,
     Probes,
     RandomWalk,
@@ -91,6 +93,7 @@ __all__ = [
     "BinnedSize",
     "Birth",
     "BoxSd",
+    "ByExpressions",
     "Choice",
     "Concentrated",
     "Condition",
@@ -138,6 +141,7 @@ __all__ = [
     "NormalSize",
     "Occlusion",
     "OffsetBox",
+    "OwnField",
     "Particles",
     "PixelSd",
     "Probes",

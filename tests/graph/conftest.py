@@ -405,6 +405,11 @@ def everything() -> dict[str, Any]:
             "belief": {"particles": {"size": {"likelihood_sum": {"threshold": 20}}}},
         },
         "r": {"adapt": {"activate": {"unless": "concentrated"}, "information": {"exploration": 1}}},
+        "l": {
+            "motion": {
+                "expressions": {"fields": {"vx": {"sd": 2}}, "drift": {"x": "x + vx * dt"}, "sd": {"x": 1.5}}
+            }
+        },
         "m": {"belief": {"particles": {"proposal": {"second_pass": {"by": "parents"}}}}},
         "n": {"belief": {"particles": {"proposal": {"auxiliary": {"defensive": 0.2}}}}},
         "o": {"belief": {"particles": {"proposal": {"prior_editing": {"rounds": 3}}}}},

@@ -14,6 +14,7 @@ from bayesnet_track.graph.text.formula import (
     formula_latex,
     formula_text,
 )
+from bayesnet_track.graph.text.formula_motion import latex_lines, lines
 
 WALK = {"random_walk": {"sd_px": {"x": 20, "y": 10}}}
 PREDICTED = "p(s_t | e_1:t-1)"
@@ -55,6 +56,39 @@ def test_the_noise_of_velocities_is_told(target):
     nodes["s"]["motion"] = {"constant_velocity": {"sd_px": {"x": 2}, "sd_velocity_px": 1.5}}
     expected = "p(s_t | s_t-1): constant velocity, sd x 2 px, sd velocity 1.5 px/frame"
     assert formula_text(target(nodes)).splitlines()[-1] == expected
+    assert lines(target(nodes)) == latex_lines(target(nodes)) == []
+
+
+def test_a_motion_by_expressions_is_an_equation_for_each_field(target):
+    nodes = _fusion()
+    nodes["s"]["motion"] = {
+        "expressions": {
+            "fields": {"vy": {"sd": 3}},
+            "drift": {"y": "y + vy * dt", "vy": "exp(-dt / 4) * vy"},
+            "sd": {"x": "0.1 * h", "vy": 2},
+            "borders": "reflect",
+        }
+    }
+    assert formula_text(target(nodes)).splitlines()[2:] == [
+        "p(s_t | s_t-1): by expressions, reflected at the borders",
+        "x_t = x + noise of sd (0.1 * h) · √dt",
+        "y_t = y + vy * dt",
+        "vy_t = exp(-dt / 4) * vy + noise of sd 2 · √dt",
+    ]
+    rows = formula_latex(target(nodes)).splitlines()
+    assert rows[3:5] == [
+        r"x_{t} &\sim \mathcal{N}\left(x,\, \left(0.1 \, h\right)^{2} \, \Delta t\right) \\",
+        r"y_{t} &= y + \mathit{vy} \, \Delta t \\",
+    ]
+
+
+def test_constants_of_a_motion_are_told(cues):
+    motion = {"expressions": {"drift": {"y": "y + fall"}, "sd": {"x": 1}}}
+    nodes = {"s": {"motion": motion}, "a": {"parent": "s", "agent": "hue"}}
+    graph = {"name": "g", "constants": {"fall": 2.5, "other": 1}, "targets": {"s": {"nodes": nodes}}}
+    checked = check_graph(graph, cues).targets["s"]
+    assert formula_text(checked).splitlines()[-1] == "fall = 2.5"
+    assert r"\mathit{fall} &= 2.5" in formula_latex(checked)
 
 
 def test_what_a_motion_depends_on_is_told(target):

@@ -16,7 +16,8 @@ from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.inference.compile import describe_plan
 from bayesnet_track.inference.factors import log_prior_factor, log_seen
 from bayesnet_track.inference.messages import evaluate, without
-from bayesnet_track.journal.events.beliefs import DegenerateBelief, FactorFlawed
+from bayesnet_track.journal.events.beliefs import DegenerateBelief
+from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Hypotheses
 
@@ -147,13 +148,30 @@ def test_later_hypotheses_may_all_be_impossible(fakes):
     assert observer.factors.flaws == {}
 
 
-def test_what_is_wrong_with_a_factor_is_written_down(fakes):
+def test_what_is_wrong_with_a_factor_is_written_down_when_it_begins(fakes):
     engine, _ = fakes.engine({"s": {}, "a": AGENT, "f": factor("x > 1000")}, {"a": fakes.flat()})
-    outcomes = fakes.play(engine, 2)
+    outcomes = fakes.play(engine, 3)
     events = [event for outcome in outcomes for event in outcome.events]
-    assert [type(event) for event in events if event.frame > 0] == [FactorFlawed, FactorFlawed]
+    assert [type(event) for event in events if event.frame > 0] == [FactorFlawed]
     assert not [event for event in events if isinstance(event, DegenerateBelief)]
-    assert (events[-1].frame, events[-1].node, events[-1].ignored) == (2, "f", True)
+    assert (events[-1].frame, events[-1].node, events[-1].ignored) == (1, "f", True)
+
+
+def test_and_when_it_ends(fakes):
+    motion = {"expressions": {"fields": {"vx": {}}, "drift": {"vx": "vx + dt"}, "sd": {"x": 3, "y": 3}}}
+    nodes = {"s": {"motion": motion}, "a": AGENT, "f": factor("vx > 2.5")}
+    engine, _ = fakes.engine(nodes, {"a": fakes.flat()})
+    events = [event for outcome in fakes.play(engine, 5) for event in outcome.events if event.frame > 0]
+    assert [(type(event), event.frame) for event in events] == [(FactorFlawed, 1), (FlawEnded, 3)]
+    assert events[-1].what == "f"
+
+
+def test_a_motion_without_a_value_is_written_down_once(fakes):
+    motion = {"expressions": {"drift": {"x": "x + log(40 - y)"}, "sd": {"x": 3, "y": 3}}}
+    engine, _ = fakes.engine({"s": {"motion": motion}, "a": AGENT}, {"a": fakes.gaussian(50, 42, 7)})
+    events = [event for outcome in fakes.play(engine, 3) for event in outcome.events if event.frame > 0]
+    assert [(type(event), event.frame, event.part) for event in events] == [(MotionFlawed, 1, "drift x")]
+    assert events[0].undefined == events[0].hypotheses
 
 
 @pytest.mark.parametrize("belief", ["particles", "grid", "gaussian"])

@@ -12,7 +12,6 @@ from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.beliefs import (
     BeliefReset,
     DegenerateBelief,
-    FactorFlawed,
     MeasurementGated,
 )
 from bayesnet_track.journal.events.births import (
@@ -26,6 +25,7 @@ from bayesnet_track.journal.events.distractors import DistractorSeen
 from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.faults import AgentMissed, Quarantined, Readmitted
+from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed
 from bayesnet_track.journal.events.joins import Joined, Parted
 from bayesnet_track.journal.events.joint_beliefs import AttachmentChanged, OcclusionChanged, RingChanged
 from bayesnet_track.journal.events.jumps import Reappeared
@@ -205,7 +205,8 @@ GOLDEN = [
     ),
     (
         FactorFlawed(12, "1", "road", 0, 500, True),
-        "frame 12: factor road of target 1 is 0 for all hypotheses → it is left out of this frame",
+        "frame 12: factor road of target 1 is 0 for all hypotheses → it is left out until it is "
+        "above 0 for some",
     ),
     (
         FactorFlawed(12, "1", "road", 3, 500, False),
@@ -215,8 +216,19 @@ GOLDEN = [
     (
         FactorFlawed(12, "1", "road", 500, 500, True),
         "frame 12: factor road of target 1 has no value for 500 of 500 hypotheses (such as 0 / 0) → it is "
-        "left out of this frame",
+        "left out until it is above 0 for some",
     ),
+    (
+        MotionFlawed(12, "1", "drift x", 3, 500),
+        "frame 12: drift x of target 1 has no value for 3 of 500 hypotheses (such as 0 / 0) → it stays as it "
+        "is for these",
+    ),
+    (
+        MotionFlawed(12, "1", "sd x", 3, 500),
+        "frame 12: sd x of target 1 has no value for 3 of 500 hypotheses (such as 0 / 0) → these have no "
+        "such noise",
+    ),
+    (FlawEnded(19, "1", "road"), "frame 19: road of target 1 has a value for every hypothesis again"),
     (
         BeliefReset(33, "1", 0.2834, 1.0, "belief", 3600.0, "reset"),
         "frame 33: γ 0.283 < 1 over the belief's bounding box (3600 px²) → the belief of target 1 starts "

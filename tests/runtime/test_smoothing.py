@@ -62,7 +62,8 @@ def test_a_smoothed_target_is_surer(name, request):
 def test_gaussians_are_smoothed_by_the_motion_that_was_at_work(gaussian_run):
     kept = list(read_beliefs(gaussian_run.directory.beliefs))
     root = root_of(gaussian_run.spec.targets["ball"])
-    plain, size = make_plate_motion(root.motion), (gaussian_run.started.width, gaussian_run.started.height)
+    plain = make_plate_motion(root.motion, {})
+    size = gaussian_run.started.width, gaussian_run.started.height
     moves = [Move(_motion_into(one, plain, root.motion, size), 1.0) for one in kept[1:]]
     exact = smooth_gaussians([one.posterior for one in kept], moves, root.belief.settings)
     found = smooth(gaussian_run).metrics

@@ -16,8 +16,11 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice, X, Y
+from bayesnet_track.belief.grid.formulas import predict_by_function
 from bayesnet_track.belief.grid.gaps import Leap, leapt
 from bayesnet_track.belief.grid.window import Limits, Patch, limits_of, stack_patches, within
+from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.formulas import FormulaMotion
 from bayesnet_track.numerics.distributions import gaussian_taps, spreading_matrix
 
 Floats = NDArray[np.float64]
@@ -56,6 +59,8 @@ def predict_grid(prior: GridBelief, motion: MotionModel, dt: float, window: int)
     Raises:
         ValueError: the motion needs cells that the belief does not have.
     """
+    if isinstance(motion.motion if isinstance(motion, Confined) else motion, FormulaMotion):
+        return predict_by_function(prior, motion, dt, window)
     lattice, limits = prior.lattice, limits_of(prior.lattice, motion, window)
     sizes = np.exp(lattice.log_scales)[:, None] * np.array(lattice.size)
     moved: list[Patch] = []

@@ -81,6 +81,8 @@ def read_factors(plate: Plate) -> dict[str, Factor]:
 def _further(root: InferenceNode) -> tuple[str, ...]:
     if root.motion is None or (root.belief is not None and root.belief.grid is not None):
         return ()
+    if root.motion.expressions is not None:
+        return tuple(root.motion.expressions.fields)
     angle = ("angle",) if root.motion.settings.sd_angle_deg > 0 else ()
     return (*FURTHER.get(root.motion.kind, ()), *angle)
 

@@ -14,6 +14,8 @@ def kalman_moves_linearly(plate: Plate) -> Iterator[GraphMessage]:
         gaussian = node.belief.gaussian if node.belief is not None else None
         if gaussian is None or gaussian.filter != "kalman" or node.motion is None:
             continue
+        if node.motion.expressions is not None:
+            continue
         noise = node.motion.settings
         further = [
             f"{part}.{field}"

@@ -13,6 +13,8 @@ def grid_holds_the_motion(plate: Plate) -> Iterator[GraphMessage]:
     for name, node in plate.inference.items():
         if node.belief is None or node.belief.grid is None or node.motion is None:
             continue
+        if node.motion.expressions is not None:
+            continue
         kind, settings = node.motion.kind, node.motion.settings
         if kind == "constant_acceleration":
             found = "a grid has no cells for accelerations"

@@ -18,9 +18,9 @@ _DETECTOR = ("relocalize", "by", "detector")
 
 
 def _moving(plate: Plate) -> Iterator[tuple[str, Path, Moving]]:
-    """Node, key and settings of every motion."""
+    """Node, key and settings of every motion but those by expressions."""
     for name, node in plate.inference.items():
-        if node.motion is not None:
+        if node.motion is not None and isinstance(node.motion.settings, Moving):
             yield name, ("motion", node.motion.kind), node.motion.settings
 
 
@@ -73,12 +73,11 @@ def belief_holds_the_motion(plate: Plate) -> Iterator[GraphMessage]:
 
 def borders_can_be_met(plate: Plate) -> Iterator[GraphMessage]:
     """`borders: reflect` is for particles drawn from the motion, and for extended and unscented filters."""
-    for name, key, settings in _moving(plate):
-        if settings.borders is None:
+    for name, node in plate.inference.items():
+        belief = node.belief
+        if node.motion is None or node.motion.settings.borders is None or belief is None:
             continue
-        here, belief = (*key, "borders"), plate.inference[name].belief
-        if belief is None:
-            continue
+        here = ("motion", node.motion.kind, "borders")
         if belief.grid is not None:
             found = "borders: reflect beside a grid, whose cells all move alike"
             yield plate.message(name, found, "particles or gaussian", key=here, on_key=True)

@@ -12,6 +12,7 @@ from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.checks.cues import CUE_CHECKS, cue_parameters
 from bayesnet_track.graph.checks.evidence import evidence_counts_once
 from bayesnet_track.graph.checks.factors import CONSTANT_CHECKS, FACTOR_CHECKS, read_factors
+from bayesnet_track.graph.checks.formulas import FORMULA_JOIN_CHECKS
 from bayesnet_track.graph.checks.joins import JOIN_CHECKS
 from bayesnet_track.graph.checks.lifecycle import LIFE_CHECKS
 from bayesnet_track.graph.checks.plates import Check, Plate
@@ -47,7 +48,7 @@ def check(spec: GraphSpec, at: Positions | None = None, cues: Cues | None = None
     known = own if isinstance(cues, Mapping) else {**installed_cues(named), **own}
     plates = [Plate(name, target, at, known, spec.constants) for name, target in spec.targets.items()]
     errors = [message for plate in plates for message in _violations(plate)]
-    for find in (*CONSTANT_CHECKS, *JOIN_CHECKS):
+    for find in (*CONSTANT_CHECKS, *JOIN_CHECKS, *FORMULA_JOIN_CHECKS):
         errors += islice(find(spec, at), MAX_MESSAGES + 1)
     text = write_graph(spec)
     if len(text.encode()) > MAX_BYTES:
@@ -111,4 +112,5 @@ def _resolve(plate: Plate) -> CheckedTarget:
         },
         governor=plate.governor,
         factors=read_factors(plate),
+        constants=plate.constants,
     )

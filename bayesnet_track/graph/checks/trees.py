@@ -10,6 +10,7 @@ from bayesnet_track.graph.checks.latent import (
     parts_have_a_whole,
 )
 from bayesnet_track.graph.checks.plates import Check, Plate
+from bayesnet_track.graph.settings.motion import Motion
 from bayesnet_track.graph.text.messages import GraphMessage
 
 MAX_LEVELS = 32
@@ -105,7 +106,7 @@ def root_moves(plate: Plate) -> Iterator[GraphMessage]:
     """The root says how the target moves."""
     for name in plate.roots[:1]:
         if plate.inference[name].motion is None:
-            motions = ("random_walk", "constant_velocity", "damped_velocity", "constant_acceleration")
+            motions = tuple(Motion.model_fields)
             yield plate.message(name, "key 'motion' is missing at the root", motions)
 
 

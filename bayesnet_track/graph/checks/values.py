@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from bayesnet_track.graph.checks.adapt import ADAPT_CHECKS
+from bayesnet_track.graph.checks.formulas import FORMULA_CHECKS
 from bayesnet_track.graph.checks.gaussian import gaussian_settings_have_effect, kalman_moves_linearly
 from bayesnet_track.graph.checks.grid import grid_holds_the_motion, grid_resets_at_one_level
 from bayesnet_track.graph.checks.motion import MOTION_CHECKS
@@ -150,6 +151,7 @@ VALUE_CHECKS: tuple[Check, ...] = (
     grid_holds_the_motion,
     grid_resets_at_one_level,
     *MOTION_CHECKS,
+    *FORMULA_CHECKS,
     *PLACE_CHECKS,
 )
 """These need no sound tree."""

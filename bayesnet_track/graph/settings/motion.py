@@ -4,10 +4,20 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
+from bayesnet_track.graph.expressions.terms import MAX_CHARACTERS
 from bayesnet_track.graph.settings.adapt import Level
-from bayesnet_track.graph.settings.base import Choice, Empty, Model, NotNegative, Number, Positive, Whole
+from bayesnet_track.graph.settings.base import (
+    Choice,
+    Empty,
+    Model,
+    Name,
+    NotNegative,
+    Number,
+    Positive,
+    Whole,
+)
 from bayesnet_track.graph.settings.lifecycle import DetectorChoice
 
 
@@ -196,6 +206,57 @@ class ConstantAcceleration(Moving):
     )
 
 
+Expression = Annotated[
+    Annotated[Number, Tag("number")] | Annotated[str, Field(max_length=MAX_CHARACTERS), Tag("text")],
+    Discriminator(lambda value: "text" if isinstance(value, str) else "number"),
+]
+"""A number, or an expression as text."""
+
+
+class OwnField(Model):
+    """A field of the state beside the box, such as a speed or a heading."""
+
+    start: Number = Field(default=0.0, description="its mean when the target starts")
+    sd: NotNegative = Field(default=0.0, description="its sd when the target starts")
+
+
+class ByExpressions(Model):
+    """A motion of one's own, by [expressions](expressions.md#motion): x' = drift + noise, field by field.
+
+    Example::
+
+        expressions:
+          fields: {vx: {sd: 5}, vy: {sd: 5}}
+          drift: {x: x + vx * dt, y: y + vy * dt, vy: vy + gravity * dt}
+          sd: {x: 1, y: 1, vx: 0.5, vy: 0.5}
+    """
+
+    fields: dict[Name, OwnField] = Field(
+        default={}, max_length=8, description="fields of the state beside x, y, w, h"
+    )
+    drift: dict[Name, Expression] = Field(
+        default={}, description="field: its value after `dt`; a field that is not named stays"
+    )
+    sd: dict[Name, Expression] = Field(
+        min_length=1,
+        description="field: sd of its noise for one frame interval, whose variance grows with `dt`; a field "
+        "that is not named has no noise",
+    )
+    borders: Literal["reflect"] | None = Field(
+        default=None, description="as of the other motions; turns `vx, vy, ax, ay`"
+    )
+
+    @property
+    def is_plain(self) -> bool:
+        """It depends on nothing but the state, the time and the size of the frame."""
+        return True
+
+    @property
+    def sd_angle_deg(self) -> float:
+        """An angle is a field like others here."""
+        return 0.0
+
+
 class Motion(Choice):
     """How the target moves between frames."""
 
@@ -205,3 +266,4 @@ class Motion(Choice):
     constant_acceleration: ConstantAcceleration | None = Field(
         default=None, description="the acceleration drifts"
     )
+    expressions: ByExpressions | None = Field(default=None, description="as expressions say")

@@ -15,6 +15,7 @@ from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.checked import Factor as Expression
 from bayesnet_track.graph.expressions.write import latex_of, text_of
 from bayesnet_track.graph.spec import Given, Noise, OffsetBox, SizeBox
+from bayesnet_track.graph.text import formula_motion
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,7 @@ def formula_text(target: CheckedTarget, active: Iterable[str] | None = None) -> 
         f"p({root} | e_1:t) ∝ {predicted}{said}",
         f"{predicted} = ∫ p({root} | {before}) p({before} | e_1:t-1) d {before}",
         f"p({root} | {before}): {_motion(target)}",
+        *formula_motion.lines(target),
     ]
     for name, given, noise in _latent_nodes(target):
         held = _describe_held(target, name)
@@ -91,6 +93,9 @@ def formula_latex(target: CheckedTarget, active: Iterable[str] | None = None) ->
         rf"p({root} \mid e_{{1:t}}) &\propto {predicted}{said} \\",
         rf"{predicted} &= \int p({root} \mid {before}) \, p({before} \mid e_{{1:t-1}}) \, d{before}",
     ]
+    for line in formula_motion.latex_lines(target):
+        lines[-1] += r" \\"
+        lines.append(line)
     for name, at, one in _weights(target):
         lines[-1] += r" \\"
         lines.append(rf"{_latex_weight(name, at)} &= {latex_of(one.term)}{_latex_constants(one)}")
@@ -251,6 +256,8 @@ def _describe_held(target: CheckedTarget, state: str) -> str:
 def _motion(target: CheckedTarget) -> str:
     motion = target.inference(target.root).motion
     assert motion is not None
+    if motion.expressions is not None:
+        return "by expressions" + (", reflected at the borders" if motion.expressions.borders else "")
     settings = motion.settings
     further = [
         f"sd {field} {sd:g} {unit}"

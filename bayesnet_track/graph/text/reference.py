@@ -14,6 +14,7 @@ from pydantic_core import PydanticUndefined
 from bayesnet_track.graph.checks.cues import CUE_CHECKS
 from bayesnet_track.graph.checks.evidence import evidence_counts_once
 from bayesnet_track.graph.checks.factors import CONSTANT_CHECKS, FACTOR_CHECKS
+from bayesnet_track.graph.checks.formulas import FORMULA_JOIN_CHECKS
 from bayesnet_track.graph.checks.joins import JOIN_CHECKS
 from bayesnet_track.graph.checks.lifecycle import LIFE_CHECKS
 from bayesnet_track.graph.checks.trees import TREE_CHECKS
@@ -185,6 +186,7 @@ def _checks() -> str:
         *FACTOR_CHECKS,
         *CONSTANT_CHECKS,
         *JOIN_CHECKS,
+        *FORMULA_JOIN_CHECKS,
     )
     lines = ["## Checks\n", "A graph is accepted when all of these hold:\n"]
     for check in checks:

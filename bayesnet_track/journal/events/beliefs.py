@@ -1,4 +1,4 @@
-"""What happens to beliefs: degenerate, weighed by a factor that is wrong, reset, gated."""
+"""What happens to beliefs: degenerate, reset, gated."""
 
 from __future__ import annotations
 
@@ -22,28 +22,6 @@ class DegenerateBelief:
     frame: int
     target: str
     reason: str
-
-
-@dataclass(frozen=True)
-class FactorFlawed:
-    """A factor had no value for some hypotheses, or was zero for all of them.
-
-    Attributes:
-        frame: the frame.
-        target: target id.
-        node: the factor.
-        undefined: hypotheses for which the expression has no value (0 / 0, the root of a negative number);
-            they count as impossible.
-        hypotheses: hypotheses of the frame's first evaluation.
-        ignored: true when all were impossible: the factor was left out of the frame.
-    """
-
-    frame: int
-    target: str
-    node: str
-    undefined: int
-    hypotheses: int
-    ignored: bool
 
 
 @dataclass(frozen=True)
@@ -98,7 +76,7 @@ class MeasurementGated:
     used: int
 
 
-Events = DegenerateBelief | FactorFlawed | BeliefReset | MeasurementGated
+Events = DegenerateBelief | BeliefReset | MeasurementGated
 
 
 def describe(event: Events) -> str:
@@ -106,24 +84,12 @@ def describe(event: Events) -> str:
     match event:
         case DegenerateBelief():
             return f"no hypothesis of target {event.target} can be used: {event.reason}; the prediction stays"
-        case FactorFlawed():
-            return _describe_flaw(event)
         case BeliefReset():
             return _describe_reset(event)
         case MeasurementGated():
             return _describe_gated(event)
         case _:
             assert_never(event)
-
-
-def _describe_flaw(event: FactorFlawed) -> str:
-    """A factor whose values are no densities."""
-    out = "it is left out of this frame"
-    if not event.undefined:
-        return f"factor {event.node} of target {event.target} is 0 for all hypotheses → {out}"
-    of = f"{event.undefined} of {event.hypotheses} hypotheses"
-    then = out if event.ignored else "they count as impossible"
-    return f"factor {event.node} of target {event.target} has no value for {of} (such as 0 / 0) → {then}"
 
 
 def _describe_reset(event: BeliefReset) -> str:

@@ -13,6 +13,7 @@ from bayesnet_track.journal.events import (
     by_hand,
     distractors,
     faults,
+    flaws,
     joint_beliefs,
     jumps,
     references,
@@ -37,6 +38,7 @@ Event = (
     | births.Events
     | faults.Events
     | by_hand.Events
+    | flaws.Events
     | joint_beliefs.Events
     | runs.Events
     | Decision

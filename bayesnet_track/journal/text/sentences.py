@@ -11,6 +11,7 @@ from bayesnet_track.journal.events import (
     distractors,
     endings,
     faults,
+    flaws,
     joins,
     joint_beliefs,
     jumps,
@@ -69,6 +70,8 @@ def describe(event: Event) -> str:
         return load.describe(event)
     if isinstance(event, joins.Events):
         return joins.describe(event)
+    if isinstance(event, flaws.Events):
+        return flaws.describe(event)
     if isinstance(event, joint_beliefs.Events):
         return joint_beliefs.describe(event)
     if isinstance(event, beliefs.Events):
