@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Mapping
 
+from bayesnet_track.cli.commands.annotate import annotate
 from bayesnet_track.cli.commands.answer import (
     BAD_GRAPH,
     BAD_OUTPUT,
@@ -45,6 +46,7 @@ SILENT = ("quiet", "log_json", "json")
 """Options with which nothing is said of it: somebody reads by program, or does not want to know."""
 
 COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
+    "annotate": annotate,
     "demo": demo,
     "run": run,
     "validate": validate,

@@ -9,6 +9,7 @@ from typing import Any
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "see it work": ("demo", "doctor", "list", "completion"),
     "track": ("run", "batch", "resume", "verify"),
+    "label a video": ("annotate",),
     "look at a run": ("report", "log", "diagnose", "smooth", "export"),
     "measure": ("score", "compare", "what-if"),
     "write a graph": ("init", "validate", "graph", "schema"),
@@ -24,6 +25,7 @@ EXAMPLES: Mapping[str, str] = {
     "completion": "completion bash",
     "run": "run general --source video.mp4 --init 57,21,31,45 --out runs/mine",
     "batch": "batch general --source '*.mp4' --init-from '{name}.txt' --out runs/all",
+    "annotate": "annotate video.mp4 --out labels/mine --open",
     "resume": "resume runs/mine",
     "verify": "verify runs/mine",
     "report": "report runs/mine --open",

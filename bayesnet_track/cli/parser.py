@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bayesnet_track.cli.commands.annotate import add_annotate
 from bayesnet_track.cli.commands.batch import add_batch
 from bayesnet_track.cli.commands.compare import add_compare
 from bayesnet_track.cli.commands.completion import add_completion
@@ -68,6 +69,7 @@ def make_parser() -> MainParser:
     for one in (validate, graph):
         add_plugins(one)
 
+    add_annotate(commands)
     add_smooth(commands)
     add_detect(commands)
     add_calibrate(commands)

@@ -77,11 +77,20 @@ def picture_name(frame: int) -> str:
 
 def live_page() -> tuple[bytes, str]:
     """The page of a run in progress, which asks for its data where it comes from, and its security policy."""
-    policy = f"{_policy('blob: data:')}; connect-src 'self'; frame-ancestors 'none'"
+    return _served_page(_LIVE_BODY, "blob: data:")
+
+
+def annotate_page() -> tuple[bytes, str]:
+    """The page on which a video is annotated, which asks for its data where it comes from, and its policy."""
+    return _served_page(_ANNOTATE_BODY, "'self' data:")
+
+
+def _served_page(body: str, images: str) -> tuple[bytes, str]:
+    policy = f"{_policy(images)}; connect-src 'self'; frame-ancestors 'none'"
     # Browsers look for an icon; the empty one keeps them from asking outside of the page's own address.
     pieces = (
         *_head("bayesnet-track", policy, '<link rel="icon" href="data:,">\n'),
-        _LIVE_BODY,
+        body,
         f"<script>{_built('run_page.js')}</script>\n</body>\n</html>\n",
     )
     return "".join(pieces).encode(), policy
@@ -100,6 +109,7 @@ def _page(header: Mapping[str, Any], columns: Columns, images: str) -> Iterator[
 
 _BODY = '<div id="page"><noscript>This page needs JavaScript, which is switched off.</noscript></div>\n'
 _LIVE_BODY = _BODY.replace("<div", "<div data-live=yes", 1)
+_ANNOTATE_BODY = _BODY.replace("<div", "<div data-annotate=yes", 1)
 
 
 def _policy(images: str) -> str:

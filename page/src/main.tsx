@@ -1,6 +1,9 @@
 /** Opens the page's own data and shows it. */
 
 import { options, render } from "preact";
+import { AnnotateApp } from "./annotate/app";
+import { Desk } from "./annotate/desk";
+import { listen as listenAnnotate } from "./annotate/keys";
 import { bytesOf, open } from "./data/packed";
 import { listen } from "./keys";
 import { Live } from "./live";
@@ -39,6 +42,16 @@ function watch(root: HTMLElement): void {
   render(<LiveApp live={live} />, root);
   root.dataset.ready = String(Math.round(performance.now()));
   void live.listen();
+}
+
+/** The page of a session of annotating. */
+function annotate(root: HTMLElement): void {
+  const desk = new Desk();
+  root.replaceChildren();
+  render(<AnnotateApp desk={desk} />, root);
+  listenAnnotate(desk);
+  root.dataset.ready = String(Math.round(performance.now()));
+  void desk.listen();
 }
 
 /** `#frame=120&target=2` leads to a frame of a target. */
@@ -90,6 +103,7 @@ function redraw(state: State): void {
 
 const root = document.getElementById("page");
 if (root?.dataset.live !== undefined) watch(root);
+else if (root?.dataset.annotate !== undefined) annotate(root);
 else if (root !== null) {
   start(root).catch((error: unknown) => {
     const words = document.createElement("p");

@@ -151,9 +151,9 @@ def browser(tmp_path_factory):
 class Command:
     """A command that serves a view."""
 
-    def __init__(self, *arguments):
+    def __init__(self, *arguments, view=("--quiet", "--view")):
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "bayesnet_track", *map(str, arguments), "--quiet", "--view"],
+            [sys.executable, "-m", "bayesnet_track", *map(str, arguments), *view],
             stderr=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             text=True,
@@ -174,8 +174,8 @@ class Command:
 def command():
     made = []
 
-    def start(*arguments):
-        made.append(Command(*arguments))
+    def start(*arguments, **how):
+        made.append(Command(*arguments, **how))
         return made[-1]
 
     yield start

@@ -36,7 +36,7 @@ def open_view(options: argparse.Namespace) -> Iterator[LiveView | None]:
         where = f"{options.view_host} port {options.view}" if options.view else options.view_host
         raise UsageError(f"--view: {where}: {words(error)}; choose another, or none") from error
     with view:
-        _announce(options, view)
+        announce(options, view.address)
         yield view
         if stop.signal is None and view.is_open:
             complain("the view stays while its page is open; Ctrl-C closes it")
@@ -109,15 +109,16 @@ def begin_again(
     view.controls.to("starting")
 
 
-def _announce(options: argparse.Namespace, view: LiveView) -> None:
+def announce(options: argparse.Namespace, address: str) -> None:
+    """Print the address of a page, and open it on request."""
     if options.view_host not in ("127.0.0.1", "localhost", "::1"):
         complain(
             f"--view-host {options.view_host}: whoever gets this address can see and control the run, "
             "and it travels unencrypted"
         )
-    complain(f"view: {view.address}")
+    complain(f"view: {address}")
     if options.open:
         import threading
         import webbrowser
 
-        threading.Thread(target=webbrowser.open, args=(view.address,), daemon=True).start()
+        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()

@@ -110,13 +110,16 @@ def _object(line: bytes) -> dict[str, Any]:
 
 
 def first_difference(kept: Header, now: Header) -> str | None:
-    """What of the video or of the tracker is not what the answers were given to; None when all is."""
+    """What of the video or of the tracker is not what the answers were given to; None when all is.
+
+    When it asks may change: that changes no box.
+    """
     for name in ("frames", "width", "height", "pixels"):
         was, found = getattr(kept.video, name), getattr(now.video, name)
         if was != found:
             where = "frames differ (SHA-256)" if name == "pixels" else f"{name}: {found}, it was {was}"
             return f"another video: {where}"
-    for name in ("graph_name", "graph", "seed", "threshold", "patience", "version"):
+    for name in ("graph_name", "graph", "seed", "version"):
         was, found = getattr(kept, name), getattr(now, name)
         if was != found:
             return f"{name.replace('_', ' ')}: {found}, it was {was}"

@@ -10,8 +10,8 @@ from bayesnet_track.runtime.annotation.answers import Answer
 from bayesnet_track.runtime.annotation.fusing import Mark, between, fuse
 from bayesnet_track.runtime.annotation.tracked import Runs
 
-THRESHOLD = 0.5
-PATIENCE = 1
+THRESHOLD, PATIENCE = 0.8, 10
+"""Chosen on 25 videos: docs/annotate.md has the figures."""
 
 
 @dataclass(frozen=True)
@@ -141,10 +141,11 @@ def _run_ahead(
         doubtful = doubtful + 1 if mark.probability < asking.threshold else 0
         if doubtful >= asking.patience or (doubtful and frame == ahead[-1]):
             since = "" if doubtful == 1 else f" for {doubtful} frames"
+            status = "" if found.status == "tracking" else f", status {found.status}"
             reason = (
                 f"probability of being on target {mark.probability:.2f} < {asking.threshold:.2f}{since}, "
                 f"{frame - last.frame} frames after the last answer; standard deviation "
-                f"{found.sd[0]:.0f} x {found.sd[1]:.0f} px, status {found.status}"
+                f"{found.sd[0]:.0f} x {found.sd[1]:.0f} px{status}"
             )
             return Question(target, frame, mark, reason)
     return None

@@ -120,7 +120,7 @@ class Session:
 
 
 def open_session(folder: Path, header: Header) -> tuple[Session, str | None]:
-    """The session of a folder: a new one, or the one that it holds, and how it differs from `header`.
+    """The session of a folder: a new one, or the one that it holds, and what was different when it began.
 
     Raises:
         AnswersFileError: the answers were given to another video, or are damaged.
@@ -139,7 +139,7 @@ def open_session(folder: Path, header: Header) -> tuple[Session, str | None]:
     difference = first_difference(kept, header)
     if difference is not None and difference.startswith("another video"):
         raise AnswersFileError(f"{path}: {difference}; give the video of these answers, or another folder")
-    return Session(path, kept, answers, version=1), difference
+    return Session(path, header, answers, version=1), difference
 
 
 class _StaleError(Exception):

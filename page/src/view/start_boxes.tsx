@@ -3,28 +3,20 @@
 import { useSignal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 import type { Asked, Control } from "../control";
+import { type Box, CURSORS, fitted, HANDLES, LEAST, moved, type Pull } from "./box_edit";
 import { Icon } from "./transport";
-
-/** Top-left corner and size. */
-type Box = [number, number, number, number];
 
 interface Drawn {
   box: Box;
   plate: string;
 }
 
-/** What a finger moves: a new box, a box as a whole, or the sides of one: -1 is the left or upper one, 1 the other. */
-interface Grip {
+/** What a finger moves: a new box, a box as a whole, or the sides of one. */
+interface Grip extends Pull {
   index: number;
   from: [number, number];
-  was: Box;
-  sides: [number, number] | null;
   isNew: boolean;
 }
-
-const LEAST = 3;
-const HANDLES: [number, number][] = [[-1, -1], [0, -1], [1, -1], [-1, 0], [1, 0], [-1, 1], [0, 1], [1, 1]];
-const CURSORS: Record<string, string> = { "-1,-1": "nwse", "1,1": "nwse", "1,-1": "nesw", "-1,1": "nesw", "0,-1": "ns", "0,1": "ns", "-1,0": "ew", "1,0": "ew" };
 
 export function StartBoxes({ live, about }: { live: Control; about: Asked }) {
   const [width, height] = [about.width!, about.height!];
@@ -290,26 +282,4 @@ export function StartBoxes({ live, about }: { live: Control; about: Asked }) {
       </form>
     </main>
   );
-}
-
-/** A side that is pulled stops at the frame's border, and may cross the one opposite. */
-function moved({ was: [x, y, w, h], sides }: Grip, dx: number, dy: number, width: number, height: number): Box {
-  if (sides === null) return [x + dx, y + dy, w, h];
-  const along = (start: number, size: number, side: number, d: number, room: number): [number, number] => {
-    const ends = [side < 0 ? start + d : start, side > 0 ? start + size + d : start + size];
-    const [a, b] = ends.map((end) => Math.min(Math.max(end, 0), room)) as [number, number];
-    return [Math.min(a, b), Math.abs(b - a)];
-  };
-  const [[left, wide], [top, tall]] = [along(x, w, sides[0], dx, width), along(y, h, sides[1], dy, height)];
-  return [left, top, wide, tall];
-}
-
-/** Whole pixels, inside the frame; a box that is moved keeps its size. */
-function fitted([x, y, w, h]: Box, width: number, height: number): Box {
-  const along = (start: number, size: number, room: number): [number, number] => {
-    const whole = Math.min(Math.max(LEAST, Math.round(size)), room);
-    return [Math.min(Math.max(Math.round(start), 0), room - whole), whole];
-  };
-  const [[left, wide], [top, tall]] = [along(x, w, width), along(y, h, height)];
-  return [left, top, wide, tall];
 }

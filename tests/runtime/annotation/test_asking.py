@@ -48,7 +48,7 @@ def box(frame, target="ball 1"):
 
 
 def test_it_runs_ahead_to_the_first_doubtful_frame_and_says_why():
-    done = annotate(answered(box(0)), MadeUp(good=7), 100, Asking(0.5))
+    done = annotate(answered(box(0)), MadeUp(good=7), 100, Asking(0.5, 1))
     (question,) = done.questions
     assert (question.target, question.frame) == ("ball 1", 8)
     assert "0.20 < 0.50" in question.reason and "8 frames after" in question.reason
@@ -88,7 +88,7 @@ def test_what_is_gone_is_gone_until_a_box_says_otherwise():
 
 
 def test_several_targets_are_asked_about_one_by_one():
-    done = annotate(answered(box(0), box(3, "ball 2")), MadeUp(good=7), 100)
+    done = annotate(answered(box(0), box(3, "ball 2")), MadeUp(good=7), 100, Asking(0.5, 1))
     assert [(one.target, one.frame) for one in done.questions] == [("ball 1", 8), ("ball 2", 11)]
 
 

@@ -1,0 +1,194 @@
+"""The command `annotate`: boxes for a whole video, asking only where the tracker is unsure."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayesnet_track.cli.commands.answer import (
+    OK,
+    UsageError,
+    complain,
+    run_silently,
+    say,
+    users_mistake,
+    words,
+)
+from bayesnet_track.cli.options.arguments import share, whole_number
+from bayesnet_track.cli.options.view import add_address_options
+
+if TYPE_CHECKING:
+    from bayesnet_track.graph.checked import CheckedGraph
+    from bayesnet_track.runtime.annotation.answers_file import Header
+    from bayesnet_track.runtime.annotation.frame_store import FrameStore
+    from bayesnet_track.runtime.annotation.session import Session
+    from bayesnet_track.runtime.annotation.tracked import TrackerRuns
+    from bayesnet_track.runtime.stop import StopRequest
+
+FORMATS = ("coco", "mot", "cvat", "label-studio", "yolo")
+COUNTED = ("given", "tracked", "interpolated", "gone")
+
+
+def annotate(options: argparse.Namespace) -> int:
+    """Open or go on with a session, in the browser or without; write the annotations at its end."""
+    from bayesnet_track.graph.text.load import load_graph
+    from bayesnet_track.runtime.annotation.answers_file import NAME, AnswersFileError, read_answers
+    from bayesnet_track.runtime.annotation.formats.formats import read_annotations, write_formats
+    from bayesnet_track.runtime.annotation.frame_store import FrameStore
+    from bayesnet_track.runtime.annotation.session import open_session
+    from bayesnet_track.runtime.annotation.tracked import TrackerRuns
+    from bayesnet_track.sources.sources import open_source
+
+    stop: StopRequest = options.stop
+    folder, kept = Path(options.out), None
+    try:
+        if (folder / NAME).is_file() and (folder / NAME).stat().st_size:
+            kept = read_answers(folder / NAME)[0]
+        graph = load_graph(options.graph or (kept.graph_name if kept else "general"))
+        _warn_of_score(graph)
+        with open_source(options.video) as source:
+            store = FrameStore.of(source, options.video, source.frame_interval_s, _progress)
+        run_silently(lambda: sys.stderr.write("\n"))
+        with store:
+            header = make_header(options, graph, store, kept)
+            session, difference = open_session(folder, header)
+            if difference:
+                complain(f"{folder}: {difference}; boxes between answers may differ from before")
+            for file in options.imports:
+                with users_mistake():
+                    session.give_all(read_annotations(Path(file), header.video))
+            runs = TrackerRuns(graph, store, session.header.seed)
+            if options.no_view:
+                session.update(runs)
+            else:
+                _show(options, session, store, runs)
+            stop.is_patient = True
+            write_formats(folder, tuple(dict.fromkeys(options.format or ["coco"])), session.document)
+    except AnswersFileError as error:
+        raise UsageError(str(error)) from error
+    say(describe(folder, session))
+    if stop.between_frames():
+        stop.signal = None  # what was closed is the view; every answer is kept
+    return OK
+
+
+def make_header(
+    options: argparse.Namespace, graph: CheckedGraph, store: FrameStore, kept: Header | None
+) -> Header:
+    """What the session is of: as kept, unless an option says otherwise."""
+    from importlib.metadata import version
+
+    from bayesnet_track.graph.text.write import graph_sha256, write_graph
+    from bayesnet_track.runtime.annotation.answers_file import Header
+    from bayesnet_track.runtime.annotation.asking import PATIENCE, THRESHOLD
+
+    def chosen(name: str, usual: Any) -> Any:
+        given = getattr(options, name)
+        return given if given is not None else usual if kept is None else getattr(kept, name)
+
+    return Header(
+        store.about(),
+        options.graph or (kept.graph_name if kept else "general"),
+        graph_sha256(write_graph(graph.spec)),
+        chosen("seed", 0),
+        chosen("threshold", THRESHOLD),
+        chosen("patience", PATIENCE),
+        version("bayesnet-track"),
+    )
+
+
+def describe(folder: Path, session: Session) -> str:
+    """How far the annotations are, in a line each of frames and of questions."""
+    from bayesnet_track.journal.text.wording import plural
+
+    marks = session.annotations.marks
+    counts = dict.fromkeys(COUNTED, 0)
+    for own in marks.values():
+        for mark in own.values():
+            counts[mark.how] += 1
+    missing = len(marks) * session.frames - sum(counts.values())
+    said = ", ".join(f"{count} {how}" for how, count in counts.items() if count)
+    text = (
+        f"{folder}: {plural(len(marks), 'target')}, {plural(session.frames, 'frame')}: {said or 'no box yet'}"
+    )
+    text += f", {missing} not known yet" if missing else ""
+    for one in session.annotations.questions:
+        text += f"\nopen: {one.target}, frame {one.frame}: {one.reason}"
+    return text
+
+
+def _show(options: argparse.Namespace, session: Session, store: FrameStore, runs: TrackerRuns) -> None:
+    from bayesnet_track.cli.commands.viewing import announce
+    from bayesnet_track.runtime.annotation.desk import Desk
+
+    stop: StopRequest = options.stop
+    try:
+        desk = Desk(session, store, runs, options.out, options.view_host, options.port)
+    except OSError as error:
+        raise UsageError(f"--port: {options.view_host}: {words(error)}; choose another, or none") from error
+    with desk:
+        announce(options, desk.address)
+        complain("Ctrl-C or `Finish` on the page writes the annotations; every answer is kept at once")
+        stop.is_patient = True
+        desk.wait(lambda: stop.signal is not None)
+
+
+def _progress(count: int) -> None:
+    if count % 25 == 0:
+        run_silently(lambda: sys.stderr.write(f"\rreading frames: {count}"))
+
+
+def _warn_of_score(graph: CheckedGraph) -> None:
+    plate = next(iter(graph.spec.targets.values()))
+    if all(getattr(node, "score", None) is None for node in plate.nodes.values()):
+        complain(
+            f"{graph.spec.name}: its score is no probability, so that --threshold compares with an index; "
+            "`fit` gives it one, and `general` has one"
+        )
+
+
+def add_annotate(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    annotate = commands.add_parser(
+        "annotate",
+        help="label every frame of a video; it tracks, and asks only where it is unsure",
+        description="Open a page in the browser: draw a box; the tracker runs ahead until the probability "
+        "of being on target falls. There it asks for a box, `gone` or `correct`, and tracks again from the "
+        "answer, forward and backward. Every answer is on the disk at once; the same command resumes.",
+    )
+    annotate.add_argument("video", metavar="VIDEO", help="video file, or folder of images")
+    annotate.add_argument(
+        "-o", "--out", metavar="ANNOTATIONS", required=True, help="folder of answers and annotations"
+    )
+    annotate.add_argument("--graph", metavar="GRAPH", help="graph that tracks (default general)")
+    annotate.add_argument(
+        "--threshold",
+        type=share,
+        metavar="P",
+        help="ask below this probability (default 0.8)",
+    )
+    annotate.add_argument(
+        "--patience",
+        type=whole_number(1),
+        metavar="N",
+        help="frames in a row that may be below (default 10)",
+    )
+    annotate.add_argument("--seed", type=whole_number(0), metavar="N", help="seed of all randomness (0)")
+    annotate.add_argument(
+        "--format", action="append", choices=FORMATS, help="format to write (default coco); may be repeated"
+    )
+    annotate.add_argument(
+        "--import",
+        dest="imports",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="boxes of another tool, which count as given: COCO, MOT, CVAT for video, Label Studio, or a "
+        "YOLO folder",
+    )
+    annotate.add_argument(
+        "--no-view", action="store_true", help="open no page: track, write, and print what is to be asked"
+    )
+    add_address_options(annotate)

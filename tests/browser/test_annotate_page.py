@@ -1,0 +1,168 @@
+"""Annotating in a real browser: a box, the tracker's question, answers by key, undo, resuming, the files."""
+
+import json
+import signal
+
+import cv2
+import numpy as np
+import pytest
+
+from bayesnet_track.runtime.annotation.fusing import iou
+from bayesnet_track.sources.scenes import make_scene
+
+pytestmark = pytest.mark.slow
+
+DESKTOP, PHONE = (1440, 960, 1), (375, 800, 2)
+FRAMES = 60
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """Two squares that pass close by each other; its folder of images."""
+    folder = tmp_path_factory.mktemp("squares")
+    made = make_scene("two_squares", seed=0)
+    for number in range(FRAMES):
+        cv2.imwrite(str(folder / f"{number:04d}.png"), made.frames[number])
+    return folder, made.truth
+
+
+def place(browser, x, y):
+    left, top, w, h = browser.run(
+        "const r = document.querySelector('.sheet svg').getBoundingClientRect();"
+        "return [r.left, r.top, r.width, r.height]"
+    )
+    return round(left + x / 320 * w), round(top + y / 240 * h)
+
+
+def drag(browser, box):
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.actions.action_builder import ActionBuilder
+
+    x, y, w, h = box
+    actions = ActionBuilder(browser.driver)
+    pointer = actions.pointer_action
+    pointer.move_to_location(*place(browser, x, y)).pointer_down()
+    pointer.move_to_location(*place(browser, x + w / 2, y + h / 2))
+    pointer.move_to_location(*place(browser, x + w, y + h)).pointer_up()
+    actions.perform()
+    ActionChains(browser.driver).reset_actions()
+
+
+def said(browser):
+    return browser.run("return document.querySelector('.ask-panel .standing').innerText")
+
+
+def settled(browser, text):
+    browser.wait(
+        "const p = document.querySelector('.ask-panel .standing');"
+        f"return p && !p.classList.contains('busy') && p.innerText.includes({text!r})",
+        90,
+    )
+
+
+def frame(browser):
+    return int(browser.run("return document.querySelector('.lanes input').value"))
+
+
+def answers(folder):
+    return [json.loads(line) for line in (folder / "answers.jsonl").read_text().splitlines()[1:]]
+
+
+def start(browser, command, scene, out, size=DESKTOP):
+    run = command("annotate", scene[0], "--out", out, "--graph", "gray_square", "--threshold", "0.6", view=())
+    browser.open_view(run.address, size)
+    browser.wait("return document.querySelector('.sheet img')?.naturalWidth")
+    return run
+
+
+def test_a_box_is_tracked_asked_about_taken_back_and_gone_on_with(browser, command, scene, tmp_path):
+    from selenium.webdriver.common.keys import Keys
+
+    out = tmp_path / "labels"
+    run = start(browser, command, scene, out)
+    assert "Drag a box around the first target" in said(browser)
+    browser.press(Keys.ENTER)
+    drag(browser, scene[1][0])
+    browser.screenshot("annotate_drawn.png")
+    browser.press(Keys.ENTER)
+    browser.wait("return !document.querySelector('.drawn')")
+    (first,) = answers(out)
+    assert (first["kind"], first["frame"], first["target"]) == ("box", 0, "target 1")
+    assert iou(tuple(first["box"]), tuple(scene[1][0])) > 0.85
+    settled(browser, "?" if "?" in said(browser) else "")
+    browser.wait("return document.querySelector('.lane-sure')", 60)
+    asked = browser.run("return document.querySelector('.reason')?.innerText ?? ''")
+    if asked:
+        assert "probability of being on target" in asked
+    # Another target by key, then a frame on, and it is gone.
+    browser.press("t")
+    assert "target 2" in browser.run(
+        "return document.querySelector('.targets [aria-pressed=true]').innerText"
+    )
+    browser.run("document.activeElement.blur()")
+    browser.press(Keys.HOME)
+    drag(browser, (20, 20, 40, 40))
+    # The keyboard puts the drawn box right.
+    before = browser.run("return document.querySelector('.drawn text').textContent")
+    browser.press(Keys.ARROW_RIGHT)
+    assert browser.run("return document.querySelector('.drawn text').textContent") != before
+    browser.press(Keys.ENTER)
+    browser.wait("return !document.querySelector('.drawn')")
+    browser.wait("return !document.querySelector('.standing.busy')", 60)
+    given = answers(out)
+    assert [one["target"] for one in given] == ["target 1", "target 2"]
+    at = frame(browser)
+    browser.press("g")
+    browser.wait("return !document.querySelector('.standing.busy')", 60)
+    assert answers(out)[-1]["kind"] == "gone"
+    browser.screenshot("annotate_gone.png")
+    browser.press("u")
+    browser.wait("return !document.querySelector('.standing.busy')", 60)
+    assert answers(out)[-1] == {"kind": "undo"} and at >= 0
+    # The command ends at once on Ctrl-C, and its files are written.
+    run.process.send_signal(signal.SIGINT)
+    assert run.process.wait(60) == 0
+    content = json.loads((out / "coco.json").read_text())
+    assert {one["name"] for one in content["tracks"]} == {"target 1", "target 2"}
+    # Days later: the same answers, the same lanes; `Finish` ends the command.
+    kept = (out / "answers.jsonl").read_bytes()
+    again = start(browser, command, scene, out)
+    browser.wait("return document.querySelectorAll('.lanes g').length === 2", 60)
+    browser.wait("return !document.querySelector('.standing.busy')", 60)
+    browser.run("[...document.querySelectorAll('button')].find(b => b.innerText.trim() === 'Finish').click()")
+    assert again.process.wait(60) == 0
+    assert (out / "answers.jsonl").read_bytes() == kept
+    assert json.loads((out / "coco.json").read_text()) == content
+    assert [line for line in browser.complaints() if "ERR_CONNECTION" not in line] == []
+
+
+def test_keys_answer_a_question_and_nothing_is_wider_than_a_phone(browser, command, scene, tmp_path):
+    out = tmp_path / "labels"
+    (tmp_path / "mot.txt").write_text("1,1," + ",".join(f"{value:.2f}" for value in scene[1][0]) + ",1\n")
+    run = command(
+        "annotate", scene[0], "--out", out, "--import", tmp_path / "mot.txt", "--threshold", "0.97", view=()
+    )
+    browser.open_view(run.address)
+    browser.wait("return document.querySelector('.standing.asks')", 90)
+    asked = frame(browser)
+    assert asked > 0 and "0.97" in browser.run("return document.querySelector('.reason').innerText")
+    picture = "const i = document.querySelector('.sheet img');"
+    browser.wait(picture + f"return i.dataset.frame === '{asked}' && i.naturalWidth")
+    for dark in (False, True):
+        scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
+        browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": scheme})
+        for size, name in ((DESKTOP, "1440"), (PHONE, "375")):
+            browser.size(size)
+            _, pixels = browser.screenshot(f"annotate_{name}_{'dark' if dark else 'light'}.png")
+            assert browser.run("return document.documentElement.scrollWidth <= innerWidth")
+            assert np.mean(pixels[:8]) < 60 if dark else np.mean(pixels[:8]) > 200
+    browser.size(DESKTOP)
+    from selenium.webdriver.common.keys import Keys
+
+    browser.press(Keys.ENTER)
+    browser.wait(f"return +document.querySelector('.lanes input').value > {asked}", 60)
+    assert answers(out)[-1]["kind"] == "correct"
+    browser.press("?")
+    assert "undo" in browser.wait("return document.querySelector('.help')?.innerText")
+    browser.press(Keys.ESCAPE)
+    browser.wait("return !document.querySelector('.help')")

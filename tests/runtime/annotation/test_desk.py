@@ -1,0 +1,101 @@
+"""What the page of a session is told, and what it may ask for: without a browser and without a tracker."""
+
+import json
+import time
+import urllib.error
+import urllib.request
+
+import numpy as np
+import pytest
+
+from bayesnet_track.runtime.annotation.answers_file import Header
+from bayesnet_track.runtime.annotation.desk import Desk
+from bayesnet_track.runtime.annotation.frame_store import Video
+from bayesnet_track.runtime.annotation.session import open_session
+from bayesnet_track.runtime.annotation.tracked import Found
+
+HEADER = Header(Video("made_up.mp4", 30, 320, 240, 0.04, "abc"), "general", "0" * 64, 0, 0.5, 1, "1.0")
+
+
+class MadeUp:
+    def __len__(self):
+        return 30
+
+    def image(self, frame):
+        return np.full((2400, 3200, 3), frame, dtype=np.uint8)
+
+    def at(self, start, box, frame):
+        if box[0] == 99:
+            raise RuntimeError("no cue")
+        return Found(box, 0.9 if frame < 20 else 0.4, (1.0, 2.0), "uncertain")
+
+
+@pytest.fixture
+def desk(tmp_path):
+    session, _ = open_session(tmp_path, HEADER)
+    with Desk(session, MadeUp(), MadeUp(), "labels") as made:
+        yield made
+
+
+def do(desk, **what):
+    request = urllib.request.Request(
+        f"{desk.address}do",
+        json.dumps(what).encode(),
+        {"Content-Type": "application/json", "Origin": desk.address.rsplit("/", 2)[0]},
+    )
+    return urllib.request.urlopen(request).status
+
+
+def told(desk, first=0):
+    end = time.monotonic() + 20
+    seen = 0
+    while time.monotonic() < end:
+        found = json.loads(urllib.request.urlopen(f"{desk.address}feed?from={first}&seen={seen}").read())
+        if not found["behind"]:
+            return found
+        seen = found["version"]
+    raise AssertionError("still behind")
+
+
+def test_answers_are_tracked_and_the_page_is_told_the_question(desk):
+    assert b"data-annotate" in urllib.request.urlopen(desk.address).read()
+    assert told(desk)["targets"] == []
+    assert do(desk, do="answer", kind="box", frame=0, target="ball 1", box=[5, 5, 20, 20]) == 200
+    found = told(desk)
+    (target,) = found["targets"]
+    assert target["how"] == "g" + "t" * 20 + "." * 9
+    assert target["percent"][19:22] == [90, 40, 0] and target["boxes"][21] is None
+    assert found["questions"][0]["frame"] == 20 and "status uncertain" in found["questions"][0]["reason"]
+    assert "targets" not in told(desk, found["marks"])
+    do(desk, do="answer", kind="correct", frame=20, target="ball 1")
+    assert told(desk)["targets"][0]["how"][20] == "g"
+    do(desk, do="leave")
+    desk.wait(lambda: False)
+
+
+def test_what_makes_no_sense_is_refused_with_words(desk):
+    for what, words in [
+        ({"do": "answer", "kind": "gone", "frame": 1, "target": "a"}, "has no box yet"),
+        ({"do": "answer", "kind": "box", "frame": 99, "target": "a", "box": [1, 2, 3, 4]}, "frames 0 to 29"),
+        ({"do": "answer", "kind": "undo"}, "no answer to take back"),
+        ({"do": "dance"}, "no such thing"),
+    ]:
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            do(desk, **what)
+        assert refused.value.code == 400 and words in json.loads(refused.value.read())["error"]
+
+
+def test_a_picture_is_of_the_frame_and_not_too_large(desk):
+    answer = urllib.request.urlopen(f"{desk.address}picture?frame=77")
+    assert answer.headers["X-Frame"] == "29" and answer.headers["Content-Type"] == "image/jpeg"
+    import cv2
+
+    picture = cv2.imdecode(np.frombuffer(answer.read(), np.uint8), cv2.IMREAD_COLOR)
+    assert picture.shape == (1440, 1920, 3) and abs(int(picture[0, 0, 0]) - 29) < 4
+
+
+def test_a_tracker_that_fails_is_told_and_the_answers_are_kept(desk):
+    do(desk, do="answer", kind="box", frame=0, target="ball 1", box=[99, 5, 20, 20])
+    assert "RuntimeError: no cue" in told(desk)["trouble"]
+    do(desk, do="answer", kind="undo")
+    assert told(desk)["trouble"] == ""
