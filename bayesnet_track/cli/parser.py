@@ -26,16 +26,11 @@ from bayesnet_track.cli.overview import add_examples
 from bayesnet_track.cli.slips import MainParser, Parser
 
 EXIT_CODES = """\
-exit codes:
-  0    done
-  1    an error in bayesnet-track itself; or `doctor` found something broken
-  2    wrong arguments
-  3    the graph file is wrong
-  4    the source, or the run to look back at, cannot be read or was changed
-  5    the source was damaged or truncated; what was read is saved; or `verify` found an unfinished run
-  6    an output cannot be written
-  130  stopped by Ctrl-C; outputs are valid up to the last whole frame
-  143  stopped by SIGTERM; the same"""
+exit codes: 0    done 1    an error in bayesnet-track itself; or `doctor` found something broken 2    wrong
+arguments 3    the graph file is wrong 4    the source, or the run that a command reads, cannot be read or was
+changed 5    the source was damaged or truncated; what was read is saved; or `verify` found an unfinished run
+6    an output cannot be written 130  stopped by Ctrl-C; outputs are valid up to the last whole frame
+  143  stopped by SIGTERM; likewise"""
 
 
 def make_parser() -> MainParser:
@@ -43,7 +38,7 @@ def make_parser() -> MainParser:
     parser = MainParser(
         prog="bayesnet-track",
         usage="bayesnet-track COMMAND ...",
-        description="Track by a Bayes net written in YAML; see why it reconfigured itself.",
+        description="Track targets with a Bayes net written in YAML; see why it reconfigured itself.",
         epilog=EXIT_CODES,
     )
     parser.add_argument("--version", action="store_true", help="print the version and stop")
@@ -85,14 +80,14 @@ def make_parser() -> MainParser:
     log.add_argument("--kind", help="only this kind of event: activated, deactivated, self_stopped, ...")
     log.add_argument("--frames", metavar="A:B", help="only frames A to B, B excluded")
     log.add_argument("--why", type=whole_number(0), metavar="N", help="what was active in frame N, and why")
-    log.add_argument("--json", action="store_true", help="print the events as they stand in the journal")
+    log.add_argument("--json", action="store_true", help="print the events as they are in the journal")
 
     score = commands.add_parser("score", help="score a run against ground truth")
     score.add_argument("run", metavar="RUN", help="run directory, or a file of tracks (MOT)")
     score.add_argument(
         "--truth",
-        help="ground-truth file: a box a line, or MOT, then all targets are scored at once "
-        "(default: the run's own truth.txt)",
+        help="ground-truth file: one box per line, or MOT to score all targets together (default: the "
+        "run's own truth.txt)",
     )
     score.add_argument(
         "--target", metavar="ID", help="which target, if the run has several and the ground truth one"
@@ -106,7 +101,7 @@ def make_parser() -> MainParser:
     score.add_argument(
         "--trajectories",
         action="store_true",
-        help="several targets: trajectory GOSPA, too; slow where many cross",
+        help="several targets: also trajectory GOSPA; slow if many cross",
     )
     score.add_argument("--json", action="store_true", help="print the scores as JSON")
 

@@ -20,13 +20,13 @@ EPISODE_FRAMES = 5
 
 MEANINGS: Mapping[str, str] = {
     "frames": "",
-    "scored_frames": "frames with a true box",
+    "scored_frames": "frames with ground truth",
     "auc": "OTB success: share of frames whose IoU is above 0, 0.05 .. 1, on average",
     "auc_strict": "the same, with IoU 0 where the target was reported as lost",
     "precision20": "share of frames whose centre is within 20 px",
     "mean_iou": "mean overlap with the true box",
     "lost_episodes": "stretches of 5 frames or more without any overlap",
-    "first_lost": "frame in which the first of them begins",
+    "first_lost": "frame in which the first one begins",
     "reported_lost": "frames in which the target was reported as lost",
     "lost_when_off": "share of the frames without overlap that were reported as lost",
     "lost_when_on": "share of the frames with overlap that were reported as lost",

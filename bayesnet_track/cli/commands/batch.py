@@ -128,9 +128,9 @@ def add_batch(commands: argparse._SubParsersAction[Any]) -> None:
     batch = commands.add_parser(
         "batch",
         help="track targets in many videos in parallel",
-        description="Every video with every seed is a run below DIR, in a process of its own. Given "
-        "again, the same command skips what is finished and goes on with what was broken off. A video that "
-        "fails is reported and stops no other; the exit code is 5 then.",
+        description="Every video with every seed is a run below DIR, in its own process. The same command, "
+        "repeated, skips finished runs and resumes interrupted ones. A video that fails is "
+        "reported and does not stop the others; the exit code is then 5.",
     )
     batch.add_argument("graph", metavar="GRAPH", help="path of a YAML file, or name of an installed graph")
     batch.add_argument(
@@ -156,7 +156,7 @@ def add_batch(commands: argparse._SubParsersAction[Any]) -> None:
         "-o", "--out", metavar="DIR", required=True, help="folder of the runs and of results.csv"
     )
     batch.add_argument(
-        "--jobs", type=whole_number(1), metavar="N", help="runs at a time (default: one for each processor)"
+        "--jobs", type=whole_number(1), metavar="N", help="parallel runs (default: one per processor)"
     )
     batch.add_argument(
         "--on",
@@ -166,7 +166,9 @@ def add_batch(commands: argparse._SubParsersAction[Any]) -> None:
         "and DIR (default here)",
     )
     batch.add_argument(
-        "--ray-address", metavar="ADDRESS", help="of the cluster: auto, HOST:PORT (default: start one here)"
+        "--ray-address",
+        metavar="ADDRESS",
+        help="address of the cluster: auto, HOST:PORT (default: start one here)",
     )
     batch.add_argument(
         "--seeds",
@@ -180,5 +182,5 @@ def add_batch(commands: argparse._SubParsersAction[Any]) -> None:
         "--on-resize", choices=["stop", "rescale"], default="stop", help="what to do when frames change size"
     )
     batch.add_argument("-q", "--quiet", action="store_true", help="only errors and warnings")
-    batch.add_argument("--json", action="store_true", help="at the end, one JSON object with a row a run")
+    batch.add_argument("--json", action="store_true", help="at the end, one JSON object with one row per run")
     add_plugins(batch)

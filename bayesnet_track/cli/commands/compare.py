@@ -198,13 +198,13 @@ def add_compare(commands: argparse._SubParsersAction[Any]) -> None:
     compare.add_argument("first", metavar="RUN", help="run directory, called A")
     compare.add_argument("second", metavar="RUN", help="run directory over the same source, called B")
     add_comparison_options(compare)
-    compare.add_argument("--overwrite", action="store_true", help="replace the file of --html if it is there")
-    compare.add_argument("--force", action="store_true", help="compare runs of different sources, too")
+    compare.add_argument("--overwrite", action="store_true", help="replace the file of --html if it exists")
+    compare.add_argument("--force", action="store_true", help="compare even runs of different sources")
 
 
 def add_comparison_options(parser: argparse.ArgumentParser) -> None:
     """How a comparison is told."""
-    parser.add_argument("--html", metavar="FILE", help="write it as one offline page, too")
+    parser.add_argument("--html", metavar="FILE", help="also write the comparison as one offline page")
     parser.add_argument(
         "--truth", metavar="FILE", help="ground truth to score both with (default: truth.txt of the first)"
     )

@@ -102,7 +102,7 @@ def add_completion(commands: argparse._SubParsersAction[Any]) -> None:
         "completion",
         help="print the script that completes commands, graphs, scenes and files in a shell",
         description="Print the completion script of a shell. It knows the graphs, scenes and detectors that "
-        "are installed now: make it again after installing others.",
+        "are installed now: print it again after installing others.",
         epilog="bash:  bayesnet-track completion bash > "
         "~/.local/share/bash-completion/completions/bayesnet-track\n"
         "zsh:   bayesnet-track completion zsh > DIR/_bayesnet-track   (DIR is in $fpath)\n"

@@ -92,7 +92,7 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
         say(score_run(out, directory.truth, target="1").text(explained=True))
     explained_frame = min(29, source.expected_frames - 1)
     say(
-        f"\nopen {directory.video} to watch it; `bayesnet-track report {out}` makes a page of it; "
+        f"\nopen {directory.video} to watch it; `bayesnet-track report {out}` writes a page about it; "
         f"`bayesnet-track log {out} --why {explained_frame}` explains a frame"
     )
     return code

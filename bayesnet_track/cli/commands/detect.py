@@ -250,7 +250,7 @@ def add_detect(commands: argparse._SubParsersAction[Any]) -> None:
     detect.add_argument(
         "--learn",
         metavar="X,Y,W,H",
-        help="box of the target in the first frame, for one that can be shown it",
+        help="box of the target in the first frame, for a detector that learns",
     )
     detect.add_argument(
         "-o",
@@ -259,9 +259,9 @@ def add_detect(commands: argparse._SubParsersAction[Any]) -> None:
         help="file to write: JSON Lines if it ends in .jsonl, else MOT (default: print)",
     )
     detect.add_argument(
-        "--save-video", metavar="FILE", help="write the video with the boxes too (.mkv or .mp4)"
+        "--save-video", metavar="FILE", help="also write the video with the boxes (.mkv or .mp4)"
     )
     add_former_name(detect, "--video", "--save-video")
     add_window_options(detect)
-    detect.add_argument("--overwrite", action="store_true", help="replace files that are there")
+    detect.add_argument("--overwrite", action="store_true", help="replace existing files")
     add_plugins(detect)

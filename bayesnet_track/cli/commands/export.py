@@ -43,7 +43,7 @@ def add_export(commands: argparse._SubParsersAction[Any]) -> None:
     export.add_argument("-o", "--out", metavar="FILE", help="file to write (default: print)")
     lost = export.add_mutually_exclusive_group()
     lost.add_argument(
-        "--lost", action="store_true", help="with the boxes of lost targets (csv, jsonl: as always)"
+        "--lost", action="store_true", help="include the boxes of lost targets (default for csv, jsonl)"
     )
-    lost.add_argument("--no-lost", action="store_true", help="without them (mot, coco: as always)")
-    export.add_argument("--overwrite", action="store_true", help="replace the file if it is there")
+    lost.add_argument("--no-lost", action="store_true", help="leave them out (default for mot, coco)")
+    export.add_argument("--overwrite", action="store_true", help="replace the file if it exists")

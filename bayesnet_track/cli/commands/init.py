@@ -84,8 +84,8 @@ def add_init(commands: argparse._SubParsersAction[Any]) -> None:
     init = commands.add_parser(
         "init",
         help="write a commented graph from a few answers about the task",
-        description="Write a graph for a task. In a terminal it asks what no option answers; elsewhere, or "
-        "with --yes, the default stands for what is not given.",
+        description="Write a graph for a task. In a terminal it asks the questions that no option answers; "
+        "elsewhere, or with --yes, it takes the defaults.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="\n".join(
             f"--{name}: {'several of' if several else 'one of'}\n"
@@ -101,4 +101,4 @@ def add_init(commands: argparse._SubParsersAction[Any]) -> None:
         help_text = f"{question.split('?')[0]}? {', '.join(choices)} (default {default or 'nothing'})"
         init.add_argument(f"--{name}", metavar=words, help=help_text)
     init.add_argument("--yes", action="store_true", help="ask nothing")
-    init.add_argument("--overwrite", action="store_true", help="replace the file if it is there")
+    init.add_argument("--overwrite", action="store_true", help="replace the file if it exists")

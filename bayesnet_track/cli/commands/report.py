@@ -163,8 +163,8 @@ def add_report(commands: argparse._SubParsersAction[Any]) -> None:
     report = commands.add_parser(
         "report",
         help="write a page of a run for the browser",
-        description="Write one HTML file that shows a run: its frames, what was believed, the net, its "
-        "uncertainty, and every reconfiguration with its reason. The file needs no network.",
+        description="Write one HTML file that shows a run: its frames, the belief, the net, its uncertainty, "
+        "and every reconfiguration with its reason. The file needs no network.",
     )
     report.add_argument("run", metavar="RUN", help="run directory")
     report.add_argument("-o", "--out", metavar="FILE", help="file to write (default: report.html in RUN)")

@@ -74,16 +74,17 @@ def add_resume(commands: argparse._SubParsersAction[Any]) -> None:
     resume = commands.add_parser(
         "resume",
         help="continue a run that was interrupted",
-        description="Go on after the last checkpoint of a run that was killed, interrupted or out of disk "
-        "space. In the end the run directory is that of an unbroken run, byte for byte (but for the times).",
+        description="Continue from the last checkpoint of a run that was killed, interrupted or out of disk "
+        "space. The run directory ends up as that of an uninterrupted run, byte for byte, except "
+        "for the times.",
     )
     resume.add_argument("run", metavar="RUN", help="run directory")
     add_output_options(resume)
     resume.add_argument(
         "--allow-other-machine",
         action="store_true",
-        help="go on although the machine, its instruction sets or the libraries are not those that the run "
-        "was computed with; the result then equals no unbroken run's",
+        help="continue although the machine, its instruction sets or the libraries differ from those "
+        "of the run so far; the result then equals that of no uninterrupted run",
     )
     add_checkpoints(resume)
     add_plugins(resume)

@@ -39,8 +39,8 @@ def add_smooth(commands: argparse._SubParsersAction[Any]) -> None:
         "smooth",
         help="estimate every frame of a finished run from the whole sequence",
         description="Run backward over the beliefs that `run --keep-beliefs` kept, without the video. The "
-        "result is a run of its own: boxes, uncertainties and regions are those given all frames; decisions, "
-        "status and score are as they were. Exit code 2: the run kept no beliefs.",
+        "result is another run: boxes, uncertainties and regions are those given all frames; "
+        "decisions, status and score are unchanged. Exit code 2: the run kept no beliefs.",
     )
     smooth.add_argument("run", metavar="RUN", help="run directory, written with --keep-beliefs")
     smooth.add_argument("--out", metavar="SMOOTHED", required=True, help="run directory to write")
@@ -49,7 +49,7 @@ def add_smooth(commands: argparse._SubParsersAction[Any]) -> None:
         type=whole_number(1),
         default=50,
         metavar="N",
-        help="trajectories drawn backward of each target (default 50; a Gaussian belief needs none)",
+        help="trajectories drawn backward for each target (default 50; a Gaussian belief needs none)",
     )
     smooth.add_argument(
         "--seed", type=whole_number(0), default=0, metavar="N", help="seed of these draws (default 0)"

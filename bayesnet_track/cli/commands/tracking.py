@@ -200,7 +200,7 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
         action="append",
         metavar="X,Y,W,H",
         help="start box in the first frame, top-left corner, px; PLATE:X,Y,W,H names the plate; "
-        "give it again for a further target; needed unless the graph has `birth`",
+        "repeat it for further targets; needed unless the graph has `birth`",
     )
     start.add_argument(
         "--init-from", metavar="FILE", help="ground-truth file; its box of the first frame is the start box"
@@ -210,7 +210,7 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
         metavar="FILE",
         help="file of detections (MOT, JSON Lines) for a graph whose births use `detections`",
     )
-    run.add_argument("--video", action="store_true", help="write the annotated video too (video.mkv)")
+    run.add_argument("--video", action="store_true", help="also write the annotated video (video.mkv)")
     run.add_argument(
         "--keep-beliefs", action="store_true", help="keep every frame's beliefs, for `smooth` (beliefs.jsonl)"
     )

@@ -114,9 +114,8 @@ def add_what_if(commands: argparse._SubParsersAction[Any]) -> None:
     what_if = commands.add_parser(
         "what-if",
         help="repeat a run with other thresholds or another seed, and compare",
-        description="Run an earlier run again over the same source and start boxes, with something changed, "
-        "and report where the two differ.",
-        epilog="bayesnet-track what-if runs/mine --set target.adapt.activate.above.ud_box=0.5",
+        description="Repeat a run over the same source and start boxes with something changed, and report "
+        "where the two differ.",
     )
     what_if.add_argument("run", metavar="RUN", help="run directory")
     add_set_option(what_if)
@@ -129,7 +128,7 @@ def add_what_if(commands: argparse._SubParsersAction[Any]) -> None:
         "--overwrite", action="store_true", help="replace an earlier run in --out, and the file of --html"
     )
     what_if.add_argument(
-        "--force", action="store_true", help="go on although the source, or a cue file, has changed since"
+        "--force", action="store_true", help="continue although the source, or a cue file, has changed since"
     )
     what_if.add_argument("-q", "--quiet", action="store_true", help="no progress line")
     what_if.add_argument("-v", "--verbose", action="store_true", help="every decision when it is made")

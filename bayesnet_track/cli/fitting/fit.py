@@ -236,10 +236,10 @@ def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
         help="features of the score (default log_ud_box,evidence)",
     )
     fit.add_argument("-o", "--out", metavar="FILE", help="graph file to write (default: print it)")
-    fit.add_argument("--overwrite", action="store_true", help="replace the file if it is there")
+    fit.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
     fit.add_argument(
         "--leave-one-out",
         action="store_true",
-        help="print how calibrated each video is by what is fitted to the others, and write nothing",
+        help="print how well a fit to the other videos calibrates each video, and write nothing",
     )
     add_plugins(fit)

@@ -19,8 +19,8 @@ def add_set_option(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="PATH=VALUE",
-        help="another value in the graph: keys joined by dots (targets, its class and nodes may be left out) "
-        "and YAML, as in square.adapt.activate.above.ud_px2=200; may be repeated",
+        help="change a value of the graph: keys joined by dots (targets, the plate and nodes may be "
+        "left out), and YAML, as in square.adapt.activate.above.ud_px2=200; may be repeated",
     )
 
 

@@ -12,7 +12,7 @@ def add_checkpoints(parser: argparse.ArgumentParser) -> None:
         type=_seconds,
         default=1.0,
         metavar="S",
-        help="seconds between checkpoints, from which `resume` goes on (default 1; 0 for none)",
+        help="seconds between checkpoints, from which `resume` continues (default 1; 0 for none)",
     )
 
 

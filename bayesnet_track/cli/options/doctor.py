@@ -12,7 +12,7 @@ def add_doctor(commands: argparse._SubParsersAction[Any]) -> None:
         "doctor",
         help="check the installation, and print how to repair it",
         description="Check the installation: versions, OpenCV's wheels, codecs, caches, plug-ins, and ten "
-        "frames of tracking. The exit code is 1 when something is broken. It works where nothing else does: "
-        "python -m bayesnet_track doctor",
+        "frames of tracking. The exit code is 1 when something is broken. If nothing else works, "
+        "this does: python -m bayesnet_track doctor",
     )
     doctor.add_argument("--json", action="store_true", help="print what was found as JSON")

@@ -9,14 +9,13 @@ from bayesnet_track.cli.options.arguments import seconds, whole_number
 
 def add_executor_options(parser: argparse.ArgumentParser) -> None:
     """`--executor`, `--workers`, `--place`, `--agent-timeout`, `--agent-memory`."""
-    group = parser.add_argument_group("how agents are asked (changes no result)")
+    group = parser.add_argument_group("where agents run (changes no result)")
     group.add_argument(
         "--executor",
         type=_executor,
         choices=["serial", "threads", "processes"],
         default="serial",
-        help="one after the other, side by side in threads, or in supervised worker processes "
-        "(default serial)",
+        help="one after the other, in parallel threads, or in supervised worker processes (default serial)",
     )
     group.add_argument(
         "--workers",
@@ -36,14 +35,13 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
         "--agent-timeout",
         type=seconds,
         metavar="S",
-        help="seconds after which an agent in a process that does not answer is given up "
-        "(default 10, and 30 for its first answers)",
+        help="seconds to wait for an agent in a process (default 10, and 30 for its first answers)",
     )
     group.add_argument(
         "--agent-memory",
         type=whole_number(1),
         metavar="MB",
-        help="memory that a worker process may take, above what it starts with (default: no limit)",
+        help="memory that a worker process may use, beyond what it starts with (default: no limit)",
     )
 
 

@@ -20,7 +20,7 @@ def add_calibrate(commands: argparse._SubParsersAction[Any]) -> None:
         "--square", dest="square_m", required=True, type=metres, metavar="M", help="side of a square, m"
     )
     calibrate.add_argument("-o", "--out", required=True, metavar="FILE", help="calibration file to write")
-    calibrate.add_argument("--overwrite", action="store_true", help="replace the file if it is there")
+    calibrate.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
 
 
 def add_learn_shape(commands: argparse._SubParsersAction[Any]) -> None:
@@ -46,7 +46,7 @@ def add_learn_shape(commands: argparse._SubParsersAction[Any]) -> None:
         type=share,
         default=0.5,
         metavar="SHARE",
-        help="leave out silhouettes with less of them on edges (default .5)",
+        help="leave out silhouettes with a smaller share on edges (default .5)",
     )
     shape.add_argument(
         "--edge-gray",
@@ -63,14 +63,15 @@ def add_learn_stereo(commands: argparse._SubParsersAction[Any]) -> None:
     stereo.add_argument("--source", required=True, help="video file, folder of images, or glob")
     add_depth_options(stereo)
     stereo.add_argument(
-        "--truth", required=True, metavar="FILE", help="ground-truth file of the boxes in the left eye"
+        "--truth", required=True, metavar="FILE", help="ground-truth file of the boxes in the left image"
     )
     stereo.add_argument("--every", type=whole_number(1), default=1, metavar="N", help="every Nth frame only")
     stereo.add_argument(
         "--within",
         type=whole_number(2),
         metavar="N",
-        help="variation within N frames, as long as the reference takes to follow (default: the whole video)",
+        help="measure the variation within N frames, about as many as the reference takes to follow "
+        "(default: the whole video)",
     )
     stereo.add_argument(
         "--prior",

@@ -13,14 +13,17 @@ def add_outside_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--inputs",
         metavar="FILE",
-        help="inputs.jsonl of an earlier run: repeat what came from outside (switches by hand, faults)",
+        help="inputs.jsonl of an earlier run: repeat its external inputs (switches by hand, faults)",
     )
     group.add_argument(
         "--budget-ms",
         type=milliseconds,
         metavar="MS",
-        help="what a frame may take: where frames take longer, do without what says little for its time",
+        help="time that a frame may take; if frames take longer, the agents with the least information"
+        " per millisecond are switched off",
     )
     group.add_argument(
-        "--realtime", action="store_true", help="the same, the source's frame interval being the budget"
+        "--realtime",
+        action="store_true",
+        help="the same, with the frame interval of the source as the budget",
     )

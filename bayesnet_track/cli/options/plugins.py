@@ -13,7 +13,7 @@ def add_plugins(parser: argparse.ArgumentParser) -> None:
         default=[],
         type=_names,
         metavar="NAME,...",
-        help="cues and detectors of other packages that may be loaded where they are named; see `list`",
+        help="cues and detectors of other packages that may be loaded; see `list`",
     )
     parser.add_argument(
         "--cue-file",

@@ -19,7 +19,11 @@ def add_depth_options(parser: argparse.ArgumentParser) -> None:
     second.add_argument(
         "--depth", metavar="FOLDER", help="depth of another sensor, a file per frame (16-bit images, .npy)"
     )
-    parser.add_argument("--calibration", metavar="FILE", help="of the pair, OpenCV YAML; see `calibrate`")
+    parser.add_argument(
+        "--calibration",
+        metavar="FILE",
+        help="calibration of the pair, OpenCV YAML; see `calibrate`",
+    )
 
 
 def add_window_options(parser: argparse.ArgumentParser) -> None:

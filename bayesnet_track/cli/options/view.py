@@ -14,14 +14,14 @@ def add_view_options(parser: argparse.ArgumentParser) -> None:
         const=0,
         type=_port,
         metavar="PORT",
-        help="show the run in a browser while it goes on, and begin when its page is opened; "
-        "a start box that is missing can be drawn there (port: default a free one)",
+        help="show the run live in a browser; it begins when its page is opened, and a missing start "
+        "box can be drawn there (default port: a free one)",
     )
     group.add_argument(
         "--view-host",
         default="127.0.0.1",
         metavar="HOST",
-        help="address that the view listens at (default 127.0.0.1: this machine alone)",
+        help="address that the view listens at (default 127.0.0.1: only this machine)",
     )
     group.add_argument("--view-now", action="store_true", help="begin before the page is opened")
     group.add_argument("--open", action="store_true", help="open the page in this machine's browser")

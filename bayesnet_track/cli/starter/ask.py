@@ -16,7 +16,7 @@ QUESTIONS: tuple[tuple[str, str, Mapping[str, str], bool, str], ...] = (
     ("follow", "What do you want to follow?", FOLLOW, False, "box"),
     (
         "apart",
-        "What sets it apart from what is around it? (several, with commas)",
+        "What sets it apart from its surroundings? (several, with commas)",
         APART,
         True,
         "color,edges",

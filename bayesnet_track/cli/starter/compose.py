@@ -15,9 +15,8 @@ CHANGES_PX = {"slow": 0.5, "usual": 1, "fast": 2}
 
 _CAMERA = key(
     "camera: compensate",
-    "Hypotheses are first moved as the background moves. Leave it out when the camera stands still: it "
-    "costs a few "
-    "milliseconds.",
+    "Hypotheses are first moved with the background. Leave this out if the camera does not "
+    "move: it costs a few milliseconds.",
 )
 
 
@@ -25,8 +24,8 @@ def graph_text(task: Task, file: str = "") -> str:
     """The graph file for a task; `file` is its path, as its first lines tell it (NAME.yaml when empty)."""
     root = key(
         "target:",
-        "The root: it holds the belief about the box. All levels of UD, its uncertainty, are relative to "
-        "the size of the box, so that they fit other sizes, too.",
+        "The root: it holds the belief about the box. All thresholds of UD, its uncertainty, are "
+        "relative to the size of the box, so that they also fit other sizes.",
         (*_belief(task), *_motion(task), *_fuse(task), *_estimate(task), *_adapt(task), *_learn(task)),
     )
     nodes = ("nodes:", *indent((*root, *agents_of(task))))
@@ -40,7 +39,7 @@ def graph_text(task: Task, file: str = "") -> str:
         *indent(
             key(
                 "target:",
-                "A kind of target: each one gets a net of its own, as described here.",
+                "A type of target: each target of this type gets its own net, as described here.",
                 (*birth_of(task), *nodes),
             )
         ),
@@ -64,7 +63,9 @@ def _head(task: Task, path: str) -> Lines:
     return (
         *remark(f"Written by `bayesnet-track init`. Sets it apart: {traits}. Hard: {hard}."),
         "#",
-        *remark("Try it, look at it and at why it switched agents, then change one thing at a time:"),
+        *remark(
+            "Try it, look at the result and at why agents were switched, then change one thing at a time:"
+        ),
         f"#   bayesnet-track run {graph} --source VIDEO{start}{found} --out runs/{task.name}",
         f"#   bayesnet-track report runs/{task.name} --open",
         f"#   bayesnet-track what-if runs/{task.name} --set KEY.KEY=VALUE --truth TRUTH",
@@ -79,18 +80,21 @@ def _belief(task: Task) -> Lines:
         gate = 1 if task.detected else 0.99
         text = f"{{gaussian: {{filter: kalman, gate: {gate}}}}}" if measured else "gaussian"
         comment = (
-            "One mean and covariance. `gate`: measurements beyond this share of the prediction are refused; "
-            "`particles` if it is led astray."
+            "One mean and covariance. `gate`: measurements outside this share of the prediction are "
+            "rejected (1: none). Use `particles` if it follows wrong measurements."
         )
     elif task.belief == "grid":
         text = "{grid: {cell_px: 2, window: 128}}"
         comment = (
             "A distribution over cells. `cell_px`: smaller is finer and more expensive; `window`: cells "
-            "across and down, for targets that leap further."
+            "across and down, for targets that jump further."
         )
     else:
         text = f"{{particles: {{size: {size}}}}}"
-        comment = "Hypotheses: more are steadier, and cost in proportion; below 200 a changing size is lost."
+        comment = (
+            "Number of hypotheses: more give steadier boxes at proportional cost; fewer than 200 "
+            "cannot follow a changing size."
+        )
     return key(f"belief: {text}", comment)
 
 
@@ -100,13 +104,15 @@ def _motion(task: Task) -> Lines:
         return _steady(task)
     inside = key(
         f"sd_box: {{x: {step}, y: {step}}}",
-        f"A step, as a share of the box's mean side: {SPEED[task.speed]}. Too small, and it is lost at the "
-        "first jump; too large, and neighbours come into reach. A third of the largest step is right.",
+        f"A step, as a share of the box's mean side: {SPEED[task.speed]}. If it is too small, the "
+        f"target is lost at the first jump; if too large, neighbours come into reach. A third of "
+        f"the largest step is right.",
     )
     if task.belief == "particles" and task.speed != "slow":
         inside += key(
             "heavy_tail: {weight: 0.3, factor: 4}",
-            "Some hypotheses look this many times as far. Leave it out for something that never leaps.",
+            "The share `weight` of the hypotheses spreads `factor` times as far. Leave this out for a"
+            " target that never jumps.",
         )
     if task.belief != "grid" or "size" in task.hard:
         scale = 0.04 if "size" in task.hard else 0.01
@@ -118,18 +124,18 @@ def _motion(task: Task) -> Lines:
         sd = 0.7 if "size" in task.hard else 0.15
         inside += key(
             f"size_reversion: {{sd_scale: {sd}}}",
-            "Draws the size back to that of the first box, so that it "
-            "cannot shrink away: how far, in logarithms, it may be in the long run.",
+            "Pulls the size back to that of the first box, so that it cannot shrink to nothing: sd, "
+            "in logarithms, that it may reach in the long run.",
         )
     if "rotation" in task.hard and _turns(task):
-        inside += key("sd_angle_deg: 5", "It rotates in the image by about so many degrees per frame.")
+        inside += key("sd_angle_deg: 5", "It rotates in the image by about this many degrees per frame.")
     if "camera" in task.hard:
         inside += _CAMERA
     if task.belief == "particles" and "occlusion" in task.hard:
         inside += key(
             "relocalize: {share: 0.1, above: {ud_box: 0.5}}",
-            "While it is unsure, some hypotheses look all over "
-            "the frame, where the agents find something similar. Leave it out where others look the same.",
+            "While the belief is uncertain, some hypotheses search the whole frame, where the agents "
+            "find something similar. Leave this out if other objects look the same.",
         )
     return key("motion:", "Where it may be in the next frame.", ("random_walk:", *indent(inside)))
 
@@ -151,7 +157,7 @@ def _steady(task: Task) -> Lines:
         inside += _CAMERA
     return key(
         "motion:",
-        "Where it may be in the next frame: on as fast as before.",
+        "Where it may be in the next frame: it keeps its velocity.",
         ("constant_velocity:", *indent(inside)),
     )
 
@@ -166,8 +172,9 @@ def _fuse(task: Task) -> Lines:
         return ()
     return key(
         "fuse: product",
-        "The agents are independent, given where the target is: each counts in full. Two that "
-        "see the same thing belong under a node of their own with `fuse: pool`, which counts them once.",
+        "The agents are independent given the state of the target, so their likelihoods multiply."
+        " Two that see the same evidence belong under a node of their own with `fuse: pool`, "
+        "which counts it once.",
     )
 
 
@@ -177,8 +184,8 @@ def _estimate(task: Task) -> Lines:
         return (*key("estimate: mean", "The box that is reported: the mean of the belief."), *ud)
     lines = key(
         "estimate: {robust_mean: {box: 0.25}}",
-        "The box that is reported: the mean of what lies this near to the "
-        "best hypothesis. `map` is the single most probable one, and shakes more.",
+        "The box that is reported: the mean of the hypotheses this near to the best one. `map` is"
+        " the single most probable one, and jitters more.",
     )
     return (*lines, *ud)
 
@@ -187,25 +194,26 @@ def _adapt(task: Task) -> Lines:
     if len(task.apart) < 2 or task.detected:
         return ()
     keep = (
-        key("keep: 2", "So many agents always stay on.")
+        key("keep: 2", "This many agents always stay on.")
         if task.budget == "much" and len(task.apart) > 2
         else ()
     )
     return key(
         "adapt:",
-        "Agents are switched off while the belief is narrow without them, and on when it grows.",
+        "Agents are switched off while the belief stays narrow without them, and on when it widens.",
         (
             *key(
                 "activate: {above: {ud_box: 0.06}}",
-                "On when UD is above this share of the box's area. Lower it if help comes too late; each "
-                "sentence of the log says at which level a decision would not have been taken. "
-                "`{ud_baseline: 2}` is twice the level that is measured while all is well.",
+                "On when UD is above this share of the box's area. Lower it if agents are switched on too "
+                "late; each sentence of the log names the threshold with which a decision would not have "
+                "been taken. `{ud_baseline: 2}` is twice the UD that is measured while nothing is wrong.",
             ),
             *key(
                 "deactivate: {below: {ud_box: 0.05}, frames: 3, drop: most_expensive_redundant}",
-                "One off when UD is below that for so many frames; leave a gap to the level above, and raise "
-                "both if all agents work all the time. `most_expensive_redundant` drops the most expensive "
-                "one without which UD would stay low, `largest_kl` the one that agrees least.",
+                "One agent off when UD has been below this for `frames` frames; leave a gap to the "
+                "threshold above, and raise both if all agents are on all the time. "
+                "`most_expensive_redundant` drops the most expensive agent without which UD would stay "
+                "low, `largest_kl` the one that agrees least with the belief.",
             ),
             *keep,
         ),
@@ -218,12 +226,16 @@ def _learn(task: Task) -> Lines:
     rate = 0.05 if "light" in task.hard else 0.03
     guard = ", guard: {rate: 0.002}" if "light" in task.hard or "alike" in task.hard else ""
     comment = (
-        "What the target looks like follows it while UD is below this share of the box's area, by at most "
-        "this rate per frame (some cues have one of their own: `learn_rate_max` of an agent overrides it). A "
-        "faster one follows changes, and drifts off sooner."
+        "References (what agents have learned about the target) follow it while UD is below this "
+        "share of the box's area, by at most this rate per frame (some cues have their own; "
+        "`learn_rate_max` of an agent overrides both). A higher rate follows changes better, and "
+        "drifts off sooner."
     )
     if guard:
-        comment += " `guard`: a slow second memory stops an agent that has slid onto something else."
+        comment += (
+            " `guard`: a second, slow reference stops the learning of an agent that has drifted onto "
+            "something else."
+        )
     return key(f"learn: {{below: {{ud_box: 0.05}}, rate_max: {rate}{guard}}}", comment)
 
 
@@ -232,8 +244,7 @@ def _joins(task: Task) -> Lines:
     if not several or task.belief != "particles" or task.detected:
         return ()
     comment = (
-        "Where two of them meet they share a belief: no pixel is evidence for both, and who is in front "
-        "stays there. "
-        "Leave it out if they never overlap."
+        "Two targets that overlap share a belief: no pixel is evidence for both, and the one in "
+        "front tends to stay there. Leave this out if they never overlap."
     )
     return ("", *key("joins:", comment, ("- occlusion: {stay: 0.95}",)))

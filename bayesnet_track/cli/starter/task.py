@@ -12,9 +12,9 @@ FOLLOW: Mapping[str, str] = {
 APART: Mapping[str, str] = {
     "color": "its colours are not those around it",
     "edges": "its pattern, texture or outline",
-    "motion": "it moves otherwise than what is around it",
+    "motion": "it moves differently from its surroundings",
     "depth": "its distance (needs two cameras or a depth sensor)",
-    "shape": "its silhouette, as of a person standing",
+    "shape": "its silhouette, such as that of a standing person",
     "detections": "boxes of a detector, in a file",
 }
 HARD: Mapping[str, str] = {
@@ -31,7 +31,7 @@ SPEED: Mapping[str, str] = {
     "fast": "up to its whole size",
 }
 BELIEF: Mapping[str, str] = {
-    "particles": "hypotheses; whatever it looks like (the right one if unsure)",
+    "particles": "hypotheses; for any kind of target (choose this if unsure)",
     "gaussian": "one mean and covariance, the Kalman family; cheap, never two places at once",
     "grid": "cells of the image; exact, for small targets of a constant size",
 }
