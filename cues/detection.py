@@ -8,7 +8,7 @@ so that its belief predicts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -25,6 +25,8 @@ from bayesnet_track.observation.cue import (
     Reference,
 )
 from bayesnet_track.observation.planes import Plane, Planes
+
+FIELDS = ("x", "y", "w", "h")
 
 
 class DetectionParameters(CueParameters):
@@ -82,13 +84,25 @@ class Detection:
     def measure(
         self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
     ) -> Measurement | None:
-        """x, y, w, h of the detection given, errors independent; None without one."""
+        """x, y, w, h of the detection given, errors independent; None without one.
+
+        Where several may be the target's, each is a choice with its probability.
+        """
         own = reference.get(OWN_DETECTION)
         if own is None or len(own) == 0:
             return None
-        box = np.array(own[0, :4], dtype=np.float64)
-        covariance = np.diag(self.rule.variances(box))
-        return Measurement(("x", "y", "w", "h"), box, covariance, self.parameters.floor)
+        if own.shape[1] == 5:
+            return self._measured(own[0, :4])
+        weights = own[:, 5]
+        choices = tuple(
+            (float(weight), self._measured(box)) for weight, box in zip(weights, own[:, :4], strict=True)
+        )
+        middle = self._measured(weights @ own[:, :4] / weights.sum())
+        return replace(middle, choices=choices)
+
+    def _measured(self, box: Floats) -> Measurement:
+        at = np.array(box, dtype=np.float64)
+        return Measurement(FIELDS, at, np.diag(self.rule.variances(at)), self.parameters.floor)
 
 
 CUE = CueDeclaration(

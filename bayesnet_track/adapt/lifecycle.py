@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.association import NOBODY, Owners, distances, pair_up
+from bayesnet_track.adapt.existence import Population
 from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, MergeDuplicates
 from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.observation.cue import Reference
@@ -36,12 +37,18 @@ class Candidate:
         step: (2,) its centre's last displacement per look, px.
         looks: for each of the last looks, its score there, or None when it was not seen.
         first_frame: frame in which it was first detected.
+        mean: (D,) of its belief, where the plate has `existence`.
+        covariance: (D, D) of its belief.
+        existence: probability that it exists.
     """
 
     box: Floats
     step: Floats
     looks: tuple[float | None, ...]
     first_frame: int
+    mean: Floats | None = None
+    covariance: Floats | None = None
+    existence: float | None = None
 
     @property
     def seen(self) -> int:
@@ -110,6 +117,7 @@ class TrackHistory:
         overlaps: (younger, older) target -> overlaps of their beliefs in the last consecutive frames.
         refused: plate -> births refused so far.
         last_id: largest number that was given to a target.
+        populations: plate with `existence` -> what its detections have told about all of them.
     """
 
     detectors: Mapping[str, DetectorState] = field(default_factory=dict)
@@ -120,6 +128,7 @@ class TrackHistory:
     overlaps: Mapping[tuple[str, str], tuple[float, ...]] = field(default_factory=dict)
     refused: Mapping[str, int] = field(default_factory=dict)
     last_id: int = 0
+    populations: Mapping[str, Population] = field(default_factory=dict)
 
 
 # ------------------------------------------------------------------------------------ candidates

@@ -28,6 +28,7 @@ class Situation:
         hidden: expected share of it that a target it is joined with hides.
         score: probability of being on target, or None where the graph does not say how it comes about.
         missed: agent that gave no answer for a reason outside of it -> that reason.
+        existence: probability that it exists, or None where the plate has none.
     """
 
     frame: int
@@ -40,6 +41,7 @@ class Situation:
     hidden: float = 0.0
     score: float | None = None
     missed: Mapping[str, str] = field(default_factory=dict)
+    existence: float | None = None
 
 
 def quiet_level(plate: CheckedTarget, net: TargetNet, memory: Memory, node: str) -> float | None:

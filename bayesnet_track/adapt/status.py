@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.situation import Situation, read_ud
@@ -16,18 +17,36 @@ from bayesnet_track.numerics.records import changed
 def judge_status(now: Situation, memory: Memory, decisions: list[Decision]) -> Memory:
     """Change the status after as many frames as the rule says; what is remembered of it."""
     rule = now.plate.inference(now.plate.root).lost or Lost()
+    if now.existence is not None and rule.existence_below is not None:
+        return _by_score(
+            now, memory, rule, Scale("existence", now.existence, rule.existence_below), decisions
+        )
     if now.score is not None and rule.score_below is not None:
-        return _by_score(now, memory, rule, now.score, rule.score_below, decisions)
+        return _by_score(now, memory, rule, Scale("", now.score, rule.score_below), decisions)
     return _by_ud(now, memory, rule, decisions)
 
 
-def _by_score(
-    now: Situation, memory: Memory, rule: Lost, score: float, low: float, decisions: list[Decision]
-) -> Memory:
+@dataclass(frozen=True)
+class Scale:
+    """A probability that a status is judged by.
+
+    Attributes:
+        of: what it is, as `ScoreCause.of`.
+        score: its value.
+        low: the target is lost below it.
+    """
+
+    of: str
+    score: float
+    low: float
+
+
+def _by_score(now: Situation, memory: Memory, rule: Lost, scale: Scale, decisions: list[Decision]) -> Memory:
     """tracking, uncertain and lost by two levels of the score, each passed for `rule.frames` frames.
 
     Without `uncertain_below` there are only tracking and lost.
     """
+    score, low = scale.score, scale.low
     high = low if rule.uncertain_below is None else rule.uncertain_below
     memory = changed(
         memory,
@@ -48,7 +67,7 @@ def _by_score(
     if status != before:
         fell = (before, status) in (("tracking", "uncertain"), ("tracking", "lost"), ("uncertain", "lost"))
         turning = max(values) if fell else min(values)
-        cause = ScoreCause(level, score, rule.frames, turning, fell)
+        cause = ScoreCause(level, score, rule.frames, turning, fell, scale.of)
         decisions.append(StatusChanged(now.frame, now.target, status, cause))
     return memory
 

@@ -85,6 +85,11 @@ class CompiledPlate:
     opaque: frozenset[str] = frozenset()
     declared: Mapping[str, CueDeclaration] = field(default_factory=dict)
 
+    @property
+    def first_existence(self) -> float | None:
+        """Probability that a target which somebody starts exists; None without such a rule."""
+        return None if self.lifecycle is None or self.lifecycle.existence is None else 1.0
+
 
 @dataclass(frozen=True, eq=False)
 class Engine:
@@ -175,7 +180,7 @@ def _compile_plate(
     settings = root.motion.settings
     moving = None if own is not None or settings.is_plain else settings
     kind = plate.spec
-    life = life_rules(kind.birth, kind.merge_duplicates, kind.death, kind.reidentify)
+    life = life_rules(kind.birth, kind.merge_duplicates, kind.death, kind.reidentify, kind.existence)
     return CompiledPlate(
         plate=plate,
         cues=made,

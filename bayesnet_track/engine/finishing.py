@@ -92,6 +92,7 @@ def decide_target(work: FrameWork, filtered: Filtered, measured: Measured) -> De
         filtered.hidden,
         measured.score,
         filtered.missed,
+        filtered.before.existence,
     )
     chosen, memory = decide(now, filtered.before.memory)
     return Decided(
@@ -171,6 +172,7 @@ def describe_target(
         filtered.predicted.after(ud_px2, measures.area_px2, decided.quiet_px2),
         measured.scored,
         frozenset({*filtered.flaws, *filtered.undefined}),
+        before.existence,
     )
     events: list[Event] = [
         *filtered.predicted.events,

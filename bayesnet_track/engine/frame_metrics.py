@@ -83,6 +83,7 @@ def frame_metrics(
         silent=measures.silent,
         angle=learnt.angle,
         join=filtered.join,
+        existence=filtered.before.existence,
         features=features,
         parts={
             name: PartMetrics(_floats(part.box), _floats(part.sd), part.ud_px2, part.status)

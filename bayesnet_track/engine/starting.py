@@ -88,6 +88,7 @@ def start(
         time=frame.time,
         watched=watch(references, compiled.looks, compiled.guard),
         motion_context=start_motion_context(compiled, box, work.cache.frames),
+        existence=compiled.first_existence,
     )
     metrics = first_frame_metrics(frame, target, len(born.belief), working, box, parts)
     return Born(born, tuple(decisions), metrics)

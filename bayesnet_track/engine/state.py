@@ -36,6 +36,7 @@ class TargetState:
         motion_context: what its motion depends on besides its states; None when on nothing.
         scored: what its score remembers.
         flawed: expressions that had no value for some hypotheses in the last frame.
+        existence: probability that it exists; None where the plate has no `existence`.
     """
 
     belief: Posterior
@@ -47,6 +48,7 @@ class TargetState:
     motion_context: MotionContext | None = None
     scored: Scored = field(default_factory=Scored)
     flawed: frozenset[str] = frozenset()
+    existence: float | None = None
 
 
 def apply_decisions(net: Net, decisions: Iterable[Decision]) -> Net:

@@ -27,6 +27,7 @@ from bayesnet_track.graph.settings.adapt import (
     SelfCheck,
 )
 from bayesnet_track.graph.settings.base import Choice, Empty, Model, Name, Number, PluginChoice, Truth
+from bayesnet_track.graph.settings.existence import Existence
 from bayesnet_track.graph.settings.gaussian import Gaussian, Unscented
 from bayesnet_track.graph.settings.grid import Grid, Reset
 from bayesnet_track.graph.settings.joins import Attachment, Exclusion, Join, Occlusion, Together
@@ -109,6 +110,7 @@ __all__ = [
     "EssBelow",
     "Estimate",
     "Exclusion",
+    "Existence",
     "FactorNode",
     "Fuse",
     "Gaussian",
@@ -282,6 +284,15 @@ class Target(Model):
     death: Death | None = Field(default=None, description="when a net ends; default, with `birth`, as below")
     reidentify: Reidentify | None = Field(
         default=None, description="how targets are re-identified; default, with `birth`, as below"
+    )
+    existence: Existence | None = Field(
+        default=None,
+        description="how probable it is that a target exists; default: births and ends are counted",
+    )
+    associate: Literal["assignment", "marginal"] = Field(
+        default="assignment",
+        description="how agents that measure by detections are given them: the best assignment, or each "
+        "target by every detection that may be its own, as probable as it is that it is (JPDA)",
     )
     nodes: dict[Name, Node] = Field(min_length=1, description="the net: one tree under its root")
 

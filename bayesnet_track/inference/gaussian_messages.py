@@ -29,7 +29,11 @@ FAR = 1e140
 
 
 def measurement_message(measured: Measurement, hypotheses: Hypotheses) -> Floats:
-    """(N,) log-likelihood -d^2 / 2 of a Gaussian message, mixed with its floor."""
+    """(N,) log-likelihood -d^2 / 2 of a Gaussian message, mixed with its floor; of choices, their mixture."""
+    if measured.choices:
+        each = (weight * np.exp(measurement_message(one, hypotheses)) for weight, one in measured.choices)
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.minimum(np.log(measured.missed + sum(each)), 0.0))
     values = np.stack([_field(hypotheses, name) for name in measured.fields], axis=1)
     root = np.linalg.cholesky(measured.covariance)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -43,7 +47,12 @@ def to_power(measured: Measurement, power: float) -> Measurement:
     """The message raised to a power: its covariance is divided by it."""
     if power == 1.0:
         return measured
-    return replace(measured, covariance=measured.covariance / power, floor=measured.floor**power)
+    return replace(
+        measured,
+        covariance=measured.covariance / power,
+        floor=measured.floor**power,
+        choices=tuple((weight, to_power(one, power)) for weight, one in measured.choices),
+    )
 
 
 def latent_gaussian(

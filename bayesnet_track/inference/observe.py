@@ -224,7 +224,27 @@ def _check_measurement(measured: Any, hypotheses: Hypotheses) -> Measurement | s
         return "measured a covariance too small to be inverted"
     if not 0.0 <= measured.floor < 1.0:
         return f"measured with a floor of {measured.floor:.6g}, not in 0..1"
-    return Measurement(fields, mean, covariance, float(measured.floor))
+    choices = _check_choices(measured, hypotheses)
+    if isinstance(choices, str):
+        return choices
+    return Measurement(fields, mean, covariance, float(measured.floor), choices)
+
+
+def _check_choices(
+    measured: Measurement, hypotheses: Hypotheses
+) -> tuple[tuple[float, Measurement], ...] | str:
+    checked: list[tuple[float, Measurement]] = []
+    for weight, one in measured.choices:
+        own = _check_measurement(one, hypotheses)
+        if isinstance(own, str):
+            return own
+        if own is None or own.choices or own.fields != tuple(measured.fields):
+            return "measured choices that are no measurements of the same fields"
+        checked.append((float(weight), own))
+    weights = [weight for weight, _ in checked]
+    if not all(0.0 <= weight <= 1.0 for weight in weights) or sum(weights) > 1.0 + 1e-9:
+        return f"measured choices with probabilities that sum to {sum(weights):.6g}"
+    return tuple(checked)
 
 
 def _check(log_likelihood: Floats | str, size: int) -> Floats | str:

@@ -88,6 +88,7 @@ class FrameMetrics(Boxed):
         angle: rotation in the image since the first frame, degrees, clockwise; left out while it is 0, as it
             is without `sd_angle_deg`.
         join: results of the joint belief; left out for a target that is not joined.
+        existence: probability that it exists; left out when the graph has no `existence` for its type.
     """
 
     frame: int
@@ -119,6 +120,7 @@ class FrameMetrics(Boxed):
     parts: Mapping[str, PartMetrics] = field(default_factory=dict, metadata={"left_out_when_empty": True})
     angle: float = field(default=0.0, metadata={"left_out_when_empty": True})
     join: JoinMetrics | None = field(default=None, metadata={"left_out_when_empty": True})
+    existence: float | None = field(default=None, metadata={"left_out_when_empty": True})
 
     def __repr__(self) -> str:
         """What matters: who, when, how sure, where, and by whose evidence."""

@@ -95,12 +95,21 @@ class Measurement:
         covariance: (K, K) of the error, symmetric and positive definite.
         floor: likelihood of an outlier as a share of the best; a belief that takes Gaussian messages as they
             are gates instead.
+        choices: where several places may be the target's: (probability, measurement) of each, of the same
+            fields and without choices of their own. What they lack of 1 is that none is. `mean` and
+            `covariance` then stand for all of them.
     """
 
     fields: tuple[str, ...]
     mean: Floats
     covariance: Floats
     floor: float = 0.0
+    choices: tuple[tuple[float, Measurement], ...] = ()
+
+    @property
+    def missed(self) -> float:
+        """Probability that none of the choices is the target's."""
+        return max(1.0 - sum(weight for weight, _ in self.choices), 0.0)
 
 
 @runtime_checkable
@@ -171,7 +180,9 @@ class AssociatingCue(MeasuringCue, Protocol):
     """A cue that measures by a detection: one that no other target of its plate is given in this frame.
 
     When it is asked its reference holds a further array, `OWN_DETECTION`: (1, 5) the detection's centre box
-    and score, or (0, 5) when the target is given none. What it learns holds no such array.
+    and score, or (0, 5) when the target is given none. Where a plate has `associate: marginal` it is (K, 6):
+    each detection that may be the target's, and last the probability that it is. What it learns holds no such
+    array.
     """
 
     @property

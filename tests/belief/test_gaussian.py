@@ -173,6 +173,25 @@ def test_two_messages_are_one_of_both(motion_of):
 
 
 @pytest.mark.slow
+def test_choices_give_the_moments_of_the_mixture(motion_of):
+    motion = motion_of("constant_velocity", sd_velocity_px=1)
+    mean, covariance = motion.start_moments(np.array([50.0, 60, 20, 30]))
+    covariance = covariance + 4.0 * np.eye(len(mean))
+    places = (52.0, 60.0), (44.0, 61.0)
+    one, other = (Measurement(("x", "y"), np.array(at), 9.0 * np.eye(2)) for at in places)
+    several = Measurement(("x", "y"), one.mean, one.covariance, 0.0, ((0.6, one), (0.3, other)))
+    found = take(mean, covariance, motion.fields, {"a": several}, 0.5)  # such a gate would turn one away
+    parts = [(0.1, mean, covariance)]
+    for weight, single in several.choices:
+        after = take(mean, covariance, motion.fields, {"a": single}, 1.0)
+        parts.append((weight, after.mean, after.covariance))
+    centre = sum(weight * m for weight, m, _ in parts)
+    spread = sum(weight * (p + np.outer(m - centre, m - centre)) for weight, m, p in parts)
+    np.testing.assert_allclose(found.mean, centre, rtol=1e-12)
+    np.testing.assert_allclose(found.covariance, spread, rtol=1e-9, atol=1e-9)
+    assert not found.gated
+
+
 def test_covariance_stays_positive_over_a_long_run(motion_of):
     """100,000 steps, with measurements a thousand times sharper than the prediction and long gaps."""
     motion = motion_of("constant_acceleration")

@@ -586,7 +586,8 @@ MISTAKES = {
     "demo --graph {wrong}/bad.yaml": (
         3,
         "{wrong}/bad.yaml:1:1: graph: key 'targets' is missing; allowed: a mapping, each a mapping with "
-        "state, birth, merge_duplicates, death, reidentify, nodes\n  1 | bayesnet: 1\n    | ^\n"
+        "state, birth, merge_duplicates, death, reidentify, existence, associate, nodes\n"
+        "  1 | bayesnet: 1\n    | ^\n"
         "{wrong}/bad.yaml:3:1: graph: unknown key 'targts'; allowed: bayesnet, name, about, constants, "
         "targets, joins; nearest: targets\n  3 | targts: {{}}\n    | ^",
     ),

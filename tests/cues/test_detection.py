@@ -1,6 +1,7 @@
 """The detection agent: it measures what it was given, and is silent when it was given nothing."""
 
 import numpy as np
+import pytest
 
 from bayesnet_track.observation.cue import OWN_DETECTION, AssociatingCue
 
@@ -27,3 +28,12 @@ def test_what_was_given_in_a_frame_is_not_learnt(ask, scene):
     asked = ask("detection")
     learnt = asked.learn(scene.pair(), scene.box())
     assert OWN_DETECTION not in asked.cue.blend({**learnt, OWN_DETECTION: np.ones((1, 5))}, learnt, 0.5)
+
+
+def test_several_detections_are_choices_with_their_probabilities(ask, scene):
+    own = np.array([[10.0, 20, 30, 60, 0.9, 0.6], [16, 20, 30, 60, 0.5, 0.3]])
+    measured = ask("detection").measure(scene.pair(), scene.box()[None], {OWN_DETECTION: own})
+    assert [weight for weight, _ in measured.choices] == [0.6, 0.3]
+    assert measured.missed == pytest.approx(0.1)
+    np.testing.assert_allclose(measured.mean, [12, 20, 30, 60])
+    np.testing.assert_allclose([one.mean for _, one in measured.choices], own[:, :4])

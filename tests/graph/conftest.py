@@ -310,6 +310,8 @@ def _life(positive: Any, share: Any, frames: Any) -> dict[str, st.SearchStrategy
         "merge_duplicates": _mapping({}, {"overlap": share, "frames": frames}),
         "death": _mapping({}, {"lost_frames": frames, "unseen_frames": frames}),
         "reidentify": _mapping({}, {"frames": frames, "min_probability": share, "lost": st.booleans()}),
+        "existence": _mapping({}, {"covered": st.floats(0.1, 0.9), "births": positive, "clutter": positive}),
+        "associate": st.sampled_from(["assignment", "marginal"]),
     }
 
 
@@ -425,6 +427,8 @@ def everything() -> dict[str, Any]:
         "merge_duplicates": {"overlap": 0.8},
         "death": {"unseen_frames": 9},
         "reidentify": {"lost": False},
+        "existence": {"confirm": 0.8},
+        "associate": "marginal",
     }
     return {
         "name": "everything",

@@ -70,3 +70,89 @@ def test_defaults_are_filled_in_where_targets_are_born(cues):
     assert life_rules(None, None, Death(lost_frames=3), None) == LifeRules(
         None, None, Death(lost_frames=3), None
     )
+
+
+CROWD = """
+    nodes:
+      s:
+        belief: {BELIEF}
+        motion: {random_walk: {sd_px: {x: 9}}}
+        LOST
+      a: {parent: s, agent: detection}
+"""
+GAUSSIAN, BIRTH = (
+    "gaussian: {filter: kalman, likelihood: sigma_points}",
+    "    birth: {detector: detections}\n",
+)
+
+
+def errors_of_crowd(life, belief=GAUSSIAN, lost=""):
+    nodes = CROWD.replace("BELIEF", belief).replace("LOST", lost).replace("        \n", "")
+    with pytest.raises(GraphError) as caught:
+        check(*read_graph(HEAD + life + nodes, "g.yaml"))
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("life", "belief", "lost", "said"),
+    [
+        (
+            BIRTH + "    associate: marginal",
+            GAUSSIAN,
+            "",
+            "6:16: t: associate: marginal without existence; allowed: existence, too (existence: {}), or "
+            "associate: assignment",
+        ),
+        (
+            BIRTH + "    associate: marginal\n    existence: {}",
+            "particles: {size: 100}",
+            "",
+            "s: associate: marginal with a belief that is not Gaussian; allowed: belief: {gaussian:",
+        ),
+        (
+            "    birth: {detector: detections, confirm: {hits: 2}}\n    existence: {}",
+            GAUSSIAN,
+            "",
+            "5:35: t: birth.confirm has no effect: existence.confirm says when a target is born",
+        ),
+        (
+            BIRTH + "    existence: {end: 0.5, confirm: 0.4}",
+            GAUSSIAN,
+            "",
+            "end below confirm: 0.5 is not below 0.4",
+        ),
+        (
+            BIRTH + "    existence: {survival: 1.5}",
+            GAUSSIAN,
+            "",
+            "survival is 1.5; allowed: ",
+        ),
+        (
+            BIRTH,
+            GAUSSIAN,
+            "lost: {existence_below: 0.5}",
+            "s: lost.existence_below without existence; allowed: existence for the target, or no such key",
+        ),
+        (
+            BIRTH + "    existence: {end: 0.2}",
+            GAUSSIAN,
+            "lost: {existence_below: 0.1}",
+            "s: lost.existence_below is 0.1, not above existence.end, 0.2; allowed: above 0.2",
+        ),
+        (
+            BIRTH + "    existence: {}",
+            GAUSSIAN,
+            "lost: {existence_below: 0.5, fit_below: 0.1}",
+            "s: lost.fit_below has no effect: with existence_below existence alone says what is lost",
+        ),
+        (BIRTH + "    associate: jpda", GAUSSIAN, "", "associate is 'jpda'; allowed: "),
+    ],
+)
+def test_existence_and_association_stand_beside_what_they_need(life, belief, lost, said):
+    assert said in errors_of_crowd(life, belief, lost)
+
+
+def test_existence_needs_births_and_an_agent_that_measures_by_detections(cues):
+    text = errors_of("    existence: {}", cues)
+    assert "g.yaml:5:5: t: existence without birth; allowed: birth, too, or no such key" in text
+    assert "existence without an agent that measures by detections" in text

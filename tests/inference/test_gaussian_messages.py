@@ -57,6 +57,16 @@ def test_a_measurement_is_a_likelihood_of_peak_1_over_its_floor(asked, measuring
     )
 
 
+def test_choices_are_a_mixture_with_none_of_them(asked, measuring):
+    places = (20.0, 7.0), (30.0, 8.0)
+    first, second = (Measurement(("x", "y"), np.array(at), 9.0 * np.eye(2)) for at in places)
+    several = replace(first, choices=((0.5, first), (0.3, second)))
+    _, found = asked(PRODUCT, {"m": measuring.Measurer(lambda *_: several), "a": values(OTHER)}, BOXES)
+    expected = np.log(0.2 + 0.5 * np.exp(squares(20.0, 7.0, 3.0)) + 0.3 * np.exp(squares(30.0, 8.0, 3.0)))
+    np.testing.assert_allclose(found.messages["m"], expected, rtol=1e-12)
+    assert found.gaussians["m"].missed == pytest.approx(0.2)
+
+
 def test_correlated_fields_of_the_box_and_beyond(fakes):
     h = Hypotheses(BOXES, {"vx": np.arange(5.0)})
     covariance = np.array([[4.0, 1.0, -0.5], [1.0, 2.0, 0.3], [-0.5, 0.3, 1.5]])
@@ -168,6 +178,14 @@ FAULTS = {
     "covariance": (
         replace(GOOD, covariance=np.ones(2)),
         "measured 2 fields by arrays of shape (2,) and (2,)",
+    ),
+    "choices of other fields": (
+        replace(GOOD, choices=((0.5, Measurement(("x",), np.zeros(1), np.eye(1))),)),
+        "measured choices that are no measurements of the same fields",
+    ),
+    "too many choices": (
+        replace(GOOD, choices=((0.8, GOOD), (0.7, GOOD))),
+        "measured choices with probabilities that sum to 1.5",
     ),
     "NaN": (replace(GOOD, mean=np.array([np.nan, 0.0])), "measured a place that is not finite"),
     "infinite": (replace(GOOD, covariance=np.diag([np.inf, 1.0])), "measured a place that is not finite"),

@@ -187,11 +187,16 @@ def take(
 
     A measurement is left out when d^2 = v' S^-1 v exceeds the chi-square quantile of `gate` (tracking chapter
     3.9 b: no object near the prediction, so that only the prediction stands). Every d^2 is taken against the
-    belief before any of them, so that their order decides nothing.
+    belief before any of them, so that their order decides nothing. One with choices gives the mean and the
+    covariance of the mixture of its updates; it is never left out, because its choices were gated when they
+    were made.
     """
     used: dict[str, Measurement] = {}
     gated: list[Gated] = []
     for agent, one in measured.items():
+        if one.choices:
+            used[agent] = one
+            continue
         observe = _observe(one, fields)
         expected = symmetric(observe @ covariance @ observe.T + one.covariance)
         d2, _ = innovation_likelihood(one.mean - observe @ mean, expected, one.covariance)
@@ -203,6 +208,10 @@ def take(
             used[agent] = one
     log_evidence = 0.0
     for one in used.values():
+        if one.choices:
+            mean, covariance, log_own = _mix(mean, covariance, fields, one)
+            log_evidence += log_own
+            continue
         observe = _observe(one, fields)
         after = linear_update(mean, covariance, one.mean - observe @ mean, observe, one.covariance)
         mean, covariance = after.mean, after.covariance
@@ -210,8 +219,31 @@ def take(
     return Taken(mean, covariance, log_evidence, used, tuple(gated))
 
 
+def _mix(
+    mean: Floats, covariance: Floats, fields: tuple[str, ...], measured: Measurement
+) -> tuple[Floats, Floats, float]:
+    """Mean, covariance and log-evidence of the mixture of the updates by each choice, and by none."""
+    weights, means, covariances, evidence = [measured.missed], [mean], [covariance], measured.missed
+    for weight, one in measured.choices:
+        observe = _observe(one, fields)
+        after = linear_update(mean, covariance, one.mean - observe @ mean, observe, one.covariance)
+        weights.append(weight)
+        means.append(after.mean)
+        covariances.append(after.covariance)
+        evidence += weight * float(np.exp(after.log_likelihood))
+    shares = np.array(weights)
+    centre = shares @ np.array(means)
+    away = np.array(means) - centre
+    spread = np.einsum("k,kij->ij", shares, np.array(covariances)) + (away * shares[:, None]).T @ away
+    return centre, symmetric(spread), float(np.log(max(evidence, 1e-300)))
+
+
 def log_message(one: Measurement, hypotheses: Hypotheses, fields: tuple[str, ...]) -> Floats:
     """(N,) -d^2 / 2 of hypotheses under a measurement."""
+    if one.choices:
+        each = (weight * np.exp(log_message(own, hypotheses, fields)) for weight, own in one.choices)
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(one.missed + sum(each)))
     states = np.column_stack([hypotheses.boxes, *(hypotheses.fields[name] for name in fields[4:])])
     away = states @ _observe(one, fields).T - one.mean
     return np.asarray(-0.5 * np.einsum("nk,nk->n", away, np.linalg.solve(one.covariance, away.T).T))

@@ -17,11 +17,14 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.assign import assign, gated_gains
 from bayesnet_track.adapt.association import NOBODY
+from bayesnet_track.adapt.existence import Population
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.belief.gaussian.predict import predict
 from bayesnet_track.belief.motion.borders import confined
+from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.detecting import Found, look
+from bayesnet_track.engine.lifecycle.existing import Crowd, CrowdRule, divide
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.inference.compile import compile_plan
@@ -77,25 +80,89 @@ def associate_first(
     for plate, compiled in plates.items():
         if not compiled.association_rules:
             continue
-        names = [target for target in targets if net.targets[target].template == plate]
-        seen = found.get(plate, Found(np.empty((0, 4)), np.empty(0)))
-        rule = next(iter(compiled.association_rules.values()))
-        gain = np.full((len(names), len(seen.boxes)), -np.inf)
-        for row, target in enumerate(names):
-            looks = partial(_score_looks, work, target, targets[target])
-            gain[row] = gated_gains(*expected[target], seen.boxes, rule, looks)
-        owner = assign(gain)
-        whose: list[str | None] = [None] * len(seen.boxes)
-        for target, number in zip(names, owner.tolist(), strict=True):
-            own = np.empty((0, 5))
-            if number != NOBODY:
-                whose[number] = target
-                own = np.append(seen.boxes[number], seen.scores[number])[None]
-            given[target] = _give_detection(targets[target], compiled.association_rules, own)
+        own = {target: one for target, one in targets.items() if net.targets[target].template == plate}
+        boxes = {target: expected[target] for target in own}
+        rule, whose = CrowdRule.of(compiled), tuple[str | None, ...]()
+        if rule is None:
+            seen = found.get(plate, Found(np.empty((0, 4)), np.empty(0)))
+            own, whose = _assign(work, compiled, own, boxes, seen)
+        else:
+            before = history.populations.get(plate)
+            own, whose, population = _divide(work, rule, (own, boxes), before, found.get(plate))
+            history = replace(history, populations={**history.populations, plate: population})
+        given |= own
         if plate in found:
-            owners[plate] = tuple(whose)
+            owners[plate] = whose
     work.charge("life", started)
     return Associated(found, owners, given, history, events)
+
+
+def _assign(
+    work: FrameWork,
+    compiled: CompiledPlate,
+    targets: Mapping[str, TargetState],
+    expected: Mapping[str, tuple[Floats, Floats]],
+    seen: Found,
+) -> tuple[dict[str, TargetState], tuple[str | None, ...]]:
+    """The targets of a plate with the detection that each is assigned, and whose each detection is."""
+    rule = next(iter(compiled.association_rules.values()))
+    gain = np.full((len(targets), len(seen.boxes)), -np.inf)
+    for row, target in enumerate(targets):
+        looks = partial(_score_looks, work, target, targets[target])
+        gain[row] = gated_gains(*expected[target], seen.boxes, rule, looks)
+    owner = assign(gain)
+    whose: list[str | None] = [None] * len(seen.boxes)
+    given = {}
+    for target, number in zip(targets, owner.tolist(), strict=True):
+        own = np.empty((0, 5))
+        if number != NOBODY:
+            whose[number] = target
+            own = np.append(seen.boxes[number], seen.scores[number])[None]
+        given[target] = _give_detection(targets[target], compiled.association_rules, own)
+    return given, tuple(whose)
+
+
+def _divide(
+    work: FrameWork,
+    rule: CrowdRule,
+    crowd: tuple[Mapping[str, TargetState], Mapping[str, tuple[Floats, Floats]]],
+    population: Population | None,
+    found: Found | None,
+) -> tuple[dict[str, TargetState], tuple[str | None, ...], Population]:
+    """The targets of a plate as they exist after the look, with what each is given of the detections.
+
+    Also whose each detection is more probably than not, and what was learnt. `crowd` holds the targets and
+    the boxes that are expected.
+    """
+    targets, expected = crowd
+    names = list(targets)
+
+    def log_looks(row: int, boxes: Floats) -> Floats:
+        return (
+            _score_looks(work, names[row], targets[names[row]], boxes)
+            if row < len(names)
+            else np.zeros(len(boxes))
+        )
+
+    mean = np.array([expected[target][0] for target in names]).reshape(-1, 4)
+    covariance = np.array([expected[target][1] for target in names]).reshape(-1, 4, 4)
+    existence = [one.existence for one in targets.values()]
+    before = np.array([1.0 if one is None else one for one in existence])
+    done = divide(rule, work.cache.frames, Crowd(mean, covariance, before, log_looks), population, found)
+    seen = Found(np.empty((0, 4)), np.empty(0)) if found is None else found
+    whose: list[str | None] = [None] * len(seen.boxes)
+    given = {}
+    for row, target in enumerate(names):
+        which = slice(done.starts[row], done.starts[row + 1])
+        columns = done.columns[which]
+        own = np.column_stack([seen.boxes[columns], seen.scores[columns]])
+        if rule.is_marginal:
+            own = np.column_stack([own, done.weights[which]])
+        state = _give_detection(targets[target], work.plate_of(target).association_rules, own)
+        given[target] = replace(state, existence=float(done.existence[row]))
+        if done.owner[row] != NOBODY:
+            whose[done.owner[row]] = target
+    return given, tuple(whose), done.population
 
 
 def _predict_box(work: FrameWork, target: str, before: TargetState) -> tuple[Floats, Floats]:

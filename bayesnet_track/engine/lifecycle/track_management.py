@@ -26,9 +26,11 @@ from bayesnet_track.adapt.lifecycle import (
     is_refusal_notable,
     overlapping,
 )
+from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.association import Associated
 from bayesnet_track.engine.lifecycle.detecting import Found, look
+from bayesnet_track.engine.lifecycle.existing import CrowdRule, confirmed, first_population
 from bayesnet_track.engine.lifecycle.recognise import Match, match
 from bayesnet_track.engine.lifecycle.reidentifying import compare
 from bayesnet_track.engine.lifecycle.track_table import LiveTable, table_of
@@ -72,12 +74,18 @@ def manage_tracks(work: FrameWork, outcome: Outcome, associated: Associated | No
     else:
         found, events = associated.found, associated.events
         looked = associated.history
-        tracks.history = replace(tracks.history, detectors=looked.detectors, failed=looked.failed)
+        tracks.history = replace(
+            tracks.history,
+            detectors=looked.detectors,
+            failed=looked.failed,
+            populations=looked.populations,
+        )
     tracks.events += events
     for plate, rule in rules.items():
         if plate in found and rule.birth is not None:
             now = _Births(work, tracks, plate, rule, rule.birth)
-            _give_birth(now, found[plate], None if associated is None else associated.owners.get(plate))
+            give = _give_birth if rule.existence is None else _give_birth_by_existence
+            give(now, found[plate], None if associated is None else associated.owners.get(plate))
     for plate, rule in rules.items():
         _end_duplicates(tracks, plate, rule, frame)
         _end_lost(tracks, plate, rule, frame)
@@ -141,6 +149,29 @@ def _give_birth(now: _Births, found: Found, owners: tuple[str | None, ...] | Non
     done = _start_confirmed(now, [waiting[k] for k in ready], found)
     left = tuple(one for one in waiting if not any(one is other for other in done))
     tracks.history = replace(tracks.history, candidates={**tracks.history.candidates, now.plate: left})
+
+
+def _give_birth_by_existence(now: _Births, found: Found, owners: tuple[str | None, ...] | None) -> None:
+    """What of a plate's prospects becomes targets."""
+    tracks, plate = now.tracks, now.plate
+    rule = CrowdRule.of(now.work.engine.plates[plate])
+    if rule is None:
+        return
+    if owners is None:  # of a first frame nothing was given before
+        held = tracks.boxes(tracks.held(plate))
+        near = alike(found.boxes, held, now.birth.min_distance_box, now.birth.max_overlap)
+        free = found.only(np.logical_not(np.any(near, axis=1)))
+        population = first_population(rule, free, now.frame.index)
+    else:
+        tracks.mark_seen([target for target in owners if target is not None])
+        population = tracks.history.populations[plate]
+    ready = confirmed(rule, population.prospects)
+    if ready:
+        done = _start_confirmed(now, list(ready.values()), found)
+        left = np.ones(len(population.prospects), dtype=bool)
+        left[[row for row, one in ready.items() if any(one is other for other in done)]] = False
+        population = replace(population, prospects=population.prospects.take(left))
+    tracks.history = replace(tracks.history, populations={**tracks.history.populations, plate: population})
 
 
 def _find_lost(now: _Births, found: Found, seen: Sequence[str]) -> Floats:
@@ -219,11 +250,24 @@ def _start(now: _Births, candidate: Candidate, nearest: Match | None) -> None:
                 looks=len(candidate.looks),
                 score=candidate.score,
                 nearest=None if nearest is None else nearest.recognition,
+                existence=candidate.existence,
+                confirm=None if now.rule.existence is None else now.rule.existence.confirm,
             )
         )
         born = start(now.work, target, now.plate, box)
         tracks.decide(*born.decisions)
-    tracks.add(target, born.state, _start_record(born.state, frame.index, frame), born.metrics)
+    state = _with_belief(born.state, candidate)
+    tracks.add(target, state, _start_record(state, frame.index, frame), born.metrics)
+
+
+def _with_belief(state: TargetState, candidate: Candidate) -> TargetState:
+    """The state of a target that was a prospect: what was known of that is the target's."""
+    belief = state.belief
+    if candidate.existence is None or candidate.mean is None or candidate.covariance is None:
+        return state
+    if isinstance(belief, GaussianPosterior):
+        belief = replace(belief, mean=candidate.mean, covariance=candidate.covariance)
+    return replace(state, belief=belief, existence=candidate.existence)
 
 
 def _refuse(now: _Births, waiting: int) -> None:
@@ -297,6 +341,7 @@ def _end_lost(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> N
                 tracks.history, dead=(*tracks.history.dead, _remember(tracks, target, plate))
             )
         tracks.end(TargetDied(frame.index, target, *why, remembered=rule.reidentify is not None))
+    _end_vanishing(tracks, plate, rule, frame)
     if rule.reidentify is not None and rule.birth is not None:
         own = [one for one in tracks.history.dead if one.template == plate]
         kept = [one for one in own if frame.time - one.time <= rule.reidentify.frames]
@@ -305,6 +350,29 @@ def _end_lost(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> N
         }
         tracks.history = replace(
             tracks.history, dead=tuple(one for one in tracks.history.dead if one.target not in gone)
+        )
+
+
+def _end_vanishing(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> None:
+    """Nets of targets that hardly exist end."""
+    if rule.existence is None:
+        return
+    for target, value in tracks.vanishing(plate, rule.existence.end):
+        if rule.reidentify is not None:
+            remembered = _remember(tracks, target, plate)
+            tracks.history = replace(tracks.history, dead=(*tracks.history.dead, remembered))
+        unseen = tracks.record(target).unseen_frames
+        tracks.end(
+            TargetDied(
+                frame.index,
+                target,
+                "existence",
+                unseen,
+                0,
+                rule.reidentify is not None,
+                value,
+                rule.existence.end,
+            )
         )
 
 

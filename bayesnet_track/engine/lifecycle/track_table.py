@@ -79,6 +79,10 @@ class LiveTable(Protocol):
         """Targets whose time is over."""
         ...
 
+    def vanishing(self, plate: str, end: float) -> list[tuple[str, float]]:
+        """Targets that exist with a smaller probability than `end`, and that probability."""
+        ...
+
     def end(self, decision: TargetDied | DuplicateEnded) -> None:
         """A target ends."""
         ...
@@ -182,6 +186,11 @@ class TrackTable:
             target: find_end_cause(self.history.records[target], rule) for target in self.of_plate(plate)
         }
         return [(target, why) for target, why in causes.items() if why is not None]
+
+    def vanishing(self, plate: str, end: float) -> list[tuple[str, float]]:
+        """Targets that exist with a smaller probability than `end`, and that probability."""
+        own = ((target, self.targets[target].existence) for target in self.of_plate(plate))
+        return [(target, value) for target, value in own if value is not None and value < end]
 
     def end(self, decision: TargetDied | DuplicateEnded) -> None:
         """A target ends."""

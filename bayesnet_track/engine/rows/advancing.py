@@ -6,6 +6,7 @@ are taken; metrics are columns until somebody asks for a target's.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.assign import assign_pairs
 from bayesnet_track.adapt.association import NOBODY
+from bayesnet_track.adapt.existence import Population
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import QUIET_MINIMUM
 from bayesnet_track.adapt.situation import Situation
@@ -22,13 +24,14 @@ from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.association import Associated
 from bayesnet_track.engine.lifecycle.detecting import Found, look
+from bayesnet_track.engine.lifecycle.existing import Crowd, divide, gate
 from bayesnet_track.engine.outcome import Outcome, State
 from bayesnet_track.engine.rows.columns import GIVEN, GIVEN_NONE, Columns, RowRecords, Rows, RowStates
 from bayesnet_track.engine.rows.fitting import RowRule
 from bayesnet_track.engine.rows.row_metrics import RowMeasures, RowMetrics
 from bayesnet_track.engine.state import apply_decisions
 from bayesnet_track.journal.net.net import Decision
-from bayesnet_track.numerics.gaussian import ALONE, chi_square_quantile
+from bayesnet_track.numerics.gaussian import ALONE
 from bayesnet_track.numerics.kernels.row_columns import AREA, FIT, HYPOTHESES, NATS, UD
 
 Floats = NDArray[np.float64]
@@ -50,12 +53,30 @@ class Predicted:
     image: Floats
 
 
+@dataclass(frozen=True, eq=False)
+class Given:
+    """What T rows are given of a look's N detections.
+
+    Attributes:
+        whose: (N,) the target that each detection is given to.
+        own: (T, 5) the detection of each, and its score.
+        is_given: (T,) whether there is one that may be its own.
+        numbers: (T, 8) what was measured, in the columns of `numerics.kernels.row_columns`.
+        existence: (T,) probability that each exists.
+        population: what was learnt of all detections, where targets exist with a probability.
+    """
+
+    whose: tuple[str | None, ...]
+    own: Floats
+    is_given: NDArray[np.bool_]
+    numbers: Floats
+    existence: Floats
+    population: Population | None = None
+
+
 def advance_rows(work: FrameWork, state: State, rows: Rows) -> tuple[Outcome, Associated]:
     """What the frame gives for all targets, and whose the detections are."""
-    from bayesnet_track.numerics.kernels.row_kernels import update_rows
-
     rule, frame, before = rows.rule, work.frame, rows.columns
-    started = work.engine.clock()
     predicted = predict_all(work, rows)
     found, history, failures = look(
         work,
@@ -63,33 +84,24 @@ def advance_rows(work: FrameWork, state: State, rows: Rows) -> tuple[Outcome, As
         lambda names: predicted.mean[[rows.index[name] for name in names], :4],
         lambda plate: held_rows(rows, plate),
     )
-    seen = found.get(rule.plate, Found(np.empty((0, 4)), np.empty(0)))
-    owner = share_out(rule, predicted, seen)
-    whose: list[str | None] = [None] * len(seen.boxes)
-    is_given = owner != NOBODY
-    for row in np.flatnonzero(is_given).tolist():
-        whose[owner[row]] = rows.ids[row]
-    own = np.zeros((len(rows.ids), 5))
-    own[is_given, :4], own[is_given, 4] = seen.boxes[owner[is_given]], seen.scores[owner[is_given]]
-    started = work.charge("life", started)
-
-    variances = rule.association.variances(own[:, :4]) * rule.temperature
-    variances[~is_given] = 1.0
-    boxes = np.ascontiguousarray(own[:, :4])
+    if rule.crowd is None:
+        given = assign_rows(work, rows, predicted, found.get(rule.plate))
+    else:
+        population = history.populations.get(rule.plate)
+        given = divide_rows(work, rows, predicted, population, found.get(rule.plate))
+        assert given.population is not None
+        history = replace(history, populations={**history.populations, rule.plate: given.population})
     mean, covariance = predicted.mean, predicted.covariance
-    numbers = update_rows(
-        mean, covariance, boxes, is_given, variances, rule.floor, predicted.image, rule.counts, ALONE
-    )
-    work.charge("belief", started)
 
     updated = before.changed(
         mean=mean,
         covariance=covariance,
-        size=numbers[:, HYPOTHESES].astype(np.int64),
-        own=own,
-        given=np.where(is_given, GIVEN, GIVEN_NONE),
+        size=given.numbers[:, HYPOTHESES].astype(np.int64),
+        own=given.own,
+        given=np.where(given.is_given, GIVEN, GIVEN_NONE),
+        existence=given.existence,
     )
-    after, measured, decisions = judge_rows(work, rows, updated, numbers)
+    after, measured, decisions = judge_rows(work, rows, updated, given.numbers)
     net = apply_decisions(work.net, decisions)
     table = rows.with_columns(after, frame.time).with_nets(net.targets)
     outcome = Outcome(
@@ -105,8 +117,82 @@ def advance_rows(work: FrameWork, state: State, rows: Rows) -> tuple[Outcome, As
         dict(zip(rows.ids, covariance, strict=True)),
         work.seconds,
     )
-    owners = {rule.plate: tuple(whose)} if rule.plate in found else {}
+    owners = {rule.plate: given.whose} if rule.plate in found else {}
     return outcome, Associated(found, owners, {}, history, failures)
+
+
+def assign_rows(work: FrameWork, rows: Rows, predicted: Predicted, found: Found | None) -> Given:
+    """The best assignment, and the rows updated in place by what each is assigned."""
+    from bayesnet_track.numerics.kernels.row_kernels import update_rows
+
+    rule, started = rows.rule, work.engine.clock()
+    seen = Found(np.empty((0, 4)), np.empty(0)) if found is None else found
+    owner = share_out(rule, predicted, seen)
+    is_given = owner != NOBODY
+    own = owned(owner, seen)
+    started = work.charge("life", started)
+    variances = rule.association.variances(own[:, :4]) * rule.temperature
+    variances[~is_given] = 1.0
+    boxes = np.ascontiguousarray(own[:, :4])
+    mean, covariance = predicted.mean, predicted.covariance
+    numbers = update_rows(
+        mean, covariance, boxes, is_given, variances, rule.floor, predicted.image, rule.counts, ALONE
+    )
+    work.charge("belief", started)
+    return Given(whose_are(rows.ids, owner, seen), own, is_given, numbers, rows.columns.existence)
+
+
+def divide_rows(
+    work: FrameWork, rows: Rows, predicted: Predicted, population: Population | None, found: Found | None
+) -> Given:
+    """What is shared by probability, and the rows updated in place by the mixtures."""
+    from bayesnet_track.numerics.kernels.mixing_kernels import measure_and_mix_rows
+
+    rule, started = rows.rule, work.engine.clock()
+    assert rule.crowd is not None
+    mean, covariance = predicted.mean, predicted.covariance
+    crowd = Crowd(
+        np.ascontiguousarray(mean[:, :4]),
+        np.ascontiguousarray(covariance[:, :4, :4]),
+        rows.columns.existence,
+    )
+    done = divide(rule.crowd, work.cache.frames, crowd, population, found)
+    started = work.charge("life", started)
+    seen = Found(np.empty((0, 4)), np.empty(0)) if found is None else found
+    boxes = np.ascontiguousarray(seen.boxes[done.columns])
+    numbers = measure_and_mix_rows(
+        mean,
+        covariance,
+        done.starts,
+        boxes,
+        rule.association.variances(boxes) * rule.temperature,
+        done.weights,
+        done.missed,
+        rule.floor,
+        predicted.image,
+        rule.counts,
+        ALONE,
+    )
+    work.charge("belief", started)
+    is_given = np.diff(done.starts) > 0
+    whose = whose_are(rows.ids, done.owner, seen)
+    return Given(whose, owned(done.owner, seen), is_given, numbers, done.existence, done.population)
+
+
+def owned(owner: Ints, seen: Found) -> Floats:
+    """(T, 5) the detection of each target, and its score; zeros where it has none."""
+    own = np.zeros((len(owner), 5))
+    is_given = owner != NOBODY
+    own[is_given, :4], own[is_given, 4] = seen.boxes[owner[is_given]], seen.scores[owner[is_given]]
+    return own
+
+
+def whose_are(ids: Sequence[str], owner: Ints, seen: Found) -> tuple[str | None, ...]:
+    """(N,) whose each detection is."""
+    whose: list[str | None] = [None] * len(seen.boxes)
+    for row in np.flatnonzero(owner != NOBODY).tolist():
+        whose[owner[row]] = ids[row]
+    return tuple(whose)
 
 
 def predict_all(work: FrameWork, rows: Rows) -> Predicted:
@@ -135,22 +221,8 @@ def held_rows(rows: Rows, plate: str) -> list[str]:
 
 def share_out(rule: RowRule, predicted: Predicted, seen: Found) -> Ints:
     """(T,) the detection of each target, or `NOBODY`; see `adapt.assign`."""
-    from bayesnet_track.numerics.kernels.pair_kernels import gate_rows
-
-    mean, covariance, boxes = predicted.mean, predicted.covariance, np.ascontiguousarray(seen.boxes)
-    if not len(boxes):
-        return np.full(len(mean), NOBODY, dtype=np.int64)
-    variances = rule.association.variances(boxes)
-    limit, min_overlap = chi_square_quantile(rule.association.gate, 4), rule.association.min_overlap
-    reach = np.sqrt(limit * (covariance[:, 0, 0] + variances[:, 0].max())) * (1 + 1e-9)
-    if min_overlap > 0.0:  # then they touch
-        reach = np.minimum(reach, (mean[:, 2] + boxes[:, 2].max()) / 2)
-    order = np.argsort(boxes[:, 0], kind="stable")
-    places = boxes[order, 0]
-    starts = np.searchsorted(places, mean[:, 0] - reach)
-    ends = np.searchsorted(places, mean[:, 0] + reach, side="right")
-    pairs = gate_rows(mean, covariance, boxes, variances, order, starts, ends, limit, min_overlap)
-    return assign_pairs(*pairs, len(mean), len(boxes))
+    pairs = gate(rule.association, predicted.mean, predicted.covariance, seen.boxes)
+    return assign_pairs(pairs.rows, pairs.columns, pairs.values, len(predicted.mean), len(seen.boxes))
 
 
 def judge_rows(
@@ -165,20 +237,24 @@ def judge_rows(
     quiet, quiet_count, medians = append_medians(
         before.quiet, before.quiet_count, ud, ~before.is_lost, QUIET_MINIMUM
     )
-    level = rule.lost.above
+    level, exists = rule.lost.above, rule.lost.existence_below
     scale = {"ud_px2": np.ones(len(ud)), "ud_box": area, "ud_baseline": medians}[level.kind]
     is_known = scale > 0.0  # not where the baseline is unknown
     value = np.where(is_known, ud / np.where(is_known, scale, 1.0), 0.0)
     is_wide, fits = is_known & (value > level.settings), fit >= rule.lost.fit_below
     looks_lost, looks_found = is_wide | ~fits, fits & ~is_wide
+    lost_values, unfit_values = np.where(fits, value, np.inf), np.where(is_wide, -np.inf, fit)
+    if exists is not None:
+        value = lost_values = unfit_values = updated.existence
+        looks_lost, looks_found = value < exists, value >= exists
     after = updated.changed(
         nats=before.nats + numbers[:, NATS],
         nat_frames=before.nat_frames + 1,
         quiet=quiet,
         quiet_count=quiet_count,
         lost_count=np.where(looks_lost, before.lost_count + 1, 0),
-        lost_values=_append(before.lost_values, np.where(fits, value, np.inf)),
-        unfit_values=_append(before.unfit_values, np.where(is_wide, -np.inf, fit)),
+        lost_values=_append(before.lost_values, lost_values),
+        unfit_values=_append(before.unfit_values, unfit_values),
         found_count=np.where(looks_found, before.found_count + 1, 0),
         found_values=_append(before.found_values, value),
     )
@@ -216,6 +292,7 @@ def _decide_status(
         measures,
         rule.compiled.costs_ms,
         rule.compiled.adaptable,
+        existence=None if rule.crowd is None else float(after.columns.existence[row]),
     )
     decisions: list[Decision] = []
     judge_status(now, replace(before.memory(row), quiet=after.memory(row).quiet), decisions)

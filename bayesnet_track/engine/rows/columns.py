@@ -51,6 +51,7 @@ class Columns:
         known_time: (T,) that time, frame intervals.
         lost_frames: (T,) consecutive frames in which it is lost.
         unseen_frames: (T,) consecutive frames without a detection of its own.
+        existence: (T,) probability that it exists; 1 where the plate has no `existence`.
     """
 
     mean: Floats
@@ -74,6 +75,7 @@ class Columns:
     known_time: Floats
     lost_frames: Ints
     unseen_frames: Ints
+    existence: Floats
 
     def changed(self, **columns: NDArray[Any]) -> Self:
         """With some columns in place of its own; `dataclasses.replace` takes ten times as long."""
@@ -138,7 +140,9 @@ class Rows:
         if now.given[row] != NEVER_ASKED:
             reference[OWN_DETECTION] = now.own[row : row + 1] if now.given[row] == GIVEN else np.empty((0, 5))
         belief = GaussianPosterior(now.mean[row], now.covariance[row], rule.motion.fields, int(now.size[row]))
-        return TargetState(belief, {rule.agent: reference}, self.memory(row), rule.plan, self.time)
+        existence = None if rule.crowd is None else float(now.existence[row])
+        references = {rule.agent: reference}
+        return TargetState(belief, references, self.memory(row), rule.plan, self.time, existence=existence)
 
     def memory(self, row: int) -> Memory:
         """What the rules remember of one target."""
@@ -146,10 +150,14 @@ class Rows:
         count, frames = int(now.quiet_count[row]), int(now.nat_frames[row])
         quiet = {rule.root: Quiet({rule.active: tuple(now.quiet[row, QUIET_WINDOW - count :].tolist())})}
         lost, found = int(now.lost_count[row]), int(now.found_count[row])
+        is_lost, is_found = streak(lost, now.lost_values[row]), streak(found, now.found_values[row])
+        by_ud = rule.lost.existence_below is None
         return Memory(
-            lost=streak(lost, now.lost_values[row]),
-            found=streak(found, now.found_values[row]),
-            unfit=streak(lost, now.unfit_values[row]),
+            lost=is_lost,
+            found=is_found,
+            seen=Streak() if by_ud else is_found,
+            unsure=Streak() if by_ud else is_lost,
+            unfit=streak(lost, now.unfit_values[row]) if by_ud else Streak(),
             quiet=quiet if count else {},
             helpful={rule.agent: (float(now.nats[row]), frames)} if frames else {},
         )
@@ -238,7 +246,7 @@ def make_rows(
         mean=stack([state.belief.mean for state in several], width),
         covariance=stack([state.belief.covariance for state in several], width, width),
         size=np.array([len(state.belief) for state in several], dtype=np.int64),
-        own=stack([one[0] if one is not None and len(one) else np.zeros(5) for one in own], 5),
+        own=stack([one[0, :5] if one is not None and len(one) else np.zeros(5) for one in own], 5),
         given=np.array(given, dtype=np.int64),
         nats=np.array([nats for nats, _ in helpful], dtype=np.float64),
         nat_frames=np.array([count for _, count in helpful], dtype=np.int64),
@@ -256,6 +264,7 @@ def make_rows(
         known_time=np.array([one.time for one in known], dtype=np.float64),
         lost_frames=np.array([one.lost_frames for one in known], dtype=np.int64),
         unseen_frames=np.array([one.unseen_frames for one in known], dtype=np.int64),
+        existence=np.array([1.0 if one.existence is None else one.existence for one in several]),
     )
     return Rows(rule, tuple(states), columns, time)
 

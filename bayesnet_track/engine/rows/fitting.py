@@ -18,6 +18,7 @@ from bayesnet_track.belief.gaussian.belief import GaussianFilter, GaussianPoster
 from bayesnet_track.belief.gaussian.predict import require_linear
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
+from bayesnet_track.engine.lifecycle.existing import CrowdRule
 from bayesnet_track.engine.score import Scored
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import InferenceNode, Lost
@@ -43,6 +44,7 @@ class RowRule:
         lost: when a target counts as lost.
         counts: (4,) the fields of UD.
         plan: the compiled net with the agent.
+        crowd: how targets exist and share detections; None where each is assigned one.
     """
 
     compiled: CompiledPlate
@@ -54,6 +56,7 @@ class RowRule:
     lost: Lost
     counts: NDArray[np.bool_]
     plan: Plan
+    crowd: CrowdRule | None = None
 
     @property
     def plate(self) -> str:
@@ -83,6 +86,9 @@ def row_rule(engine: Engine, plate: str) -> RowRule | None:
         return None
     agent, association = next(iter(compiled.association_rules.items()))
     node, root = compiled.plate.agent(agent), compiled.plate.inference(compiled.plate.root)
+    lost = root.lost or Lost()
+    if lost.existence_below is not None and lost.uncertain_below is not None:
+        return None
     is_plain = node.self_check is None and association.floor is not None and association.appearance == 0.0
     if not (is_plain and _root_fits(root) and compiled.guard is None and compiled.moving is None):
         return None
@@ -99,9 +105,10 @@ def row_rule(engine: Engine, plate: str) -> RowRule | None:
         association,
         float(association.floor or 0.0) ** (1.0 / node.temperature),
         node.temperature,
-        root.lost or Lost(),
+        lost,
         np.array([name in root.ud_fields for name in BOX_FIELDS]),
         compile_plan(compiled.plate, [agent], compiled.cues),
+        CrowdRule.of(compiled),
     )
 
 
@@ -160,11 +167,14 @@ def _is_plain(scored: Scored) -> bool:
 def _memory_fits(rule: RowRule, memory: Memory) -> bool:
     others = (memory.activate, memory.deactivate, memory.self_check, memory.worth, memory.missed)
     quiet = memory.quiet.get(rule.root)
+    if rule.lost.existence_below is None:
+        is_one = memory.seen == memory.unsure == Streak() and memory.lost.count == memory.unfit.count
+    else:
+        is_one = memory.seen == memory.found and memory.unsure == memory.lost and memory.unfit == Streak()
     return (
         not any(others)
-        and memory.seen == memory.unsure == Streak()
+        and is_one
         and memory.quiet.keys() <= {rule.root}
         and (quiet is None or quiet.values.keys() == {rule.active})
         and memory.helpful.keys() <= {rule.agent}
-        and memory.lost.count == memory.unfit.count
     )

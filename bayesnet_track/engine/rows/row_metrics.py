@@ -138,6 +138,7 @@ class RowMetrics(Sequence[FrameMetrics]):
             region90=tuple(region90),
             cloud=tuple(map(tuple, cloud)),
             silent=() if now.given[row] == GIVEN else (rule.agent,),
+            existence=None if rule.crowd is None else float(now.existence[row]),
         )
 
     @overload

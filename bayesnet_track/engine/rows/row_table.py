@@ -154,6 +154,14 @@ class RowTable:
         causes = {self.rows.ids[row]: find_end_cause(self.rows.record(row), rule) for row in over}
         return [(target, why) for target, why in causes.items() if why is not None]
 
+    def vanishing(self, plate: str, end: float) -> list[tuple[str, float]]:
+        """Targets that exist with a smaller probability than `end`, and that probability."""
+        existence = self.rows.columns.existence
+        if plate != self.rows.rule.plate:
+            return []
+        low = [row for row in np.flatnonzero(existence < end).tolist() if row not in self.gone]
+        return [(self.rows.ids[row], float(existence[row])) for row in low]
+
     def end(self, decision: TargetDied | DuplicateEnded) -> None:
         """A target ends."""
         self.decide(decision)

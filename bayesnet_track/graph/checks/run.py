@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.checks.cues import CUE_CHECKS, cue_parameters
 from bayesnet_track.graph.checks.evidence import evidence_counts_once
+from bayesnet_track.graph.checks.existence import EXISTENCE_CHECKS
 from bayesnet_track.graph.checks.factors import CONSTANT_CHECKS, FACTOR_CHECKS, read_factors
 from bayesnet_track.graph.checks.formulas import FORMULA_JOIN_CHECKS
 from bayesnet_track.graph.checks.joins import JOIN_CHECKS
@@ -30,7 +31,7 @@ from bayesnet_track.observation.plugins import given
 Cues = Mapping[str, CueDeclaration] | Iterable[GivenCue]
 """All cues that there are, by name; or, beside the installed ones, declarations or files of one's own."""
 
-CHECKS_OF_A_SOUND_TREE = (*RULE_CHECKS, evidence_counts_once, *FACTOR_CHECKS)
+CHECKS_OF_A_SOUND_TREE = (*RULE_CHECKS, *EXISTENCE_CHECKS, evidence_counts_once, *FACTOR_CHECKS)
 
 
 def check(spec: GraphSpec, at: Positions | None = None, cues: Cues | None = None) -> CheckedGraph:

@@ -159,7 +159,8 @@ class Lost(Model):
 
     With `score_below` the score alone decides, and has to be a probability (`score`): lost below it,
     uncertain below `uncertain_below`, else tracked, each from the last of `frames` consecutive frames on.
-    While a target is uncertain, references do not learn and baselines are not measured.
+    While a target is uncertain, references do not learn and baselines are not measured. With
+    `existence_below` the probability that it exists says so (`existence`).
     """
 
     above: Level = Field(default=Level(ud_box=1.0), description="level of UD")
@@ -172,6 +173,10 @@ class Lost(Model):
     )
     uncertain_below: Annotated[Number, Field(gt=0, lt=1)] | None = Field(
         default=None, description="score below which it counts as uncertain; default: never"
+    )
+    existence_below: Annotated[Number, Field(gt=0, lt=1)] | None = Field(
+        default=None,
+        description="probability of existence below which it counts as lost; instead of the others",
     )
     frames: FrameCount = Field(default=3, description="consecutive frames before the status changes")
 

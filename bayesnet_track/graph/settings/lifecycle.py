@@ -17,6 +17,7 @@ from bayesnet_track.graph.settings.base import (
     Truth,
     Whole,
 )
+from bayesnet_track.graph.settings.existence import Existence
 
 
 class DetectorChoice(PluginChoice):
@@ -126,12 +127,14 @@ class LifeRules:
         merge_duplicates: when two nets track the same target.
         death: when a net ends.
         reidentify: how targets are re-identified.
+        existence: how probable it is that targets exist.
     """
 
     birth: Birth | None
     merge_duplicates: MergeDuplicates | None
     death: Death | None
     reidentify: Reidentify | None
+    existence: Existence | None = None
 
 
 def life_rules(
@@ -139,10 +142,11 @@ def life_rules(
     merge_duplicates: MergeDuplicates | None,
     death: Death | None,
     reidentify: Reidentify | None,
+    existence: Existence | None = None,
 ) -> LifeRules | None:
     """The rules of a plate with these settings; None when its targets live as long as the run."""
     if birth is None:
         return LifeRules(None, merge_duplicates, death, None) if merge_duplicates or death else None
     return LifeRules(
-        birth, merge_duplicates or MergeDuplicates(), death or Death(), reidentify or Reidentify()
+        birth, merge_duplicates or MergeDuplicates(), death or Death(), reidentify or Reidentify(), existence
     )

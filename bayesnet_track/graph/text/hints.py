@@ -79,6 +79,10 @@ RULES: Sequence[Rule] = (
             "a Kalman filter is a filter of the Gaussian belief: write belief: {gaussian: {filter: kalman}}"
         ),
     ),
+    (
+        r"^associate is '(?:jpda|JPDA|pda|soft)'",
+        _always("joint probabilistic data association is associate: marginal"),
+    ),
     (r"^key 'parent' is missing", _parent),
     (
         r"^(?P<key>\w+) is (?P<value>-?[\d.]+); allowed: (?:a mapping with|one of) (?P<first>\w+)",

@@ -13,6 +13,7 @@ from pydantic_core import PydanticUndefined
 
 from bayesnet_track.graph.checks.cues import CUE_CHECKS
 from bayesnet_track.graph.checks.evidence import evidence_counts_once
+from bayesnet_track.graph.checks.existence import EXISTENCE_CHECKS
 from bayesnet_track.graph.checks.factors import CONSTANT_CHECKS, FACTOR_CHECKS
 from bayesnet_track.graph.checks.formulas import FORMULA_JOIN_CHECKS
 from bayesnet_track.graph.checks.joins import JOIN_CHECKS
@@ -182,6 +183,7 @@ def _checks() -> str:
         *LIFE_CHECKS,
         *VALUE_CHECKS,
         *RULE_CHECKS,
+        *EXISTENCE_CHECKS,
         evidence_counts_once,
         *FACTOR_CHECKS,
         *CONSTANT_CHECKS,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import assert_never
 
 from bayesnet_track.journal.events.reidentification import Recognition, explain_odds
@@ -42,6 +42,8 @@ class CandidateConfirmed:
         looks: of how many runs.
         score: mean score of these detections, 0..1.
         nearest: the remembered target that it was most likely to be, or null when none is remembered.
+        existence: probability that it exists, where the plate goes by it.
+        confirm: the rule's least probability.
     """
 
     frame: int
@@ -53,6 +55,8 @@ class CandidateConfirmed:
     looks: int
     score: float
     nearest: Recognition | None
+    existence: float | None = field(default=None, metadata={"left_out_when_empty": True})
+    confirm: float | None = field(default=None, metadata={"left_out_when_empty": True})
 
 
 @dataclass(frozen=True)
@@ -125,7 +129,11 @@ def _describe_confirmed(event: CandidateConfirmed) -> str:
     """`gray_level detected it in 3 of 4 runs ...  → target 3 is new`."""
     seen = f"{event.detector} detected it in {event.seen} of {plural(event.looks, 'run')}"
     since = f" since frame {event.first_frame}" if event.first_frame < event.frame else ""
-    found = f"{seen}{since}, mean score {event.score:.2f} → target {event.target} is new"
+    exists = ""
+    if event.existence is not None and event.confirm is not None:
+        value, level = distinct_texts(event.existence, event.confirm)
+        exists = f", existence {value} ≥ {level}"
+    found = f"{seen}{since}, mean score {event.score:.2f}{exists} → target {event.target} is new"
     near = event.nearest
     if near is None:
         return found

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import assert_never
 
-from bayesnet_track.journal.text.wording import decimals, plural, round_away
+from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, round_away
 
 
 @dataclass(frozen=True)
@@ -15,10 +15,12 @@ class TargetDied:
     Attributes:
         frame: last frame of the net.
         target: target id.
-        reason: lost or unseen.
-        frames: for how many consecutive frames.
-        limit: the rule's number of frames.
+        reason: lost, unseen, or existence: it exists with too small a probability.
+        frames: for how many consecutive frames; without a detection of its own where the reason is existence.
+        limit: the rule's number of frames; 0 where the reason is existence.
         remembered: whether the target can be recognised later.
+        existence: probability that it exists, where that is the reason.
+        end: the rule's least probability.
     """
 
     frame: int
@@ -27,6 +29,8 @@ class TargetDied:
     frames: int
     limit: int
     remembered: bool
+    existence: float | None = field(default=None, metadata={"left_out_when_empty": True})
+    end: float | None = field(default=None, metadata={"left_out_when_empty": True})
 
 
 @dataclass(frozen=True)
@@ -67,9 +71,17 @@ def describe(event: Events) -> str:
 
 def _describe_death(event: TargetDied) -> str:
     """`lost for 30 frames → target 3 ends`."""
+    kept = ", remembered" if event.remembered else ""
+    if event.existence is not None and event.end is not None:
+        value, level = distinct_texts(event.existence, event.end)
+        turning = round_away(event.existence, decimals(event.existence, event.end), up=False)
+        unseen = f" after {plural(event.frames, 'frame')} without a detection" if event.frames else ""
+        return (
+            f"existence {value} < {level}{unseen} → target {event.target} ends{kept}; "
+            f"would have continued at existence.end ≤ {turning}"
+        )
     how = "lost" if event.reason == "lost" else "not detected"
     key = "lost_frames" if event.reason == "lost" else "unseen_frames"
-    kept = ", remembered" if event.remembered else ""
     return (
         f"{how} for {plural(event.frames, 'frame')} → target {event.target} ends{kept}; "
         f"would have continued at {key} ≥ {event.frames + 1}"

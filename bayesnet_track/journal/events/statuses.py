@@ -67,13 +67,13 @@ def _by_fit(cause: FitCause, result: str) -> str:
 def _by_score(event: StatusChanged, cause: ScoreCause) -> str:
     score, level = distinct_texts(cause.score, cause.level)
     span = f"for {plural(cause.frames, 'frame')}"
-    found = f"score {score} {'<' if cause.fell else '≥'} {level} {span}"
+    found = f"{cause.of or 'score'} {score} {'<' if cause.fell else '≥'} {level} {span}"
     turning = round_away(cause.turning, decimals(cause.turning, cause.level), up=not cause.fell)
     status = "found again" if event.status == "tracking" else event.status
     if not cause.fell:
         otherwise = f"would have stayed as it was at a threshold > {turning}"
     elif event.status == "lost":
-        otherwise = f"would not have been lost at score_below ≤ {turning}"
+        otherwise = f"would not have been lost at {cause.of or 'score'}_below ≤ {turning}"
     else:
         otherwise = f"would have stayed tracked at uncertain_below ≤ {turning}"
     return f"{found} → target {event.target} {status}; {otherwise}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,7 @@ class ScoreCause:
         turning: the threshold at which the status would have stayed: at or below it when the score fell,
             above it when it rose.
         fell: whether the score fell below the level.
+        of: what was compared instead of the score: `existence`, the probability that the target exists.
     """
 
     level: float
@@ -46,6 +47,7 @@ class ScoreCause:
     frames: int
     turning: float
     fell: bool
+    of: str = field(default="", metadata={"left_out_when_empty": True})
 
 
 @dataclass(frozen=True)

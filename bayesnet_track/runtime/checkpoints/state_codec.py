@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.adapt.existence import Population, Prospects
 from bayesnet_track.adapt.information import Worth
 from bayesnet_track.adapt.joins import CarriedHypotheses, JoinMemory, Level, PairMemory
 from bayesnet_track.adapt.lifecycle import AppearanceMemory, Candidate, TrackHistory, TrackRecord
@@ -70,6 +71,8 @@ CLASSES: tuple[type, ...] = (
     Candidate,
     AppearanceMemory,
     TrackRecord,
+    Population,
+    Prospects,
     JoinMemory,
     PairMemory,
     Level,

@@ -115,7 +115,13 @@ def _measurement(returned: Any) -> Measurement | Foreign | None:
         return Foreign(foreign)
     fields = tuple(str(name) for name in returned.fields)
     mean, covariance = np.array(returned.mean, float), np.array(returned.covariance, float)
-    return Measurement(fields, mean, covariance, returned.floor)
+    choices: list[tuple[float, Measurement]] = []
+    for weight, one in returned.choices:
+        own = _measurement(one)
+        if not isinstance(own, Measurement):
+            return Foreign("Measurement with a choice that is none")
+        choices.append((float(weight), own))
+    return Measurement(fields, mean, covariance, returned.floor, tuple(choices))
 
 
 def _is_shortage(error: BaseException) -> bool:

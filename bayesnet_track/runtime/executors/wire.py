@@ -109,7 +109,7 @@ class _Packing:
         if kind is Region:
             return REGION, value.x0, value.y0, value.x1, value.y1
         if kind is Measurement:
-            parts = (value.fields, value.mean, value.covariance, value.floor)
+            parts = (value.fields, value.mean, value.covariance, value.floor, value.choices)
             return MEASUREMENT, [self.flat(part) for part in parts]
         return OTHER, pickle.dumps(value, protocol=5)
 

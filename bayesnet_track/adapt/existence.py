@@ -1,0 +1,230 @@
+"""How probable it is that targets exist, and whose detections are: pure functions on arrays.
+
+Integrated probabilistic data association, in the form of Poisson multi-Bernoulli filters: a target exists
+with a probability r, is detected with a probability d if it does, and false detections and new targets have
+densities over x, y, w, h. With the marginal association probabilities p_ij (`numerics.marginals`),
+
+    w_ij = r_i d_i N(z_j; m_i, P_i + R_j) / ((1 - r_i d_i) (c(z_j) + b(z_j))),
+    r_i' = sum_j p_ij + p_i0 r_i (1 - d_i) / (1 - r_i d_i),
+
+and a detection that is none of the targets' is a new one with probability b / (b + c).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.graph.settings.existence import Existence
+from bayesnet_track.numerics.marginals import marginalise
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+NEGLIGIBLE = 1e-3
+"""Detections that are a target's with less probability are left out of its update."""
+
+SURE = 1.0 - 1e-9
+"""Largest probability that counts, so that odds are finite."""
+
+START_DETECTION, START_CHANCES = 0.85, 100.0
+"""What is assumed of detection before any, and for how many chances of one this counts."""
+
+START_CLUTTER, START_FRAMES = 1.0, 5.0
+"""What is assumed of false detections a frame before any, and for how many frames this counts."""
+
+MEMORY_FRAMES, MEMORY_CHANCES, MEMORY_SIZES = 100.0, 2000.0, 500.0
+"""How much of the past the estimates rest on: frames, chances of a detection, and detections."""
+
+SIZE_SD, LEAST_SIZE_SD = 0.5, 0.1
+"""Sd of the logarithms of width and height before any detection, and the least that is assumed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prospects:
+    """What was detected and is no target yet: K of them, a Gaussian belief each.
+
+    Attributes:
+        mean: (K, D).
+        covariance: (K, D, D).
+        existence: (K,) probability that it exists.
+        first: (K,) frame in which it was first detected.
+        seen: (K,) looks in which it was more probably detected than not.
+        looks: (K,) looks since.
+        score: (K,) sum of the scores of its detections.
+    """
+
+    mean: Floats
+    covariance: Floats
+    existence: Floats
+    first: Ints
+    seen: Ints
+    looks: Ints
+    score: Floats
+
+    def __len__(self) -> int:
+        return len(self.existence)
+
+    def take(self, rows: NDArray[np.bool_] | Ints) -> Prospects:
+        """Some of them."""
+        return Prospects(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+    def extend(self, others: Prospects) -> Prospects:
+        """These, then others."""
+        if not len(others):
+            return self
+        names = self.__dataclass_fields__
+        return Prospects(*(np.concatenate([getattr(self, n), getattr(others, n)]) for n in names))
+
+    @classmethod
+    def none(cls, width: int) -> Prospects:
+        """None, of a state of so many fields."""
+        none, whole = np.empty(0), np.empty(0, np.int64)
+        return cls(np.empty((0, width)), np.empty((0, width, width)), none, whole, whole, whole, none)
+
+
+@dataclass(frozen=True, eq=False)
+class Population:
+    """What a plate's detections have told about all of them.
+
+    Attributes:
+        prospects: what is no target yet.
+        clutter: false detections a frame.
+        frames: how many frames that rests on.
+        hits: detections of targets that nothing covered.
+        chances: how many there could have been.
+        size_mean: (2,) of log width and log height of detections.
+        size_covariance: (2, 2).
+        sizes: how many detections that rests on.
+    """
+
+    prospects: Prospects
+    clutter: float = START_CLUTTER
+    frames: float = START_FRAMES
+    hits: float = START_DETECTION * START_CHANCES
+    chances: float = START_CHANCES
+    size_mean: Floats = field(default_factory=lambda: np.zeros(2))
+    size_covariance: Floats = field(default_factory=lambda: SIZE_SD**2 * np.eye(2))
+    sizes: float = 0.0
+
+    def detection(self, rule: Existence) -> float:
+        """Probability that a target which nothing covers is detected."""
+        return rule.detection if rule.detection is not None else min(self.hits / self.chances, 0.99)
+
+    def clutter_rate(self, rule: Existence) -> float:
+        """False detections a frame."""
+        return rule.clutter if rule.clutter is not None else self.clutter
+
+    def new_share(self, rule: Existence) -> float:
+        """Probability that a detection which is none of the targets' is a new one's."""
+        return rule.births / (rule.births + self.clutter_rate(rule))
+
+    def with_sizes(self, boxes: Floats) -> Population:
+        """After detections (N, 4)."""
+        if not len(boxes):
+            return self
+        logs = np.log(np.maximum(boxes[:, 2:], 1.0))
+        mean, held, count = logs.mean(axis=0), self.sizes, len(logs)
+        away = logs - mean
+        share = count / (held + count)
+        shift = mean - self.size_mean if held else np.zeros(2)
+        before = self.size_covariance + (1.0 - share) * np.outer(shift, shift)
+        spread = (1.0 - share) * before + share * (away.T @ away) / count
+        return replace(
+            self,
+            size_mean=self.size_mean + share * shift if held else mean,
+            size_covariance=spread if held else SIZE_SD**2 * np.eye(2) / 2 + (away.T @ away) / (2 * count),
+            sizes=min(held + count, MEMORY_SIZES),
+        )
+
+    def log_density(self, boxes: Floats, area_px2: float) -> Floats:
+        """(N,) log density of a box (N, 4) that may be anywhere, of the sizes that detections have."""
+        logs = np.log(np.maximum(boxes[:, 2:], 1.0))
+        spread = self.size_covariance + LEAST_SIZE_SD**2 * np.eye(2)
+        away = logs - self.size_mean
+        d2 = np.einsum("ni,ni->n", away, np.linalg.solve(spread, away.T).T)
+        half = 0.5 * float(np.linalg.slogdet(spread)[1]) + math.log(2.0 * math.pi)
+        return np.asarray(-0.5 * d2 - half - logs.sum(axis=1) - math.log(area_px2))
+
+    def after_look(self, false: float, hits: float, chances: float) -> Population:
+        """After a frame with so many false detections, and so many detections where there could have been."""
+        frames = min(self.frames + 1.0, MEMORY_FRAMES)
+        all_chances = self.chances + chances
+        fade = min(1.0, MEMORY_CHANCES / all_chances)
+        return replace(
+            self,
+            clutter=max(self.clutter + (false - self.clutter) / frames, 1e-3),
+            frames=frames,
+            hits=(self.hits + hits) * fade,
+            chances=all_chances * fade,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """T targets and prospects as they are expected.
+
+    Attributes:
+        existence: (T,) probability that it exists.
+        detection: (T,) probability that it is detected if it does.
+    """
+
+    existence: Floats
+    detection: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """P pairs of a row and a detection.
+
+    Attributes:
+        rows: (P,) ascending.
+        columns: (P,) the detection.
+        values: (P,) what is known of it: a log-likelihood, a weight.
+    """
+
+    rows: Ints
+    columns: Ints
+    values: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Shared:
+    """What of the detections is whose.
+
+    Attributes:
+        existence: (T,) probability that it exists, after the look.
+        pairs: pairs with the probability that the detection is the row's, given that it exists.
+        missed: (T,) that none is, given that it exists; with the pairs of a row it sums to 1.
+        seen: (T,) probability that it was detected.
+        free: (N,) probability that the detection is none of theirs.
+        gains: (P,) log weights of the pairs that were shared.
+    """
+
+    existence: Floats
+    pairs: Pairs
+    missed: Floats
+    seen: Floats
+    free: Floats
+    gains: Pairs
+
+
+def share(expected: Expected, likelihoods: Pairs, log_nobody: Floats) -> Shared:
+    """Whose the detections are, by pairs with log N(z; m, P + R); `log_nobody` (N,) is log(c + b)."""
+    r, detection = np.minimum(expected.existence, SURE), np.minimum(expected.detection, SURE)
+    rows, columns = likelihoods.rows, likelihoods.columns
+    hit = r * detection
+    log_odds = np.log(np.maximum(hit, 1e-300)) - np.log1p(-hit)
+    gains = log_odds[rows] + likelihoods.values - log_nobody[columns]
+    found = marginalise(rows, columns, np.exp(np.minimum(gains, 700.0)), (len(r), len(log_nobody)))
+    silent = r * (1.0 - detection) / (1.0 - hit)
+    seen: Floats = np.bincount(rows, found.pairs, minlength=len(r)).astype(np.float64)
+    after = np.minimum(seen + found.missed * silent, 1.0)
+    weights = found.pairs / np.maximum(after, 1e-300)[rows]
+    kept = weights >= NEGLIGIBLE
+    pairs = Pairs(rows[kept], columns[kept], weights[kept])
+    missed = np.clip(1.0 - np.bincount(pairs.rows, pairs.values, minlength=len(r)), 0.0, 1.0)
+    return Shared(after, pairs, missed, seen, found.free, replace(likelihoods, values=gains))

@@ -1,0 +1,358 @@
+"""Share detections out among targets that exist with a probability, and what may become a target.
+
+The targets of a plate and its prospects (what was detected and is no target yet) are weighed together
+(`adapt.existence`): one detection each at most, each detection once at most. How targets use what they are
+given is up to their beliefs; prospects are Gaussian beliefs that move as the plate does, and are kept here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.assign import assign_pairs
+from bayesnet_track.adapt.association import NOBODY
+from bayesnet_track.adapt.existence import Expected, Pairs, Population, Prospects, Shared, share
+from bayesnet_track.adapt.lifecycle import Candidate
+from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.gaussian.predict import predict
+from bayesnet_track.belief.motion.borders import confined
+from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian
+from bayesnet_track.engine.compiled import CompiledPlate
+from bayesnet_track.engine.lifecycle.detecting import Found
+from bayesnet_track.graph.settings.existence import Existence
+from bayesnet_track.graph.spec import Gaussian
+from bayesnet_track.numerics.gaussian import chi_square_quantile
+from bayesnet_track.observation.cue import AssociationRule
+from bayesnet_track.observation.planes import FramePair
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+COVERED = 0.5
+"""A target counts as covered when another one covers this share of its box."""
+
+HOPELESS = 0.02
+"""A prospect is dropped when it exists with less than this share of a new one's probability."""
+
+LEAST_FREE = 0.2
+"""A detection that is free with less probability starts no prospect."""
+
+PROSPECTS = 4
+"""Prospects that are kept, in multiples of `birth.max_targets`."""
+
+LOG_TURN = math.log(2.0 * math.pi)
+
+
+@dataclass(frozen=True, eq=False)
+class CrowdRule:
+    """What a plate says of existence and association.
+
+    Attributes:
+        association: which detections may be a target's, and how far off they are.
+        existence: the settings.
+        is_marginal: whether targets use all detections that may be theirs, or those assigned to them.
+        motion: how targets move.
+        most: prospects that are kept.
+    """
+
+    association: AssociationRule
+    existence: Existence
+    is_marginal: bool
+    motion: MotionModel
+    most: int
+
+    @classmethod
+    def of(cls, compiled: CompiledPlate) -> CrowdRule | None:
+        """That of a plate; None where it has no existence."""
+        life = compiled.lifecycle
+        if life is None or life.existence is None or life.birth is None or not compiled.association_rules:
+            return None
+        association = next(iter(compiled.association_rules.values()))
+        is_marginal = compiled.plate.spec.associate == "marginal"
+        most = max(PROSPECTS * life.birth.max_targets, 32)
+        return cls(association, life.existence, is_marginal, compiled.motion, most)
+
+
+@dataclass(frozen=True, eq=False)
+class Crowd:
+    """T targets before a look.
+
+    Attributes:
+        mean: (T, 4) boxes as they are expected.
+        covariance: (T, 4, 4).
+        existence: (T,) probability that each exists, as of the last frame.
+        log_looks: row, boxes (M, 4) -> (M,) log-likelihood by what the target looks like.
+    """
+
+    mean: Floats
+    covariance: Floats
+    existence: Floats
+    log_looks: Callable[[int, Floats], Floats] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Division:
+    """What T targets are given of N detections.
+
+    Attributes:
+        existence: (T,) probability that each exists.
+        starts: (T + 1,) where the detections of each begin in the next two.
+        columns: (P,) which detection.
+        weights: (P,) the probability that it is the target's, given that this exists.
+        missed: (T,) that none is.
+        owner: (T,) the detection that is the target's more probably than not, or `NOBODY`.
+        population: what was learnt, and the prospects.
+    """
+
+    existence: Floats
+    starts: Ints
+    columns: Ints
+    weights: Floats
+    missed: Floats
+    owner: Ints
+    population: Population
+
+
+def divide(
+    rule: CrowdRule, frames: FramePair, crowd: Crowd, population: Population | None, found: Found | None
+) -> Division:
+    """What each target is given of what was `found` (None: nobody looked), and the prospects after it."""
+    frame, before = frames.current, frames.previous
+    dt = 1.0 if before is None else frame.time - before.time
+    if population is None:
+        population = Population(Prospects.none(len(rule.motion.fields)))
+    prospects = _predict(population.prospects, rule.motion, dt, (frame.width, frame.height))
+    survival = rule.existence.survival**dt
+    count, existence = len(crowd.mean), survival * np.concatenate([crowd.existence, prospects.existence])
+    if found is None:
+        prospects = replace(prospects, existence=existence[count:])
+        nothing = np.empty(0, np.int64)
+        return Division(
+            existence[:count],
+            np.zeros(count + 1, np.int64),
+            nothing,
+            np.empty(0),
+            np.ones(count),
+            np.full(count, NOBODY, dtype=np.int64),
+            replace(population, prospects=prospects),
+        )
+    population = population.with_sizes(found.boxes)
+    all_of = replace(
+        crowd,
+        mean=np.concatenate([crowd.mean, prospects.mean[:, :4]]),
+        covariance=np.concatenate([crowd.covariance, prospects.covariance[:, :4, :4]]),
+        existence=existence,
+    )
+    area = float(frame.width * frame.height)
+    cover = _cover(all_of)
+    shared = _share(rule, all_of, cover, population, found.boxes, area)
+    pairs = shared.pairs if rule.is_marginal else _assigned(shared, len(found.boxes))
+    prospects = _advance(rule, prospects, pairs, shared, found)
+    prospects = prospects.extend(_begin(rule, population, found, shared.free, frame.index))
+    population = _learn(rule, population, shared, cover[:count])
+    return _of_targets(
+        pairs, shared, count, replace(population, prospects=_prune(rule, population, prospects))
+    )
+
+
+def first_population(rule: CrowdRule, found: Found, frame: int) -> Population:
+    """That of a first frame, in which free detections were `found`."""
+    population = Population(Prospects.none(len(rule.motion.fields))).with_sizes(found.boxes)
+    free = np.ones(len(found.boxes))
+    population = population.after_look(float(free.sum()) * (1.0 - population.new_share(rule.existence)), 0, 0)
+    return replace(population, prospects=_begin(rule, population, found, free, frame))
+
+
+def confirmed(rule: CrowdRule, prospects: Prospects) -> dict[int, Candidate]:
+    """The prospects that exist probably enough, by their rows, the most probable first."""
+    ready = np.flatnonzero(prospects.existence >= rule.existence.confirm)
+    ready = ready[np.argsort(-prospects.existence[ready], kind="stable")]
+    return {row: _candidate(prospects, row) for row in ready.tolist()}
+
+
+def _candidate(prospects: Prospects, row: int) -> Candidate:
+    seen, looks = max(int(prospects.seen[row]), 1), max(int(prospects.looks[row]), 1)
+    mean = prospects.mean[row]
+    scores = (float(prospects.score[row]) / seen,) * seen
+    return Candidate(
+        mean[:4],
+        np.zeros(2),
+        ((None,) * max(looks - seen, 0) + scores),
+        int(prospects.first[row]),
+        mean,
+        prospects.covariance[row],
+        float(prospects.existence[row]),
+    )
+
+
+def _predict(prospects: Prospects, motion: MotionModel, dt: float, size: tuple[int, int]) -> Prospects:
+    if not len(prospects):
+        return prospects
+    if isinstance(motion, KinematicMotion) and (linear := _moves(motion, dt)) is not None:
+        from bayesnet_track.numerics.kernels.row_kernels import predict_rows
+
+        mean, covariance = predict_rows(prospects.mean, prospects.covariance, *linear, np.array(size, float))
+    else:
+        moves = confined(motion, *size)
+        several = [
+            predict(mean, covariance, moves, dt, Gaussian(filter="extended"))
+            for mean, covariance in zip(prospects.mean, prospects.covariance, strict=True)
+        ]
+        mean, covariance = np.array([one[0] for one in several]), np.array([one[1] for one in several])
+    return replace(prospects, mean=mean, covariance=covariance)
+
+
+@lru_cache(maxsize=64)
+def _moves(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats] | None:
+    """F and Q of a motion that is linear with noise in px; else None."""
+    try:
+        return linear_gaussian(motion, dt)
+    except ValueError:
+        return None
+
+
+def _cover(crowd: Crowd) -> Floats:
+    """(T,) how probable it is that another target covers each."""
+    from bayesnet_track.numerics.kernels.mixing_kernels import cover_rows
+
+    order = np.argsort(crowd.mean[:, 0] - crowd.mean[:, 2] / 2, kind="stable")
+    return np.asarray(cover_rows(np.ascontiguousarray(crowd.mean), crowd.existence, order, COVERED))
+
+
+def _share(
+    rule: CrowdRule, crowd: Crowd, cover: Floats, population: Population, boxes: Floats, area_px2: float
+) -> Shared:
+    """Whose the detections (N, 4) are, of targets and prospects."""
+    settings = rule.existence
+    most = population.detection(settings)
+    detection = most + cover * (min(settings.covered, most) - most)
+    rate = population.clutter_rate(settings) + settings.births
+    log_nobody = population.log_density(boxes, area_px2) + math.log(rate)
+    pairs = gate(rule.association, crowd.mean, crowd.covariance, boxes)
+    if crowd.log_looks is not None and rule.association.appearance > 0:
+        pairs = _with_looks(rule.association, pairs, crowd.log_looks, boxes)
+    likelihoods = replace(pairs, values=pairs.values - 2.0 * LOG_TURN)
+    return share(Expected(crowd.existence, detection), likelihoods, log_nobody)
+
+
+def gate(rule: AssociationRule, mean: Floats, covariance: Floats, boxes: Floats) -> Pairs:
+    """The detections (N, 4) that may be whose, with -d^2 / 2 - log det S / 2; means (T, D), and (T, D, D)."""
+    from bayesnet_track.numerics.kernels.pair_kernels import gate_rows
+
+    nothing = np.empty(0, np.int64)
+    if not len(boxes) or not len(mean):
+        return Pairs(nothing, nothing, np.empty(0))
+    boxes, variances = np.ascontiguousarray(boxes), rule.variances(boxes)
+    limit, min_overlap = chi_square_quantile(rule.gate, 4), rule.min_overlap
+    reach = np.sqrt(limit * (covariance[:, 0, 0] + variances[:, 0].max())) * (1 + 1e-9)
+    if min_overlap > 0.0:  # then they touch
+        reach = np.minimum(reach, (mean[:, 2] + boxes[:, 2].max()) / 2)
+    order = np.argsort(boxes[:, 0], kind="stable")
+    places = boxes[order, 0]
+    starts = np.searchsorted(places, mean[:, 0] - reach)
+    ends = np.searchsorted(places, mean[:, 0] + reach, side="right")
+    return Pairs(*gate_rows(mean, covariance, boxes, variances, order, starts, ends, limit, min_overlap))
+
+
+def _with_looks(
+    rule: AssociationRule, pairs: Pairs, log_looks: Callable[[int, Floats], Floats], boxes: Floats
+) -> Pairs:
+    values = pairs.values.copy()
+    for row in np.unique(pairs.rows).tolist():
+        own = pairs.rows == row
+        values[own] += rule.appearance * log_looks(row, boxes[pairs.columns[own]])
+    return replace(pairs, values=values)
+
+
+def _assigned(shared: Shared, found: int) -> Pairs:
+    """The best assignment of detections that are likelier a target's than nobody's, with weight 1."""
+    gains, count = shared.gains, len(shared.existence)
+    likely = gains.values > 0.0
+    owner = assign_pairs(gains.rows[likely], gains.columns[likely], gains.values[likely], count, found)
+    rows = np.flatnonzero(owner != NOBODY)
+    return Pairs(rows, owner[rows].astype(np.int64), np.ones(len(rows)))
+
+
+def _advance(rule: CrowdRule, prospects: Prospects, pairs: Pairs, shared: Shared, found: Found) -> Prospects:
+    """The prospects after the look."""
+    from bayesnet_track.numerics.kernels.mixing_kernels import mix_rows
+
+    if not len(prospects):
+        return prospects
+    first = len(shared.existence) - len(prospects)
+    own = pairs.rows >= first
+    rows, columns, weights = pairs.rows[own] - first, pairs.columns[own], pairs.values[own]
+    starts = np.searchsorted(rows, np.arange(len(prospects) + 1))
+    mean, covariance = prospects.mean.copy(), prospects.covariance.copy()
+    boxes = np.ascontiguousarray(found.boxes[columns])
+    missed = np.clip(1.0 - np.bincount(rows, weights, minlength=len(prospects)), 0.0, 1.0)
+    mix_rows(mean, covariance, starts, boxes, rule.association.variances(boxes), weights, missed)
+    is_seen = shared.seen[first:] >= 0.5
+    scores = np.bincount(rows, weights * found.scores[columns], minlength=len(prospects))
+    return Prospects(
+        mean,
+        covariance,
+        shared.existence[first:],
+        prospects.first,
+        prospects.seen + is_seen,
+        prospects.looks + 1,
+        prospects.score + np.where(is_seen, scores, 0.0),
+    )
+
+
+def _begin(rule: CrowdRule, population: Population, found: Found, free: Floats, frame: int) -> Prospects:
+    """A prospect for each detection that may be nobody's, as far as it is `free` (N,)."""
+    new = np.flatnonzero(free >= LEAST_FREE)
+    count, boxes = len(new), found.boxes[new]
+    if not count:
+        return Prospects.none(len(rule.motion.fields))
+    moments = [rule.motion.start_moments(box) for box in boxes]
+    covariance = np.array([spread for _, spread in moments])
+    diagonal = np.arange(4)
+    covariance[:, diagonal, diagonal] += rule.association.variances(boxes)
+    ones = np.ones(count, dtype=np.int64)
+    return Prospects(
+        np.array([mean for mean, _ in moments]),
+        covariance,
+        free[new] * population.new_share(rule.existence),
+        frame * ones,
+        ones,
+        ones,
+        found.scores[new].astype(np.float64),
+    )
+
+
+def _prune(rule: CrowdRule, population: Population, prospects: Prospects) -> Prospects:
+    """Those that may still become targets, the most probable."""
+    kept = np.flatnonzero(prospects.existence >= HOPELESS * population.new_share(rule.existence))
+    if len(kept) > rule.most:
+        best = np.argsort(-prospects.existence[kept], kind="stable")[: rule.most]
+        kept = np.sort(kept[best])
+    return prospects.take(kept)
+
+
+def _learn(rule: CrowdRule, population: Population, shared: Shared, cover: Floats) -> Population:
+    """The estimates after the look; `cover` (T,) is that of the targets alone."""
+    count = len(cover)
+    in_the_open = 1.0 - np.minimum(cover, 1.0)
+    false = float(shared.free.sum()) * (1.0 - population.new_share(rule.existence))
+    hits = float(in_the_open @ shared.seen[:count])
+    return population.after_look(false, hits, float(in_the_open @ shared.existence[:count]))
+
+
+def _of_targets(pairs: Pairs, shared: Shared, count: int, population: Population) -> Division:
+    own = pairs.rows < count
+    rows, columns, weights = pairs.rows[own], pairs.columns[own], pairs.values[own]
+    best = np.flatnonzero(weights >= 0.5)
+    owner = np.full(count, NOBODY, dtype=np.int64)
+    owner[rows[best]] = columns[best]
+    missed = np.clip(1.0 - np.bincount(rows, weights, minlength=count), 0.0, 1.0)
+    missed[missed < 1e-12] = 0.0
+    starts = np.searchsorted(rows, np.arange(count + 1))
+    return Division(shared.existence[:count], starts, columns, weights, missed, owner, population)

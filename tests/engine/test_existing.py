@@ -1,0 +1,198 @@
+"""Targets that exist with a probability and share detections, as rows and one by one."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bayesnet_track.engine import step as steps
+from bayesnet_track.engine.lifecycle.existing import CrowdRule, gate
+from bayesnet_track.engine.rows.row_metrics import RowMetrics
+from bayesnet_track.engine.starts import start_targets
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.journal.codec import to_json
+from bayesnet_track.journal.events.births import CandidateConfirmed
+from bayesnet_track.journal.events.endings import TargetDied
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.text.sentences import describe
+from bayesnet_track.observation.detector import Detections
+from bayesnet_track.observation.planes import Frame
+from bayesnet_track.runtime.checkpoints.state_codec import decode_state, encode_state
+from bayesnet_track.sources.detection_files import FileDetector
+from bayesnet_track.sources.scenes.crowd_detector import DetectorSettings, detect_crowd
+from bayesnet_track.sources.scenes.walkers import CrowdSettings, make_crowd
+
+IMAGE = np.zeros((480, 720, 3), np.uint8)
+FRAMES = 40
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Detections of people who come, go and run side by side, with misses and false boxes."""
+    people = CrowdSettings(720, 480, 110, 9, births=0.2, life=30.0, crossings=2, beside=2)
+    reported = detect_crowd(make_crowd(people, 4), DetectorSettings(missed=0.25, clutter=2.0), 4)
+    return {index: one.detections for index, one in enumerate(reported[30 : 30 + FRAMES])}
+
+
+def outcomes(graph, found, frames=FRAMES):
+    """An outcome per frame."""
+    engine = steps.make_engine(graph, 0, detectors={"detections": FileDetector(found)})
+    done = []
+    for index in range(frames):
+        frame = Frame(index=index, time=float(index), time_s=index / 25, image=IMAGE)
+        if done:
+            done.append(steps.step(engine, done[-1].state, frame))
+        else:
+            done.append(start_targets(graph, engine, frame, ()))
+    return done
+
+
+def numbers(value, path=""):
+    """Path -> number of everything in a line."""
+    if isinstance(value, dict | list):
+        inner = value.items() if isinstance(value, dict) else enumerate(value)
+        return {k: v for key, one in inner for k, v in numbers(one, f"{path}.{key}").items()}
+    return {path: value}
+
+
+def assert_alike(rows, singles):
+    """The same decisions; numbers differ by rounding, in what is next to nothing."""
+    for own, other in zip(rows, singles, strict=True):
+        assert own.state.net == other.state.net
+        for a, b in zip([*own.events, *own.metrics], [*other.events, *other.metrics], strict=True):
+            a, b = numbers(json.loads(to_json(a))), numbers(json.loads(to_json(b)))
+            assert a.keys() == b.keys()
+            for key, value in a.items():
+                is_number = type(value) is float
+                assert (pytest.approx(value, rel=1e-7, abs=1e-12) if is_number else value) == b[key], key
+
+
+def jpda(**changes):
+    written = load_graph("jpda").spec.model_dump(exclude_unset=True)
+    (plate,) = written["targets"].values()
+    plate["existence"] = {**plate["existence"], **changes.pop("existence", {})}
+    plate |= changes
+    return load_graph(written)
+
+
+@pytest.fixture(scope="module")
+def graph():
+    return jpda()
+
+
+def seen_at(boxes):
+    boxes = np.array(boxes, dtype=float).reshape(-1, 4)
+    return Detections(boxes, np.ones(len(boxes)), ("",) * len(boxes))
+
+
+def events_of(done, kind):
+    return [event for one in done for event in one.events if isinstance(event, kind)]
+
+
+@pytest.mark.parametrize("associate", ["marginal", "assignment"])
+def test_rows_and_single_targets_agree(associate, found, monkeypatch):
+    own = jpda(associate=associate)
+    rows = outcomes(own, found)
+    assert sum(isinstance(one.metrics, RowMetrics) for one in rows) > FRAMES - 8
+    assert events_of(rows, StatusChanged) and events_of(rows, TargetDied)
+    monkeypatch.setattr(steps, "find_rows", lambda work, state: None)
+    assert_alike(rows, outcomes(own, found))
+
+
+def test_births_statuses_and_ends_are_levels_of_existence(graph):
+    says = {k: seen_at([100 + 2 * k, 100, 30, 60]) for k in range(20)}
+    done = outcomes(graph, says, 40)
+    (born,), (died,) = events_of(done, CandidateConfirmed), events_of(done, TargetDied)
+    assert 1 <= born.frame <= 6 and born.existence >= born.confirm == 0.9
+    assert "existence" in describe(born) and "is new" in describe(born)
+    (lost,) = events_of(done, StatusChanged)
+    assert 20 < lost.frame < died.frame < 35
+    assert "existence 0." in describe(lost) and "would not have been lost at existence_below ≤" in describe(
+        lost
+    )
+    assert died.reason == "existence" and died.existence < died.end == 0.05
+    assert "would have continued at existence.end ≤" in describe(died)
+    values = [line.existence for one in done for line in one.metrics if line.existence is not None]
+    assert values[5] > 0.99 and values[-1] == pytest.approx(died.existence)
+    assert '"existence": ' in to_json(done[10].metrics[0])
+
+
+def test_more_false_detections_make_births_later(graph):
+    def first_birth(clutter):
+        rng = np.random.default_rng(3)
+        says = {}
+        for k in range(25):
+            heights = rng.uniform(50, 70, clutter)
+            false = np.column_stack(
+                [rng.uniform(0, 700, clutter), rng.uniform(0, 470, clutter), heights / 2, heights]
+            )
+            says[k] = seen_at(np.concatenate([[[100.0 + 2 * k, 100, 30, 60]], false]))
+        born = [one for one in events_of(outcomes(graph, says, 25), CandidateConfirmed)]
+        return min(one.frame for one in born), len(born)
+
+    (early, one), (late, several) = first_birth(0), first_birth(30)
+    assert early <= late and one == 1 and several <= 2
+
+
+def test_a_target_that_another_covers_is_kept_through_misses(graph):
+    boxes = [[[100, 100, 30, 60], [160 - 3 * min(k, 18), 100, 30, 60]] for k in range(40)]
+    says = {k: seen_at(both if k < 15 else both[:1]) for k, both in enumerate(boxes)}
+    kept = outcomes(graph, says, 22)
+    far = {k: seen_at([[100, 100, 30, 60], [400, 100, 30, 60]][: 2 if k < 15 else 1]) for k in range(40)}
+    gone = outcomes(graph, far, 22)
+    assert len(kept[-1].state.targets) == 2 and len(gone[-1].state.targets) == 1
+
+
+def test_a_frame_without_a_look_is_no_miss():
+    own = jpda(birth={**jpda().spec.targets["target"].birth.model_dump(), "every": 2, "confirm": {}})
+    says = {k: seen_at([100, 100, 30, 60]) for k in range(0, 30, 2)}
+    done = outcomes(own, says, 30)
+    after_birth = [line.existence for one in done[8:] for line in one.metrics]
+    assert len(after_birth) == 22 and min(after_birth) > 0.95
+
+
+def test_a_state_that_was_stored_goes_on_to_the_same_bytes(graph, found):
+    done = outcomes(graph, found, 25)
+    engine = steps.make_engine(graph, 0, detectors={"detections": FileDetector(found)})
+    frames = [Frame(index=k, time=float(k), time_s=k / 25, image=IMAGE) for k in (23, 24)]
+    state = decode_state(encode_state(done[23].state), engine, frames[0])
+    again = steps.step(engine, state, frames[1])
+    assert [to_json(one) for one in again.metrics] == [to_json(one) for one in done[24].metrics]
+    own, other = (one.state.history.populations["target"] for one in (again, done[24]))
+    assert (own.clutter, own.hits) == (other.clutter, other.hits)
+    np.testing.assert_array_equal(own.prospects.existence, other.prospects.existence)
+
+
+def test_looks_say_whose_a_detection_is_where_the_agent_asks_for_them(monkeypatch):
+    from bayesnet_track.engine.lifecycle import association
+
+    written = load_graph("people_detections").spec.model_dump(exclude_unset=True)
+    (plate,) = written["targets"].values()
+    del plate["birth"]["confirm"]
+    plate |= {"existence": {}, "associate": "marginal"}
+    own = load_graph(written)
+    asked = []
+
+    def looks(work, target, state, boxes):
+        asked.append(target)
+        return np.zeros(len(boxes))
+
+    monkeypatch.setattr(association, "_score_looks", looks)
+    image = np.random.default_rng(0).integers(0, 255, (200, 300, 3)).astype(np.uint8)
+    engine = steps.make_engine(
+        own, 0, detectors={"detections": FileDetector({k: seen_at([90, 90, 30, 60]) for k in range(8)})}
+    )
+    state = None
+    for k in range(8):
+        frame = Frame(index=k, time=float(k), time_s=k / 25, image=image)
+        outcome = start_targets(own, engine, frame, ()) if state is None else steps.step(engine, state, frame)
+        state = outcome.state
+    assert list(state.targets) == ["1"] and set(asked) == {"1"}
+
+
+def test_a_plate_without_existence_has_no_such_rule():
+    engine = steps.make_engine(load_graph("kalman_detections"), 0, detectors={"detections": FileDetector({})})
+    (compiled,) = engine.plates.values()
+    assert CrowdRule.of(compiled) is None and compiled.first_existence is None
+    rule = next(iter(compiled.association_rules.values()))
+    assert len(gate(rule, np.empty((0, 4)), np.empty((0, 4, 4)), np.ones((2, 4))).rows) == 0
