@@ -60,7 +60,7 @@ def event_row(event: Event, kinds: Mapping[str, str] = MappingProxyType({})) -> 
         on = "on" if event.on else "off"
         row |= {
             "what": f"{event.node} {on} by hand",
-            "why": "a person switched it; no rule does until it is released",
+            "why": "switched by hand; no rule switches it until it is released",
         }
     if isinstance(event, Released):
         row |= {"what": f"{event.node} given back to the rules", "why": ""}

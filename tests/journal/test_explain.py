@@ -70,11 +70,12 @@ UNLIKELY = Recognition(
 GOLDEN = [
     (
         STARTED,
-        "run of two_squares (abababababab) on scene:two_squares: 320x240, 200 frames, 25 per second; seed 0",
+        "run of two_squares (abababababab) on scene:two_squares: 320x240, 200 frames, 25 frames per second; "
+        "seed 0",
     ),
     (
         RunStarted(1, "general", "0" * 64, 7, "car.mkv", 640, 480, False, None, 1 / 29.97),
-        "run of general (000000000000) on car.mkv: 640x480 gray, 29.97 per second; seed 7",
+        "run of general (000000000000) on car.mkv: 640x480 gray, 29.97 frames per second; seed 7",
     ),
     (BORN, "frame 0: target 1 starts as square, centre 270, 190, 40 x 40 px → hue, motion on"),
     (
@@ -112,33 +113,33 @@ GOLDEN = [
     (Activated(31, "1", "motion", "square", None), "frame 31: no agent was active → motion on"),
     (
         LocallyAdapted(100, "1", "hue", 1, Cause("ud_px2", 2500, 2731, 1, 2731, 2731, 1)),
-        "frame 100: hue: its own UD 2731 px² > 2500 for 1 frame → tuned itself, attempt 1",
+        "frame 100: hue: its own UD 2731 px² > 2500 for 1 frame → adapted itself, attempt 1",
     ),
     (
         STOPPED,
         "frame 109: color: its own UD 3022 px² > 2500 for 10 frames → stopped itself; "
-        "may be switched on again from frame 160; would have gone on at self_check ≥ 2601",
+        "may be switched on again from frame 160; would have continued at self_check ≥ 2601",
     ),
     (
         Quarantined(110, "1", "hue", "3 of 500 values are NaN", 120),
-        "frame 110: hue failed: 3 of 500 values are NaN → out for 10 frames, tried again in frame 120",
+        "frame 110: hue failed: 3 of 500 values are NaN → paused for 10 frames, tried again in frame 120",
     ),
     (
         Quarantined(110, "1", "hue", "3 of 500 values are NaN", 150, 3),
-        "frame 110: hue failed, the 3rd time in a row: 3 of 500 values are NaN → out for 40 frames, "
+        "frame 110: hue failed, the 3rd time in a row: 3 of 500 values are NaN → paused for 40 frames, "
         "tried again in frame 150",
     ),
     (
         Quarantined(0, "1", "hue", "needs colour, and the source is gray"),
-        "frame 0: hue failed: needs colour, and the source is gray → out for the rest of the run",
+        "frame 0: hue failed: needs colour, and the source is gray → off for the rest of the run",
     ),
     (
         Readmitted(119, "1", "hue", True, 1, 10),
-        "frame 119: hue was out for 10 frames after failing → on again",
+        "frame 119: hue was paused for 10 frames after failing → on again",
     ),
     (
         Readmitted(149, "1", "hue", False, 3, 40),
-        "frame 149: hue was out for 40 frames after failing 3 times in a row → may be switched on again",
+        "frame 149: hue was paused for 40 frames after failing 3 times in a row → may be switched on again",
     ),
     (
         Shed(115, "1", "hue", 23.04, 20.0, 3, 10, 22.41, {"hue": 0.021, "motion": 0.4}),
@@ -147,15 +148,15 @@ GOLDEN = [
     ),
     (
         TakenBack(170, "1", "hue", 9.12, 12.4, 20.0, 50),
-        "frame 170: 50 frames took at most 9.12 ms, 12.4 expected with it, of 20 → hue on again",
+        "frame 170: 50 frames took at most 9.12 of 20 ms, with hue 12.4 ms are expected → hue on again",
     ),
     (
         ParticlesLimited(116, "1", 250, 500, 23.04, 20.0),
-        "frame 116: frames took 23 ms of 20 → at most 250 hypotheses, 500 before",
+        "frame 116: frames took 23 of 20 ms → at most 250 hypotheses, 500 before",
     ),
     (
         ParticlesLimited(176, "1", None, 250, 5.2, 20.0),
-        "frame 176: frames took 5.2 ms of 20 → as many hypotheses as asked for, 250 before",
+        "frame 176: frames took 5.2 of 20 ms → as many hypotheses as asked for, 250 before",
     ),
     (
         MachineChanged(115, ("numpy 2.4.0, now 2.4.6", "NumPy CPU: without AVX2")),
@@ -168,15 +169,15 @@ GOLDEN = [
     ),
     (
         SourceStalled(118, 2.04, "no picture for 2 s", 1),
-        "frame 118: no picture for 2.0 s: no picture for 2 s; connecting again, attempt 1",
+        "frame 118: source stalled for 2.0 s: no picture for 2 s; reconnecting, attempt 1",
     ),
     (
         Toggled(111, "1", "hue", False),
-        "frame 111: a person switched hue → off; no rule switches it until it is released",
+        "frame 111: switched by hand → hue off; no rule switches it until it is released",
     ),
     (
         Released(112, "1", "hue"),
-        "frame 112: a person released hue → the rules may switch it again",
+        "frame 112: released by hand → the rules may switch hue again",
     ),
     (
         InputRefused(113, "1", "hue", "there is no target 1"),
@@ -266,7 +267,7 @@ GOLDEN = [
     ),
     (
         Reappeared(*(41, "1", "agents", 200, 0.9312, 0.5, 0.1, 0.008141, 210.4, 84.25, 95.2, 5120.0, 1024.0)),
-        "frame 41: UD 5120 px² > 1024; 200 hypotheses looked over the whole frame, by agents, and hold "
+        "frame 41: UD 5120 px² > 1024; 200 hypotheses searched the whole frame, by agents, and hold "
         "0.931 > 0.5 of the belief → target 1 reappears at 210.4, 84.25, 95.2 px away; would not have at "
         "share ≤ 0.00814",
     ),
@@ -275,7 +276,7 @@ GOLDEN = [
             *(30, "1", 798, 256, "kld_revised", 797.2, "", True),
             *("x", 12.0, 15, 4.0, 7.47, None, "error", 0.1, 0.2491),
         ),
-        "frame 30: x spans 15 bins of 4 px, 7.47 hypotheses are worth one of the posterior's, "
+        "frame 30: x spans 15 bins of 4 px, 7.47 hypotheses are worth one drawn from the posterior, "
         "12 effective: this frame's evidence asks for 797 hypotheses (kld_revised, error 0.1) "
         "→ 798, 256 before; would have stayed near 256 at error ≥ 0.25",
     ),
@@ -292,7 +293,7 @@ GOLDEN = [
             *(32, "1", 5000, 900, "asymptotic_normal", 9e3, "max", False),
             *("x", 60.0, None, None, 2.0, 7.7, "error_px", 0.5, 1.4173),
         ),
-        "frame 32: x has an sd of 7.7 px, 2 hypotheses are worth one of the posterior's, 60 effective: "
+        "frame 32: x has an sd of 7.7 px, 2 hypotheses are worth one drawn from the posterior, 60 effective: "
         "the last frame's evidence asks for 9000 hypotheses (asymptotic_normal, error_px 0.5) "
         "→ 5000, held by max, 900 before; would have stayed near 900 at error_px ≥ 1.418",
     ),
@@ -302,7 +303,7 @@ GOLDEN = [
             *("", 4.0, None, None, None, None, "threshold", 30.0, 20.06),
         ),
         "frame 33: 4 effective: this frame's evidence asks for 90 hypotheses (likelihood_sum, threshold 30) "
-        "→ 300, too few effective to save any, 200 before; would have stayed near 200 at threshold ≤ 20",
+        "→ 300, too few effective to reduce it, 200 before; would have stayed near 200 at threshold ≤ 20",
     ),
     (
         FramesMissing(50, 3.0),
@@ -368,16 +369,17 @@ GOLDEN = [
     ),
     (
         BirthsRefused(9, "square", "motion", 20, 20, 31, 12),
-        "frame 9: 20 targets of square live, the maximum → 12 births refused, 31 so far; would "
+        "frame 9: 20 targets of square live, the maximum → 12 new targets refused, 31 so far; would "
         "have started at max_targets ≥ 32",
     ),
     (
         DetectorFailed(4, "motion", "raised ValueError: no", 14),
-        "frame 4: detector motion failed: raised ValueError: no → out for 10 frames, tried again in frame 14",
+        "frame 4: detector motion failed: raised ValueError: no → paused for 10 frames, tried "
+        "again in frame 14",
     ),
     (
         DetectorFailed(14, "motion", "raised ValueError: no", 34, 2),
-        "frame 14: detector motion failed: raised ValueError: no → out for 20 frames "
+        "frame 14: detector motion failed: raised ValueError: no → paused for 20 frames "
         "after 2 failures in a row, tried again in frame 34",
     ),
     (
@@ -402,7 +404,7 @@ GOLDEN = [
     ),
     (
         OcclusionChanged(52, "2", "1", False, 0.4, 0.5, 0.9, 12),
-        "frame 52: target 1 hides 0.4 ≤ 0.5 of target 2 → target 2 seen again after 12 frames",
+        "frame 52: target 1 hides 0.4 ≤ 0.5 of target 2 → target 2 visible again after 12 frames",
     ),
     (
         AttachmentChanged(31, "2", "1", True, 0.931, 0),
@@ -410,7 +412,7 @@ GOLDEN = [
     ),
     (
         AttachmentChanged(71, "2", "1", False, 0.04, 40),
-        "frame 71: target 2 moves as target 1 does with probability 0.04 only → carried no longer, after 40 "
+        "frame 71: target 2 moves as target 1 does with probability 0.04 → no longer carried, after 40 "
         "frames",
     ),
     (

@@ -33,7 +33,7 @@ def init(options: argparse.Namespace) -> int:
         raise UsageError(str(error)) from error
     _check(text)
     _write(path, text)
-    say(f"wrote {path}; what to do next stands in its first lines")
+    say(f"wrote {path}; its first lines say what to do next")
     return OK
 
 

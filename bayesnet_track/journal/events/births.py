@@ -148,20 +148,20 @@ def _describe_confirmed(event: CandidateConfirmed) -> str:
 
 
 def _describe_refused(event: BirthsRefused) -> str:
-    """`20 targets of square live, the most → births refused`."""
+    """`20 targets of square live, the maximum → 3 new targets refused`."""
     so_far = f", {event.refused} so far" if event.refused > event.waiting else ""
     return (
         f"{plural(event.live, 'target')} of {event.template} live, the maximum → "
-        f"{plural(event.waiting, 'birth')} refused{so_far}; would have started at max_targets ≥ "
+        f"{plural(event.waiting, 'new target')} refused{so_far}; would have started at max_targets ≥ "
         f"{event.live + event.waiting}"
     )
 
 
 def _describe_failed(event: DetectorFailed) -> str:
-    """`motion failed: ... → out for 10 frames, tried again in frame 14`."""
+    """`motion failed: ... → paused for 10 frames, tried again in frame 14`."""
     out = "the rest of the run"
     if event.until is not None:
         waits = plural(event.until - event.frame, "frame")
         out = f"{waits} after {event.times} failures in a row" if event.times > 1 else waits
         out += f", tried again in frame {event.until}"
-    return f"detector {event.detector} failed: {event.reason} → out for {out}"
+    return f"detector {event.detector} failed: {event.reason} → paused for {out}"

@@ -67,9 +67,9 @@ def describe(event: Events) -> str:
     match event:
         case Toggled():
             how = "on" if event.on else "off"
-            return f"a person switched {event.node} → {how}; no rule switches it until it is released"
+            return f"switched by hand → {event.node} {how}; no rule switches it until it is released"
         case Released():
-            return f"a person released {event.node} → the rules may switch it again"
+            return f"released by hand → the rules may switch {event.node} again"
         case InputRefused():
             return f"the request for {event.node} is refused: {event.reason}"
         case _:

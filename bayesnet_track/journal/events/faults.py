@@ -123,20 +123,21 @@ def change(net: TargetNet, decision: Decisions) -> TargetNet:
 
 
 def _describe_quarantine(event: Quarantined) -> str:
-    """`motion failed: raised ... → out for 10 frames, tried again in frame 52`."""
+    """`motion failed: raised ... → paused for 10 frames, tried again in frame 52`."""
     again = "" if event.times == 1 else f", the {_ordinal(event.times)} time in a row"
     failed = f"{event.node} failed{again}: {event.reason}"
     if event.until is None:
-        return f"{failed} → out for the rest of the run"
+        return f"{failed} → off for the rest of the run"
     return (
-        f"{failed} → out for {plural(event.until - event.frame, 'frame')}, tried again in frame {event.until}"
+        f"{failed} → paused for {plural(event.until - event.frame, 'frame')}, tried again in frame"
+        f" {event.until}"
     )
 
 
 def _describe_readmission(event: Readmitted) -> str:
-    """`motion was out for 10 frames after failing once → on again`."""
+    """`motion was paused for 10 frames after failing once → on again`."""
     often = "failing" if event.times == 1 else f"failing {event.times} times in a row"
-    waited = f"{event.node} was out for {plural(event.waited, 'frame')} after {often}"
+    waited = f"{event.node} was paused for {plural(event.waited, 'frame')} after {often}"
     return f"{waited} → {'on again' if event.on else 'may be switched on again'}"
 
 

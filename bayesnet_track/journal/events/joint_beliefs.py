@@ -104,7 +104,7 @@ def _describe_occlusion(event: OcclusionChanged) -> str:
         )
     return (
         f"target {event.other} hides {value} ≤ {level} of target {event.target} "
-        f"→ target {event.target} seen again after {plural(event.frames, 'frame')}"
+        f"→ target {event.target} visible again after {plural(event.frames, 'frame')}"
     )
 
 
@@ -117,7 +117,7 @@ def _describe_attachment(event: AttachmentChanged) -> str:
         )
     return (
         f"target {event.target} moves as target {event.other} does with probability "
-        f"{event.probability:.2f} only → carried no longer, after {plural(event.frames, 'frame')}"
+        f"{event.probability:.2f} → no longer carried, after {plural(event.frames, 'frame')}"
     )
 
 

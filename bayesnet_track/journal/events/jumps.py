@@ -53,7 +53,7 @@ def describe(event: Events) -> str:
     turning = round_away(event.turning, decimals(event.turning, event.share), up=False)
     how = "evenly" if event.by == "uniform" else f"by {event.by}"
     return (
-        f"{unsure if event.above_px2 > 0 else ''}{event.hypotheses} hypotheses looked over the whole frame, "
+        f"{unsure if event.above_px2 > 0 else ''}{event.hypotheses} hypotheses searched the whole frame, "
         f"{how}, and hold {held} > {level} of the belief → target {event.target} reappears at "
         f"{event.x:.4g}, {event.y:.4g}, {event.moved_px:.3g} px away; would not have at share ≤ {turning}"
     )

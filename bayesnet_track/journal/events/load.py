@@ -168,12 +168,12 @@ def _describe_shed(event: Shed) -> str:
 
 def _describe_taken_back(event: TakenBack) -> str:
     """`50 frames took at most ... → motion on again`."""
-    time = f"{plural(event.frames, 'frame')} took at most {event.spent_ms:.3g} ms"
-    expected = f"{event.expected_ms:.3g} expected with it, of {event.budget_ms:g}"
+    time = f"{plural(event.frames, 'frame')} took at most {event.spent_ms:.3g} of {event.budget_ms:g} ms"
+    expected = f"with {event.node} {event.expected_ms:.3g} ms are expected"
     return f"{time}, {expected} → {event.node} on again"
 
 
 def _describe_limit(event: ParticlesLimited) -> str:
     """`frames took ... ms, ... allowed → at most 250 hypotheses, 500 before`."""
     most = "as many hypotheses as asked for" if event.most is None else f"at most {event.most} hypotheses"
-    return f"frames took {event.spent_ms:.3g} ms of {event.budget_ms:g} → {most}, {event.before} before"
+    return f"frames took {event.spent_ms:.3g} of {event.budget_ms:g} ms → {most}, {event.before} before"

@@ -103,7 +103,7 @@ def _describe_start(event: RunStarted) -> str:
     colour = "" if event.has_color else " gray"
     length = "" if event.declared_frames is None else f", {plural(event.declared_frames, 'frame')}"
     kind = "smoothed run" if event.smoothed else "run"
-    rate = f"{1 / event.frame_interval_s:.4g} per second" if event.frame_interval_s > 0 else "no rate"
+    rate = f"{1 / event.frame_interval_s:.4g} frames per second" if event.frame_interval_s > 0 else "no rate"
     return (
         f"{kind} of {event.graph} ({event.graph_sha256[:12]}) on {event.source}: "
         f"{event.width}x{event.height}{colour}{length}, {rate}; seed {event.seed}"

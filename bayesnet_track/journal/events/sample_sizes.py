@@ -99,7 +99,7 @@ def _describe_resized(event: ParticlesResized) -> str:
     settings = f"{event.method}, {event.setting} {event.level:g}"
     by = "this frame's evidence" if event.early else "the last frame's evidence"
     asked = f"{_why_so_many(event)}: {by} asks for {event.need:.0f} hypotheses ({settings})"
-    held = {"max": ", held by max", "min": ", held by min", "ess": ", too few effective to save any"}
+    held = {"max": ", held by max", "min": ", held by min", "ess": ", too few effective to reduce it"}
     number = f"{event.particles}{held.get(event.limit, '')}, {event.before} before"
     return f"{asked} → {number}{_not_resized(event)}"
 
@@ -112,7 +112,7 @@ def _why_so_many(event: ParticlesResized) -> str:
     if event.sd_px is not None:
         parts.append(f"{event.field} has an sd of {event.sd_px:.3g} px")
     if event.worth is not None and event.method != "kld":
-        parts.append(f"{event.worth:.3g} hypotheses are worth one of the posterior's")
+        parts.append(f"{event.worth:.3g} hypotheses are worth one drawn from the posterior")
     return ", ".join([*parts, f"{event.ess:.0f} effective"])
 
 

@@ -57,11 +57,11 @@ def describe(event: Events) -> str:
     """The sentence of an event, without its frame."""
     match event:
         case LocallyAdapted():
-            return f"{event.node}: its own {held(event.cause, '>')} → tuned itself, attempt {event.attempt}"
+            return f"{event.node}: its own {held(event.cause, '>')} → adapted itself, attempt {event.attempt}"
         case SelfStopped():
             return (
                 f"{event.node}: its own {held(event.cause, '>')} → stopped itself; may be switched on again "
-                f"from frame {event.rests_until}; would have gone on at self_check ≥ "
+                f"from frame {event.rests_until}; would have continued at self_check ≥ "
                 f"{show_turn(event.cause, up=True)}"
             )
         case _:

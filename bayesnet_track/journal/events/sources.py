@@ -98,7 +98,7 @@ def describe(event: Events) -> str:
         case FramesDropped():
             return f"{plural(event.dropped, 'frame')} dropped, because newer ones had arrived"
         case SourceStalled():
-            silent = f"no picture for {event.seconds:.1f} s: {event.reason}"
-            return f"{silent}; connecting again, attempt {event.attempt}"
+            silent = f"source stalled for {event.seconds:.1f} s: {event.reason}"
+            return f"{silent}; reconnecting, attempt {event.attempt}"
         case _:
             assert_never(event)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import get_args
 
 from bayesnet_track.journal.codec import event_name
@@ -46,7 +47,9 @@ class Filter:
     def __post_init__(self) -> None:
         kinds = [event_name(kind) for kind in get_args(Event)]
         if self.kind is not None and self.kind not in kinds:
-            raise ValueError(f"no event is called {self.kind!r}; there are {', '.join(kinds)}")
+            close = get_close_matches(self.kind, kinds, n=1)
+            near = f"; did you mean {close[0]}?" if close else ""
+            raise ValueError(f"no event is called {self.kind!r}; there are {', '.join(kinds)}{near}")
 
     def keeps(self, event: Event) -> bool:
         """True when the event passes every part."""

@@ -67,7 +67,7 @@ def _condense(events: Iterable[Event]) -> list[str]:
         done = [event for event in switches if event.node == node]
         switched = ", ".join(f"{_what(event)} at {event.frame}" for event in done[:3])
         parts.append(f"{node} {switched}{_more(done)}")
-    parts += [f"{node} tuned itself {plural(count, 'time')}" for node, count in tuned.items()]
+    parts += [f"{node} adapted itself {plural(count, 'time')}" for node, count in tuned.items()]
     first, last = min(frames), max(frames)
     span = f"frame {first}" if first == last else f"frames {first} to {last}"
     return [f"{span}: {'; '.join(parts)}"]

@@ -91,7 +91,7 @@ def test_init_writes_a_valid_graph_and_never_over_another(tmp_path, capsys):
     path = tmp_path / "my ball.yaml"
     line = ["init", str(path), "--apart", "motion,color", "--hard", "alike", "--yes"]
     assert main(line) == 0
-    assert "next stands in its first lines" in capsys.readouterr().out
+    assert "its first lines say what to do next" in capsys.readouterr().out
     text = path.read_text(encoding="utf-8")
     assert f"#   bayesnet-track run '{path}' --source" in text
     assert "name: my_ball\n" in text and re.search(r"color: .*\n(.*#.*\n)+ +motion: ", text)
