@@ -29,7 +29,7 @@ from bayesnet_track.observation.cue import (
     log_logistic,
     log_size_penalty,
 )
-from bayesnet_track.observation.geometry import box_pixels
+from bayesnet_track.observation.geometry import box_pixels, distinct_pixels
 from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.planes.color_planes import HueBins
 
@@ -135,11 +135,18 @@ class ColorHistogram:
         return sharpen(reference, attempt, STEP)
 
     def _distances(self, planes: Planes, boxes: Floats, shares: Floats) -> tuple[Floats, Floats]:
-        """(N,) distances to the reference's shares, 0..1, and the share of each box outside the frame."""
-        from bayesnet_track.vision.kernels.histogram_kernels import color_distances
+        """(N,) distances to the reference's shares, 0..1, and the share of each box outside the frame.
 
-        counts, visible, nominal = self._count(planes, boxes)
-        return color_distances(counts, visible, nominal, shares, self.parameters.achromatic_distance)
+        Boxes with the same pixels are compared once.
+        """
+        from bayesnet_track.vision.kernels.histogram_kernels import color_distances, count_in_boxes
+
+        pixels, place = distinct_pixels(box_pixels(planes, boxes))
+        counts = count_in_boxes(planes[self._plane], pixels.corners, self.parameters.bins)
+        distances, outside = color_distances(
+            counts, pixels.visible, pixels.nominal, shares, self.parameters.achromatic_distance
+        )
+        return (distances, outside) if place is None else (distances[place], outside[place])
 
     def _count(self, planes: Planes, boxes: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
         """(N, bins) coloured pixels, (N,) pixels inside the frame, (N,) pixels of the whole box."""

@@ -17,6 +17,9 @@ from bayesnet_track.observation.planes import Array, Frame, Plane, Planes, Regio
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+FEW_REPEATED = 0.8
+"""Share of boxes that differ above which it costs more to pick them than to do all."""
+
 
 @dataclass(frozen=True, eq=False)
 class BoxPixels:
@@ -44,6 +47,20 @@ def box_pixels(planes: Planes, boxes: Floats) -> BoxPixels:
     r = planes.region
     boxes = np.ascontiguousarray(boxes)  # one compiled version only
     return BoxPixels(*pixels_of_boxes(boxes, r.x0, r.y0, r.x1 - r.x0, r.y1 - r.y0))
+
+
+def distinct_pixels(pixels: BoxPixels) -> tuple[BoxPixels, Ints | None]:
+    """The boxes of which no other has the same pixels, and (N,) where each box is among them.
+
+    As they are, with None, where hardly any is repeated. Hypotheses of a target that is well known lie within
+    a few pixels: what depends on their pixels alone need not be found more than once.
+    """
+    from bayesnet_track.numerics.kernels.box_kernels import find_distinct
+
+    first, place = find_distinct(pixels.corners, pixels.nominal)
+    if len(first) > FEW_REPEATED * len(place):
+        return pixels, None
+    return BoxPixels(pixels.corners.take(first, 0), pixels.visible[first], pixels.nominal[first]), place
 
 
 def box_means(

@@ -14,6 +14,7 @@ from bayesnet_track.observation.geometry import (
     box_means,
     box_pixels,
     crop_of,
+    distinct_pixels,
     share_inside,
 )
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region, region_of_boxes
@@ -126,3 +127,20 @@ def test_an_integral_begins_at_the_first_pixel_of_the_region():
     part = planes.region.of(WHOLE)
     assert integral[-1, -1] == part.sum() and np.array_equal(same, boxes)
     assert origin.tolist() == [planes.region.x0, planes.region.y0] and frame.tolist() == [WIDTH, HEIGHT]
+
+
+@given(st.integers(0, 2**32), st.floats(0.1, 40.0), st.integers(1, 60))
+def test_boxes_with_the_same_pixels_are_found_once(seed, spread, count):
+    """Also beyond the frame, where boxes with the same pixels inside differ in those outside."""
+    rng = np.random.default_rng(seed)
+    boxes = np.column_stack([rng.normal(8, spread, (count, 2)), rng.uniform(1, 9, (count, 2))])
+    planes = PlaneCache(FramePair(Frame(0, 0.0, NOISE), None)).planes([BYTES], Region(0, 0, WIDTH, HEIGHT))
+    pixels = box_pixels(planes, boxes)
+    known = np.column_stack([pixels.corners, pixels.visible, pixels.nominal])
+    distinct, place = distinct_pixels(pixels)
+    rows = np.column_stack([distinct.corners, distinct.visible, distinct.nominal])
+    if place is None:
+        assert distinct is pixels and len(np.unique(known, axis=0)) > 0.8 * count
+    else:
+        np.testing.assert_array_equal(rows[place], known)
+        assert len(np.unique(rows, axis=0)) == len(rows)

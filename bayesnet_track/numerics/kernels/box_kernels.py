@@ -74,3 +74,33 @@ def keep_best(boxes: Floats, most_overlap: float, most: int) -> Corners:
             kept[count] = n
             count += 1
     return kept[:count].copy()
+
+
+@compiled
+def find_distinct(corners: Corners, nominal: Floats) -> tuple[Corners, Corners]:
+    """(U,) the first of each kind of boxes with the same pixels, and (N,) the place of each box's kind there.
+
+    `corners` (N, 4) and `nominal` (N,) are those of `pixels_of_boxes`.
+    """
+    count = corners.shape[0]
+    size = 4
+    while size < 2 * count:
+        size *= 2
+    table, first, kind = np.full(size, -1), np.empty(count, np.int64), np.empty(count, np.int64)
+    kinds = 0
+    for n in range(count):
+        x0, y0, x1, y1 = corners[n, 0], corners[n, 1], corners[n, 2], corners[n, 3]
+        slot = ((x0 * 31 + y0) * 31 + x1) * 31 + y1
+        slot = (slot ^ (slot >> 7)) & (size - 1)
+        while table[slot] >= 0:
+            m = first[table[slot]]
+            same = corners[m, 0] == x0 and corners[m, 1] == y0 and corners[m, 2] == x1 and corners[m, 3] == y1
+            if same and nominal[m] == nominal[n]:
+                break
+            slot = (slot + 1) & (size - 1)
+        if table[slot] < 0:
+            table[slot] = kinds
+            first[kinds] = n
+            kinds += 1
+        kind[n] = table[slot]
+    return first[:kinds].copy(), kind
