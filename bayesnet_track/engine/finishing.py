@@ -39,17 +39,35 @@ Floats = NDArray[np.float64]
 
 
 def finish_target(work: FrameWork, filtered: Filtered) -> TargetResult:
-    """Measure the belief, decide what changes, let the agents learn, and describe it."""
-    compiled = work.plate_of(filtered.target)
+    """As `finish_targets`, of one."""
+    return finish_targets(work, {filtered.target: filtered})[filtered.target]
+
+
+def finish_targets(work: FrameWork, filtered: Mapping[str, Filtered]) -> dict[str, TargetResult]:
+    """Measure the beliefs, decide what changes, let the agents learn, and describe them: target -> result.
+
+    One thing after the other for all targets: the code that a processor keeps at hand then serves them all.
+    """
     started = work.engine.clock()
-    state = estimate(compiled.plate.inference(compiled.plate.root).estimate, filtered.step)
+    states = {target: estimate_target(work, one) for target, one in filtered.items()}
     started = work.charge("belief", started)
-    measured = measure_target(work, filtered, state)
-    decided = decide_target(work, filtered, measured)
+    measured = {target: measure_target(work, one, states[target]) for target, one in filtered.items()}
+    decided = {target: decide_target(work, one, measured[target]) for target, one in filtered.items()}
     started = work.charge("measure", started)
-    learnt = learn_target(work, filtered, measured, decided)
+    learnt = {
+        target: learn_target(work, one, measured[target], decided[target]) for target, one in filtered.items()
+    }
     work.charge("learn", started)
-    return describe_target(work, filtered, measured, decided, learnt)
+    return {
+        target: describe_target(work, one, measured[target], decided[target], learnt[target])
+        for target, one in filtered.items()
+    }
+
+
+def estimate_target(work: FrameWork, filtered: Filtered) -> Floats:
+    """(D,) the state that stands for the belief."""
+    plate = work.plate_of(filtered.target).plate
+    return estimate(plate.inference(plate.root).estimate, filtered.step)
 
 
 def measure_target(work: FrameWork, filtered: Filtered, state: Floats) -> Measured:

@@ -16,7 +16,7 @@ from bayesnet_track.engine.attachment import Rides
 from bayesnet_track.engine.compiled import CompiledPlate, Engine, make_engine
 from bayesnet_track.engine.external_inputs import ExternalInputs, route_inputs
 from bayesnet_track.engine.filtering import Filtered, filter_target
-from bayesnet_track.engine.finishing import finish_target
+from bayesnet_track.engine.finishing import finish_targets
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.joining import join_targets
 from bayesnet_track.engine.lifecycle.association import Associated, associate_first
@@ -86,7 +86,7 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
     joint = join_targets(work, state.joins, {name: filtered[name] for name in before if name in filtered})
 
     # Measure, decide, learn, describe
-    results = {target: finish_target(work, one) for target, one in joint.filtered.items()}
+    results = finish_targets(work, joint.filtered)
     results |= collect_elsewhere(work, elsewhere, before)
     outcome = carry_out(work, state, {target: results[target] for target in before}, joint)
     return _manage(work, outcome, associated, given)
