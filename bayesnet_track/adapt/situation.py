@@ -10,6 +10,7 @@ from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import Memory, Quiet
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Level
+from bayesnet_track.journal.net.causes import HiddenCause
 from bayesnet_track.journal.net.target_net import TargetNet
 
 
@@ -29,6 +30,8 @@ class Situation:
         score: probability of being on target, or None where the graph does not say how it comes about.
         missed: agent that gave no answer for a reason outside of it -> that reason.
         existence: probability that it exists, or None where the plate has none.
+        hiding: probability that it cannot be seen, and above which it counts as lost; None where its modes do
+            not say.
     """
 
     frame: int
@@ -42,6 +45,7 @@ class Situation:
     score: float | None = None
     missed: Mapping[str, str] = field(default_factory=dict)
     existence: float | None = None
+    hiding: HiddenCause | None = None
 
 
 def quiet_level(plate: CheckedTarget, net: TargetNet, memory: Memory, node: str) -> float | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from bayesnet_track.adapt.memory import Memory
+from bayesnet_track.adapt.memory import Memory, Streak
 from bayesnet_track.adapt.situation import Situation, read_ud
 from bayesnet_track.graph.spec import Lost
 from bayesnet_track.journal.events.statuses import StatusChanged
@@ -15,8 +15,15 @@ from bayesnet_track.numerics.records import changed
 
 
 def judge_status(now: Situation, memory: Memory, decisions: list[Decision]) -> Memory:
-    """Change the status after as many frames as the rule says; what is remembered of it."""
+    """Change the status after as many frames as the rule says; what is remembered of it.
+
+    A target that probably cannot be seen, by its modes, is lost at once: their memory is in that probability.
+    """
     rule = now.plate.inference(now.plate.root).lost or Lost()
+    if now.hiding is not None and now.hiding.hidden > now.hiding.level:
+        if now.net.status != "lost":
+            decisions.append(StatusChanged(now.frame, now.target, "lost", hidden=now.hiding))
+        return changed(memory, lost=Streak(), seen=Streak(), unsure=Streak(), found=Streak())
     if now.existence is not None and rule.existence_below is not None:
         return _by_score(
             now, memory, rule, Scale("existence", now.existence, rule.existence_below), decisions
@@ -75,11 +82,12 @@ def _by_score(now: Situation, memory: Memory, rule: Lost, scale: Scale, decision
 def _by_ud(now: Situation, memory: Memory, rule: Lost, decisions: list[Decision]) -> Memory:
     """tracking <-> lost by UD and fit.
 
-    That nothing fits is no reason while half of the target is known to be hidden; that UD is high is one.
+    That nothing fits is no reason while half of the target is known to be hidden, nor where its modes say
+    whether it is; that UD is high is one.
     """
     reading = read_ud(now, memory, now.plate.root, rule.above)
     too_wide = reading is not None and reading.value > reading.level
-    fits = now.measures.fit >= rule.fit_below or now.hidden >= 0.5
+    fits = now.measures.fit >= rule.fit_below or now.hidden >= 0.5 or now.hiding is not None
     value = 0.0 if reading is None else reading.value
     # On a frame on which nothing fits, no level of UD would have kept the target from looking lost.
     lost = memory.lost.then(too_wide or not fits, value if fits else math.inf, rule.frames)

@@ -8,9 +8,12 @@ from typing import Any
 
 from bayesnet_track.belief.contract import Belief, MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianFilter
+from bayesnet_track.belief.gaussian.modal import ModalFilter
 from bayesnet_track.belief.grid.belief import GridFilter
+from bayesnet_track.belief.modes import Modes, make_modes
 from bayesnet_track.belief.motion.borders import Reflecting
 from bayesnet_track.belief.motion.formulas import make_formula_motion
+from bayesnet_track.belief.motion.modal import Modal
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.motion.rotating import Rotating
 from bayesnet_track.belief.particles.belief import ParticleFilter
@@ -64,6 +67,7 @@ class CompiledPlate:
         association_rules: agent that measures by the detection that the target is given -> which one that is.
         opaque: agents that keep something which cannot be stored.
         declared: agent -> the declaration of its cue.
+        modes: the target's hidden discrete states; None when it has none.
     """
 
     plate: CheckedTarget
@@ -84,6 +88,7 @@ class CompiledPlate:
     association_rules: Mapping[str, AssociationRule] = field(default_factory=dict)
     opaque: frozenset[str] = frozenset()
     declared: Mapping[str, CueDeclaration] = field(default_factory=dict)
+    modes: Modes | None = None
 
     @property
     def first_existence(self) -> float | None:
@@ -184,8 +189,8 @@ def _compile_plate(
     return CompiledPlate(
         plate=plate,
         cues=made,
-        belief=make_belief(root.belief),
-        motion=make_plate_motion(root.motion, constants) if own is None else own,
+        belief=make_belief(root.belief, None if own is not None else root.modes),
+        motion=make_plate_motion(root, constants) if own is None else own,
         costs_ms={agent: of[agent].cost_ms for agent in plate.agents},
         rate_max={agent: _rate_max(plate, agent, of[agent], root.learn) for agent in plate.agents},
         adaptable=frozenset(agent for agent in plate.agents if of[agent].adapts),
@@ -202,11 +207,14 @@ def _compile_plate(
         association_rules={agent: rule_of(cue) for agent, cue in made.items() if of[agent].reads_detection},
         opaque=frozenset(agent for agent in plate.agents if of[agent].opaque),
         declared=of,
+        modes=None if own is not None or root.modes is None else make_modes(root.modes),
     )
 
 
-def make_plate_motion(chosen: spec.Motion, constants: Mapping[str, float]) -> MotionModel:
+def make_plate_motion(root: spec.InferenceNode, constants: Mapping[str, float]) -> MotionModel:
     """The motion that a graph with these constants asks for, before anything of a frame influences it."""
+    chosen = root.motion
+    assert chosen is not None
     settings = chosen.settings
     motion: MotionModel
     if chosen.expressions is not None:
@@ -215,7 +223,15 @@ def make_plate_motion(chosen: spec.Motion, constants: Mapping[str, float]) -> Mo
         motion = make_motion(chosen)
     if settings.sd_angle_deg > 0:
         motion = Rotating(motion, settings.sd_angle_deg)
+    if root.modes is not None:
+        return _in_modes(motion, settings.sd_angle_deg, root.modes)
     return Reflecting(motion) if settings.borders == "reflect" else motion
+
+
+def _in_modes(usual: MotionModel, sd_angle_deg: float, modes: Mapping[str, spec.Mode]) -> Modal:
+    own = (None if mode.motion is None else make_motion(mode.motion) for mode in modes.values())
+    turning = (one if one is None or sd_angle_deg == 0.0 else Rotating(one, sd_angle_deg) for one in own)
+    return Modal(make_modes(modes), tuple(usual if one is None else one for one in turning))
 
 
 def _finder(moving: Moving) -> Detector | None:
@@ -226,14 +242,14 @@ def _finder(moving: Moving) -> Detector | None:
     return declaration.make(plugin_parameters(chosen, declaration.parameters))
 
 
-def make_belief(chosen: spec.Belief | None) -> Belief[Any]:
+def make_belief(chosen: spec.Belief | None, modes: Mapping[str, spec.Mode] | None = None) -> Belief[Any]:
     """The belief that a graph asks for; particles when it does not say."""
     settings = spec.Particles() if chosen is None else chosen.settings
     match settings:
         case spec.Particles():
             return ParticleFilter(settings)
         case spec.Gaussian():
-            return GaussianFilter(settings)
+            return GaussianFilter(settings) if modes is None else ModalFilter(settings, make_modes(modes))
         case spec.Grid():
             return GridFilter(settings)
     raise TypeError(f"no belief for {type(settings).__name__}")

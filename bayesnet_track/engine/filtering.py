@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 from bayesnet_track.adapt.backoff import quarantine
-from bayesnet_track.belief.contract import MotionModel, Posterior, Step
+from bayesnet_track.belief.contract import Evaluate, MotionModel, Posterior, Step
+from bayesnet_track.belief.modes import Modes
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.formulas import Undefined, undefined_in
 from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.modes import ModeState
 from bayesnet_track.engine.predicting import PredictedMotion, predict_motion
 from bayesnet_track.engine.shedding import within
 from bayesnet_track.engine.state import TargetState, with_agents
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.factors import Flaw
+from bayesnet_track.inference.hidden import Sight, evaluate_modes
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.metrics import JoinMetrics
@@ -49,6 +52,7 @@ class Filtered:
         join: what a joint belief says of it, once there is one; None for a target that is in none.
         flaws: factor -> what was wrong with its values.
         undefined: expression of the motion -> at how many states it had no value.
+        modes: its modes; None when it has none.
     """
 
     target: str
@@ -61,11 +65,13 @@ class Filtered:
     join: JoinMetrics | None = None
     flaws: Mapping[str, Flaw] = field(default_factory=dict)
     undefined: Mapping[str, Undefined] = field(default_factory=dict)
+    modes: ModeState | None = None
 
     @property
     def hidden(self) -> float:
-        """Expected share of the target that another one hides."""
-        return 0.0 if self.join is None else self.join.hidden
+        """Expected share of the target that cannot be seen: another one hides it, or its mode does."""
+        by_mode = 0.0 if self.modes is None else self.modes.hidden or 0.0
+        return by_mode if self.join is None else max(self.join.hidden, by_mode)
 
 
 def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride | None = None) -> Filtered:
@@ -99,7 +105,7 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
             prior,
             motion,
             dt,
-            partial(evaluate, before.plan, observer),
+            _evaluation(work, before.plan, compiled.modes, observer),
             stream,
         )
         # With the answers of one that later gave none the belief would be neither with it nor without it.
@@ -112,4 +118,14 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
         plan = compile_plan(compiled.plate, plan.active - out, compiled.cues)
     missed, flaws = dict(observer.missed), dict(observer.factors.flaws)
     undefined = undefined_in(motion)
-    return Filtered(target, before, stepped, faults, moves, plan, missed, flaws=flaws, undefined=undefined)
+    modes = None if compiled.modes is None else ModeState.of(compiled.modes, prior, stepped.posterior, dt)
+    found = Filtered(target, before, stepped, faults, moves, plan, missed, flaws=flaws, undefined=undefined)
+    return found if modes is None else replace(found, modes=modes)
+
+
+def _evaluation(work: FrameWork, plan: Plan, modes: Modes | None, observer: Observer) -> Evaluate:
+    """What the net says of hypotheses, those that are hidden included."""
+    visible = partial(evaluate, plan, observer)
+    if modes is None:
+        return visible
+    return partial(evaluate_modes, plan, Sight(modes, work.frame.width, work.frame.height), visible)

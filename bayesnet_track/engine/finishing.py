@@ -23,6 +23,7 @@ from bayesnet_track.engine.findings import Decided, Learnt, Measured, TargetResu
 from bayesnet_track.engine.frame_metrics import frame_metrics
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.learning import learn
+from bayesnet_track.engine.modes import with_modes
 from bayesnet_track.engine.score import most, probability, with_distractor
 from bayesnet_track.engine.starting import start_late
 from bayesnet_track.engine.state import TargetState, apply_decisions, inside_frame
@@ -92,6 +93,8 @@ def measure_target(work: FrameWork, filtered: Filtered, state: Floats) -> Measur
         )
         scored = with_distractor(scored, distractor, root.distractors.frames)
     bound = most(rule, measures.fit, scored.doubt)
+    if filtered.modes is not None and filtered.modes.hidden is not None:
+        bound = min(bound, 1.0 - filtered.modes.hidden)
     score = min(probability(rule, scored.smooth), bound)
     return Measured(state, box, net, measures, scored, score, bound, distractor)
 
@@ -111,6 +114,7 @@ def decide_target(work: FrameWork, filtered: Filtered, measured: Measured) -> De
         measured.score,
         filtered.missed,
         filtered.before.existence,
+        None if filtered.modes is None else filtered.modes.hiding,
     )
     chosen, memory = decide(now, filtered.before.memory)
     return Decided(
@@ -192,8 +196,10 @@ def describe_target(
         frozenset({*filtered.flaws, *filtered.undefined}),
         before.existence,
     )
+    changed = None if filtered.modes is None else filtered.modes.change(frame.index, target)
     events: list[Event] = [
         *filtered.predicted.events,
+        *(() if changed is None else (changed,)),
         *(report(frame.index, target) for report in stepped.reports),
     ]
     events += _report_flaws(filtered, frame.index, after.flawed)
@@ -204,6 +210,7 @@ def describe_target(
     events += changes(frame.index, target, before.watched, learnt.watched, learnt.judged, compiled.guard)
     spread = stepped.posterior.covariance
     metrics = frame_metrics(work, filtered, measured, decided, learnt, spread)
+    metrics = with_modes(metrics, filtered.modes, measured.score is not None)
     decisions = (*filtered.faults, *work.by_hand.get(target, ()), *learnt.decisions)
     return TargetResult(after, metrics, decisions, tuple(events), spread)
 

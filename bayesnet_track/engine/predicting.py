@@ -14,6 +14,7 @@ from bayesnet_track.belief.motion.attached import Attached
 from bayesnet_track.belief.motion.composed import Influences, compose_motion, kinematics_of
 from bayesnet_track.belief.motion.inflation import inflation_factor
 from bayesnet_track.belief.motion.jumps import Jumping, Search
+from bayesnet_track.belief.motion.modal import Modal
 from bayesnet_track.belief.motion.shifted import CameraShift, camera_shift
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.graph.settings.adapt import Level
@@ -113,8 +114,10 @@ def predict_motion(
     unsure, and with some probability the position is anywhere instead. `given` stands in for the plate's
     motion; where that is of a target which may be carried, all this is how it moves on its own.
     """
-    settings = compiled.moving
-    if settings is None or known is None or kinematics_of(compiled.motion) is None:
+    settings, plain = compiled.moving, compiled.motion
+    if isinstance(plain, Modal):
+        plain = plain.parts[0]
+    if settings is None or known is None or kinematics_of(plain) is None:
         return PredictedMotion(compiled.motion if given is None else given, known)
     inflation = 1.0
     if settings.inflate is not None:

@@ -17,6 +17,7 @@ from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_metrics import first_frame_metrics
 from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.modes import ModeState, with_modes
 from bayesnet_track.engine.predicting import start_motion_context
 from bayesnet_track.engine.state import TargetState, inside_frame
 from bayesnet_track.inference.compile import compile_plan
@@ -91,6 +92,9 @@ def start(
         existence=compiled.first_existence,
     )
     metrics = first_frame_metrics(frame, target, len(born.belief), working, box, parts)
+    if compiled.modes is not None:
+        states = ModeState.of(compiled.modes, born.belief, born.belief, 1.0)
+        metrics = with_modes(metrics, states, calibrated=True)
     return Born(born, tuple(decisions), metrics)
 
 

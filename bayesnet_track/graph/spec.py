@@ -39,6 +39,7 @@ from bayesnet_track.graph.settings.lifecycle import (
     MergeDuplicates,
     Reidentify,
 )
+from bayesnet_track.graph.settings.modes import Hidden, Mode, Modes
 from bayesnet_track.graph.settings.motion import (
     BoxSd,
     ByExpressions,
@@ -119,6 +120,7 @@ __all__ = [
     "Grid",
     "Guard",
     "HeavyTail",
+    "Hidden",
     "InferenceNode",
     "Inflate",
     "Information",
@@ -133,6 +135,7 @@ __all__ = [
     "LookedFor",
     "Lost",
     "MergeDuplicates",
+    "Mode",
     "Model",
     "Motion",
     "Moving",
@@ -191,6 +194,11 @@ class InferenceNode(Model):
         "settings, default particles",
     )
     motion: Motion | None = Field(default=None, description="root only, required there")
+    modes: Modes | None = Field(
+        default=None,
+        description="root only; hidden discrete states with memory: ways to move, and whether it is seen. "
+        "Default: one way, always seen",
+    )
     estimate: Estimate | None = Field(default=None, description="root only; default map")
     fuse: Fuse | None = Field(default=None, description="required with two or more children")
     ud_fields: tuple[Literal["x", "y", "w", "h"], ...] = Field(

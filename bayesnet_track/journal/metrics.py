@@ -89,6 +89,8 @@ class FrameMetrics(Boxed):
             is without `sd_angle_deg`.
         join: results of the joint belief; left out for a target that is not joined.
         existence: probability that it exists; left out when the graph has no `existence` for its type.
+        modes: mode -> its probability; left out when the graph has no `modes`.
+        hidden: probability that the target is hidden; None, and left out, when the graph has no hidden mode.
     """
 
     frame: int
@@ -121,11 +123,21 @@ class FrameMetrics(Boxed):
     angle: float = field(default=0.0, metadata={"left_out_when_empty": True})
     join: JoinMetrics | None = field(default=None, metadata={"left_out_when_empty": True})
     existence: float | None = field(default=None, metadata={"left_out_when_empty": True})
+    modes: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
+    hidden: float | None = field(default=None, metadata={"left_out_when_empty": True})
+
+    @property
+    def mode(self) -> str:
+        """The most probable mode; empty where the graph has no `modes`."""
+        return max(self.modes, key=self.modes.__getitem__, default="")
 
     def __repr__(self) -> str:
         """What matters: who, when, how sure, where, and by whose evidence."""
         agents = ", ".join(self.active) or "no agent"
+        hidden = (
+            "" if self.hidden is None or self.hidden <= 0.5 else f"hidden, probability {self.hidden:.2f}, "
+        )
         return (
-            f"<target {self.target} in frame {self.frame}: {self.status}, score {self.score:.2f}, "
+            f"<target {self.target} in frame {self.frame}: {hidden}{self.status}, score {self.score:.2f}, "
             f"xywh {self._xywh_text()}, {agents} active>"
         )

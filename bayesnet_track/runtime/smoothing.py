@@ -127,7 +127,7 @@ def _smooth_lifetime(
     run: Run, root: spec.InferenceNode, lifetime: Sequence[KeptBelief], draws: int, rng: np.random.Generator
 ) -> Sequence[Smoothed]:
     assert root.motion is not None
-    plain = make_plate_motion(root.motion, run.spec.constants)
+    plain = make_plate_motion(root, run.spec.constants)
     size = run.started.width, run.started.height
     moves = [
         Move(_motion_into(now, plain, root.motion, size), now.time - before.time)

@@ -12,7 +12,7 @@ from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.journal.events.statuses import StatusChanged
-from bayesnet_track.journal.net.causes import ScoreCause
+from bayesnet_track.journal.net.causes import HiddenCause, ScoreCause
 from bayesnet_track.journal.net.net import Net, apply
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.journal.text.explain import explain
@@ -103,3 +103,29 @@ def test_quiet_levels_are_not_measured_while_uncertain(statuses):
 def test_without_levels_of_the_score_ud_and_fit_decide(statuses):
     after, decisions, _ = statuses([0.99] * 3, {"frames": 3})
     assert after[-1] == "lost" and not isinstance(decisions[0].cause, ScoreCause)
+
+
+def test_a_target_that_is_probably_hidden_is_lost_at_once_and_found_when_it_is_seen(fakes):
+    """Nothing fits all the while: where modes say whether it can be seen, that is for them to weigh."""
+    plate, _ = fakes.plate({"root": {"lost": {"frames": 2}}, "a": {"parent": "root", "agent": "a"}})
+    live, memory, after, causes = Net({"1": TargetNet("plate", frozenset("a"))}), Memory(), [], []
+    for k, hidden in enumerate([0.1, 0.45, 0.7, 0.9, 0.4, 0.6, 0.3, 0.2]):
+        measures = Measures({"root": 10.0}, {}, {"a": 0.0}, {"a": 0.0}, {}, 0.0, 400.0)
+        now = Situation(
+            k,
+            "1",
+            plate,
+            live.targets["1"],
+            measures,
+            {"a": 1.0},
+            frozenset(),
+            hiding=HiddenCause(0.5, hidden),
+        )
+        made, memory = decide(now, memory)
+        for one in made:
+            live = apply(live, one)
+        causes += [one.hidden for one in made if isinstance(one, StatusChanged)]
+        after.append(live.targets["1"].status)
+    t, x = "tracking", "lost"
+    assert after == [t, t, x, x, x, x, x, t]
+    assert causes == [HiddenCause(0.5, 0.7), None]

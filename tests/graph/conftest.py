@@ -366,6 +366,10 @@ def everything() -> dict[str, Any]:
                 }
             },
             "motion": {"random_walk": {**noise, "heavy_tail": {"weight": 0.5, "factor": 4}}},
+            "modes": {
+                "seen": {"mean_frames": 40, "then": {"behind": 1}},
+                "behind": {"next": {"seen": 1}, "hidden": {"likelihood": 0.1, "lost_above": 0.4}},
+            },
             "estimate": {"robust_mean": {"box": 0.1}},
             "fuse": "product",
             "adapt": {"activate": {"above": level}, "deactivate": {"below": {"ud_box": 0.5}}, "keep": 2},

@@ -217,6 +217,8 @@ def test_frame_metrics_keep_their_cloud():
         "status": "tracking",
         "quiet_px2": None,
         "join": None,
+        "hidden": None,
+        "existence": None,
     }
     metrics = FrameMetrics(**{**values, "cloud": ((1, 2, 3, 4), (5, 6, 7, 8))})
     assert from_json(to_json(metrics)) == metrics

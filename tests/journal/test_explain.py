@@ -30,6 +30,7 @@ from bayesnet_track.journal.events.joins import Joined, Parted
 from bayesnet_track.journal.events.joint_beliefs import AttachmentChanged, OcclusionChanged, RingChanged
 from bayesnet_track.journal.events.jumps import Reappeared
 from bayesnet_track.journal.events.load import ParticlesLimited, Shed, TakenBack
+from bayesnet_track.journal.events.modes import ModeChanged
 from bayesnet_track.journal.events.references import ReferenceGuarded
 from bayesnet_track.journal.events.reidentification import Reacquired, Recognition, Returned
 from bayesnet_track.journal.events.runs import MachineChanged, RunEnded, RunStarted
@@ -45,7 +46,7 @@ from bayesnet_track.journal.events.sources import (
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.causes import Cause
+from bayesnet_track.journal.net.causes import Cause, HiddenCause
 from bayesnet_track.journal.text.explain import Filter, explain, has_several_targets, why
 
 STARTED = RunStarted(1, "two_squares", "ab" * 32, 0, "scene:two_squares", 320, 240, True, 200, 0.04)
@@ -199,6 +200,22 @@ GOLDEN = [
     (
         StatusChanged(131, "1", "lost", None, "no agent is active"),
         "frame 131: no agent is active → target 1 lost",
+    ),
+    (
+        StatusChanged(132, "1", "lost", hidden=HiddenCause(0.5, 0.931)),
+        "frame 132: hidden with probability 0.931 > 0.5 → target 1 lost; would have stayed at lost_above ≥ "
+        "0.931",
+    ),
+    (
+        ModeChanged(132, "1", "behind", "seen", 0.931, 0.0421, 5.72, 3.125, 0.931),
+        "frame 132: the frame's evidence is 5.72 nats higher in mode behind than in seen → target 1 in mode "
+        "behind with probability 0.93, predicted 0.042; hidden with probability 0.93; would have stayed in "
+        "seen at ≤ 3.12 nats",
+    ),
+    (
+        ModeChanged(133, "1", "turn", "straight", 0.51, 0.52, -0.04, -0.08),
+        "frame 133: the frame's evidence is 0.04 nats lower in mode turn than in straight → target 1 in mode "
+        "turn with probability 0.51, predicted 0.52; would have stayed in straight at ≤ -0.08 nats",
     ),
     (
         DegenerateBelief(12, "1", "all weights are 0"),

@@ -62,7 +62,7 @@ def test_a_smoothed_target_is_surer(name, request):
 def test_gaussians_are_smoothed_by_the_motion_that_was_at_work(gaussian_run):
     kept = list(read_beliefs(gaussian_run.directory.beliefs))
     root = root_of(gaussian_run.spec.targets["ball"])
-    plain = make_plate_motion(root.motion, {})
+    plain = make_plate_motion(root, {})
     size = gaussian_run.started.width, gaussian_run.started.height
     moves = [Move(_motion_into(one, plain, root.motion, size), 1.0) for one in kept[1:]]
     exact = smooth_gaussians([one.posterior for one in kept], moves, root.belief.settings)

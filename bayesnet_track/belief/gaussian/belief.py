@@ -137,7 +137,7 @@ class GaussianFilter:
             asked,
             _weights(asked, evidence, sampled, after, hypotheses, prior.fields),
             evidence,
-            tuple(partial(_report, one, self.settings.gate, len(after.used)) for one in after.gated),
+            tuple(partial(report_gated, one, self.settings.gate, len(after.used)) for one in after.gated),
         )
 
     def _size(self, width: int) -> int:
@@ -192,5 +192,6 @@ def _step(
     )
 
 
-def _report(one: Gated, gate: float, used: int, frame: int, target: str) -> Event:
+def report_gated(one: Gated, gate: float, used: int, frame: int, target: str) -> Event:
+    """The event of a measurement that was not used, beside `used` that were."""
     return MeasurementGated(frame, target, one.agent, one.d2, one.limit, gate, one.degrees, one.turning, used)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.borders import Reflecting
 from bayesnet_track.belief.motion.inflation import inflate_noise
+from bayesnet_track.belief.motion.modal import Modal
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.rotating import Rotating
 from bayesnet_track.belief.motion.shifted import CameraShift, ShiftedMotion, revert_size
@@ -41,8 +42,10 @@ def compose_motion(plain: MotionModel, settings: Moving, influences: Influences)
     """The plate's motion under what influenced it, but for jumps: `plain` where nothing can.
 
     In this order: the camera moves the states, their sizes are drawn back, noise is added, widened while
-    unsure, and what left the frame is reflected.
+    unsure, and what left the frame is reflected. Where it moves in modes, so does each of them.
     """
+    if isinstance(plain, Modal):
+        return plain.each(lambda one: compose_motion(one, settings, influences))
     own = kinematics_of(plain)
     if own is None:
         return plain

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.modal import Modal
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.motion.wrapped import Wrapped
 from bayesnet_track.belief.particles.fitted import flatten
@@ -116,6 +117,8 @@ class Jumping(Wrapped):
 
     def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
         """Of the mixture, for states inside the frame."""
+        if isinstance(self.motion, Modal):
+            return self.motion.each(lambda one: replace(self, motion=one)).log_density(new, old, dt)
         return self.transition(old, dt).log_density(new)
 
     def transition(self, old: Floats, dt: float) -> Transition:
@@ -147,6 +150,15 @@ def jumping_of(motion: MotionModel) -> Jumping | None:
     """The jumping motion inside a confined one, or None."""
     free = motion.motion if isinstance(motion, Confined) else motion
     return free if isinstance(free, Jumping) else None
+
+
+def modal_of(motion: MotionModel) -> Modal | None:
+    """The motion in modes inside a confined one, each mode with the jumps; None for one without."""
+    free = motion.motion if isinstance(motion, Confined) else motion
+    if isinstance(free, Jumping) and isinstance(free.motion, Modal):
+        jumping = free
+        return free.motion.each(lambda one: replace(jumping, motion=one))
+    return free if isinstance(free, Modal) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,6 +268,8 @@ def _probe(inputs: Inputs, jumping: Jumping, states: Floats, rng: np.random.Gene
     low = at * step
     probes = states[rng.integers(len(states), size=len(at))].copy()
     probes[:, :2] = low + step / 2
+    if isinstance(jumping.motion, Modal):
+        probes[:, -1] = jumping.motion.modes.hidden.index(False)
     equal = LogWeights.uniform(len(at))
     seen = inputs.evaluate(hypotheses_of(probes, inputs.prior.fields), equal.log)
     try:

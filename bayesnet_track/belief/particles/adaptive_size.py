@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.motion.jumps import Jumping, draw_jumps, jumping_of, report_reappeared
+from bayesnet_track.belief.particles.mode_draws import DrawnModes, draw_modes
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
 from bayesnet_track.belief.particles.sample_size import SampleSize, SizeMemory, find_sample_size
 from bayesnet_track.belief.particles.size_decision import SizeDecision, begin_with, halve, make_report
@@ -41,10 +42,13 @@ WillRepeat = Callable[[Floats, Floats], bool]
 
 def fixed_size(settings: spec.Particles, size: int, inputs: Inputs) -> FrameSample:
     """So many hypotheses drawn from the motion model, with their evidence."""
-    jumping = jumping_of(inputs.motion)
+    jumping, ancestors, beta = jumping_of(inputs.motion), *_of_last(settings, inputs, size)
+    drawn = draw_modes(inputs, ancestors, beta.log)
+    if drawn is not None:
+        one = _with_modes(drawn, jumping_of(drawn.inputs.motion))
+        return replace(one, whole=replace(one.whole, ancestors=ancestors))
     if jumping is not None:
-        return _with_jumps(settings, inputs, size, jumping)
-    ancestors, beta = _of_last(settings, inputs, size)
+        return _with_jumps(inputs, jumping, ancestors, beta.log)
     return FrameSample(evaluate_sample(inputs, move(inputs, ancestors, "propagate"), beta.log, ancestors))
 
 
@@ -57,10 +61,21 @@ def resize_by(
     return replace(size_memory, wanted=_find_size(settings.size, inputs, whole, slice(None)))
 
 
-def _with_jumps(settings: spec.Particles, inputs: Inputs, size: int, jumping: Jumping) -> FrameSample:
+def _with_modes(drawn: DrawnModes, jumping: Jumping | None) -> FrameSample:
+    """The same where hypotheses have drawn their modes before they move."""
+    parents = np.arange(len(drawn.prior_log))
+    if jumping is not None:
+        return _with_jumps(drawn.inputs, jumping, parents, drawn.prior_log)
+    states = move(drawn.inputs, parents, "propagate")
+    scaled = LogWeights.normalise(drawn.prior_log)[0].log
+    return FrameSample(
+        replace(evaluate_sample(drawn.inputs, states, scaled, parents), prior_log=drawn.prior_log)
+    )
+
+
+def _with_jumps(inputs: Inputs, jumping: Jumping, ancestors: Ancestors, beta_log: Floats) -> FrameSample:
     """The same where some jump, and what is told when they hold the belief."""
-    ancestors, beta = _of_last(settings, inputs, size)
-    jumps = draw_jumps(inputs, jumping, ancestors, beta.log)
+    jumps = draw_jumps(inputs, jumping, ancestors, beta_log)
     scaled = LogWeights.normalise(jumps.prior_log)[0].log
     one = replace(evaluate_sample(inputs, jumps.states, scaled, ancestors), prior_log=jumps.prior_log)
     try:

@@ -6,10 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.motion.jumps import modal_of
+from bayesnet_track.belief.motion.modal import Modal
 from bayesnet_track.numerics.density import mixture_argmax
 from bayesnet_track.numerics.log_weights import LogWeights
 
 Floats = NDArray[np.float64]
+Before = tuple[Floats, LogWeights]
+"""The belief before the motion: (K, D) states and their weights, normalised or not."""
 
 
 def map_index(
@@ -33,6 +37,33 @@ def map_index(
         motion: what leads from parents to states.
         dt: the time between, in frame intervals.
     """
+    modal = modal_of(motion)
+    if modal is not None:
+        return _index_of_modes(log_likelihood, states, (parents, weights), modal, dt)
+    return _index(log_likelihood, states, (parents, weights), motion, dt)
+
+
+def _index_of_modes(log_likelihood: Floats, states: Floats, before: Before, modal: Modal, dt: float) -> int:
+    """The best of the hypotheses of each mode, then the best of these."""
+    parents, weights = before
+    modes, own = states[:, -1].astype(np.intp), np.ascontiguousarray(parents[:, :-1])
+    with np.errstate(divide="ignore"):
+        log_chain = np.log(modal.chain.over(dt))[parents[:, -1].astype(np.intp)]
+    found, values = [], []
+    for mode, motion in enumerate(modal.motions):
+        chosen = np.flatnonzero(modes == mode)
+        if not len(chosen):
+            continue
+        here, log_before = np.ascontiguousarray(states[chosen, :-1]), weights.log + log_chain[:, mode]
+        best = _index(log_likelihood[chosen], here, (own, LogWeights(log_before)), motion, dt)
+        density = motion.log_density(here[best : best + 1], own, dt)[0] + log_before
+        found.append(int(chosen[best]))
+        values.append(float(log_likelihood[chosen[best]] + np.logaddexp.reduce(density)))
+    return found[int(np.argmax(values))]
+
+
+def _index(log_likelihood: Floats, states: Floats, before: Before, motion: MotionModel, dt: float) -> int:
+    parents, weights = before
     transition = motion.transition(parents, dt)
     points, log_jacobian = transition.coordinates(states)
     components, width = transition.sds.shape[0], points.shape[1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+from bayesnet_track.graph.checks.modes import modes_are_not_joined
 from bayesnet_track.graph.settings.joins import join_of
 from bayesnet_track.graph.spec import GraphSpec, InferenceNode
 from bayesnet_track.graph.text.messages import GraphMessage, Positions
@@ -60,4 +61,5 @@ JOIN_CHECKS: tuple[GraphCheck, ...] = (
     one_join_for_a_pair,
     an_attachment_has_two_kinds,
     joined_beliefs_are_particles,
+    modes_are_not_joined,
 )

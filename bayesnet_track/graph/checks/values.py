@@ -9,6 +9,7 @@ from bayesnet_track.graph.checks.adapt import ADAPT_CHECKS
 from bayesnet_track.graph.checks.formulas import FORMULA_CHECKS
 from bayesnet_track.graph.checks.gaussian import gaussian_settings_have_effect, kalman_moves_linearly
 from bayesnet_track.graph.checks.grid import grid_holds_the_motion, grid_resets_at_one_level
+from bayesnet_track.graph.checks.modes import MODE_CHECKS
 from bayesnet_track.graph.checks.motion import MOTION_CHECKS
 from bayesnet_track.graph.checks.particles import sizes_in_order
 from bayesnet_track.graph.checks.plates import Check, Plate
@@ -152,6 +153,7 @@ VALUE_CHECKS: tuple[Check, ...] = (
     grid_resets_at_one_level,
     *MOTION_CHECKS,
     *FORMULA_CHECKS,
+    *MODE_CHECKS,
     *PLACE_CHECKS,
 )
 """These need no sound tree."""

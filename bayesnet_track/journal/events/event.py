@@ -16,6 +16,7 @@ from bayesnet_track.journal.events import (
     flaws,
     joint_beliefs,
     jumps,
+    modes,
     references,
     runs,
     sample_sizes,
@@ -33,6 +34,7 @@ Event = (
     | beliefs.Events
     | sample_sizes.Events
     | jumps.Events
+    | modes.Events
     | references.Events
     | distractors.Events
     | births.Events

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
-from bayesnet_track.journal.net.causes import Cause, FitCause, ScoreCause
+from bayesnet_track.journal.net.causes import Cause, FitCause, HiddenCause, ScoreCause
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, plural, round_away, show_turn
 
@@ -19,6 +19,7 @@ class StatusChanged:
         status: tracking, uncertain or lost, from now on.
         cause: the numbers; None when every agent is off, or none saw it.
         reason: why, when there is no cause; what else had to hold when it was found again.
+        hidden: why, when it was lost because it is probably hidden; left out otherwise.
     """
 
     frame: int
@@ -26,6 +27,7 @@ class StatusChanged:
     status: str
     cause: Cause | ScoreCause | FitCause | None = None
     reason: str = ""
+    hidden: HiddenCause | None = field(default=None, metadata={"left_out_when_empty": True})
 
 
 Decisions = StatusChanged
@@ -40,6 +42,8 @@ def describe(event: Events) -> str:
         return _by_score(event, event.cause)
     if isinstance(event.cause, FitCause):
         return _by_fit(event.cause, result)
+    if event.hidden is not None:
+        return _by_hiding(event.hidden, result)
     if event.cause is None:
         return f"{event.reason} → {result}" if event.reason else result
     if not lost:
@@ -62,6 +66,14 @@ def _by_fit(cause: FitCause, result: str) -> str:
         return f"{found} → {result}; would have been lost by its UD at any fit_below"
     turning = round_away(cause.turning, decimals(cause.turning, cause.level), up=False)
     return f"{found} → {result}; would not have been lost at fit_below ≤ {turning}"
+
+
+def _by_hiding(cause: HiddenCause, result: str) -> str:
+    hidden, level = distinct_texts(cause.hidden, cause.level)
+    turning = round_away(cause.hidden, decimals(cause.hidden, cause.level), up=True)
+    return (
+        f"hidden with probability {hidden} > {level} → {result}; would have stayed at lost_above ≥ {turning}"
+    )
 
 
 def _by_score(event: StatusChanged, cause: ScoreCause) -> str:

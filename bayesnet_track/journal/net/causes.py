@@ -68,6 +68,19 @@ class FitCause:
 
 
 @dataclass(frozen=True)
+class HiddenCause:
+    """The numbers that made a target be lost because it probably cannot be seen.
+
+    Attributes:
+        level: the level, `lost_above`.
+        hidden: probability that it is in a mode in which it cannot be seen.
+    """
+
+    level: float
+    hidden: float
+
+
+@dataclass(frozen=True)
 class Concentration:
     """The numbers of the test whether a belief lies around one mode: a one-sided binomial test.
 

@@ -16,6 +16,7 @@ from bayesnet_track.journal.events import (
     joint_beliefs,
     jumps,
     load,
+    modes,
     references,
     reidentification,
     runs,
@@ -84,6 +85,8 @@ def describe(event: Event) -> str:
         return distractors.describe(event)
     if isinstance(event, jumps.Events):
         return jumps.describe(event)
+    if isinstance(event, modes.Events):
+        return modes.describe(event)
     if isinstance(event, sources.Events):
         return sources.describe(event)
     if isinstance(event, runs.Events):

@@ -25,6 +25,7 @@ from bayesnet_track.adapt.lifecycle import AppearanceMemory, Candidate, TrackHis
 from bayesnet_track.adapt.memory import Memory, Quiet, Streak
 from bayesnet_track.adapt.shedding import Load
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
+from bayesnet_track.belief.gaussian.modal import ModalPosterior
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice
 from bayesnet_track.belief.motion.composed import Influences
 from bayesnet_track.belief.motion.shifted import CameraShift
@@ -56,6 +57,7 @@ CLASSES: tuple[type, ...] = (
     SizeMemory,
     SampleSize,
     GaussianPosterior,
+    ModalPosterior,
     GridBelief,
     Lattice,
     Memory,

@@ -1,0 +1,314 @@
+"""The interacting multiple model: a Gaussian for each mode, mixed before every prediction.
+
+Blom and Bar-Shalom 1988. Exact would be a Gaussian for each sequence of modes, K^t of them after t frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import Evaluate, Evidence, MotionModel, Report, Step, Stream
+from bayesnet_track.belief.gaussian.belief import GaussianPosterior, report_gated
+from bayesnet_track.belief.gaussian.predict import predict, require_linear
+from bayesnet_track.belief.gaussian.update import (
+    Asked,
+    Gated,
+    ask,
+    fit_moments,
+    match_moments,
+    take,
+)
+from bayesnet_track.belief.modes import FIELD, Modes
+from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.modal import Modal
+from bayesnet_track.belief.states import WeightedStates, hypotheses_of
+from bayesnet_track.graph import spec
+from bayesnet_track.numerics.gaussian import symmetric
+from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+from bayesnet_track.observation.cue import Measurement
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ModalPosterior:
+    """A mixture of K Gaussians, one for each mode.
+
+    Attributes:
+        parts: the Gaussian of the state in each mode.
+        mode_probabilities: (K,) of the modes.
+    """
+
+    parts: tuple[GaussianPosterior, ...]
+    mode_probabilities: Floats
+
+    def __len__(self) -> int:
+        return sum(len(part) for part in self.parts)
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Names of the D columns, without the mode."""
+        return self.parts[0].fields
+
+    @cached_property
+    def mean(self) -> Floats:
+        """(D,) of the mixture."""
+        return np.asarray(self.mode_probabilities @ np.array([part.mean for part in self.parts]))
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """(D, D) of the mixture: within modes, and between them."""
+        return mixture_moments(
+            np.array([part.mean for part in self.parts]),
+            np.array([part.covariance for part in self.parts]),
+            self.mode_probabilities,
+        )[1]
+
+    def uncertainty(self, about: Floats, columns: Sequence[int]) -> float:
+        """UD of the mixture."""
+        uds = [part.uncertainty(about, columns) for part in self.parts]
+        return float(self.mode_probabilities @ np.array(uds))
+
+    def mass_within(self, centre: Floats, radius: float) -> tuple[float, float]:
+        """Mass within `radius` px of `centre` (2,), exact."""
+        shares = [part.mass_within(centre, radius)[0] for part in self.parts]
+        return float(self.mode_probabilities @ np.array(shares)), float("inf")
+
+    def region(self, share: float) -> tuple[float, float, float, float]:
+        """x_low, x_high, y_low, y_high in px: the central `share` of the centre's weight on each axis."""
+        tails = ((1.0 - share) / 2.0, (1.0 + share) / 2.0)
+        (x_low, x_high), (y_low, y_high) = (self._quantiles(axis, tails) for axis in (0, 1))
+        return x_low, x_high, y_low, y_high
+
+    def regions(self, shares: Sequence[float]) -> Floats:
+        """(S, 4) the region of each share."""
+        return np.array([self.region(share) for share in shares])
+
+    def draw(self, size: int, rng: np.random.Generator) -> Floats:
+        """(size, 4) boxes."""
+        counts = rng.multinomial(size, self.mode_probabilities / self.mode_probabilities.sum())
+        drawn = [part.draw(int(count), rng) for part, count in zip(self.parts, counts, strict=True)]
+        return np.concatenate(drawn)
+
+    def _quantiles(self, axis: int, tails: tuple[float, float]) -> tuple[float, float]:
+        """By bisection of the mixture's distribution function."""
+        means = [float(part.mean[axis]) for part in self.parts]
+        sds = [max(float(np.sqrt(max(part.covariance[axis, axis], 0.0))), 1e-9) for part in self.parts]
+        normals = [NormalDist(mean, sd) for mean, sd in zip(means, sds, strict=True)]
+        weights = self.mode_probabilities.tolist()
+        found = []
+        for tail in tails:
+            low = min(one.inv_cdf(tail) for one in normals)
+            high = max(one.inv_cdf(tail) for one in normals)
+            for _ in range(60):
+                middle = 0.5 * (low + high)
+                below = sum(w * one.cdf(middle) for w, one in zip(weights, normals, strict=True))
+                low, high = (middle, high) if below < tail else (low, middle)
+            found.append(0.5 * (low + high))
+        return found[0], found[1]
+
+
+@dataclass(frozen=True)
+class ModalFilter:
+    """The Kalman family in modes, as `settings` and `modes` say."""
+
+    settings: spec.Gaussian
+    modes: Modes
+
+    def start(self, box: Floats, motion: MotionModel, stream: Stream) -> ModalPosterior:
+        """The belief about a target first seen in the centre box (4,).
+
+        Raises:
+            ValueError: the filter is `kalman` and a mode's motion is not linear with noise in px.
+        """
+        modal = _modal(motion)
+        if self.settings.filter == "kalman":
+            for part in modal.parts:
+                require_linear(part)
+        mean, covariance = modal.start_moments(np.asarray(box, dtype=np.float64))
+        one = GaussianPosterior(mean, covariance, modal.motions[0].fields, self._size(len(mean)))
+        return ModalPosterior((one,) * len(self.modes), self.modes.start())
+
+    def predict(
+        self, prior: ModalPosterior, motion: MotionModel, dt: float, rng: np.random.Generator
+    ) -> ModalPosterior:
+        """The belief after `dt` frame intervals without evidence; `rng` is not used."""
+        mixed = mix(prior, self.modes.chain.over(dt))
+        parts = zip(mixed.parts, _motions(motion), strict=True)
+        return replace(mixed, parts=tuple(self._predict(part, one, dt) for part, one in parts))
+
+    def step(
+        self, prior: ModalPosterior, motion: MotionModel, dt: float, evaluate: Evaluate, stream: Stream
+    ) -> Step[ModalPosterior]:
+        """The belief after `dt` frame intervals and the evidence of a frame.
+
+        A measurement is gated by all modes together: it is used when it lies inside the gate of a mode in
+        which the target is seen, and counts as missed otherwise.
+        """
+        predicted = self.predict(prior, motion, dt, stream("predict"))
+        motions = _motions(motion)
+        asked = [
+            ask(part.mean, part.covariance, one, self.settings, stream(f"samples {number}"))
+            for number, (part, one) in enumerate(zip(predicted.parts, motions, strict=True))
+        ]
+        together = _together(asked, predicted.mode_probabilities)
+        evidence = evaluate(hypotheses_of(together.states, (*predicted.fields, FIELD)), together.weights.log)
+        used, gated = self._gate(predicted, evidence)
+        log_gated = self._log_gated(gated, evidence, together.states[:, -1])
+        sampled = evidence.log_likelihood if evidence.sampled is None else evidence.sampled
+        parts, log_evidence = [], np.empty(len(asked))
+        ends = np.cumsum([len(one.states) for one in asked])
+        for mode, (part, one, end) in enumerate(zip(predicted.parts, asked, ends, strict=True)):
+            own = sampled[end - len(one.states) : end] + log_gated[mode]
+            after, log_evidence[mode] = self._update(part, one, own, {} if self.modes.hidden[mode] else used)
+            parts.append(after)
+        with np.errstate(divide="ignore"):
+            log_prior = np.log(predicted.mode_probabilities)
+        try:
+            weights, total = LogWeights.normalise(log_prior + log_evidence)
+        except DegenerateWeights as fault:
+            step = _step(predicted, -np.inf, together, together.weights, evidence)
+            return replace(step, degenerate=str(fault))
+        posterior = ModalPosterior(tuple(parts), np.array(weights.weights))
+        reports = tuple(partial(report_gated, one, self.settings.gate, len(used)) for one in gated)
+        try:
+            held = together.weights.times(evidence.log_likelihood)[0]
+        except DegenerateWeights:
+            held = together.weights
+        return _step(posterior, total, together, held, evidence, reports)
+
+    def _predict(self, part: GaussianPosterior, motion: MotionModel, dt: float) -> GaussianPosterior:
+        mean, covariance = predict(part.mean, part.covariance, motion, dt, self.settings)
+        return replace(part, mean=_held(mean), covariance=covariance)
+
+    def _update(
+        self, part: GaussianPosterior, asked: Asked, sampled: Floats, used: Mapping[str, Measurement]
+    ) -> tuple[GaussianPosterior, float]:
+        """The Gaussian of a mode after the frame, and its log-evidence; -inf where nothing fits it."""
+        update = fit_moments if self.settings.likelihood == "sigma_points" else match_moments
+        try:
+            mean, covariance, log_evidence = update(part.mean, part.covariance, asked, sampled)
+        except DegenerateWeights:
+            return part, -np.inf
+        after = take(mean, covariance, part.fields, used, 1.0)
+        held = replace(part, mean=_held(after.mean), covariance=after.covariance)
+        return held, log_evidence + after.log_evidence
+
+    def _gate(
+        self, predicted: ModalPosterior, evidence: Evidence
+    ) -> tuple[dict[str, Measurement], tuple[Gated, ...]]:
+        """What was measured inside the gate of a visible mode, and the rest as the nearest mode has it."""
+        nearest: dict[str, Gated] = {}
+        used: dict[str, Measurement] = {}
+        for part, hidden, share in zip(
+            predicted.parts, self.modes.hidden, predicted.mode_probabilities, strict=True
+        ):
+            if hidden or share <= 0.0:
+                continue
+            taken = take(part.mean, part.covariance, part.fields, evidence.gaussians, self.settings.gate)
+            used |= taken.used
+            for one in taken.gated:
+                if one.agent not in nearest or one.d2 < nearest[one.agent].d2:
+                    nearest[one.agent] = one
+        kept = {agent: one for agent, one in evidence.gaussians.items() if agent in used}
+        return kept, tuple(one for agent, one in nearest.items() if agent not in used)
+
+    def _log_gated(self, gated: Sequence[Gated], evidence: Evidence, modes: Floats) -> Floats:
+        """(K,) a measurement outside of every gate is of the background, and the target was missed."""
+        if not self.modes.can_hide:
+            return np.zeros(len(self.modes))
+        at = int(np.argmax(np.isin(modes, np.flatnonzero(self.modes.hidden))))
+        odds = np.log(self.modes.missed) - np.log1p(-self.modes.missed)
+        total = sum(float(evidence.messages[one.agent][at]) + odds for one in gated)
+        return np.where(self.modes.hidden, 0.0, total)
+
+    def _size(self, width: int) -> int:
+        if self.settings.likelihood == "sigma_points":
+            return 2 * width + 1
+        return max(self.settings.samples, 2 * (width + 1))
+
+
+def mix(prior: ModalPosterior, chain: Floats) -> ModalPosterior:
+    """The Gaussian of each mode before it moves: those of all modes that can lead to it, moments matched.
+
+    Mode j is entered from i with probability P_ij mu_i / c_j, where c_j = sum_i P_ij mu_i. Where modes that
+    share what follows would be mixed alike, so is everything: no sequence is kept apart.
+    """
+    joint = chain * prior.mode_probabilities[:, None]
+    entered = joint.sum(axis=0)
+    means = np.array([part.mean for part in prior.parts])
+    covariances = np.array([part.covariance for part in prior.parts])
+    parts = []
+    for mode, total in enumerate(entered):
+        if total <= 0.0:  # no mode leads here
+            parts.append(prior.parts[mode])
+            continue
+        mean, covariance = mixture_moments(means, covariances, joint[:, mode] / total)
+        parts.append(replace(prior.parts[mode], mean=mean, covariance=covariance))
+    return ModalPosterior(tuple(parts), np.asarray(entered / entered.sum()))
+
+
+def mixture_moments(means: Floats, covariances: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """(D,) and (D, D) of a mixture of Gaussians of means (K, D), covariances (K, D, D), weights (K,)."""
+    mean = weights @ means
+    away = means - mean
+    within = np.tensordot(weights, covariances, 1)
+    return np.asarray(mean), symmetric(within + (away * weights[:, None]).T @ away)
+
+
+def _modal(motion: MotionModel) -> Modal:
+    free = motion.motion if isinstance(motion, Confined) else motion
+    if not isinstance(free, Modal):
+        raise TypeError(f"a {type(free).__name__} has no modes")
+    return free
+
+
+def _motions(motion: MotionModel) -> tuple[MotionModel, ...]:
+    """How the target moves in each mode, confined where the motion is."""
+    modal = _modal(motion)
+    if isinstance(motion, Confined):
+        return tuple(replace(motion, motion=one) for one in modal.motions)
+    return modal.motions
+
+
+def _held(mean: Floats) -> Floats:
+    held = mean.copy()
+    np.maximum(held[2:4], 1.0, out=held[2:4])
+    return held
+
+
+def _together(asked: Sequence[Asked], shares: Floats) -> WeightedStates:
+    """The hypotheses of all modes, the mode their last field, weighted by how probable it is predicted."""
+    with np.errstate(divide="ignore"):
+        log = [one.beta.log + share for one, share in zip(asked, np.log(shares), strict=True)]
+    states = [
+        np.concatenate([one.states, np.full((len(one.states), 1), float(mode))], axis=1)
+        for mode, one in enumerate(asked)
+    ]
+    return WeightedStates(np.concatenate(states), LogWeights.normalise(np.concatenate(log))[0])
+
+
+def _step(
+    posterior: ModalPosterior,
+    log_evidence: float,
+    together: WeightedStates,
+    weights: LogWeights,
+    evidence: Evidence,
+    reports: tuple[Report, ...] = (),
+) -> Step[ModalPosterior]:
+    best = int(np.argmax(posterior.mode_probabilities))
+    return Step(
+        posterior=posterior,
+        log_evidence=log_evidence,
+        support=WeightedStates(np.ascontiguousarray(together.states[:, :-1]), weights),
+        prior=together.weights,
+        evidence=evidence,
+        find_map=lambda: posterior.parts[best].mean,
+        reports=reports,
+    )

@@ -1,0 +1,105 @@
+"""The evidence of hypotheses that cannot be seen: what agents say of them is of the background."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import Evidence
+from bayesnet_track.belief.modes import FIELD, Modes
+from bayesnet_track.graph.settings.modes import Hidden
+from bayesnet_track.inference.compile import Observe, Plan
+from bayesnet_track.inference.gaussian_messages import measurement_message
+from bayesnet_track.inference.messages import join_messages
+from bayesnet_track.observation.cue import Hypotheses, Measurement
+
+Floats = NDArray[np.float64]
+Evaluate = Callable[[Hypotheses, Floats], Evidence]
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What can be seen in each mode, in frames of one size.
+
+    Attributes:
+        modes: the modes.
+        width: columns of the frame.
+        height: rows.
+    """
+
+    modes: Modes
+    width: int
+    height: int
+
+    def background(self, unseen: Hidden, measured: Measurement | None, temperature: float) -> float:
+        """Log-likelihood that an agent gives a hidden target, on the scale of its own messages.
+
+        Of one that measured it is the density of a measurement anywhere in the frame, times sqrt|2 pi R|, as
+        its message has a peak of 1.
+        """
+        if measured is None:
+            return float(np.log(unseen.likelihood)) / temperature
+        extents = [self.height if name in ("y", "h") else self.width for name in measured.fields]
+        scale = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * measured.covariance)[1])
+        return float(np.log(unseen.mistaken)) + scale - float(np.log(extents).sum())
+
+    def message(
+        self, seen: Evidence, step: Observe, hypotheses: Hypotheses, modes: NDArray[np.intp]
+    ) -> Floats:
+        """(N,) what an agent says of hypotheses in these modes."""
+        message, measured = seen.messages[step.agent], seen.measured.get(step.agent)
+        if step.agent in seen.measured and measured is None:
+            return message
+        unseen = self.modes.unseen
+        levels = np.array(
+            [0.0 if one is None else self.background(one, measured, step.temperature) for one in unseen]
+        )
+        if measured is not None:
+            missed = self.modes.missed * np.exp(levels[list(self.modes.hidden)].max())
+            floor = float(missed / (missed + 1.0 - self.modes.missed))
+            message = measurement_message(replace(measured, floor=floor), hypotheses)
+        return np.where(np.array(self.modes.hidden)[modes], levels[modes], message)
+
+    def log_detected(self, evidence: Evidence) -> Floats:
+        """(K,) log-probability that the agents that measure see something, or nothing, as they did."""
+        silent = sum(own is None for own in evidence.measured.values())
+        sighted, missed = len(evidence.measured) - silent, self.modes.missed
+        seen = silent * np.log(missed) + sighted * np.log1p(-missed)
+        # What of a measurement is `mistaken` is in its background.
+        rest = [0.0 if one is None else silent * np.log1p(-one.mistaken) for one in self.modes.unseen]
+        return np.where(self.modes.hidden, rest, seen)
+
+
+def evaluate_modes(
+    plan: Plan, sight: Sight, evaluate: Evaluate, hypotheses: Hypotheses, prior_log: Floats
+) -> Evidence:
+    """The evidence of the net for hypotheses of which each is in a mode.
+
+    Of a hypothesis that is hidden every agent that gave evidence says what it says of the background.
+    Products, pools and temperatures join that as they join what agents see. A measurement far from a visible
+    hypothesis is of the background, too, the target missed: that stands in for the agent's own floor.
+    """
+    seen = evaluate(hypotheses, prior_log)
+    number = hypotheses.fields[FIELD].astype(np.intp)
+    log_detected = sight.log_detected(seen)[number]
+    hidden = np.array(sight.modes.hidden)[number]
+    if not sight.modes.can_hide:
+        return seen
+    said = {
+        step.agent: sight.message(seen, step, hypotheses, number)
+        for step in plan.observations
+        if step.agent in seen.messages
+    }
+    joined = join_messages(plan, {**said, **seen.factors}, seen.measured, seen.latent, hypotheses, prior_log)
+    total = joined.messages.pop(plan.root, np.zeros(len(hypotheses)))
+    messages = {node: message for node, message in joined.messages.items() if node not in seen.factors}
+    # What was measured is not of what is hidden: all that is said of it counts as sampled.
+    sampled = None if joined.sampled is None else np.where(hidden, total, joined.sampled)
+    return _replaced(replace(seen, messages=messages), total, sampled, log_detected)
+
+
+def _replaced(evidence: Evidence, total: Floats, sampled: Floats | None, more: Floats) -> Evidence:
+    return replace(evidence, log_likelihood=total + more, sampled=None if sampled is None else sampled + more)

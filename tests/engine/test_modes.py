@@ -1,0 +1,120 @@
+"""A target behind a pillar: probably hidden, so lost and not learnt, and written down with its numbers."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bayesnet_track import Tracker
+from bayesnet_track.belief.modes import make_modes
+from bayesnet_track.engine.modes import ModeState, with_modes
+from bayesnet_track.graph import spec
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.journal.codec import from_json, to_json
+from bayesnet_track.journal.events.modes import ModeChanged
+from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.sources.scenes import make_scene
+
+FRAMES = 40
+BEHIND = slice(21, 29)
+"""Frames in which at most a tenth of the ball can be seen."""
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return make_scene("flying_ball", 3)
+
+
+@pytest.fixture(scope="module", params=["gaussian", "particles"])
+def followed(request, scene):
+    """The lines and events of a graph on the scene."""
+    belief = {"gaussian": {"filter": "kalman", "samples": 20}, "particles": {"size": 400}}[request.param]
+    nodes = {
+        "ball": {
+            "belief": {request.param: belief},
+            "motion": {"constant_velocity": {"sd_velocity_px": 1, "start_velocity_sd_px": 6}},
+            "modes": {"seen": {"mean_frames": 60}, "behind": {"mean_frames": 15, "hidden": {}}},
+            "estimate": "mean",
+            "ud_fields": ["x", "y"],
+            "learn": {"below": {"ud_px2": 1000}, "rate_max": 0.1},
+            "lost": {"above": {"ud_px2": 2000}},
+        },
+        "place": {"parent": "ball", "agent": {"mean_shift": {"seen_above": 0.7}}},
+    }
+    tracker = Tracker(load_graph({"bayesnet": 1, "name": "g", "targets": {"ball": {"nodes": nodes}}}))
+    images = iter(scene.frames)
+    tracker.init(next(images), scene.start_box)
+    lines, events = [tracker.targets[0]], []
+    for _ in range(FRAMES - 1):
+        tracker.update(next(images))
+        lines.append(tracker.targets[0])
+        events += tracker._last.events
+    return lines, events
+
+
+def test_the_target_is_probably_hidden_while_the_pillar_hides_it(followed, scene):
+    lines, _ = followed
+    hidden = np.array([line.hidden for line in lines])
+    assert (scene.visible[BEHIND] < 0.1).all()
+    assert (hidden[BEHIND] > 0.9).all()
+    assert (hidden[:18] < 0.05).all() and (hidden[36:] < 0.05).all()
+    for line in lines:
+        assert sum(line.modes.values()) == pytest.approx(1.0)
+        assert line.modes["behind"] == pytest.approx(line.hidden)
+
+
+def test_it_is_lost_and_nothing_is_learnt_while_it_is_probably_hidden(followed):
+    lines, _ = followed
+    for before, line in pairwise(lines[1:]):
+        if before.hidden > 0.5:
+            assert line.status == "lost"
+        if line.hidden > 0.5:
+            assert line.learn_rate == 0.0 and line.score < 0.5
+    assert lines[10].status == "tracking" and lines[-1].status == "tracking"
+    assert any(line.learn_rate > 0 for line in lines[1:18])
+
+
+def test_it_is_told_why(followed):
+    lines, events = followed
+    there, back = [event for event in events if isinstance(event, ModeChanged)]
+    assert (there.before, there.mode, back.mode) == ("seen", "behind", "seen")
+    assert there.probability == pytest.approx(lines[there.frame].hidden, abs=1e-6)
+    assert there.nats > there.turning
+    lost = next(event for event in events if isinstance(event, StatusChanged))
+    assert lost.frame == there.frame and lost.hidden.hidden == pytest.approx(there.hidden)
+
+
+def test_lines_survive_and_say_hidden(followed):
+    lines, _ = followed
+    line = lines[25]
+    again = from_json(to_json(line))
+    assert again.modes == pytest.approx(line.modes) and again.hidden == pytest.approx(line.hidden)
+    assert line.mode == "behind"
+    assert repr(line).startswith("<target 1 in frame 25: hidden, probability 0.99, lost")
+
+
+def test_the_box_goes_on_as_predicted(followed, scene):
+    lines, _ = followed
+    truth = scene.truth[25, :2] + scene.truth[25, 2:] / 2
+    assert abs(lines[25].cxcywh[0] - truth[0]) < 15.0
+
+
+def test_a_graph_without_modes_writes_none(scene):
+    tracker = Tracker("kalman_ball")
+    tracker.init(next(iter(scene.frames)), scene.start_box)
+    (line,) = tracker.targets
+    assert line.hidden is None and line.mode == ""
+    assert '"modes"' not in to_json(line) and '"hidden"' not in to_json(line)
+    assert with_modes(line, None) is line
+
+
+def test_probabilities_are_never_zero():
+    """A probability of exactly 0 is not written, and would be read as None: as of a graph without modes."""
+    modes = make_modes({"seen": spec.Mode(mean_frames=9), "behind": spec.Mode(mean_frames=9, hidden={})})
+    certain = SimpleNamespace(mode_probabilities=np.array([1.0, 0.0]))
+    state = ModeState.of(modes, certain, certain, 1.0)
+    assert 0.0 < state.hidden < 1e-9
+    assert state.change(3, "1") is None
