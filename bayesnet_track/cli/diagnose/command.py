@@ -30,7 +30,9 @@ def diagnose(options: argparse.Namespace) -> int:
         return OK
     for one in shown:
         say("\n".join(_lines(options.run, one)))
-    if not shown:
+    if shown:
+        say("compare a value with several seeds (--seed) before you keep it: one run may be chance")
+    else:
         say(
             "nothing stands out. That a run agrees with itself does not show that the boxes are right: "
             f"`bayesnet-track score {options.run} --truth FILE` does"
@@ -54,7 +56,11 @@ def advise(run: Run, finding: Finding) -> dict[str, Any]:
     from bayesnet_track.graph.text.change import ChangeError, change_graph
     from bayesnet_track.graph.text.messages import GraphError
 
-    remedy, kind = REMEDIES[finding.remedy], run.kinds[finding.target]
+    kind = run.kinds[finding.target]
+    found = {"target": finding.target, "type": kind, "found": finding.what, "frame": finding.frame}
+    if finding.remedy is None:
+        return {**found, "symptom": None, "try": None, "key": None, "why": None}
+    remedy = REMEDIES[finding.remedy]
     names = names_of(run.graph_text, kind, finding.agent)
     setting: str | None = remedy.setting(names)
     try:
@@ -62,11 +68,8 @@ def advise(run: Run, finding: Finding) -> dict[str, Any]:
     except (ChangeError, GraphError):
         setting = None
     return {
-        "target": finding.target,
-        "type": kind,
-        "found": finding.what,
+        **found,
         "symptom": remedy.symptom,
-        "frame": finding.frame,
         "try": setting,
         "key": remedy.path(names),
         "why": remedy.why,
@@ -91,9 +94,13 @@ def _lines(run: str, one: Mapping[str, Any]) -> Iterator[str]:
     yield f"{one['type']} {one['target']}: {one['found']}"
     if one["try"] is not None:
         yield f"  try   bayesnet-track what-if {run} --set '{one['try']}'"
-    else:
+    elif one["key"] is not None:
         yield f"  key   {one['key']} (this graph does not take it as it is)"
-    yield f"        {one['why']}"
+    else:
+        yield f"  try   bayesnet-track what-if {run} --seed 1"
+        yield "        if another seed holds the target, chance decided; if not, no agent sees it there"
+    if one["why"] is not None:
+        yield f"        {one['why']}"
     if one["frame"] is not None:
         yield f"  look  bayesnet-track log {run} --why {one['frame']}"
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from math import exp
 from statistics import median
 
 from bayesnet_track.journal.metrics import FrameMetrics
 
 FEW_FRAMES = 10
 """Below so many frames of a target nothing is said of it."""
+FEWEST = 3
+"""A belief that rests on fewer hypotheses, in half of the frames, is a point."""
 
 
 @dataclass(frozen=True)
@@ -19,14 +22,14 @@ class Finding:
     Attributes:
         target: whom it is about.
         what: the measure, its value and the level, in words.
-        remedy: name of the row in `remedies`.
+        remedy: name of the row in `remedies`; None where no key is known to help.
         agent: the agent that it is about, or None.
         frame: a frame in which to look, or None.
     """
 
     target: str
     what: str
-    remedy: str
+    remedy: str | None
     agent: str | None = None
     frame: int | None = None
 
@@ -48,21 +51,28 @@ def find(lines: Lines, switches: int = 0) -> Iterator[Finding]:
 
 
 def _effective(lines: Lines) -> Iterator[Finding]:
-    shares = [line.ess / line.particles for line in lines if line.particles > 20]
-    if shares and median(shares) < 0.05:
-        worst = min(lines, key=lambda line: line.ess / max(line.particles, 1))
-        what = f"half of the time less than {median(shares):.1%} of the hypotheses count (below 5 %)"
-        remedy = "few_hypotheses" if median(shares) > 0.02 else "sharp"
-        agent = _loudest(lines) if remedy == "sharp" else None
-        yield Finding(lines[0].target, what, remedy, agent, worst.frame)
+    counts = [line.ess for line in lines if line.particles > 20]
+    if counts and median(counts) < FEWEST:
+        worst = min(lines, key=lambda line: line.ess)
+        what = f"the effective number of hypotheses is {median(counts):.1f} (median; below {FEWEST})"
+        yield Finding(lines[0].target, what, "sharp", _loudest(lines), worst.frame)
 
 
-def _surprise(lines: Lines) -> Iterator[Finding]:
-    usual = median(line.surprise for line in lines)
-    if usual > 3.0:
-        worst = max(lines, key=lambda line: line.surprise)
-        what = f"a frame moves the belief by {usual:.1f} nats (median; above 3), more than motion explains"
-        yield Finding(lines[0].target, what, "too_slow", frame=worst.frame)
+def _doubt(lines: Lines) -> Iterator[Finding]:
+    doubtful = [line for line in lines if line.status == "uncertain"]
+    if len(doubtful) <= len(lines) // 10:
+        return
+    # Only a look-alike in reach bounds the score by exactly one half.
+    alike = sum(line.features.get("most") == 0.5 for line in doubtful)
+    what = f"uncertain in {len(doubtful)} of {len(lines)} frames, first in frame {doubtful[0].frame}"
+    if 2 * alike >= len(doubtful):
+        what += f", in {alike} of them because of a look-alike"
+        yield Finding(lines[0].target, what, "alike", frame=doubtful[0].frame)
+        return
+    fits = [line.features["log_fit"] for line in doubtful if "log_fit" in line.features]
+    if fits:
+        what += f"; the best box has {exp(median(fits)):.2g} of the likelihood of a perfect match (median)"
+    yield Finding(lines[0].target, what, None, frame=doubtful[0].frame)
 
 
 def _unforeseen(lines: Lines) -> Iterator[Finding]:
@@ -104,7 +114,7 @@ def _lost(lines: Lines) -> Iterator[Finding]:
         return
     what = f"lost in {len(lost)} of {len(lines)} frames, first in frame {lost[0].frame}"
     is_gone = lines[-1].status == "lost"
-    yield Finding(lines[0].target, what, "gone" if is_gone else "false_alarm", frame=lost[0].frame)
+    yield Finding(lines[0].target, what, "gone" if is_gone else None, frame=lost[0].frame)
 
 
 def _learning(lines: Lines) -> Iterator[Finding]:
@@ -131,8 +141,8 @@ def _loudest(lines: Lines) -> str | None:
 
 CHECKS: Sequence[Callable[[Lines], Iterator[Finding]]] = (
     _lost,
+    _doubt,
     _effective,
-    _surprise,
     _unforeseen,
     _contradiction,
     _learning,

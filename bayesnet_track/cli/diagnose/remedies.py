@@ -77,9 +77,9 @@ REMEDIES: Mapping[str, Remedy] = MappingProxyType(
         "drift": Remedy(
             "the box slides onto the background over many frames",
             "log RUN --why N",
-            "ROOT.learn.rate_max",
-            "0.01",
-            "references change more slowly, and so learn fewer errors",
+            "AGENT.learn_rate_max",
+            "0.005",
+            "the reference of this agent changes more slowly, and so learns fewer errors",
         ),
         "guard": Remedy(
             "it drifts although learning is slow",
@@ -108,6 +108,13 @@ REMEDIES: Mapping[str, Remedy] = MappingProxyType(
             "ROOT.distractors.within_nats",
             "6",
             "more look-alikes limit the score; an agent that tells them apart (motion, stereo) helps more",
+        ),
+        "alike": Remedy(
+            "it is uncertain because of a look-alike that never comes close",
+            "log RUN --kind distractor_seen",
+            "ROOT.distractors.frames",
+            "8",
+            "only look-alikes that stay so long raise doubt; an agent that tells them apart helps more",
         ),
         "false_alarm": Remedy(
             "the box is right but reported as lost",
