@@ -41,8 +41,11 @@ from bayesnet_track.runtime.annotation.tracked import Found, TrackerRuns
 
 THRESHOLDS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95)
 PATIENCES = (1, 3, 10)
-EVERY = (3, 5, 8, 12, 20, 40, 100)
-OWN_SCORES = {"CSRT": (0.5,), "NanoTrack": (0.5, 0.8, 0.9)}
+EVERY = (16, 8, 4, 2)
+"""Frames between two boxes; each a multiple of the next, so that what was found is used again."""
+
+ASKS_EVERY = (16, 4)
+OWN_SCORES = {"CSRT": 0.5, "NanoTrack": 0.8}
 
 
 @dataclass
@@ -107,10 +110,10 @@ def own_runs(sequence: Sequence, graph: str, folder: Path | None) -> Kept:
 
 
 def peer_runs(sequence: Sequence, name: str, elsewhere: Elsewhere, folder: Path | None) -> Kept:
-    """Those of a peer: to a whole number of ten frames ahead, since it has to begin anew for more."""
+    """Those of a peer, forward; for more of one it has to begin anew."""
 
     def find(start: int, box: Box, needed: int, step: int) -> list[Found]:
-        end = min(len(sequence.files), start + -(-needed // 10) * 10 + 1)
+        end = start + needed + 1
         answer = elsewhere.find(name, sequence.files[start:end:step], box)
         rows = zip(answer["boxes"], answer["lost"], answer["scores"], strict=True)
         return [
@@ -154,6 +157,9 @@ def ask_peer(sequence: Sequence, runs: Kept, every: int, own_score: float) -> Do
             if answers[-1].kind != "correct":
                 start = len(answers) - 1
             boxes.append(answers[-1].box)
+            ahead, from_box = min(frame + every, len(sequence.files)) - 1, answers[start].box
+            if from_box is not None and ahead > answers[start].frame:
+                runs.at(answers[start].frame, from_box, ahead)  # at once, not a frame more each time
         else:
             boxes.append(None if found is None else found.box)
     return Done.of(sequence, answers, boxes)
@@ -173,7 +179,7 @@ def methods_of(options: argparse.Namespace, elsewhere: Elsewhere | None) -> dict
             continue
         found[f"{name} every k"] = {f"k {k}": (name, k, 0.0) for k in EVERY}
         found[f"{name} asks"] = {
-            f"score {score:g}, k {k}": (name, k, score) for score in OWN_SCORES[name] for k in EVERY
+            f"score {OWN_SCORES[name]:g}, k {k}": (name, k, OWN_SCORES[name]) for k in ASKS_EVERY
         }
     return found
 

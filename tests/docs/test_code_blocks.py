@@ -36,7 +36,7 @@ NOT_RUN = (
     (r"pip install|-m venv", "installs packages; CI does so by the README's commands"),
     (r"^python benchmarks/|^docs/.*benchmarks/", "measures for minutes or hours"),
     (r"--source 0\b|rtsp:", "needs a camera"),
-    (r"--view\b|wait_for_page", "waits for a browser; tests/browser has one"),
+    (r"--view\b|wait_for_page|annotate (?!.*--no-view)", "waits for a browser; tests/browser has one"),
     (r"\bonnx\b|my_deep", "needs a network, and none is shipped; tests/vision makes one"),
     (r"^bayesnet-track calibrate", "needs pictures of a chessboard; tests/vision makes some"),
     (r"--calibration|learn-stereo", "needs two cameras; tests/cli renders a pair"),
