@@ -2,8 +2,9 @@
 
     python benchmarks/two_squares.py [--seeds 50] [--geometries 50] [--first 0]
 
-Prints, for colour only, motion only, both always, adaptive (the graph `two_squares`), and OpenCV's mean shift
-and CamShift: runs held to the end and mean agents per frame, in the stated geometry and in random ones.
+Prints, for colour only, motion only, both always, adaptive (the graph `two_squares`), velocity (the graph
+`two_squares_velocity`), and OpenCV's mean shift and CamShift: runs held to the end and mean agents per frame,
+in the stated geometry and in random ones.
 """
 
 from __future__ import annotations
@@ -101,6 +102,7 @@ TRACKERS: dict[str, Callable[[Scene, int], Held]] = {
         without_adaptation(frozenset({"color", "motion"})), scene, seed
     ),
     "adaptive": lambda scene, seed: engine_run("two_squares", scene, seed),
+    "velocity": lambda scene, seed: engine_run("two_squares_velocity", scene, seed),
     "cv2.meanShift": lambda scene, seed: opencv_run(cv2.meanShift, scene),
     "cv2.CamShift": lambda scene, seed: opencv_run(cv2.CamShift, scene),
 }

@@ -7,7 +7,7 @@ do not move as the others do, or that no longer look as when they were chosen, a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -43,6 +43,11 @@ from bayesnet_track.vision.point_tracking import (
 class KltParameters(CueParameters):
     """Parameters of the KLT tracker."""
 
+    against: Literal["place", "velocity"] = Field(
+        default="place",
+        description="What it measures: where the target is, which may drift off it, or how fast it is (`vx`, "
+        "`vy` of the state).",
+    )
     points: int = Field(default=40, ge=1, le=100, description="Largest number of tracked points (count).")
     spacing_px: float = Field(default=5.0, ge=1, description="Smallest distance between two points (px).")
     inner: float = Field(
@@ -174,6 +179,8 @@ class Klt:
         motion = self._motion(reference, planes[WholeFrame()], None, weights @ hypotheses.boxes)
         if motion is None:
             return None
+        if p.against == "velocity":
+            return self._velocity(planes, reference, motion)
         box, n = self._carried(reference, motion), int(motion.kept.sum())
         # Of few points the residuals say little: their error is no less than a part of the tolerance.
         variance = max(motion.variance, (p.agree_px / 3.0) ** 2)
@@ -187,6 +194,15 @@ class Klt:
         covariance = np.zeros((4, 4))
         covariance[:2, :2], covariance[2:, 2:] = np.eye(2) * place, size
         return Measurement(("x", "y", "w", "h"), box, covariance, p.floor)
+
+    def _velocity(self, planes: Planes, reference: Reference, motion: PointMotion) -> Measurement | None:
+        """How fast the points went since the last look: the variance of their mean over the time squared."""
+        p, dt = self.parameters, float(planes.frame.time - reference["time"])
+        if dt <= 0.0:
+            return None
+        variance = max(motion.variance, (p.agree_px / 3.0) ** 2) / motion.kept.sum() + p.sd_px**2
+        speed = (motion.of(reference["box"][:2]) - reference["box"][:2]) / dt
+        return Measurement(("vx", "vy"), speed, np.eye(2) * variance / dt**2, p.floor)
 
     def followed(self, planes: Planes, box: Floats, reference: Reference) -> PointMotion | None:
         """How the points moved, looked for around a predicted centre box (4,); None when too few agree."""
@@ -268,4 +284,5 @@ CUE = CueDeclaration(
     cost_ms=0.9,
     rate_max=0.2,
     measures=True,
+    reads=lambda parameters: ("vx", "vy") if parameters.against == "velocity" else (),
 )

@@ -30,6 +30,9 @@ from bayesnet_track.vision.planes.motion_planes import CameraPlane, FlowPlane, a
 if TYPE_CHECKING:
     from bayesnet_track.observation.planes import Plane, Planes
 
+BLOCK = 2**18
+"""Pairs of a box and a vector that are compared in one go."""
+
 STEP = 0.7
 """Factor of a local action on the standard deviations of flow.
 
@@ -53,6 +56,11 @@ class MotionParameters(SizedCueParameters):
     compare: Literal["mean", "each"] = Field(
         default="mean",
         description="What is compared with the target's flow: the box's mean flow, or each of its vectors.",
+    )
+    against: Literal["reference", "velocity"] = Field(
+        default="reference",
+        description="What it is compared with: the flow that was learned, or each hypothesis' own velocity "
+        "(`vx`, `vy` of the state), which turns with it.",
     )
     sd_x_px: float = Field(
         default=2.0, gt=0, description="Standard deviation of that flow in x, pixels per frame interval."
@@ -149,20 +157,26 @@ class MotionCue:
         n counts the valid vectors inside the box: it multiplies the likelihood, so that a box without flow
         does not match. dx, dy is the mean flow less the target's; comparing `each`, the exponential is taken
         of every vector and averaged over the box. All 0 (no evidence) when the reference is unknown.
+
+        Against `velocity`, it is the mean flow less the hypothesis' own velocity; no evidence about boxes
+        that have none.
         """
-        if not reference["known"]:
-            return np.zeros(len(hypotheses))
         settings = self.parameters
+        own = _velocities(hypotheses) if settings.against == "velocity" else reference["flow"]
+        if not reference["known"] or own is None:
+            return np.zeros(len(hypotheses))
         vectors = self.vectors(planes)
         with np.errstate(divide="ignore"):
-            if settings.compare == "each":
-                agreement = np.exp(self._log_agreement(vectors[:, 2:4], reference))
+            if settings.compare == "each" and settings.against == "velocity":
+                counts, log = self._log_share(vectors, hypotheses.boxes, own, reference)
+            elif settings.compare == "each":
+                agreement = np.exp(self._log_agreement(vectors[:, 2:4], own, reference))
                 points = np.column_stack([vectors[:, :2], agreement, agreement])
                 counts, means = self._inside(points, hypotheses.boxes, planes)
                 log = np.log(means[:, 0])
             else:
                 counts, means = self._inside(vectors, hypotheses.boxes, planes)
-                log = self._log_agreement(means, reference)
+                log = self._log_agreement(means, own, reference)
             log = np.log(np.minimum(counts / reference["valid"], 1.0)) + log
         penalty = log_size_penalty(
             hypotheses.boxes, reference["size"], settings.sd_log_area, settings.sd_log_aspect
@@ -198,10 +212,23 @@ class MotionCue:
         inside = (np.abs(vectors[:, :2] - box[:2]) <= box[2:] / 2).all(axis=1)
         return bool(np.mean(np.sum((vectors[inside, 2:4] - mean) ** 2, axis=1)) <= limit**2)
 
-    def _log_agreement(self, flows: Floats, reference: Reference) -> Floats:
+    def _log_share(
+        self, vectors: Floats, boxes: Floats, own: Floats, reference: Reference
+    ) -> tuple[Floats, Floats]:
+        """(N,) vectors inside each box, and the log of their mean agreement with the velocities (N, 2)."""
+        counts, log = np.zeros(len(boxes)), np.full(len(boxes), -np.inf)
+        for some in np.array_split(np.arange(len(boxes)), max(1, len(boxes) * len(vectors) // BLOCK)):
+            half = boxes[some, None, 2:4] / 2
+            inside = (np.abs(vectors[:, :2] - boxes[some, None, :2]) <= half).all(axis=2)
+            counts[some] = inside.sum(axis=1)
+            share = np.exp(self._log_agreement(vectors[:, 2:4], own[some, None], reference)) * inside
+            log[some] = np.log(share.sum(axis=1) / np.maximum(counts[some], 1.0))
+        return counts, log
+
+    def _log_agreement(self, flows: Floats, own: Floats, reference: Reference) -> Floats:
         sd = np.array([self.parameters.sd_x_px, self.parameters.sd_y_px]) * factor_of(reference)
-        off = (flows - reference["flow"]) / sd
-        return np.asarray(-0.5 * (off**2).sum(axis=1))
+        off = (flows - own) / sd
+        return np.asarray(-0.5 * (off**2).sum(axis=-1))
 
     def _inside(self, points: Floats, boxes: Floats, planes: Planes) -> tuple[Floats, Floats]:
         """(N,) points x, y, u, v inside each box, and (N, 2) their mean u and v."""
@@ -217,6 +244,17 @@ class MotionCue:
             r = planes.region
             dense_in_boxes(points, r.x0, r.y0, r.x1 - r.x0, r.y1 - r.y0, boxes, counts, means)
         return counts, means
+
+
+def _velocities(hypotheses: Hypotheses) -> Floats | None:
+    """(N, 2) vx and vy of hypotheses whose state has them."""
+    if not {"vx", "vy"} <= set(hypotheses.fields):
+        return None
+    return np.stack([hypotheses.fields["vx"], hypotheses.fields["vy"]], axis=1)
+
+
+def _reads(parameters: MotionParameters) -> tuple[str, ...]:
+    return ("vx", "vy") if parameters.against == "velocity" else ()
 
 
 def _make(parameters: MotionParameters) -> MotionCue:
@@ -258,4 +296,5 @@ CUE = CueDeclaration(
     rate_max=1.0,
     adapts=True,
     has_residuals=True,
+    reads=_reads,
 )

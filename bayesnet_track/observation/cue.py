@@ -138,6 +138,8 @@ class CueDeclaration:
         adapts: True for a `LocallyAdaptable` one: it has `adapt`.
         reads_detection: True for a `AssociatingCue`: it has `rule`.
         reads_angle: True for a `Turnable` one: it has `learn_turned`.
+        reads: parameters -> fields of the state beside the box without which it says nothing, such as `vx`;
+            none when left out.
         has_residuals: True for one whose standard deviations can be fitted (`Residual`): it has `residuals`.
 
     That the methods are there is checked when tracking starts; see `capabilities`.
@@ -161,6 +163,7 @@ class CueDeclaration:
     reads_detection: bool = False
     reads_angle: bool = False
     has_residuals: bool = False
+    reads: Callable[[Any], tuple[str, ...]] | None = None
 
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and NAME.fullmatch(self.name)):

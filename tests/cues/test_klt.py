@@ -55,6 +55,18 @@ def test_place_and_size_follow_the_points(ask, move, scale, angle):
     ).all()
 
 
+def test_it_may_measure_how_fast_the_points_went(ask):
+    asked = ask("klt", against="velocity")
+    reference = asked.learn(frame(picture()), BOX)
+    found = measured(asked, reference, picture((8.0, -4.0)), index=2)
+    assert found.fields == ("vx", "vy")
+    np.testing.assert_allclose(found.mean, (4.0, -2.0), atol=0.15)
+    once = measured(asked, reference, picture((8.0, -4.0)), index=1)
+    np.testing.assert_allclose(once.mean, 2 * found.mean)
+    np.testing.assert_allclose(once.covariance, 4 * found.covariance)
+    assert measured(asked, reference, picture((8.0, -4.0)), index=0) is None
+
+
 def test_hidden_points_are_dropped_and_too_few_are_none(ask):
     asked = ask("klt")
     reference = asked.learn(frame(picture()), BOX)

@@ -154,3 +154,21 @@ def test_two_things_are_told_apart_by_their_flow(scenery: np.ndarray, flow: str,
     likelihood = np.exp(cue.log_likelihood(planes, Hypotheses(boxes), reference))
     assert likelihood[0] > 0.7
     assert (likelihood[1:] < 0.1).all()
+
+
+@pytest.mark.parametrize("compare", ["mean", "each"])
+def test_flow_is_evidence_of_a_hypothesis_own_velocity(scenery: np.ndarray, compare: str) -> None:
+    """eq. 3.9 with the velocity in place of the flow that was learnt: by hand, and whatever was learnt."""
+    still, moved = seen(scenery, shifted(0, 0)), seen(scenery, shifted(3.4, -5.7))
+    cue = CUE.make(CUE.parameters(against="velocity", compare=compare, floor=1e-12))
+    pair = FramePair(frame(1, moved), frame(0, still))
+    planes = PlaneCache(pair).planes(cue.needs, INNER)
+    rested = PlaneCache(FramePair(frame(1, still), frame(0, still))).planes(cue.needs, INNER)
+    box = np.array([128.0, 96.0, 60.0, 60.0])
+    reference = {**cue.learn(rested, box), "valid": np.array(1.0)}
+    boxes = np.tile(box, (4, 1))
+    vx, vy = np.array([3.4, 3.4, 0.0, -3.4]), np.array([-5.7, -2.7, 0.0, 5.7])
+    log = cue.log_likelihood(planes, Hypotheses(boxes, {"vx": vx, "vy": vy}), reference)
+    expected = -0.5 * (((vx - 3.4) / 2) ** 2 + ((vy + 5.7) / 2) ** 2)
+    np.testing.assert_allclose(log, expected, rtol=0.05, atol=0.02)
+    np.testing.assert_array_equal(cue.log_likelihood(planes, Hypotheses(boxes), reference), 0)

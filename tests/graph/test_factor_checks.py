@@ -68,3 +68,31 @@ def test_a_checked_target_knows_its_factors_and_their_constants(cues):
     ).targets["t"]
     assert target.factors["f"].constants == {"slope": 0.3}
     assert target.order == ("s", "a")
+
+
+@pytest.mark.parametrize(
+    ("motion", "node", "belief", "fits"),
+    [
+        ("constant_velocity", {}, "particles", True),
+        ({"expressions": {"fields": {"speed": {}}, "sd": {"x": 1}}}, {}, "particles", False),
+        ({"expressions": {"fields": {"vx": {}, "vy": {}}, "sd": {"x": 1}}}, {}, "particles", True),
+        ({"random_walk": {"sd_px": {"x": 3}}}, {}, "particles", False),
+        ("constant_velocity", {}, "grid", False),
+        ("constant_velocity", LATENT, "particles", False),
+    ],
+)
+def test_what_an_agent_reads_is_a_field_of_its_node(motion, node, belief, fits):
+    """`against: velocity` of the flow and the points."""
+    for cue in ("motion", "klt"):
+        nodes = {
+            "s": {"motion": motion, "belief": belief},
+            "n": {"parent": "s", **node},
+            "a": {"parent": "n", "agent": {cue: {"against": "velocity"}}},
+        }
+        graph = {"name": "g", "targets": {"t": {"nodes": nodes}}}
+        if fits:
+            check_graph(graph)
+            continue
+        message = f"{cue} reads vx, vy, which the state of this node has not"
+        with pytest.raises(GraphError, match=message):
+            check_graph(graph)

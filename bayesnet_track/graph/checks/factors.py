@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from bayesnet_track.graph.checked import Factor
+from bayesnet_track.graph.checks.cues import plugin_parameters
 from bayesnet_track.graph.checks.joins import GraphCheck
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.expressions.parse import parse
@@ -58,6 +59,21 @@ def names_at(plate: Plate, node: str) -> tuple[str, ...]:
     return (*own, *FRAME_NAMES, *plate.constants)
 
 
+def agents_find_what_they_read(plate: Plate) -> Iterator[GraphMessage]:
+    """The state has the fields that agents ask for, as `against: velocity` asks for `vx`, `vy`."""
+    for name, node in plate.agents.items():
+        declaration = plate.cues.get(node.agent.cue)
+        if declaration is None or declaration.reads is None:
+            continue
+        wanted = declaration.reads(plugin_parameters(node.agent, declaration.parameters))
+        state = names_at(plate, str(node.parent))
+        missing = [field for field in wanted if field not in state]
+        if missing:
+            found = f"{node.agent.cue} reads {', '.join(missing)}, which the state of this node has not"
+            allowed = "a motion with a velocity, at no latent node and on no grid"
+            yield plate.message(name, found, allowed, key=("agent", node.agent.cue))
+
+
 def latent_above(plate: Plate, node: str | None) -> str | None:
     """The nearest latent node at or above `node`, whose hypotheses are seen there; None for the root's."""
     while node is not None:
@@ -96,5 +112,5 @@ def _explain_name(message: GraphMessage, word: str, near: tuple[str, ...]) -> Gr
     return replace(message, nearest=nearest(word, near)) if word else message
 
 
-FACTOR_CHECKS: tuple[Check, ...] = (factors_can_be_read,)
+FACTOR_CHECKS: tuple[Check, ...] = (factors_can_be_read, agents_find_what_they_read)
 CONSTANT_CHECKS: tuple[GraphCheck, ...] = (constants_have_their_own_names,)
