@@ -63,18 +63,35 @@ summary { cursor: pointer; margin: .8rem 0 .3rem; font-weight: 600; }
 .chart a:focus { outline: none; }
 .chart a:focus .hit, .chart a:hover .hit { stroke: var(--mark); opacity: .25; }
 .chart .parting.first { stroke-width: 1.8; stroke-dasharray: none; }
+.pictures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(18rem, 100%), 1fr));
+  gap: .8rem; }
+figure { margin: 0; } figcaption { color: var(--soft); font-size: .85rem; }
+.picture { display: block; width: 100%; height: auto; background: var(--ground); }
+.picture text { fill: #fff; stroke: #000; stroke-width: .15em; paint-order: stroke; font-weight: 700; }
+.picture .halo { fill: none; stroke: #000; stroke-opacity: .7; } .picture .box { fill: none; }
+.picture .box.a { stroke: #4c8bf5; }
+.picture .box.b { stroke: #ff9a3c; stroke-dasharray: 6 3; }
 @media print { body { max-width: none; font-size: 11pt; } .chart { min-width: 0; }
   .wide { overflow: visible; } .moment, .first, tr { break-inside: avoid; } }
 """
 
 
 def compare_page(
-    first: RunRecord, second: RunRecord, compared: Comparison, settings: Sequence[str], title: str = ""
+    first: RunRecord,
+    second: RunRecord,
+    compared: Comparison,
+    settings: Sequence[str],
+    title: str = "",
+    pictures: Sequence[str] = (),
 ) -> str:
-    """One HTML file that shows two runs over each other. All text is escaped; nothing is loaded or run."""
+    """One HTML file that shows two runs over each other. All text is escaped; nothing is loaded or run.
+
+    `pictures` are figures from `draw_pictures`.
+    """
     heading = title or f"{first.name} and {second.name}"
     digest = base64.b64encode(hashlib.sha256(STYLE.encode()).digest()).decode()
     policy = f"default-src 'none'; style-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
+    policy += "; img-src data:" if pictures else ""
     return "\n".join(
         [
             "<!doctype html>",
@@ -86,6 +103,7 @@ def compare_page(
             f"<h1>{text_of(heading)}</h1>",
             *_runs(first, second, settings),
             *_first_parting(first, second, compared),
+            *(['<div class="pictures">', *pictures, "</div>"] if pictures else []),
             "<h2>What each cost</h2>",
             _table(compared.totals),
             '<p class="soft">Bold is better. Measured times are a clock’s: equal runs differ, too.</p>',

@@ -92,7 +92,7 @@ def show_comparison(first: Run, second: Run, options: argparse.Namespace) -> int
     if options.html is not None:
         from bayesnet_track.view.compare_page import compare_page
 
-        page = compare_page(first, second, compared, settings)
+        page = compare_page(first, second, compared, settings, pictures=_pictures(first, second, compared))
         with writing(Path(options.html)):
             Path(options.html).write_text(page, encoding="utf-8")
     if options.json:
@@ -102,6 +102,22 @@ def show_comparison(first: Run, second: Run, options: argparse.Namespace) -> int
     if options.html is not None:
         complain(f"wrote {options.html}")
     return OK
+
+
+def _pictures(first: Run, second: Run, compared: Comparison) -> list[str]:
+    """The frames in which they part, as figures; none, with a word, where the images cannot be had."""
+    from bayesnet_track.runtime.recording.pictures import pictures_of
+    from bayesnet_track.view.compare_pictures import draw_pictures, telling_frames
+
+    telling = telling_frames(compared)
+    if not telling:
+        return []
+    span = telling[0].frame, telling[-1].frame
+    with pictures_of(first.directory, first.started, *span) as (found, missing):
+        if found is None:
+            complain(f"{first.name}: the page has no pictures: {missing}")
+            return []
+        return list(draw_pictures(found.images, telling, first, second))
 
 
 def _evidence(first: Run, second: Run, compared: Comparison) -> list[Total]:
