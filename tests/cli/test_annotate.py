@@ -6,6 +6,8 @@ import cv2
 import pytest
 
 from bayesnet_track.cli.main import main
+from bayesnet_track.runtime.recording.lock import lock_run
+from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.sources.scenes import make_scene
 
 FRAMES = 8
@@ -37,7 +39,7 @@ def test_imported_boxes_are_tracked_from_and_written_and_resuming_changes_no_byt
     assert len(before[1].splitlines()) == FRAMES
     hows = [one["attributes"]["how"] for one in json.loads(before[2])["annotations"]]
     assert hows == ["given"] + ["tracked"] * 7
-    assert annotate(folder, tmp_path / "a", *options) == 0
+    assert annotate(folder, tmp_path / "a", *options, "--import", str(boxes)) == 0
     assert [(tmp_path / "a" / name).read_bytes() for name in names] == before
 
 
@@ -61,3 +63,10 @@ def test_what_does_not_fit_is_refused_without_a_trace_in_the_answers(video, tmp_
     assert "frames: 1, it was 8" in capsys.readouterr().err
     assert annotate(tmp_path / "none.mp4", tmp_path / "b") == 4
     assert annotate(folder, boxes) == 6
+
+
+def test_two_commands_never_write_the_same_folder(video, tmp_path, capsys):
+    folder, _ = video
+    with lock_run(RunDirectory(tmp_path)):
+        assert annotate(folder, tmp_path) == 6
+    assert "another process is writing" in capsys.readouterr().err

@@ -15,6 +15,7 @@ from bayesnet_track.cli.commands.answer import (
     say,
     users_mistake,
     words,
+    writing,
 )
 from bayesnet_track.cli.options.arguments import share, whole_number
 from bayesnet_track.cli.options.view import add_address_options
@@ -33,45 +34,60 @@ COUNTED = ("given", "tracked", "interpolated", "gone")
 
 def annotate(options: argparse.Namespace) -> int:
     """Open or go on with a session, in the browser or without; write the annotations at its end."""
-    from bayesnet_track.graph.text.load import load_graph
-    from bayesnet_track.runtime.annotation.answers_file import NAME, AnswersFileError, read_answers
-    from bayesnet_track.runtime.annotation.formats.formats import read_annotations, write_formats
-    from bayesnet_track.runtime.annotation.frame_store import FrameStore
-    from bayesnet_track.runtime.annotation.session import open_session
-    from bayesnet_track.runtime.annotation.tracked import TrackerRuns
-    from bayesnet_track.sources.sources import open_source
+    from bayesnet_track.runtime.annotation.answers_file import AnswersFileError
+    from bayesnet_track.runtime.recording.lock import lock_run
+    from bayesnet_track.runtime.recording.rundir import RunDirectory
 
     stop: StopRequest = options.stop
-    folder, kept = Path(options.out), None
+    folder = Path(options.out)
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     try:
-        if (folder / NAME).is_file() and (folder / NAME).stat().st_size:
-            kept = read_answers(folder / NAME)[0]
-        graph = load_graph(options.graph or (kept.graph_name if kept else "general"))
-        _warn_of_score(graph)
-        with open_source(options.video) as source:
-            store = FrameStore.of(source, options.video, source.frame_interval_s, _progress)
-        run_silently(lambda: sys.stderr.write("\n"))
-        with store:
-            header = make_header(options, graph, store, kept)
-            session, difference = open_session(folder, header)
-            if difference:
-                complain(f"{folder}: {difference}; boxes between answers may differ from before")
-            for file in options.imports:
-                with users_mistake():
-                    session.give_all(read_annotations(Path(file), header.video))
-            runs = TrackerRuns(graph, store, session.header.seed)
-            if options.no_view:
-                session.update(runs)
-            else:
-                _show(options, session, store, runs)
-            stop.is_patient = True
-            write_formats(folder, tuple(dict.fromkeys(options.format or ["coco"])), session.document)
+        with lock_run(RunDirectory(folder)):
+            session = _work(options, folder)
     except AnswersFileError as error:
         raise UsageError(str(error)) from error
     say(describe(folder, session))
     if stop.between_frames():
         stop.signal = None  # what was closed is the view; every answer is kept
     return OK
+
+
+def _work(options: argparse.Namespace, folder: Path) -> Session:
+    from bayesnet_track.graph.text.load import load_graph
+    from bayesnet_track.runtime.annotation.answers_file import NAME, read_answers
+    from bayesnet_track.runtime.annotation.formats.formats import read_annotations, write_formats
+    from bayesnet_track.runtime.annotation.frame_store import FrameStore
+    from bayesnet_track.runtime.annotation.session import open_session
+    from bayesnet_track.runtime.annotation.tracked import TrackerRuns
+    from bayesnet_track.sources.sources import open_source
+
+    kept = None
+    if (folder / NAME).is_file() and (folder / NAME).stat().st_size:
+        kept = read_answers(folder / NAME)[0]
+    graph = load_graph(options.graph or (kept.graph_name if kept else "general"))
+    _warn_of_score(graph)
+    with open_source(options.video) as source:
+        store = FrameStore.of(source, options.video, source.frame_interval_s, _progress)
+    run_silently(lambda: sys.stderr.write("\n"))
+    if source.end_reason != "end_of_source":
+        complain(f"{options.video}: {source.end_reason.replace('_', ' ')} after {len(store)} frames")
+    with store:
+        header = make_header(options, graph, store, kept)
+        session, difference = open_session(folder, header)
+        if difference:
+            complain(f"{folder}: {difference}; boxes between answers may differ from before")
+        for file in options.imports:
+            with users_mistake():
+                session.give_new(read_annotations(Path(file), header.video))
+        runs = TrackerRuns(graph, store, session.header.seed)
+        if options.no_view:
+            session.update(runs)
+        else:
+            _show(options, session, store, runs)
+        options.stop.is_patient = True
+        write_formats(folder, tuple(dict.fromkeys(options.format or ["coco"])), session.document)
+    return session
 
 
 def make_header(

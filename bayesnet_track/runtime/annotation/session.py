@@ -66,10 +66,11 @@ class Session:
                 raise AnswerError(f"{answer.target} has no box yet")
             self._keep([answer])
 
-    def give_all(self, answers: Iterable[Answer]) -> None:
-        """Take many answers, such as those of another tool's file; raises OutputError."""
+    def give_new(self, answers: Iterable[Answer]) -> None:
+        """Take answers of another tool's file, where nobody has answered before; raises OutputError."""
         with self._lock:
-            self._keep([*answers])
+            known = {(one.target, one.frame) for one in self.answers}
+            self._keep([one for one in answers if (one.target, one.frame) not in known])
 
     def update(self, runs: Runs, notice: Callable[[str, int], None] = lambda target, frame: None) -> bool:
         """Track what the answers ask for; False where another answer came meanwhile: then nothing changed.

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import islice
 from typing import Protocol
 
 import numpy as np
@@ -14,6 +16,11 @@ from bayesnet_track.runtime.annotation.answers import Box
 from bayesnet_track.runtime.tracker import Tracker
 
 Image = NDArray[np.uint8]
+Key = tuple[int, Box, int]
+"""Frame and box that a run starts with, and 1 forward or -1 backward."""
+
+AT_ONCE = 8
+"""Trackers that are kept ready to go on: each holds frames."""
 
 
 class Frames(Protocol):
@@ -63,15 +70,20 @@ class TrackerRuns:
     graph: CheckedGraph
     frames: Frames
     seed: int = 0
-    _runs: dict[tuple[int, Box, int], _Run] = field(default_factory=dict)
+    _runs: dict[Key, _Run] = field(default_factory=dict)
+    _live: list[Key] = field(default_factory=list)
 
     def at(self, start: int, box: Box, frame: int) -> Found:
         """See `Runs`."""
         step = 1 if frame > start else -1
         key = (start, box, step)
-        if key not in self._runs:
-            self._runs[key] = _Run(self._find(start, box, step))
-        return self._runs[key].at(abs(frame - start) - 1)
+        run = self._runs.setdefault(key, _Run(partial(self._find, start, box, step)))
+        if not run.reaches(abs(frame - start) - 1):
+            self._live = [one for one in self._live if one != key] + [key]
+            for old in self._live[:-AT_ONCE]:
+                self._runs[old].rest()
+            self._live = self._live[-AT_ONCE:]
+        return run.at(abs(frame - start) - 1)
 
     def _find(self, start: int, box: Box, step: int) -> Iterator[Found]:
         tracker = Tracker(self.graph, self.seed)
@@ -85,10 +97,20 @@ class TrackerRuns:
 
 
 class _Run:
-    def __init__(self, ahead: Iterator[Found]) -> None:
-        self._ahead, self._found = ahead, list[Found]()
+    def __init__(self, begin: Callable[[], Iterator[Found]]) -> None:
+        self._begin, self._found = begin, list[Found]()
+        self._ahead: Iterator[Found] | None = None
+
+    def reaches(self, number: int) -> bool:
+        return len(self._found) > number
 
     def at(self, number: int) -> Found:
-        while len(self._found) <= number:
+        if self._ahead is None and not self.reaches(number):
+            self._ahead = islice(self._begin(), len(self._found), None)
+        while self._ahead is not None and not self.reaches(number):
             self._found.append(next(self._ahead))
         return self._found[number]
+
+    def rest(self) -> None:
+        """Let go of the tracker; to go on it has to begin anew."""
+        self._ahead = None

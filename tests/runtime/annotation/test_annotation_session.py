@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.runtime.annotation import tracked
 from bayesnet_track.runtime.annotation.answers import UNDO, Answer, AnswerError
 from bayesnet_track.runtime.annotation.answers_file import (
     AnswersFileError,
@@ -154,3 +155,16 @@ def test_the_tracker_runs_forward_and_backward_from_a_box():
             assert np.abs(np.array(found.box) - truth[frame]).max() < 12
             assert 0 <= found.probability <= 1
         assert runs.at(3, (float(x), float(y), float(w), float(h)), 5) is runs.at(3, (x, y, w, h), 5)
+
+
+def test_a_run_whose_tracker_was_let_go_goes_on_as_if_nothing_had_been(monkeypatch):
+    source = SceneSource.named("two_squares", end=7)
+    x, y, w, h = map(float, source.scene.truth[0])
+    graph = load_graph("gray_square")
+    with FrameStore.of(source, "two_squares", 0.04) as store:
+        straight = [TrackerRuns(graph, store).at(0, (x, y, w, h), frame) for frame in (3, 6)]
+        monkeypatch.setattr(tracked, "AT_ONCE", 1)
+        runs = TrackerRuns(graph, store)
+        first = runs.at(0, (x, y, w, h), 3)
+        runs.at(2, (x, y, w, h), 3)
+        assert [first, runs.at(0, (x, y, w, h), 6)] == straight
