@@ -62,6 +62,7 @@ def cloud(rng: np.random.Generator, box: np.ndarray, size: int, sd: float) -> np
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cues", nargs="*", metavar="CUE", help="only these (default: all installed ones)")
     parser.add_argument("--hypotheses", type=int, default=1000)
     parser.add_argument("--sd", type=float, default=20.0, help="of the hypotheses' centres, px")
     parser.add_argument("--repeats", type=int, default=50)
@@ -87,7 +88,8 @@ def main() -> None:
     equal = np.full(options.hypotheses, 1.0 / options.hypotheses)
     loop = milliseconds(opencv, options.repeats)
     rows = []
-    for name, declaration in installed_cues().items():
+    chosen = {name: cue for name, cue in installed_cues().items() if name in options.cues or not options.cues}
+    for name, declaration in chosen.items():
         cue = declaration.make(declaration.parameters())
         near = PlaneCache(frames).planes(cue.needs, region_of_boxes(box[None], 1.0))
         reference = cue.learn(near, box)
