@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.situation import Situation
-from bayesnet_track.engine.score import Scored
+from bayesnet_track.engine.scoring.score import Scored
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.inference.guard import Judged, Watched
 from bayesnet_track.journal.events.distractors import DistractorSeen
@@ -37,6 +37,7 @@ class Measured:
         score: probability of being on target; None where the graph does not say how it comes about.
         bound: the most that the score may be.
         distractor: what looks like the target beside it.
+        notices: what guarantee and alarm give to write down.
     """
 
     state: Floats
@@ -47,6 +48,7 @@ class Measured:
     score: float | None = None
     bound: float = 1.0
     distractor: DistractorSeen | None = None
+    notices: tuple[Event, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

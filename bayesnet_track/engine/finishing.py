@@ -17,16 +17,18 @@ from bayesnet_track.adapt.rules import decide
 from bayesnet_track.adapt.situation import Situation, quiet_level
 from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.belief.states import hypotheses_of
-from bayesnet_track.engine.distractors import find_distractor
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.findings import Decided, Learnt, Measured, TargetResult
 from bayesnet_track.engine.frame_metrics import frame_metrics
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.learning import learn
 from bayesnet_track.engine.modes import with_modes
-from bayesnet_track.engine.score import most, probability, with_distractor
+from bayesnet_track.engine.scoring.assurance import judge_alarm, judge_assurance, with_evidence, with_recent
+from bayesnet_track.engine.scoring.distractors import find_distractor
+from bayesnet_track.engine.scoring.score import Scored, most, probability, with_distractor
 from bayesnet_track.engine.starting import start_late
 from bayesnet_track.engine.state import TargetState, apply_decisions, inside_frame
+from bayesnet_track.graph.spec import InferenceNode
 from bayesnet_track.inference.guard import changes, watch
 from bayesnet_track.inference.learn import Lesson, learning_rate, over_frames
 from bayesnet_track.inference.measure import measure
@@ -96,7 +98,22 @@ def measure_target(work: FrameWork, filtered: Filtered, state: Floats) -> Measur
     if filtered.modes is not None and filtered.modes.hidden is not None:
         bound = min(bound, 1.0 - filtered.modes.hidden)
     score = min(probability(rule, scored.smooth), bound)
-    return Measured(state, box, net, measures, scored, score, bound, distractor)
+    scored, notices = _follow(root, filtered.before.scored, scored, score, work.frame.index, filtered.target)
+    return Measured(state, box, net, measures, scored, score, bound, distractor, notices)
+
+
+def _follow(
+    root: InferenceNode, before: Scored, scored: Scored, score: float, frame: int, target: str
+) -> tuple[Scored, tuple[Event, ...]]:
+    """What guarantee and alarm remember after a frame, and what they give to write down."""
+    notices: list[Event | None] = []
+    if root.guarantee is not None:
+        scored = with_recent(scored, score, root.guarantee)
+        notices.append(judge_assurance(before, scored, root.guarantee, frame, target))
+    if root.alarm is not None:
+        scored, notice = judge_alarm(before, with_evidence(scored, score, frame), root.alarm, frame, target)
+        notices.append(notice)
+    return scored, tuple(notice for notice in notices if notice is not None)
 
 
 def decide_target(work: FrameWork, filtered: Filtered, measured: Measured) -> Decided:
@@ -207,6 +224,7 @@ def describe_target(
         events.append(DegenerateBelief(frame.index, target, stepped.degenerate))
     if measured.distractor is not None and measured.scored.doubt > 0 and not before.scored.doubt:
         events.append(measured.distractor)
+    events += measured.notices
     events += changes(frame.index, target, before.watched, learnt.watched, learnt.judged, compiled.guard)
     spread = stepped.posterior.covariance
     metrics = frame_metrics(work, filtered, measured, decided, learnt, spread)

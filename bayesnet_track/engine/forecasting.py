@@ -11,7 +11,7 @@ from bayesnet_track.belief.contract import MotionModel, Posterior
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.composed import compose_motion
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
-from bayesnet_track.engine.score import blur_regions
+from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.boxed import Boxed
 from bayesnet_track.journal.metrics import FrameMetrics

@@ -11,7 +11,8 @@ from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.findings import Decided, Learnt, Measured
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.score import blur_regions
+from bayesnet_track.engine.scoring.assurance import e_value, said_status
+from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.observation.planes import Frame
@@ -47,12 +48,12 @@ def frame_metrics(
     score, features = index(measures, plate.root), {}
     if measured.score is not None:
         score, features = measured.score, {**measured.scored.smooth, "most": measured.bound}
-    localization_error = plate.inference(plate.root).localization_error
-    if localization_error is None:
+    root = plate.inference(plate.root)
+    if root.localization_error is None:
         region50, region90 = map(tuple, posterior.regions((0.5, 0.9)).tolist())
     else:
         side = float(np.sqrt(max(measures.area_px2, 1.0)))
-        wide = blur_regions(posterior, localization_error, score, side)
+        wide = blur_regions(posterior, root.localization_error, score, side)
         region50, region90 = wide.region50, wide.region90
         variances[:2] += wide.variance
     return FrameMetrics(
@@ -65,7 +66,7 @@ def frame_metrics(
         ud_px2=measures.ud_px2[plate.root],
         ud_nodes=measures.ud_px2,
         quiet_px2=decided.quiet_px2,
-        status=work.net.targets[target].status,
+        status=said_status(work.net.targets[target].status, measured.scored, root.guarantee),
         score=score,
         log_evidence=stepped.log_evidence,
         surprise=kl(weights.log, stepped.prior.log),
@@ -89,6 +90,7 @@ def frame_metrics(
             name: PartMetrics(_floats(part.box), _floats(part.sd), part.ud_px2, part.status)
             for name, part in measures.parts.items()
         },
+        e_value=None if root.alarm is None else e_value(measured.scored.rise, root.alarm),
     )
 
 

@@ -12,7 +12,7 @@ from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.predicting import MotionContext
-from bayesnet_track.engine.score import Scored
+from bayesnet_track.engine.scoring.score import Scored
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.guard import Watched
 from bayesnet_track.journal.net.net import Decision, Net, apply

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.engine.filtering import filter_target
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.score import FEATURES, marginal_points
+from bayesnet_track.engine.scoring.score import FEATURES, marginal_points
 from bayesnet_track.engine.starts import Start, check_started, check_starts, start_targets
 from bayesnet_track.engine.step import Engine, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
@@ -41,14 +41,17 @@ class CalibrationData:
         iou: (n,) overlap of estimate and truth.
         features: name -> (n,) filtered features of the score.
         ud_box: (n,) UD at the root as a share of the estimate's area.
-        offsets: (n, 32, 2) true centre less quantiles of the belief's (`engine.score.marginal_points`), in
-            sqrt(w h) of the estimate.
+        offsets: (n, 32, 2) true centre less quantiles of the belief's (`marginal_points`), in sqrt(w h) of
+            the estimate.
         scores: (n,) the graph's own scores.
         status: status of each frame.
         surprise: agent -> (25,) mean over the frames on target of -log of the density that the agent, at each
             of `TEMPERATURES` times its own temperature, gives to the true centre; empty unless asked for.
         most: (n,) what the score can be at most, whatever its coefficients; None for 1.
         cost_ms: declared cost of the agents that looked, milliseconds, mean over frames.
+        all_scores: (m,) the graph's own scores of every frame after the first, also of those in which the
+            truth has no box; 0 when there was no target any more.
+        all_iou: (m,) overlap in the same frames, 0 where the truth has no box.
     """
 
     video: str
@@ -61,6 +64,8 @@ class CalibrationData:
     surprise: Mapping[str, Floats] = field(default_factory=dict)
     most: Floats | None = None
     cost_ms: float = 0.0
+    all_scores: Floats = field(default_factory=lambda: np.empty(0))
+    all_iou: Floats = field(default_factory=lambda: np.empty(0))
 
     @property
     def frames(self) -> int:
@@ -94,6 +99,7 @@ def calibration_data(
     state: State | None = None
     lines: list[FrameMetrics] = []
     boxes, offsets, curves = [], [], _Curves()
+    every: list[tuple[float, float]] = []
     for frame in frames:
         number = frame.index
         if number >= len(truth):
@@ -110,14 +116,17 @@ def calibration_data(
             continue
         before, state = state, (outcome := step(engine, state, frame)).state
         line = next((one for one in outcome.metrics if one.target == "1"), None)
+        every.append((0.0 if line is None else line.score, 0.0))
         if line is None or not np.isfinite(truth[number]).all() or "1" not in state.targets:
             continue
         true = centre_from_corner(truth[number])
         side = float(np.sqrt(line.centre_box[2] * line.centre_box[3]))
         lines.append(line)
         boxes.append(true)
+        found = float(overlap(np.array(line.centre_box)[None], true[None])[0])
+        every[-1] = (line.score, found)
         offsets.append((true[:2] - marginal_points(state.targets["1"].belief).T) / side)
-        if temperatures and float(overlap(np.array(line.centre_box)[None], true[None])[0]) > 0.5:
+        if temperatures and found > 0.5:
             curves.add(engine, before, frame, true, side)
     if not lines:
         raise ValueError(f"{video}: no frame after the first has a true box")
@@ -134,6 +143,8 @@ def calibration_data(
         curves.means(),
         np.array([line.features["most"] for line in lines]),
         float(np.mean([sum(costs[agent] for agent in line.active) for line in lines])),
+        np.array([score for score, _ in every]),
+        np.array([found for _, found in every]),
     )
 
 

@@ -79,7 +79,14 @@ from bayesnet_track.graph.settings.particles import (
     NormalSize,
     Particles,
 )
-from bayesnet_track.graph.settings.scores import Distractors, Localization, Logistic, Score
+from bayesnet_track.graph.settings.scores import (
+    Alarm,
+    Distractors,
+    Guarantee,
+    Localization,
+    Logistic,
+    Score,
+)
 
 LANGUAGE_VERSION = 1
 
@@ -90,6 +97,7 @@ __all__ = [
     "AdaptiveSize",
     "AgentChoice",
     "AgentNode",
+    "Alarm",
     "Attachment",
     "Belief",
     "BinnedSize",
@@ -118,6 +126,7 @@ __all__ = [
     "Given",
     "GraphSpec",
     "Grid",
+    "Guarantee",
     "Guard",
     "HeavyTail",
     "Hidden",
@@ -217,6 +226,12 @@ class InferenceNode(Model):
     )
     distractors: Distractors | None = Field(
         default=None, description="root only; limits the score after a look-alike; needs `score`"
+    )
+    guarantee: Guarantee | None = Field(
+        default=None, description="root only; bounds how often tracking is said while off; needs `score`"
+    )
+    alarm: Alarm | None = Field(
+        default=None, description="root only; an alarm that is seldom false in a whole video; needs `score`"
     )
 
 

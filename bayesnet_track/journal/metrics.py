@@ -91,6 +91,7 @@ class FrameMetrics(Boxed):
         existence: probability that it exists; left out when the graph has no `existence` for its type.
         modes: mode -> its probability; left out when the graph has no `modes`.
         hidden: probability that the target is hidden; None, and left out, when the graph has no hidden mode.
+        e_value: evidence that the target is not held; left out when the graph has no `alarm`.
     """
 
     frame: int
@@ -130,6 +131,8 @@ class FrameMetrics(Boxed):
     def mode(self) -> str:
         """The most probable mode; empty where the graph has no `modes`."""
         return max(self.modes, key=self.modes.__getitem__, default="")
+
+    e_value: float | None = field(default=None, metadata={"left_out_when_empty": True})
 
     def __repr__(self) -> str:
         """What matters: who, when, how sure, where, and by whose evidence."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.forecasting import Forecast, forecast
+from bayesnet_track.engine.scoring.assurance import said_status
 from bayesnet_track.engine.starts import Start, check_started, check_starts, start_targets
 from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
@@ -224,7 +225,14 @@ class Tracker(Boxed):
         if self._state is None:
             raise RuntimeError("call init(frame, box) first")
         live = [line.target for line in self.targets if line.target in self._state.net.targets]
-        return self._state.net.targets[live[0]].status if live else "lost"
+        if not live:
+            return "lost"
+        net = self._state.net.targets[live[0]]
+        plate = self._graph.targets[net.template]
+        rule = plate.inference(plate.root).guarantee
+        return (
+            net.status if rule is None else said_status(net.status, self._state.targets[live[0]].scored, rule)
+        )
 
     @property
     def events(self) -> tuple[Event, ...]:

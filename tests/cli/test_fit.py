@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from bayesnet_track.cli.commands.answer import UsageError
+from bayesnet_track.cli.fitting.promises import check_count
 from bayesnet_track.cli.main import main
 from bayesnet_track.graph.text.load import load_graph
 
@@ -110,6 +113,34 @@ def test_leaving_one_out_prints_a_row_a_video(data, capsys):
     assert rows == [["video", "frames"], ["one", "15"], ["two", "15"], ["all", "30"]]
 
 
+SCORED = GRAPH.replace("  # moves\n", "  # moves\n        score: {logistic: {bias: 3, log_fit: 1.5}}\n")
+
+
+def test_promises_are_written_into_the_graph_and_said(data, capsys):
+    (data / "g.yaml").write_text(SCORED)
+    out = data / "promised.yaml"
+    arguments = ["fit", str(data / "g.yaml"), "--folder", str(data / "data"), "--seeds", "1"]
+    promises = ["--guarantee", "0.4", "--alarm", "0.5", "--out", str(out)]
+    assert main([*arguments, *promises]) == 0
+    text, said = out.read_text(), capsys.readouterr().err
+    root = load_graph(out).targets["target"].inference("target")
+    assert root.guarantee is not None and (root.guarantee.share, root.guarantee.frames) == (0.4, 10)
+    assert root.alarm is not None and (root.alarm.share, root.alarm.videos) == (0.5, 2)
+    assert "# fit: expected share called tracking with IoU <= 0.5 at most 40 %" in text
+    assert "# moves" in text and "bias: 3, log_fit: 1.5" in text
+    assert "a statement about the mean, not about each video" in said
+    assert "With 2 videos the calibrated share may be at most 10 %" in said
+    assert "is void if one of these was used to choose or fit" in said
+
+
+@pytest.mark.parametrize(("name", "least"), [("guarantee", 19), ("alarm", 20)])
+def test_too_few_videos_for_a_promise(name, least):
+    options = argparse.Namespace(**{"guarantee": None, "alarm": None, name: 0.05})
+    check_count(options, least)
+    with pytest.raises(UsageError, match=f"--{name} 0.05 needs {least} videos or more, and there are 2:"):
+        check_count(options, 2)
+
+
 def wrong(data, *arguments):
     given = [str(one).replace("DATA", str(data / "data")) for one in arguments]
     return main(["fit", str(data / "g.yaml"), "--seeds", "1", *given])
@@ -159,6 +190,16 @@ CASES = [
     (
         ("--folder", "DATA", "--what", "score,sds", "--leave-one-out"),
         "--leave-one-out judges score and regions; fit sds and policy to other videos first",
+    ),
+    (
+        ("--folder", "DATA", "--guarantee", "0.05"),
+        "target has no `score`, which --guarantee and --alarm need; fit one to other videos first, with "
+        "--what score",
+    ),
+    (
+        ("--folder", "DATA", "--guarantee", "0.05", "--what", "score"),
+        "--guarantee and --alarm calibrate a graph as it is; fit its score to other videos first, in a call "
+        "of its own, with --what",
     ),
     (("--what", "sds"), "no video: give --source with --truth, or --folder"),
     (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Tracker
-from bayesnet_track.engine.score import Scored, most, with_distractor
+from bayesnet_track.engine.scoring.score import Scored, most, with_distractor
 from bayesnet_track.evaluate.calibration import longest_run
 from bayesnet_track.graph.spec import Distractors, Logistic
 from bayesnet_track.journal.events.distractors import DistractorSeen

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesnet_track.engine.score import FEATURES
+from bayesnet_track.engine.scoring.score import FEATURES
 from bayesnet_track.evaluate.calibration import (
     auroc,
     brier,

@@ -243,6 +243,8 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
             ),
             "localization_error": _mapping({}, {"sd_box": sd, "lost_sd_box": positive}),
             "distractors": _mapping({}, {"within_nats": positive, "hold": frames}),
+            "guarantee": _mapping({"above": share}, {"frames": frames}),
+            "alarm": _mapping({"total": positive, "videos": frames}, {}),
         },
     )
     parameters = _mapping(
@@ -378,6 +380,8 @@ def everything() -> dict[str, Any]:
             "score": {"logistic": {"bias": -1.5, "log_ud_box": -0.5}},
             "localization_error": {"lost_sd_box": 3.5},
             "distractors": {"hold": 100},
+            "guarantee": {"above": 0.75, "frames": 5},
+            "alarm": {"total": 30.5, "videos": 24},
         },
         "b": {
             "parent": "a",

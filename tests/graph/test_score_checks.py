@@ -46,6 +46,15 @@ CASES = [
         "4:96: s: distractors put the score at one half, which lost.uncertain_below does not call uncertain; "
         "allowed: lost.uncertain_below above 0.5",
     ),
+    (
+        "  guarantee: {above: 0.9}",
+        "4:3: s: guarantee without a score that is a probability; allowed: score at the root, or no such key",
+    ),
+    (
+        f"  {SCORE}, alarm: {{total: 20, videos: 19}}",
+        "4:75: s: alarm of 19 videos is never raised: its e-value stays below 20, and has to reach 20; "
+        "allowed: more videos, or a larger share",
+    ),
 ]
 
 

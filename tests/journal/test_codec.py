@@ -219,6 +219,7 @@ def test_frame_metrics_keep_their_cloud():
         "join": None,
         "hidden": None,
         "existence": None,
+        "e_value": 12.5,
     }
     metrics = FrameMetrics(**{**values, "cloud": ((1, 2, 3, 4), (5, 6, 7, 8))})
     assert from_json(to_json(metrics)) == metrics

@@ -26,6 +26,7 @@ from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.faults import AgentMissed, Quarantined, Readmitted
 from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed
+from bayesnet_track.journal.events.guarantees import AlarmEnded, AlarmRaised, AssuranceChanged
 from bayesnet_track.journal.events.joins import Joined, Parted
 from bayesnet_track.journal.events.joint_beliefs import AttachmentChanged, OcclusionChanged, RingChanged
 from bayesnet_track.journal.events.jumps import Reappeared
@@ -447,6 +448,22 @@ GOLDEN = [
         "frame 50: look-alike at 80, 60, 0.9 box sides away, only 1.5 < 4 nats less likely than the target → "
         "score at most 0.5 for 250 frames; ignored with within_nats ≤ 1.5",
     ),
+    (
+        AssuranceChanged(50, "1", False, 0.9125, 0.92, 10, 0.05),
+        "frame 50: mean score of 10 frames 0.912 ≤ 0.92 → target 1 at most uncertain, for the guarantee of "
+        "5 %; would have stayed at guarantee.above 0.912",
+    ),
+    (
+        AssuranceChanged(50, "1", True, 0.9375, 0.92, 1, 0.05),
+        "frame 50: mean score of 1 frame 0.938 > 0.92 → target 1 may be called tracking again; not at "
+        "guarantee.above 0.938",
+    ),
+    (
+        AlarmRaised(50, "1", 21.25, 0.05, 43, 25),
+        "frame 50: e-value 21.2 ≥ 20, scores low since frame 43 → alarm: target 1 is no longer held; false "
+        "in at most 5 % of videos like the 25 calibrated on",
+    ),
+    (AlarmEnded(50, "1"), "frame 50: scores are high again → alarm for target 1 ends"),
     (
         ReferenceGuarded(50, "1", "hue", True, -0.31, -1.42, 1.0, 0.05, 0),
         "frame 50: hue: the estimate scores -0.31 nats by its reference, -1.42 by its slow one: "

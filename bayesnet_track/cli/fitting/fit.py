@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import OK, UsageError, complain, say, users_mistake, writing
+from bayesnet_track.cli.fitting.promises import check_count, check_promises, write_promises
 from bayesnet_track.cli.fitting.tracking import check_text, fit_policy, fit_sds
 from bayesnet_track.cli.fitting.videos import Video, find_videos, frames_of
 from bayesnet_track.cli.options.arguments import whole_number
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
 
 WHAT = ("score", "localization_error", "lost", "ud", "temperature", "sds", "policy")
+USUAL_WHAT = "score,localization_error,lost"
 BEFORE = ("sds", "policy")
 """What changes the tracking, and is fitted before the rest."""
 
@@ -30,7 +32,8 @@ def fit(options: argparse.Namespace) -> int:
     from bayesnet_track.evaluate.fitting import fit as estimate
     from bayesnet_track.graph.text.load import load_graph
 
-    what = _choose("--what", options.what, WHAT)
+    promises = options.guarantee is not None or options.alarm is not None
+    what = () if promises else _choose("--what", options.what or USUAL_WHAT, WHAT)
     features = _choose("--features", options.features, tuple(SIGNS))
     graph, text = load_graph(options.graph), graph_text(options.graph)
     out = None if options.out is None else Path(options.out)
@@ -44,7 +47,15 @@ def fit(options: argparse.Namespace) -> int:
         raise UsageError(
             "--what: ud and policy both set the levels of `activate` and `deactivate`; choose one"
         )
+    if promises:
+        check_promises(options, graph)
     videos = list(find_videos(options))
+    if promises:
+        check_count(options, len(videos))
+        data = _calibration_data(graph, videos, options, temperatures=False)
+        written = write_promises(text, graph, data, options)
+        check_text(written, str(out or options.graph))
+        return _put(out, written, f"calibrated on {plural(len(videos), 'video')}")
     if "sds" in what:
         text = fit_sds(text, graph, videos, options.end)
         graph = check_text(text, str(out or options.graph))
@@ -205,6 +216,17 @@ def _write(path: Path, text: str) -> None:
     write_atomically(path, text.encode("utf-8"))
 
 
+def _share(text: str) -> float:
+    """A share above 0 and below 1."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 1.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a share above 0 and below 1, such as 0.05")
+    return value
+
+
 def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
     fit = commands.add_parser("fit", help="fit a graph's score and regions to videos with ground truth")
@@ -224,7 +246,6 @@ def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
     )
     fit.add_argument(
         "--what",
-        default="score,localization_error,lost",
         metavar="LIST",
         help="of score, localization_error, lost, ud, temperature, sds, policy (default "
         "score,localization_error,lost)",
@@ -234,6 +255,19 @@ def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
         default="log_ud_box,evidence",
         metavar="LIST",
         help="features of the score (default log_ud_box,evidence)",
+    )
+    fit.add_argument(
+        "--guarantee",
+        type=_share,
+        metavar="SHARE",
+        help="calibrate, instead of --what, the level above which frames are called tracking, so that on "
+        "average over new videos at most this share of frames is while off target",
+    )
+    fit.add_argument(
+        "--alarm",
+        type=_share,
+        metavar="SHARE",
+        help="calibrate, instead of --what, an alarm that is false in at most this share of whole videos",
     )
     fit.add_argument("-o", "--out", metavar="FILE", help="graph file to write (default: print it)")
     fit.add_argument("--overwrite", action="store_true", help="replace the file if it exists")

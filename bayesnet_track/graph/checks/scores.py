@@ -19,8 +19,8 @@ def score_serves_its_users(plate: Plate) -> Iterator[GraphMessage]:
             needing.append(("lost", "score_below"))
         if node.localization_error is not None and node.localization_error.lost_sd_box is not None:
             needing.append(("localization_error", "lost_sd_box"))
-        if node.distractors is not None:
-            needing.append(("distractors",))
+        rules = {"distractors": node.distractors, "guarantee": node.guarantee, "alarm": node.alarm}
+        needing += [(key,) for key, rule in rules.items() if rule is not None]
         for key in needing:
             found = f"{'.'.join(key)} without a score that is a probability"
             yield plate.message(name, found, "score at the root, or no such key", key=key, on_key=True)
@@ -70,9 +70,22 @@ def localization_error_is_larger_when_lost(plate: Plate) -> Iterator[GraphMessag
             yield plate.message(name, found, f"above {error.sd_box:.6g}", key=key)
 
 
+def alarm_can_be_raised(plate: Plate) -> Iterator[GraphMessage]:
+    """Its e-value stays below the number of calibration videos plus one."""
+    for name, node in plate.inference.items():
+        if node.alarm is not None and (node.alarm.videos + 1) * node.alarm.share < 1.0 + 1e-9:
+            found = (
+                f"alarm of {node.alarm.videos} videos is never raised: its e-value stays below "
+                f"{node.alarm.videos + 1}, and has to reach {1.0 / node.alarm.share:.4g}"
+            )
+            allowed = "more videos, or a larger share"
+            yield plate.message(name, found, allowed, key=("alarm", "videos"))
+
+
 SCORE_CHECKS: tuple[Check, ...] = (
     score_serves_its_users,
     score_levels_in_order,
     distractors_are_noticed,
     localization_error_is_larger_when_lost,
+    alarm_can_be_raised,
 )

@@ -14,7 +14,10 @@ from bayesnet_track.graph.settings.motion import Motion
 from bayesnet_track.graph.text.messages import GraphMessage
 
 MAX_LEVELS = 32
-ROOT_ONLY = ("motion", "modes", "estimate", "learn", "lost", "score", "localization_error", "distractors")
+ROOT_ONLY = (
+    *("motion", "modes", "estimate", "learn", "lost", "score", "localization_error", "distractors"),
+    *("guarantee", "alarm"),
+)
 
 
 def parents_exist(plate: Plate) -> Iterator[GraphMessage]:

@@ -79,3 +79,33 @@ class Distractors(Model):
     )
     frames: FrameCount = Field(default=2, description="consecutive frames with a distractor")
     hold: FrameCount = Field(default=250, description="frames for which the score stays limited")
+
+
+class Guarantee(Model):
+    """A bound on the share of frames that are called tracking while off target, on average over videos.
+
+    The status is tracking only while the mean score of the last `frames` frames is above `above`; else it is
+    at most uncertain. Only what is reported changes: motion, learning and rules go by the status as it is
+    without. `bayesnet-track fit --guarantee` finds `above` by conformal risk control over whole videos.
+    """
+
+    above: Annotated[Number, Field(ge=0, le=1)] = Field(description="level of the mean score")
+    frames: FrameCount = Field(default=10, description="frames of the mean, fewer at the start")
+    share: Annotated[Number, Field(gt=0, lt=1)] = Field(
+        default=0.05, description="expected share of such frames that it was calibrated for; only reported"
+    )
+
+
+class Alarm(Model):
+    """An alarm whose probability of being false is bounded over a whole video.
+
+    X = exp(C) with C <- max(0, C + clip(log((1 - score) / score) - 1, -1, 1)) grows while the score is below
+    0.27. The alarm is raised when the e-value (videos + 1) X / (total + X) reaches 1 / share. It changes
+    nothing but what is reported. `bayesnet-track fit --alarm` estimates `total` from whole videos.
+    """
+
+    total: Positive = Field(description="sum of the largest X of each calibration video while it was held")
+    videos: FrameCount = Field(description="calibration videos")
+    share: Annotated[Number, Field(gt=0, lt=1)] = Field(
+        default=0.05, description="probability of a false alarm in a whole video, at most"
+    )

@@ -14,6 +14,7 @@ from bayesnet_track.journal.events import (
     distractors,
     faults,
     flaws,
+    guarantees,
     joint_beliefs,
     jumps,
     modes,
@@ -37,6 +38,7 @@ Event = (
     | modes.Events
     | references.Events
     | distractors.Events
+    | guarantees.Events
     | births.Events
     | faults.Events
     | by_hand.Events

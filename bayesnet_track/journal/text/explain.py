@@ -102,6 +102,8 @@ def _account(events: Sequence[Event], line: FrameMetrics) -> str:
     if line.features:
         shown = (f"{name} {value:.2f}" for name, value in sorted(line.features.items()))
         rows.append(f"  score of   {', '.join(shown)}")
+    if line.e_value is not None:
+        rows.append(f"  e-value    {line.e_value:.3g} that the target is not held")
     mine = [event for event in events if getattr(event, "target", None) == line.target]
     before = [event for event in mine if getattr(event, "frame", 0) < line.frame or _is_start(event, line)]
     for agent in _agents(mine, line):

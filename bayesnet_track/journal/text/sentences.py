@@ -12,6 +12,7 @@ from bayesnet_track.journal.events import (
     endings,
     faults,
     flaws,
+    guarantees,
     joins,
     joint_beliefs,
     jumps,
@@ -83,6 +84,8 @@ def describe(event: Event) -> str:
         return references.describe(event)
     if isinstance(event, distractors.Events):
         return distractors.describe(event)
+    if isinstance(event, guarantees.Events):
+        return guarantees.describe(event)
     if isinstance(event, jumps.Events):
         return jumps.describe(event)
     if isinstance(event, modes.Events):

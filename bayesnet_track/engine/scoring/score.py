@@ -42,6 +42,10 @@ class Scored:
         side_px: sqrt(w h) of the first estimate.
         distractors: consecutive frames with a distractor, up to the last one.
         doubt: frames for which the score is at most one half, since a distractor was seen.
+        recent: the last scores, as many as the guarantee asks for; none without one.
+        rise: what the alarm's evidence has risen to, nats; 0 without an alarm.
+        since: first frame of this rise; None while there is none.
+        alarmed: whether the alarm was raised since then.
     """
 
     smooth: Mapping[str, float] = field(default_factory=dict)
@@ -49,6 +53,10 @@ class Scored:
     side_px: float | None = None
     distractors: int = 0
     doubt: int = 0
+    recent: tuple[float, ...] = ()
+    rise: float = 0.0
+    since: int | None = None
+    alarmed: bool = False
 
     def after(self, rule: Logistic, measures: Measures, step: Step[Posterior], ud_px2: float) -> Scored:
         """With one frame more; `ud_px2` is the root's UD."""
@@ -74,7 +82,7 @@ class Scored:
             name: value if gain == 1.0 else self.smooth[name] + gain * (value - self.smooth[name])
             for name, value in found.items()
         }
-        return Scored(smooth, usual, first, self.distractors, max(self.doubt - 1, 0))
+        return replace(self, smooth=smooth, usual=usual, side_px=first, doubt=max(self.doubt - 1, 0))
 
 
 def with_distractor(scored: Scored, distractor: DistractorSeen | None, frames: int) -> Scored:

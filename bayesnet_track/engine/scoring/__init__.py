@@ -1,0 +1,1 @@
+"""How sure a target is held: the score of a frame, look-alikes, and what follows it over frames."""

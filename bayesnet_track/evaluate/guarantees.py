@@ -1,0 +1,173 @@
+"""What may be promised of new videos: a level by conformal risk control, and the e-value of an alarm.
+
+Both count whole calibration videos, so that nothing is assumed of the frames of one video. They hold when the
+new video and the calibration videos are exchangeable, and the score was fitted to others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import fmean
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.engine.scoring.assurance import next_rise
+from bayesnet_track.evaluate.calibration import OFF_TARGET, ON_TARGET
+from bayesnet_track.evaluate.calibration_data import CalibrationData
+
+Floats = NDArray[np.float64]
+
+SLACK = 1e-12
+"""Rounding that is forgiven where a bound is met exactly."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One run over a calibration video, each frame after the first.
+
+    Attributes:
+        means: (m,) mean of the last scores, as `guarantee` compares it.
+        iou: (m,) overlap, 0 where the target is absent.
+    """
+
+    means: Floats
+    iou: Floats
+
+
+@dataclass(frozen=True)
+class Controlled:
+    """A level that controls the risk.
+
+    Attributes:
+        above: the level.
+        risk: mean over calibration videos of the share of frames called tracking while off target.
+        allowed: what that may be at most.
+        called: share of the frames on target that are called tracking, mean over videos that have some.
+        videos: calibration videos.
+    """
+
+    above: float
+    risk: float
+    allowed: float
+    called: float
+    videos: int
+
+
+def fewest_videos(share: float, alarm: bool = False) -> int:
+    """The fewest calibration videos n: share (n + 1) is at least 1, and above 1 for an alarm.
+
+    >>> fewest_videos(0.05), fewest_videos(0.05, alarm=True), fewest_videos(0.3)
+    (19, 20, 3)
+    """
+    return math.floor(1.0 / share + 1e-9) if alarm else math.ceil(1.0 / share - 1.0 - 1e-9)
+
+
+def allowed_risk(videos: int, share: float) -> float:
+    """The calibrated risk at which the expected one is at most `share`: (share (n + 1) - 1) / n.
+
+    A new video may be wrong in every frame, which counts like one more calibration video that is.
+
+    >>> round(allowed_risk(25, 0.05), 6)
+    0.012
+    """
+    return (share * (videos + 1) - 1.0) / videos
+
+
+def control_risk(videos: Sequence[Sequence[Run]], share: float) -> Controlled:
+    """The lowest level at which the expected share of a new video is at most `share`.
+
+    The loss of a video is the share of its frames with a mean score above the level and an IoU of at most
+    0.5, averaged over its runs. It falls as the level rises, as conformal risk control needs (Angelopoulos et
+    al., Conformal Risk Control, 2024).
+
+    Raises:
+        ValueError: there are too few videos for `share`.
+    """
+    _check_count(len(videos), fewest_videos(share), f"a guarantee of {share:g}")
+    levels, weights = [np.zeros(1)], [np.zeros(1)]
+    for runs in videos:
+        for run in runs:
+            wrong = run.means[run.iou <= ON_TARGET]
+            levels.append(wrong)
+            weights.append(np.full(len(wrong), 1.0 / (len(run.means) * len(runs) * len(videos))))
+    level, weight = np.concatenate(levels), np.concatenate(weights)
+    order = np.argsort(level, kind="stable")
+    level, weight = level[order], weight[order]
+    last = np.searchsorted(level, level, side="right")
+    risks = np.append(np.cumsum(weight[::-1])[::-1], 0.0)[last]  # weight of the frames above each level
+    allowed = allowed_risk(len(videos), share)
+    first = int(np.argmax(risks <= allowed + SLACK))
+    above = _rounded_up(float(level[first]))
+    return Controlled(above, share_wrong(videos, above), allowed, share_called(videos, above), len(videos))
+
+
+def share_wrong(videos: Sequence[Sequence[Run]], above: float) -> float:
+    """Mean over videos of the share of frames that are called tracking while IoU is at most 0.5."""
+    return fmean(
+        fmean(float(((run.means > above) & (run.iou <= ON_TARGET)).mean()) for run in runs) for runs in videos
+    )
+
+
+def share_called(videos: Sequence[Sequence[Run]], above: float) -> float:
+    """Mean over videos of the share of the frames on target that are called tracking; NaN without any."""
+    shares = []
+    for runs in videos:
+        good = np.concatenate([run.means[run.iou > ON_TARGET] for run in runs])
+        if len(good):
+            shares.append(float((good > above).mean()))
+    return fmean(shares) if shares else math.nan
+
+
+def largest_evidence(scores: Iterable[float], iou: Iterable[float]) -> float:
+    """The largest X of the alarm while the target is held: before the first frame with an IoU below 0.1."""
+    rise = most = 0.0
+    for score, overlap in zip(scores, iou, strict=True):
+        if overlap < OFF_TARGET:
+            break
+        rise = next_rise(rise, score)
+        most = max(most, rise)
+    return math.exp(most)
+
+
+def total_evidence(videos: Sequence[Sequence[CalibrationData]], share: float) -> float:
+    """Sum over videos of the largest evidence, mean over the runs of each.
+
+    Raises:
+        ValueError: there are too few videos for `share`.
+    """
+    _check_count(len(videos), fewest_videos(share, alarm=True), f"an alarm of {share:g}")
+    return sum(fmean(largest_evidence(one.all_scores, one.all_iou) for one in runs) for runs in videos)
+
+
+def runs_of(data: Iterable[CalibrationData], frames: int) -> dict[str, list[Run]]:
+    """Video -> its runs, with means over `frames` scores as the engine takes them."""
+    found: dict[str, list[Run]] = {}
+    for one in data:
+        means = [fmean(one.all_scores[max(0, k + 1 - frames) : k + 1]) for k in range(len(one.all_scores))]
+        found.setdefault(one.video, []).append(Run(np.array(means), one.all_iou))
+    return found
+
+
+def by_video(data: Iterable[CalibrationData]) -> Mapping[str, list[CalibrationData]]:
+    """Video -> its runs."""
+    found: dict[str, list[CalibrationData]] = {}
+    for one in data:
+        found.setdefault(one.video, []).append(one)
+    return found
+
+
+def _check_count(videos: int, least: int, what: str) -> None:
+    if videos < least:
+        there = "there is 1" if videos == 1 else f"there are {videos}"
+        raise ValueError(
+            f"{what} needs {least} calibration videos or more, and {there}: the new video counts as one more "
+            "in which everything is wrong"
+        )
+
+
+def _rounded_up(level: float) -> float:
+    """Four digits after the point, never lower: a higher level is on the safe side."""
+    return min(math.ceil(level * 1e4 - 1e-9) / 1e4, 1.0) if level < 1.0 else 1.0

@@ -1,0 +1,150 @@
+"""The guarantee and the alarm on real video, each sequence judged by what the others calibrate.
+
+    python benchmarks/guarantee.py DATA_FOLDER [--graph general] [--seeds 2] [--share 0.05] [--max-frames N]
+                                   [--fit] [--features log_fit] [--frames 10] [--data FILE]
+
+The graph runs over every sequence; then, in turn, one is left out, and the others calibrate the level of
+`guarantee` and the total of `alarm` (docs/calibration.md). Printed are the observed mean share of frames
+called tracking while IoU is at most 0.5, the share of frames on target that are called tracking, false
+alarms, and delays of alarms after the first frame with an IoU below 0.1. With `--fit` the score of each
+sequence is fitted to the others (cross-fitted: near to what the guarantee asks for, and not the same), by
+`--features`. Score and settings of `general` were chosen on these sequences, which voids the guarantee
+formally. Runs are kept in `--data` (pickle) and read from there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import pickle
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from statistics import fmean, median
+
+import numpy as np
+from calibration import frames_of
+from measuring import environment, on_one_thread, table
+from sequences import find_sequences
+
+from bayesnet_track.engine.scoring.assurance import e_value, next_rise
+from bayesnet_track.evaluate.calibration import OFF_TARGET
+from bayesnet_track.evaluate.calibration_data import CalibrationData, calibration_data, with_features
+from bayesnet_track.evaluate.fitting import fit, score_of
+from bayesnet_track.evaluate.guarantees import (
+    by_video,
+    control_risk,
+    runs_of,
+    share_called,
+    share_wrong,
+    total_evidence,
+)
+from bayesnet_track.graph.settings.scores import Alarm
+from bayesnet_track.graph.text.load import load_graph
+
+Data = Mapping[str, Sequence[CalibrationData]]
+
+
+def run_all(options: argparse.Namespace) -> list[CalibrationData]:
+    """Every sequence with every seed."""
+    graph = with_features(load_graph(options.graph))
+    found = []
+    for one in find_sequences(options.data_folder, [], options.max_frames):
+        for seed in range(options.first_seed, options.first_seed + options.seeds):
+            found.append(calibration_data(graph, one.name, frames_of(one.images()), one.truth, seed))
+            print(f"{one.name}, seed {seed}: mean IoU {found[-1].iou.mean():.3f}", flush=True)
+    return found
+
+
+def cross_fitted(data: Sequence[CalibrationData], features: Sequence[str]) -> list[CalibrationData]:
+    """The same runs, each with the score that is fitted to the other sequences."""
+    found = []
+    for video, own in by_video(data).items():
+        logistic = fit([one for one in data if one.video != video], features).logistic
+        for one in own:
+            if len(one.all_scores) != one.frames:
+                raise SystemExit(f"{video}: --fit needs a true box in every frame")
+            found.append(replace(one, all_scores=score_of(logistic, one)))
+    return found
+
+
+def guarantee_rows(data: Sequence[CalibrationData], share: float, frames: int) -> list[list[str]]:
+    """A row for each sequence left out, and the means."""
+    runs = runs_of(data, frames)
+    rows, wrong, called = [], [], []
+    for video, own in runs.items():
+        others = [one for name, one in runs.items() if name != video]
+        above = control_risk(others, share).above
+        wrong.append(share_wrong([own], above))
+        called.append(share_called([own], above))
+        rows.append([video, f"{above:.4f}", f"{wrong[-1]:.3f}", f"{called[-1]:.3f}"])
+    every = np.concatenate([run.iou > 0.5 for own in runs.values() for run in own])
+    said = np.concatenate(
+        [run.means > float(row[1]) for row, own in zip(rows, runs.values(), strict=True) for run in own]
+    )
+    means = ["mean of sequences", "", f"{fmean(wrong):.4f}", f"{np.nanmean(called):.3f}"]
+    return [*rows, means, ["frames alike", "", f"{(said & ~every).mean():.4f}", f"{said[every].mean():.3f}"]]
+
+
+def alarm_rows(data: Sequence[CalibrationData], share: float) -> list[list[str]]:
+    """A row for each run in which the target is lost or an alarm is raised."""
+    videos, rows = by_video(data), []
+    false, delays, lost = 0, [], 0
+    for video, own in videos.items():
+        others = [one for name, one in videos.items() if name != video]
+        rule = Alarm(total=total_evidence(others, share), videos=len(others), share=share)
+        for one in own:
+            gone = np.flatnonzero(one.all_iou < OFF_TARGET)
+            end = int(gone[0]) if len(gone) else None
+            rise, raised = 0.0, None
+            for k, score in enumerate(one.all_scores):
+                rise = next_rise(rise, float(score))
+                if e_value(rise, rule) >= 1.0 / share:
+                    raised = k
+                    break
+            is_false = raised is not None and (end is None or raised < end)
+            false += is_false
+            lost += end is not None and not is_false
+            if raised is not None and end is not None and not is_false:
+                delays.append(raised - end)
+            if end is not None or raised is not None:
+                count = int((one.all_iou[end:] < OFF_TARGET).sum()) if end is not None else 0
+                what = "false" if is_false else "-" if raised is None or end is None else f"{raised - end}"
+                rows.append([video, "-" if end is None else str(end + 1), str(count), what])
+    of = f"{false} false in {len(data)} runs; {len(delays)} of {lost} losses noticed"
+    return [*rows, ["all", "", of, f"median {median(delays):g}" if delays else "-"]]
+
+
+def main() -> None:
+    """Print both tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("data_folder", type=Path)
+    parser.add_argument("--graph", default="general")
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--share", type=float, default=0.05)
+    parser.add_argument("--frames", type=int, default=10)
+    parser.add_argument("--max-frames", type=int)
+    parser.add_argument("--fit", action="store_true")
+    parser.add_argument("--features", default="log_fit")
+    parser.add_argument("--data", type=Path)
+    options = parser.parse_args()
+    on_one_thread()
+    if options.data is not None and options.data.exists():
+        data = pickle.loads(options.data.read_bytes())
+    else:
+        data = run_all(options)
+        if options.data is not None:
+            options.data.write_bytes(pickle.dumps(data))
+    if options.fit:
+        data = cross_fitted(data, options.features.split(","))
+    print(environment() + "\n")
+    head = ["left out", "above", "tracking and IoU <= 0.5", "of IoU > 0.5 called tracking"]
+    print(table(head, guarantee_rows(data, options.share, options.frames)) + "\n")
+    head = ["left out", "first frame with IoU < 0.1", "such frames", "alarm after"]
+    print(table(head, alarm_rows(data, options.share)))
+
+
+if __name__ == "__main__":
+    main()
