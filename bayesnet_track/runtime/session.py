@@ -25,6 +25,7 @@ from bayesnet_track.runtime.checkpoints.recipe import KEEPS_BELIEFS, Recipe, fil
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import RETRIES, Executing, make_executor
 from bayesnet_track.runtime.inputs import InputsAt, as_inputs
+from bayesnet_track.runtime.recording.beliefs import check_kept
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.manifest import finish
 from bayesnet_track.runtime.recording.record import Recorder
@@ -133,6 +134,8 @@ def track(
     plugins.allow(allow_plugins)
     totals = summary if summary is not None else Summary()
     checked = load_graph(graph, tuple(cues))
+    if keep_beliefs:
+        check_kept(checked.spec)
     starts = _starts(box)
     read = {} if detections is None else {str(detections): file_sha256(detections)}
     external_inputs = as_inputs(inputs)

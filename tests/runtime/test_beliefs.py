@@ -15,9 +15,10 @@ from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.predicting import MotionContext
 from bayesnet_track.engine.step import TargetState
 from bayesnet_track.graph import spec
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.encoder import JournalError
 from bayesnet_track.numerics.log_weights import LogWeights
-from bayesnet_track.runtime.recording.beliefs import BeliefWriter, read_beliefs
+from bayesnet_track.runtime.recording.beliefs import BeliefWriter, check_kept, read_beliefs
 
 RNG = np.random.default_rng(0)
 SIZE = np.array([20.0, 10.0])
@@ -118,3 +119,10 @@ def test_only_the_heaviest_cells_of_a_grid_are_kept(tmp_path, monkeypatch):
     assert len(kept.posterior) == 7
     heaviest = np.sort(mass.ravel())[-7:]
     np.testing.assert_allclose(np.sort(kept.posterior.weights.weights), heaviest / heaviest.sum(), rtol=1e-6)
+
+
+def test_gaussians_in_modes_are_not_kept_and_particles_are():
+    with pytest.raises(ValueError, match=r"ball\.ball is Gaussian in modes.*allowed: belief: particles"):
+        check_kept(load_graph("hidden_ball").spec)
+    check_kept(load_graph("bouncing_square").spec)
+    check_kept(load_graph("kalman_ball").spec)

@@ -25,13 +25,14 @@ from bayesnet_track.sources.scene_source import SceneSource
 
 SCENES = {
     "kalman_ball": "flying_ball",
+    "hidden_ball": "flying_ball",
     "person_shape": "person_and_board",
     "person_same_clothes": "person_same_clothes",
     "kalman_detections": "crowd",
     "people_detections": "crowd",
     "orange_and_gray_detected": "orange_and_gray",
 }
-FAST = ("two_squares", "general", "kalman_ball")
+FAST = ("two_squares", "general", "kalman_ball", "hidden_ball")
 FRAMES = {"crowd": 75, "two_people_color_stereo_shape": 20}
 """Where others are needed than usual: the crowd's first join is in frame 72."""
 FEW, MANY = 8, 40

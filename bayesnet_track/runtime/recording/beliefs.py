@@ -24,6 +24,7 @@ from bayesnet_track.belief.motion.composed import Influences
 from bayesnet_track.belief.motion.shifted import CameraShift
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.state import TargetState
+from bayesnet_track.graph.spec import GraphSpec, InferenceNode
 from bayesnet_track.journal.encoder import JournalError, short
 from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.numerics.log_weights import LogWeights
@@ -51,6 +52,21 @@ class KeptBelief:
     time: float
     posterior: ParticleSet | GaussianPosterior
     influences: Influences | None = None
+
+
+def check_kept(graph: GraphSpec) -> None:
+    """Check that every belief of a graph can be kept.
+
+    Raises:
+        ValueError: one is a Gaussian for each mode.
+    """
+    for kind, plate in graph.targets.items():
+        for name, node in plate.nodes.items():
+            if isinstance(node, InferenceNode) and node.modes and node.belief and node.belief.gaussian:
+                raise ValueError(
+                    f"--keep-beliefs: {kind}.{name} is Gaussian in modes, which cannot be smoothed yet; "
+                    "allowed: belief: particles, or no --keep-beliefs"
+                )
 
 
 class BeliefWriter(LineFile):
