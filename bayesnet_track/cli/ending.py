@@ -33,7 +33,7 @@ def say_end(options: argparse.Namespace, out: Path, summary: Summary) -> None:
         complain(explain(notice))
     if len(summary.notices) > SHOWN_NOTICES:
         complain(
-            f"... and {len(summary.notices) - SHOWN_NOTICES} more; `bayesnet-track log {out}` tells them all"
+            f"... and {len(summary.notices) - SHOWN_NOTICES} more; `bayesnet-track log {out}` lists them all"
         )
     if getattr(options, "json", False):
         if options.command in ("run", "resume"):

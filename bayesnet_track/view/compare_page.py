@@ -131,7 +131,7 @@ def _first_parting(first: RunRecord, second: RunRecord, compared: Comparison) ->
     head, *parts = parting_lines(first, second, compared)
     lines = [_mark_sides(line.strip()) for line in parts]
     return [
-        "<h2>Where they part first</h2>",
+        "<h2>Where they first diverge</h2>",
         '<div class="first">',
         f"<p><b>{text_of(_capital(head))}</b></p>",
         *lines,

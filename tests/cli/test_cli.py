@@ -301,7 +301,7 @@ def test_many_notices_are_cut_short(cli, images, tmp_path):
     notices = len(cli(f"log {out} --kind source_damaged")[1].splitlines())
     gaps = len(cli(f"log {out} --kind frames_missing")[1].splitlines())
     assert (notices, gaps) == (8, 7)
-    assert err.splitlines()[-2] == f"... and 10 more; `bayesnet-track log {out}` tells them all"
+    assert err.splitlines()[-2] == f"... and 10 more; `bayesnet-track log {out}` lists them all"
 
 
 def test_several_targets_with_plates(cli, images, two_plates, tmp_path):

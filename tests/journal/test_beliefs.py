@@ -12,7 +12,7 @@ from bayesnet_track.journal.events.beliefs import BeliefReset, MeasurementGated,
 @pytest.mark.parametrize("gamma", [0.0123456, 0.0499996])
 def test_the_level_that_spares_a_belief_is_no_larger_than_its_gamma(gamma):
     sentence = describe(BeliefReset(7, "1", gamma, 0.05, "belief", 400.0, "reset"))
-    assert 0 < float(re.search(r"not at below ≤ (\S+)", sentence)[1]) <= gamma
+    assert 0 < float(re.search(r"would not have happened at below ≤ (\S+)", sentence)[1]) <= gamma
 
 
 @pytest.mark.parametrize("turning", [0.991, 0.9999912345])

@@ -56,7 +56,9 @@ def test_a_run_never_parts_from_itself():
     assert (found.agreed, found.moments, found.first_apart) == (3, (), None)
     assert all(total.first == total.second for total in found.totals)
     text = compare_text(one, one, found, [])
-    assert "they never part: 3 decisions taken by both in the same frame; the estimates never differ" in text
+    assert (
+        "they never diverge: 3 decisions taken by both in the same frame; the estimates never differ" in text
+    )
 
 
 def test_the_same_decision_a_little_later_is_one_moment_and_far_later_two():
@@ -78,7 +80,7 @@ def test_numbers_alone_are_no_parting():
 def test_both_sides_of_the_first_parting_are_told_with_their_causes():
     a, b = record("a", [on(5)]), record("b", [on(25, 230.0)])
     text = compare_text(a, b, compare(a, b), ["seed: 0 → 1"])
-    assert "they part first at frame 5, motion" in text
+    assert "they first diverge at frame 5, motion" in text
     assert (
         "A  frame 5: UD 210 px² > 200 for 1 frame → motion on; would have stayed off at activate ≥ 210"
         in text
@@ -152,7 +154,7 @@ def test_a_target_that_only_one_run_has_is_never_taken_for_another_one_of_that_i
     parted = [(m.frame, m.pair, len(m.first), len(m.second)) for m in found.moments]
     assert parted == [(0, ("", "2"), 0, 1), (5, ("", "2"), 0, 1), (5, ("2", "3"), 1, 0)]
     text = compare_text(a, b, found, [])
-    assert "they part first at frame 0, target 2 of B\n  A  frame 0: it has no such target\n" in text
+    assert "they first diverge at frame 0, target 2 of B\n  A  frame 0: it has no such target\n" in text
     assert "frame 5, target 2 of A, 3 of B, motion\n    A  frame 5: UD 210" in text
 
 

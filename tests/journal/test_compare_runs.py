@@ -37,9 +37,9 @@ def test_what_if_tells_where_it_parts(run, higher, capsys, tmp_path):
     code, out, _ = run_command(capsys, "compare", run, higher, "--html", page)
     assert code == 0
     assert "targets.square.nodes.square.adapt.activate.above.ud_px2: 130 → 400" in out
-    assert "they part first at frame 25, motion\n  A  frame 25: UD 187 px² > 130" in out
+    assert "they first diverge at frame 25, motion\n  A  frame 25: UD 187 px² > 130" in out
     assert "AUC" in out and "reconfigurations" in out
-    assert "They part first at frame 25, motion" in page.read_text(encoding="utf-8")
+    assert "They first diverge at frame 25, motion" in page.read_text(encoding="utf-8")
 
 
 def test_no_page_is_written_over_another_file_unasked(run, higher, capsys, tmp_path):
@@ -63,7 +63,7 @@ def test_as_json(run, higher, capsys):
 
 def test_nothing_changed_gives_the_same_bytes(run, capsys, tmp_path):
     code, out, _ = run_command(capsys, "run", "--what-if", run, "--quiet", "--out", tmp_path / "again")
-    assert code == 0 and "they never part" in out
+    assert code == 0 and "they never diverge" in out
     assert (tmp_path / "again" / "journal.jsonl").read_bytes() == (run / "journal.jsonl").read_bytes()
 
 

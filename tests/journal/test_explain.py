@@ -251,12 +251,12 @@ GOLDEN = [
     (
         BeliefReset(33, "1", 0.2834, 1.0, "belief", 3600.0, "reset"),
         "frame 33: γ 0.283 < 1 over the belief's bounding box (3600 px²) → the belief of target 1 starts "
-        "again from the frame's likelihood; not at below ≤ 0.283",
+        "again from the frame's likelihood; would not have happened at below ≤ 0.283",
     ),
     (
         BeliefReset(34, "1", 0.00512, 0.0177, "image", 76800.0, "ignore"),
         "frame 34: γ 0.00512 < 0.0177 over the image (76800 px²) → the frame's evidence is ignored; "
-        "not at below ≤ 0.00512",
+        "would not have happened at below ≤ 0.00512",
     ),
     (
         MeasurementGated(40, "1", "detector", 31.5, 9.21034037, 0.99, 2, 0.99999985562, 0),

@@ -65,7 +65,7 @@ def runs(make_metrics, name="a"):
 def test_it_tells_the_parting_and_draws_it(few_metrics):
     first, second, compared = runs(few_metrics)
     page = compare_page(first, second, compared, ["seed: 0 → 1"])
-    assert "They part first at frame 12, a" in page
+    assert "They first diverge at frame 12, a" in page
     assert "UD 210 px² &gt; 200" in page
     checked = Checked(page)
     assert checked.active == []
@@ -89,7 +89,7 @@ def test_hostile_names_stay_text_and_the_policy_forbids_everything_else(few_metr
 def test_runs_that_never_part(few_metrics):
     first, _, _ = runs(few_metrics)
     page = compare_page(first, first, compare(first, first), [])
-    assert "They never part" in page and ">never</text>" in page and "parting first" not in page
+    assert "They never diverge" in page and ">never</text>" in page and "parting first" not in page
 
 
 def test_a_page_tells_of_so_many_partings_and_links_no_others(few_metrics, monkeypatch):

@@ -102,7 +102,8 @@ def _describe_reset(event: BeliefReset) -> str:
         else "the frame's evidence is ignored"
     )
     turning = round_away(event.gamma, decimals(event.gamma, event.below), up=False)
-    return f"γ {gamma} < {below} over {over} ({event.region_px2:.0f} px²) → {then}; not at below ≤ {turning}"
+    found = f"γ {gamma} < {below} over {over} ({event.region_px2:.0f} px²)"
+    return f"{found} → {then}; would not have happened at below ≤ {turning}"
 
 
 def _describe_gated(event: MeasurementGated) -> str:

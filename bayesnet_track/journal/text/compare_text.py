@@ -54,30 +54,30 @@ def compare_text(
     lines += ["", *parting_lines(first, second, comparison)]
     rest = comparison.moments[1:]
     if rest:
-        lines += ["", f"after that they part {plural(len(rest), 'more time')}"]
+        lines += ["", f"after that they diverge {plural(len(rest), 'more time')}"]
         for moment in rest[:shown]:
             lines += [
                 f"  {place(moment, comparison)}",
                 *(f"    {one}" for one in sides(first, second, moment)),
             ]
         if len(rest) > shown:
-            lines.append(f"  ... and {len(rest) - shown} more; --all tells them all, --html draws them")
+            lines.append(f"  ... and {len(rest) - shown} more; --all lists them all, --html draws them")
     return "\n".join(lines)
 
 
 def parting_lines(first: RunRecord, second: RunRecord, comparison: Comparison) -> list[str]:
-    """Where the runs part first, with both causes."""
+    """Where the runs first diverge, with both causes."""
     agreed = f"{plural(comparison.agreed, 'decision')} taken by both in the same frame"
     apart = comparison.first_apart
     numbers = "the estimates never differ" if apart is None else f"the estimates differ from frame {apart} on"
     a, b = comparison.last_frames
     if a != b:
-        numbers += f"; {'A' if a > b else 'B'} goes on after frame {min(a, b)}, which is not compared"
+        numbers += f"; {'A' if a > b else 'B'} continues after frame {min(a, b)}, which is not compared"
     if not comparison.moments:
-        return [f"they never part: {agreed}; {numbers}"]
+        return [f"they never diverge: {agreed}; {numbers}"]
     moment = comparison.moments[0]
     return [
-        f"they part first at {place(moment, comparison)}",
+        f"they first diverge at {place(moment, comparison)}",
         *(f"  {one}" for one in sides(first, second, moment)),
         f"  {agreed}; {numbers}",
     ]
