@@ -135,7 +135,7 @@ def _make(parameters: ColorKernelHistogramParameters) -> Cue:
 
 CUE = CueDeclaration(
     name="color_kernel_histogram",
-    summary="Colour histogram inside the box, its middle counting most, by the Bhattacharyya coefficient.",
+    summary="Colour histogram weighted towards the middle of the box, by the Bhattacharyya coefficient.",
     parameters=ColorKernelHistogramParameters,
     make=_make,
     cost_ms=7.7,

@@ -253,7 +253,7 @@ def _make(parameters: DisplacementParameters) -> DisplacementCue:
 
 CUE = CueDeclaration(
     name="displacement",
-    summary="where the target's points have moved, by filtered matrices of displacement",
+    summary="Where the target's points have moved, by filtered matrices of displacement.",
     parameters=DisplacementParameters,
     make=_make,
     cost_ms=1.5,

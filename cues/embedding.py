@@ -176,7 +176,7 @@ def _missing(parameters: EmbeddingParameters) -> str | None:
 
 CUE = CueDeclaration(
     name="embedding",
-    summary="Vector of a network (ONNX) for what is inside the box.",
+    summary="Feature vector of a network (ONNX) for the content of the box.",
     parameters=EmbeddingParameters,
     make=_make,
     cost_ms=8.0,

@@ -237,7 +237,7 @@ def _make(parameters: IntensityParameters) -> IntensityCue:
 
 CUE = CueDeclaration(
     name="intensity",
-    summary="gray pattern inside the box against the target's",
+    summary="Gray pattern inside the box, compared with the target's.",
     parameters=IntensityParameters,
     make=_make,
     cost_ms=0.7,

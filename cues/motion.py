@@ -288,7 +288,7 @@ def _make(parameters: MotionParameters) -> MotionCue:
 
 CUE = CueDeclaration(
     name="motion",
-    summary="optical flow inside the box against the target's",
+    summary="Optical flow inside the box, compared with the target's.",
     parameters=MotionParameters,
     make=_make,
     cost_ms=1.0,

@@ -155,7 +155,7 @@ def _make(parameters: ShadingParameters) -> ShadingCue:
 
 CUE = CueDeclaration(
     name="shading",
-    summary="smooth fall-off of brightness across the box, without its texture",
+    summary="Smooth fall-off of brightness across the box, without its texture.",
     parameters=ShadingParameters,
     make=_make,
     cost_ms=1.0,

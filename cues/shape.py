@@ -257,7 +257,7 @@ def _make(parameters: ShapeParameters) -> ShapeCue:
 
 CUE = CueDeclaration(
     name="shape",
-    summary="silhouette inside the box against a shape model",
+    summary="Silhouette inside the box, compared with a shape model.",
     parameters=ShapeParameters,
     make=_make,
     cost_ms=16.0,

@@ -248,7 +248,7 @@ def _make(parameters: StereoParameters) -> StereoCue:
 
 CUE = CueDeclaration(
     name="stereo",
-    summary="depth, height, shape and points of the depth blob inside the box",
+    summary="Depth, height, shape and points of the depth blob inside the box.",
     parameters=StereoParameters,
     make=_make,
     cost_ms=25.0,

@@ -189,7 +189,7 @@ def _make(parameters: BackgroundParameters) -> Detector:
 
 DETECTOR = DetectorDeclaration(
     name="background",
-    summary="What differs from the usual picture, shadows left out.",
+    summary="What differs from the usual image (the background), without shadows.",
     parameters=BackgroundParameters,
     make=_make,
     cost_ms=40.0,

@@ -191,7 +191,7 @@ def _make(parameters: MotionParameters) -> Detector:
 
 DETECTOR = DetectorDeclaration(
     name="motion",
-    summary="Regions that move against the rest of the picture.",
+    summary="Regions that move against the rest of the image.",
     parameters=MotionParameters,
     make=_make,
     cost_ms=27.0,
