@@ -9,12 +9,13 @@ so that its belief predicts.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from bayesnet_track.observation.cue import (
+    OBSERVED,
     OWN_DETECTION,
     AssociationRule,
     CueDeclaration,
@@ -33,9 +34,16 @@ class DetectionParameters(CueParameters):
     """Parameters of the detection agent."""
 
     sd_place: float = Field(
-        default=0.06, gt=0, description="Sd of a detection's centre (share of its width and height)."
+        default=0.06, ge=0, description="Sd of a detection's centre (share of its width and height)."
     )
-    sd_size: float = Field(default=0.06, gt=0, description="Sd of a detection's sides (share of them).")
+    sd_size: float = Field(default=0.06, ge=0, description="Sd of a detection's sides (share of them).")
+    sd_place_px: float = Field(default=0.0, ge=0, description="Further sd of a detection's centre (px).")
+    sd_size_px: float = Field(default=0.0, ge=0, description="Further sd of a detection's sides (px).")
+    similarity: Literal["density", "iou"] = Field(
+        default="density",
+        description="What the best assignment has most of: `density`, the log density of the detections "
+        "where the targets are expected, or `iou`, the sum of intersections over union, without a gate.",
+    )
     gate: float = Field(
         default=0.999,
         gt=0,
@@ -50,6 +58,33 @@ class DetectionParameters(CueParameters):
         description="A detection that overlaps the predicted box by less is not the target's (intersection "
         "over union).",
     )
+    first_score: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="Detections of a lower score wait for a second pass, in which they are given to targets "
+        "that got none (0: one pass).",
+    )
+    direction: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="Weight of the direction consistency beside `iou`: how well the way to a detection goes "
+        "on from a target's former ones.",
+    )
+    direction_frames: int = Field(
+        default=3, ge=1, le=30, description="Frames over which the direction is measured."
+    )
+    recover: bool = Field(
+        default=False,
+        description="Whether targets left without a detection are compared by their last one, in a further "
+        "pass with the detections left.",
+    )
+    re_update: bool = Field(
+        default=False,
+        description="Whether a target that has a detection after a gap is filtered anew over the gap, along "
+        "the line between both detections.",
+    )
     appearance: float = Field(
         default=0.0,
         ge=0,
@@ -57,6 +92,18 @@ class DetectionParameters(CueParameters):
         description="Weight of the agents of appearance in the assignment (exponent of their likelihood; 0: "
         "place alone).",
     )
+
+    @model_validator(mode="after")
+    def _goes_together(self) -> Self:
+        for share, px in (("sd_place", "sd_place_px"), ("sd_size", "sd_size_px")):
+            if getattr(self, share) == getattr(self, px) == 0:
+                raise ValueError(f"{share} and {px} are both 0; a detection has an error: set one above 0")
+        if self.similarity == "iou" and self.appearance > 0:
+            raise ValueError("appearance has no effect beside similarity: iou; take similarity: density")
+        if self.similarity == "density" and (self.direction > 0 or self.recover):
+            word = "direction" if self.direction > 0 else "recover"
+            raise ValueError(f"{word} compares overlaps; take similarity: iou beside it")
+        return self
 
 
 @dataclass(frozen=True)
@@ -71,15 +118,31 @@ class Detection:
     def rule(self) -> AssociationRule:
         """Which detection is the target's."""
         p = self.parameters
-        return AssociationRule(p.sd_place, p.sd_size, p.gate, p.min_overlap, p.appearance, p.floor)
+        return AssociationRule(
+            p.sd_place,
+            p.sd_size,
+            p.gate,
+            p.min_overlap,
+            p.appearance,
+            p.floor,
+            sd_place_px=p.sd_place_px,
+            sd_size_px=p.sd_size_px,
+            similarity=p.similarity,
+            first_score=p.first_score,
+            direction=p.direction,
+            direction_frames=p.direction_frames,
+            recover=p.recover,
+            re_update=p.re_update,
+        )
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """Nothing: a detection is this frame's."""
         return {}
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
-        """Nothing to blend."""
-        return new if rate > 0 else old
+        """Nothing to blend; what is remembered of former detections stays."""
+        kept = {OBSERVED: old[OBSERVED]} if OBSERVED in old else {}
+        return {**new, **kept} if rate > 0 else old
 
     def measure(
         self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference

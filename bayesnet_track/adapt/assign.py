@@ -66,7 +66,46 @@ def assign(gain: Floats) -> Owners:
     return owner
 
 
-def assign_pairs(rows: Owners, columns: Owners, gains: Floats, count: int, found: int) -> Owners:
+def assign_total(gain: Floats, is_pair: NDArray[np.bool_]) -> Owners:
+    """(N,) column of each row of gains (N, K), one to one, or `NOBODY`: the largest sum of all gains.
+
+    What is not a pair is rejected after the assignment, in which all gains count, as SORT has it (Bewley et
+    al. 2016): a row may stay alone though another could have been its own.
+
+    >>> assign_total(np.array([[0.9, 0.5], [0.8, 0.0]]), np.array([[True, True], [True, False]])).tolist()
+    [1, 0]
+    """
+    from scipy.optimize import linear_sum_assignment  # here, because it takes long to import
+
+    owner = np.full(len(gain), NOBODY, dtype=np.intp)
+    rows, columns = linear_sum_assignment(gain, maximize=True)
+    kept = is_pair[rows, columns]
+    owner[rows[kept]] = columns[kept]
+    return owner
+
+
+def assign_total_pairs(
+    rows: Owners, columns: Owners, gains: Floats, count: int, found: int, least: float
+) -> Owners:
+    """As `assign_total`, of the pairs (P,) whose gains are above 0; those below `least` are rejected."""
+
+    def by_total(gain: Floats) -> Owners:
+        return assign_total(np.maximum(gain, 0.0), gain >= least)
+
+    owner = assign_pairs(rows, columns, gains, count, found, by_total)
+    kept = np.zeros(count, dtype=np.bool_)
+    kept[rows[(owner[rows] == columns) & (gains >= least)]] = True
+    return np.where(kept, owner, NOBODY)
+
+
+def assign_pairs(
+    rows: Owners,
+    columns: Owners,
+    gains: Floats,
+    count: int,
+    found: int,
+    assign_group: Callable[[Floats], Owners] = assign,
+) -> Owners:
     """As `assign`, of the pairs (P,) that are not forbidden, out of `count` rows and `found` columns.
 
     Rows and columns that no pairs connect do not concern each other: each connected group is assigned alone,
@@ -83,7 +122,7 @@ def assign_pairs(rows: Owners, columns: Owners, gains: Floats, count: int, found
         own_columns, column = np.unique(columns[pairs], return_inverse=True)
         gain = np.full((len(own_rows), len(own_columns)), -np.inf)
         gain[row, column] = gains[pairs]
-        chosen = assign(gain)
+        chosen = assign_group(gain)
         is_given = chosen != NOBODY
         owner[own_rows[is_given]] = own_columns[chosen[is_given]]
     return np.asarray(owner)

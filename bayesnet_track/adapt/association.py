@@ -25,8 +25,10 @@ def distances(a: Floats, b: Floats) -> Floats:
     return np.asarray(away / side, dtype=np.float64)
 
 
-def alike(a: Floats, b: Floats, apart: float, covered: float = COVERED) -> NDArray[np.bool_]:
+def alike(a: Floats, b: Floats, apart: float, covered: float | None = COVERED) -> NDArray[np.bool_]:
     """(N, K) whether boxes (N, 4) and (K, 4) are one object: no farther apart, or so much covered."""
+    if covered is None:
+        return np.asarray(distances(a, b) <= apart)
     low = np.maximum(a[:, None, :2] - a[:, None, 2:] / 2, b[None, :, :2] - b[None, :, 2:] / 2)
     high = np.minimum(a[:, None, :2] + a[:, None, 2:] / 2, b[None, :, :2] + b[None, :, 2:] / 2)
     shared = np.prod(np.clip(high - low, 0.0, None), axis=2)
@@ -51,7 +53,7 @@ def pair_up(cost: Floats, limit: Floats) -> Owners:
 
 
 def associate(
-    detections: Floats, live: Floats, sd_px: Floats, apart: float, covered: float = COVERED
+    detections: Floats, live: Floats, sd_px: Floats, apart: float, covered: float | None = COVERED
 ) -> tuple[Owners, NDArray[np.bool_]]:
     """Who holds which detection, and which are free.
 
@@ -60,7 +62,7 @@ def associate(
         live: (K, 4) estimates of the targets that are not lost.
         sd_px: (K,) root mean square sd of x and y of their beliefs.
         apart: within how many box sides a detection is taken for a target's.
-        covered: how much of the smaller box another holds that is taken for the same object.
+        covered: how much of the smaller box another holds that is taken for the same object; None: no share.
 
     Returns:
         (N,) the live target that it is given to, one to one, or `NOBODY`; and (N,) True where it is nobody's

@@ -37,9 +37,10 @@ class Candidate:
         step: (2,) its centre's last displacement per look, px.
         looks: for each of the last looks, its score there, or None when it was not seen.
         first_frame: frame in which it was first detected.
-        mean: (D,) of its belief, where the plate has `existence`.
+        mean: (D,) of its belief, where the plate has `existence` or tentative tracks.
         covariance: (D, D) of its belief.
         existence: probability that it exists.
+        observed: (H,) what is remembered of the detections of a tentative track (`adapt.observed`).
     """
 
     box: Floats
@@ -49,6 +50,7 @@ class Candidate:
     mean: Floats | None = None
     covariance: Floats | None = None
     existence: float | None = None
+    observed: Floats | None = None
 
     @property
     def seen(self) -> int:
@@ -160,6 +162,21 @@ def feed(
             kept.append(after)
     for new in np.flatnonzero(owner == NOBODY):
         kept.append(Candidate(boxes[new].copy(), np.zeros(2), (float(scores[new]),), frame))
+    return keep_best(kept, rule)
+
+
+def look_again(
+    candidate: Candidate, box: Floats | None, score: float | None, confirm: Confirm
+) -> Candidate | None:
+    """A tentative track after a look: seen in the centre box (4,) or not; None when it is given up."""
+    after = _add_look(candidate, score, confirm)
+    if box is not None:
+        after = replace(after, box=box.copy(), step=box[:2] - candidate.box[:2])
+    return None if _is_hopeless(after, confirm) else after
+
+
+def keep_best(kept: Sequence[Candidate], rule: Birth) -> tuple[Candidate, ...]:
+    """No more than twice `rule.max_targets` (and 8): those seen most often, then those of the best scores."""
     best = sorted(range(len(kept)), key=lambda k: (-kept[k].seen, -kept[k].score, k))
     chosen = sorted(best[: max(2 * rule.max_targets, 8)])
     return tuple(kept[k] for k in chosen)

@@ -32,7 +32,8 @@ HEAD = """\
 <!-- Made by python -m bayesnet_track.cli.graph_table; do not edit. -->
 
 Each of these graphs can be named without a path, as in `bayesnet-track run general …`. Start with `general`
-for one target of unknown appearance, and with `kalman_detections` if you have a detector's boxes. The
+for one target of unknown appearance, and with `kalman_detections` if you have a detector's boxes. `sort`,
+`bytetrack` and `oc_sort` are [the field's own trackers](targets.md#trackers-of-the-field-as-graphs). The
 others belong to the scenes of `bayesnet-track demo` and show one thing each; copy the file that is nearest
 to your task. `bayesnet-track graph NAME --formula` prints the density that a graph stands for.
 

@@ -12,6 +12,7 @@ from bayesnet_track.belief.gaussian.modal import ModalFilter
 from bayesnet_track.belief.grid.belief import GridFilter
 from bayesnet_track.belief.modes import Modes, make_modes
 from bayesnet_track.belief.motion.borders import Reflecting
+from bayesnet_track.belief.motion.box_velocity import BoxVelocityMotion
 from bayesnet_track.belief.motion.formulas import make_formula_motion
 from bayesnet_track.belief.motion.modal import Modal
 from bayesnet_track.belief.motion.models import make_motion
@@ -219,6 +220,8 @@ def make_plate_motion(root: spec.InferenceNode, constants: Mapping[str, float]) 
     motion: MotionModel
     if chosen.expressions is not None:
         motion = make_formula_motion(chosen.expressions, constants)
+    elif chosen.box_velocity is not None:
+        motion = BoxVelocityMotion(chosen.box_velocity)
     else:
         motion = make_motion(chosen)
     if settings.sd_angle_deg > 0:

@@ -37,11 +37,14 @@ from bayesnet_track.graph.settings.lifecycle import (
     Death,
     DetectorChoice,
     MergeDuplicates,
+    MergeOrNever,
     Reidentify,
+    ReidentifyOrNever,
 )
 from bayesnet_track.graph.settings.modes import Hidden, Mode, Modes
 from bayesnet_track.graph.settings.motion import (
     BoxSd,
+    BoxVelocity,
     ByExpressions,
     ConstantAcceleration,
     ConstantVelocity,
@@ -103,6 +106,7 @@ __all__ = [
     "BinnedSize",
     "Birth",
     "BoxSd",
+    "BoxVelocity",
     "ByExpressions",
     "Choice",
     "Concentrated",
@@ -301,12 +305,13 @@ class Target(Model):
     birth: Birth | None = Field(
         default=None, description="where targets come from besides the given start boxes; default nowhere"
     )
-    merge_duplicates: MergeDuplicates | None = Field(
-        default=None, description="when two nets track the same target; default, with `birth`, as below"
+    merge_duplicates: MergeOrNever | None = Field(
+        default=None,
+        description="when two nets track the same target, or never; default, with `birth`, as below",
     )
     death: Death | None = Field(default=None, description="when a net ends; default, with `birth`, as below")
-    reidentify: Reidentify | None = Field(
-        default=None, description="how targets are re-identified; default, with `birth`, as below"
+    reidentify: ReidentifyOrNever | None = Field(
+        default=None, description="how targets are re-identified, or never; default, with `birth`, as below"
     )
     existence: Existence | None = Field(
         default=None,

@@ -29,6 +29,7 @@ from bayesnet_track.observation.likelihoods import log_size_penalty as log_size_
 from bayesnet_track.observation.plugins import installed
 from bayesnet_track.observation.protocols import ANGLE as ANGLE
 from bayesnet_track.observation.protocols import CONTEXT as CONTEXT
+from bayesnet_track.observation.protocols import OBSERVED as OBSERVED
 from bayesnet_track.observation.protocols import OWN_DETECTION as OWN_DETECTION
 from bayesnet_track.observation.protocols import AnyCue as AnyCue
 from bayesnet_track.observation.protocols import AssociatingCue as AssociatingCue

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,6 +143,9 @@ class MeasuringCue(Protocol):
         ...
 
 
+OBSERVED = "observed"
+"""Name, in a reference, of what is remembered of the detections a target was given; see `adapt.observed`."""
+
 OWN_DETECTION = "claim"
 """Name, in a reference, of the detection that the target was given for this frame; see `AssociatingCue`."""
 
@@ -160,6 +163,14 @@ class AssociationRule:
             detection's box.
         floor: floor of its measurement where that is the detection's box with errors of `variances` and
             nothing else, so that many targets are measured at once; None where the cue has to be asked.
+        sd_place_px: further sd of its centre, px.
+        sd_size_px: further sd of its sides, px.
+        similarity: what the best assignment has most of: log density of the detections, or overlap.
+        first_score: detections of a lower score are given in a second pass, to targets left without one.
+        direction: weight of the direction consistency beside the overlap.
+        direction_frames: over how many frames the direction of a target is measured.
+        recover: whether targets left without a detection are compared by their last one in another pass.
+        re_update: whether a target that has a detection again is filtered anew over the gap.
     """
 
     sd_place: float
@@ -168,11 +179,27 @@ class AssociationRule:
     min_overlap: float
     appearance: float
     floor: float | None = None
+    sd_place_px: float = 0.0
+    sd_size_px: float = 0.0
+    similarity: Literal["density", "iou"] = "density"
+    first_score: float = 0.0
+    direction: float = 0.0
+    direction_frames: int = 3
+    recover: bool = False
+    re_update: bool = False
 
     def variances(self, boxes: Floats) -> Floats:
         """(..., 4) variances in px^2 of x, y, w, h of detections (..., 4)."""
         shares = np.array([self.sd_place, self.sd_place, self.sd_size, self.sd_size])
-        return np.asarray((shares * boxes[..., [2, 3, 2, 3]]) ** 2)
+        variances = (shares * boxes[..., [2, 3, 2, 3]]) ** 2
+        if self.sd_place_px or self.sd_size_px:
+            variances += np.square([self.sd_place_px, self.sd_place_px, self.sd_size_px, self.sd_size_px])
+        return np.asarray(variances)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether a target's former detections say anything of which one is its own, or of its belief."""
+        return self.direction > 0.0 or self.recover or self.re_update
 
 
 @runtime_checkable

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.observation.cue import OWN_DETECTION, AssociatingCue
+from bayesnet_track.cues.detection import DetectionParameters
+from bayesnet_track.observation.cue import OBSERVED, OWN_DETECTION, AssociatingCue
 
 
 def test_it_measures_the_detection_that_the_target_was_given(ask, scene):
@@ -37,3 +38,30 @@ def test_several_detections_are_choices_with_their_probabilities(ask, scene):
     assert measured.missed == pytest.approx(0.1)
     np.testing.assert_allclose(measured.mean, [12, 20, 30, 60])
     np.testing.assert_allclose([one.mean for _, one in measured.choices], own[:, :4])
+
+
+def test_what_is_remembered_of_former_detections_outlives_learning(ask, scene):
+    asked = ask("detection", similarity="iou", recover=True)
+    learnt = asked.learn(scene.pair(), scene.box())
+    assert asked.cue.blend({OBSERVED: np.ones(6)}, learnt, 0.5)[OBSERVED].tolist() == [1.0] * 6
+
+
+def test_errors_in_px_add_to_those_in_shares(ask, scene):
+    asked = ask("detection", sd_place=0.1, sd_place_px=3, sd_size=0, sd_size_px=2)
+    claim = np.array([[150.0, 110.0, 40.0, 80.0, 0.7]])
+    measured = asked.measure(scene.pair(), scene.box()[None], {OWN_DETECTION: claim})
+    np.testing.assert_allclose(np.diag(measured.covariance), [16 + 9, 64 + 9, 4, 4])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"sd_place": 0}, "sd_place and sd_place_px are both 0"),
+        ({"similarity": "iou", "appearance": 0.5}, "take similarity: density"),
+        ({"direction": 0.2}, "direction compares overlaps; take similarity: iou"),
+        ({"recover": True}, "recover compares overlaps"),
+    ],
+)
+def test_parameters_that_have_no_effect_together_are_refused(wrong, said):
+    with pytest.raises(ValueError, match=said):
+        DetectionParameters(**wrong)

@@ -177,7 +177,7 @@ def test_looks_say_whose_a_detection_is_where_the_agent_asks_for_them(monkeypatc
         asked.append(target)
         return np.zeros(len(boxes))
 
-    monkeypatch.setattr(association, "_score_looks", looks)
+    monkeypatch.setattr(association, "score_looks", looks)
     image = np.random.default_rng(0).integers(0, 255, (200, 300, 3)).astype(np.uint8)
     engine = steps.make_engine(
         own, 0, detectors={"detections": FileDetector({k: seen_at([90, 90, 30, 60]) for k in range(8)})}

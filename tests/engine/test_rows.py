@@ -102,6 +102,30 @@ def assert_alike(rows, singles):
                 ), key
 
 
+@pytest.mark.parametrize("name", ["sort", "bytetrack", "oc_sort"])
+def test_trackers_of_the_field_agree_as_rows_and_one_by_one(name, found, one_by_one):
+    """With tentative tracks, passes, directions and re-updates; what is remembered is the same, too."""
+    graph = load_graph(name)
+    rows, singles = outcomes(graph, found), one_by_one(graph, found)
+    assert sum(isinstance(one.metrics, RowMetrics) for one in rows) > FRAMES - 8
+    assert_alike(rows, singles)
+    last, other = rows[-1].state, singles[-1].state
+    assert list(last.targets) == list(other.targets)
+    for target in other.targets:
+        own, its = (one.targets[target].references["seen"] for one in (last, other))
+        assert own.keys() == its.keys()
+        for key in own:
+            np.testing.assert_allclose(own[key], its[key], rtol=1e-8, atol=1e-10)
+    mine, theirs = (one.history.candidates["target"] for one in (last, other))
+    assert [one.looks for one in mine] == [one.looks for one in theirs]
+    again = decode_state(
+        encode_state(last), steps.make_engine(graph, 0, detectors={"detections": None}), None
+    )
+    assert [one.mean.tolist() for one in again.history.candidates["target"]] == [
+        one.mean.tolist() for one in mine
+    ]
+
+
 def test_rows_and_single_targets_agree(graph, found, one_by_one):
     rows, singles = outcomes(graph, found), one_by_one(graph, found)
     assert sum(isinstance(one.metrics, RowMetrics) for one in rows) > FRAMES - 8

@@ -414,6 +414,7 @@ def everything() -> dict[str, Any]:
             "fuse": "pool",
             "belief": {"particles": {"size": {"likelihood_sum": {"threshold": 20}}}},
         },
+        "u": {"motion": {"box_velocity": {"sd_velocity_px": {"w": 1}, "leave_image": True}}},
         "r": {"adapt": {"activate": {"unless": "concentrated"}, "information": {"exploration": 1}}},
         "l": {
             "motion": {

@@ -45,6 +45,15 @@ def errors_of(life, cues):
         ),
         ("    birth: {every: 2}", ["g.yaml:5:12: t: key 'detector' is missing; allowed: a detector, or one"]),
         ("    birth: {detector: {motion: {}, background: {}}}", ["allowed: exactly one detector"]),
+        ("    merge_duplicates: nevr", ["g.yaml:5:23: t: merge_duplicates is "]),
+        (
+            "    birth: {detector: motion, max_overlap: often}",
+            ["g.yaml:5:44: t: max_overlap is 'often'; allowed: never or a number above 0"],
+        ),
+        (
+            "    birth: {detector: motion, tentative: true}",
+            ["g.yaml:5:31: t: tentative without an agent that is given detections; allowed: an agent: "],
+        ),
         ("    reidentify: {frames: 20}", ["g.yaml:5:5: t: reidentify without birth"]),
     ],
 )

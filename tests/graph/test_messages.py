@@ -66,7 +66,8 @@ def test_a_graph_from_python_names_the_path_of_keys(cues):
         check_graph(spec, cues)
     assert set(str(error.value).splitlines()) == {
         "<python>:targets.t.nodes.s: s: key 'motion' is missing at the root; "
-        "allowed: random_walk, constant_velocity, damped_velocity, constant_acceleration, expressions",
+        "allowed: random_walk, constant_velocity, damped_velocity, constant_acceleration, expressions, "
+        "box_velocity",
         "<python>:targets.t.nodes.a.agent.hue.bins: a: bins is 1; "
         "allowed: a whole number at least 4, at most 128 (bins round the hue circle, count)",
     }
@@ -79,7 +80,8 @@ def test_plain_data_from_python_too(cues):
         check_graph(data, cues)
     assert str(error.value).splitlines() == [
         "<python>:targets.t.nodes.s.motion: s: unknown motion 'constant_velocty'; allowed: random_walk, "
-        "constant_velocity, damped_velocity, constant_acceleration, expressions; nearest: constant_velocity",
+        "constant_velocity, damped_velocity, constant_acceleration, expressions, box_velocity; "
+        "nearest: constant_velocity",
         "<python>:targets.t.nodes.a.active: a: active is 1; allowed: true or false",
     ]
     nodes["s"], nodes["a"]["active"] = {"motion": "constant_velocity"}, True

@@ -41,11 +41,28 @@ class Confined(Wrapped):
         # Imported here: a graph is validated without compiling anything.
         from bayesnet_track.numerics.kernels.kinematic_kernels import confine
 
-        confine(moved, float(self.width), float(self.height))
+        if self.leaves_image:
+            np.maximum(moved[:, 2:4], 1.0, out=moved[:, 2:4])
+        else:
+            confine(moved, float(self.width), float(self.height))
         return moved
+
+    @property
+    def leaves_image(self) -> bool:
+        """Whether the model's centres go on beyond the image."""
+        return bool(getattr(self.motion, "leaves_image", False))
+
+    @property
+    def extent(self) -> Floats:
+        """(2,) width and height of the image; infinite where nothing is confined to it."""
+        return np.array(
+            [np.inf, np.inf] if self.leaves_image else [self.width, self.height], dtype=np.float64
+        )
 
     def spread_limit(self, mean: Floats) -> Floats:
         """(4,) root mean square distance from the state `mean` (D,) of a box that may be anywhere."""
+        if self.leaves_image:
+            return np.full(4, np.inf)
         low = np.array([0.0, 0.0, 1.0, 1.0])
         high = np.array([self.width - 1.0, self.height - 1.0, 2.0 * self.width, 2.0 * self.height])
         return np.asarray(np.sqrt((high - low) ** 2 / 12 + (mean[:4] - (low + high) / 2) ** 2))

@@ -10,32 +10,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.assign import assign, gated_gains
 from bayesnet_track.adapt.association import NOBODY
 from bayesnet_track.adapt.existence import Population
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.belief.gaussian.predict import predict
 from bayesnet_track.belief.motion.borders import confined
-from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.lifecycle.assigning import Sharing, give_detection, score_looks
 from bayesnet_track.engine.lifecycle.detecting import Found, look
 from bayesnet_track.engine.lifecycle.existing import Crowd, CrowdRule, divide
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Gaussian
-from bayesnet_track.inference.compile import compile_plan
-from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.journal.events.births import DetectorFailed
-from bayesnet_track.observation.cue import OWN_DETECTION, AssociationRule, Hypotheses
 
 Floats = NDArray[np.float64]
-
-LEAST_LOG = -50.0
-"""Log-likelihoods of looks are cut here, so that they are numbers: lower ones are beyond every gate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +37,9 @@ class Associated:
     Attributes:
         found: plate that looked -> its detections, the best first.
         owners: plate whose agents measure by detections -> (N,) for each of its detections the target that it
-            was given to.
+            was given to, or `TENTATIVE`.
         targets: every live target, the references of such agents with what they were given.
-        history: as it was, with the detectors' states after the look.
+        history: as it was, with the detectors' states after the look, and tentative tracks after the frame.
         events: detectors that failed.
     """
 
@@ -84,8 +76,9 @@ def associate_first(
         boxes = {target: expected[target] for target in own}
         rule, whose = CrowdRule.of(compiled), tuple[str | None, ...]()
         if rule is None:
-            seen = found.get(plate, Found(np.empty((0, 4)), np.empty(0)))
-            own, whose = _assign(work, compiled, own, boxes, seen)
+            whose, own, left = Sharing(work, plate, history, found.get(plate), boxes).share(own)
+            if left is not None:
+                history = replace(history, candidates={**history.candidates, plate: left})
         else:
             before = history.populations.get(plate)
             own, whose, population = _divide(work, rule, (own, boxes), before, found.get(plate))
@@ -95,31 +88,6 @@ def associate_first(
             owners[plate] = whose
     work.charge("life", started)
     return Associated(found, owners, given, history, events)
-
-
-def _assign(
-    work: FrameWork,
-    compiled: CompiledPlate,
-    targets: Mapping[str, TargetState],
-    expected: Mapping[str, tuple[Floats, Floats]],
-    seen: Found,
-) -> tuple[dict[str, TargetState], tuple[str | None, ...]]:
-    """The targets of a plate with the detection that each is assigned, and whose each detection is."""
-    rule = next(iter(compiled.association_rules.values()))
-    gain = np.full((len(targets), len(seen.boxes)), -np.inf)
-    for row, target in enumerate(targets):
-        looks = partial(_score_looks, work, target, targets[target])
-        gain[row] = gated_gains(*expected[target], seen.boxes, rule, looks)
-    owner = assign(gain)
-    whose: list[str | None] = [None] * len(seen.boxes)
-    given = {}
-    for target, number in zip(targets, owner.tolist(), strict=True):
-        own = np.empty((0, 5))
-        if number != NOBODY:
-            whose[number] = target
-            own = np.append(seen.boxes[number], seen.scores[number])[None]
-        given[target] = _give_detection(targets[target], compiled.association_rules, own)
-    return given, tuple(whose)
 
 
 def _divide(
@@ -139,7 +107,7 @@ def _divide(
 
     def log_looks(row: int, boxes: Floats) -> Floats:
         return (
-            _score_looks(work, names[row], targets[names[row]], boxes)
+            score_looks(work, names[row], targets[names[row]], boxes)
             if row < len(names)
             else np.zeros(len(boxes))
         )
@@ -158,7 +126,7 @@ def _divide(
         own = np.column_stack([seen.boxes[columns], seen.scores[columns]])
         if rule.is_marginal:
             own = np.column_stack([own, done.weights[which]])
-        state = _give_detection(targets[target], work.plate_of(target).association_rules, own)
+        state = give_detection(targets[target], work.plate_of(target).association_rules, own)
         given[target] = replace(state, existence=float(done.existence[row]))
         if done.owner[row] != NOBODY:
             whose[done.owner[row]] = target
@@ -175,33 +143,3 @@ def _predict_box(work: FrameWork, target: str, before: TargetState) -> tuple[Flo
     belief, elapsed = before.belief, frame.time - before.time
     mean, covariance = predict(belief.mean, belief.covariance, motion, elapsed, Gaussian())
     return mean[:4], covariance[:4, :4]
-
-
-def _score_looks(work: FrameWork, target: str, state: TargetState, boxes: Floats) -> Floats:
-    """(N,) log-likelihood of boxes (N, 4) by all agents that know the target's looks, switched on or not."""
-    compiled = work.plate_of(target)
-    agents = [a for a in compiled.plate.agents if a in compiled.looks and a in state.references]
-    if not work.frame.has_color:
-        agents = [agent for agent in agents if agent not in compiled.color_agents]
-    if not agents:
-        return np.zeros(len(boxes))
-    stream = work.stream(target, compiled.plate.root)
-    observer = Observer(
-        work.cache,
-        compiled.cues,
-        state.references,
-        lambda what: stream(f"claim {what}"),
-        availability=work.availability_of(target, "claiming"),
-    )
-    prior = np.full(len(boxes), -np.log(len(boxes)))
-    plan = replace(compile_plan(compiled.plate, agents, compiled.cues), factors=())
-    return np.clip(evaluate(plan, observer, Hypotheses(boxes), prior).log_likelihood, LEAST_LOG, 0.0)
-
-
-def _give_detection(state: TargetState, agents: Mapping[str, AssociationRule], own: Floats) -> TargetState:
-    given = {
-        agent: {**state.references[agent], OWN_DETECTION: own}
-        for agent in agents
-        if agent in state.references
-    }
-    return replace(state, references={**state.references, **given})

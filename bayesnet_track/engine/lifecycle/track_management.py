@@ -9,7 +9,7 @@ of it is a function of the engine, what is remembered and the frame.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -24,6 +24,7 @@ from bayesnet_track.adapt.lifecycle import (
     feed,
     is_confirmed,
     is_refusal_notable,
+    keep_best,
     overlapping,
 )
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
@@ -33,6 +34,7 @@ from bayesnet_track.engine.lifecycle.detecting import Found, look
 from bayesnet_track.engine.lifecycle.existing import CrowdRule, confirmed, first_population
 from bayesnet_track.engine.lifecycle.recognise import Match, match
 from bayesnet_track.engine.lifecycle.reidentifying import compare
+from bayesnet_track.engine.lifecycle.sharing import start_tentative
 from bayesnet_track.engine.lifecycle.track_table import LiveTable, table_of
 from bayesnet_track.engine.outcome import Outcome
 from bayesnet_track.engine.rows.columns import RowStates
@@ -44,6 +46,7 @@ from bayesnet_track.graph.settings.lifecycle import Birth, LifeRules
 from bayesnet_track.journal.events.births import BirthsRefused, CandidateConfirmed
 from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
 from bayesnet_track.journal.events.reidentification import Reacquired, Returned
+from bayesnet_track.observation.cue import OBSERVED
 from bayesnet_track.observation.planes import Frame
 
 Floats = NDArray[np.float64]
@@ -79,6 +82,7 @@ def manage_tracks(work: FrameWork, outcome: Outcome, associated: Associated | No
             detectors=looked.detectors,
             failed=looked.failed,
             populations=looked.populations,
+            candidates=looked.candidates,
         )
     tracks.events += events
     for plate, rule in rules.items():
@@ -121,14 +125,14 @@ class _Births:
 
 def _give_birth(now: _Births, found: Found, owners: tuple[str | None, ...] | None) -> None:
     """What becomes of a plate's detections; `owners` says whose each is where they were given before."""
-    tracks, apart, covered = now.tracks, now.birth.min_distance_box, now.birth.max_overlap
+    tracks, apart, covered = now.tracks, now.birth.min_distance_box, now.birth.covered
     if owners is None:
         held = tracks.held(now.plate)
         sd = np.array([_sd_px(tracks.state(target)) for target in held])
         owner, free = associate(found.boxes, tracks.boxes(held), sd, apart, covered)
         seen = [held[k] for k in owner if k != NOBODY]
     else:
-        seen = [target for target in owners if target is not None]
+        seen = [target for target in owners if target]
         free = np.array([one is None for one in owners], dtype=bool)
         if free.any():
             near = tracks.boxes(list(dict.fromkeys([*tracks.held(now.plate), *seen])))
@@ -139,9 +143,8 @@ def _give_birth(now: _Births, found: Found, owners: tuple[str | None, ...] | Non
     found = found.only(free)
     at = _find_lost(now, found, seen)
     found = found.only(np.logical_not(np.any(alike(found.boxes, at, apart, covered), axis=1)))
-    waiting = feed(
-        tracks.history.candidates.get(now.plate, ()), found.boxes, found.scores, now.frame.index, now.birth
-    )
+    found = found.only(found.scores >= now.birth.min_score)
+    waiting = _wait(now, found)
     ready = sorted(
         (k for k, one in enumerate(waiting) if is_confirmed(one, now.birth.confirm)),
         key=lambda k: (-waiting[k].score, k),
@@ -159,7 +162,7 @@ def _give_birth_by_existence(now: _Births, found: Found, owners: tuple[str | Non
         return
     if owners is None:  # of a first frame nothing was given before
         held = tracks.boxes(tracks.held(plate))
-        near = alike(found.boxes, held, now.birth.min_distance_box, now.birth.max_overlap)
+        near = alike(found.boxes, held, now.birth.min_distance_box, now.birth.covered)
         free = found.only(np.logical_not(np.any(near, axis=1)))
         population = first_population(rule, free, now.frame.index)
     else:
@@ -172,6 +175,20 @@ def _give_birth_by_existence(now: _Births, found: Found, owners: tuple[str | Non
         left[[row for row, one in ready.items() if any(one is other for other in done)]] = False
         population = replace(population, prospects=population.prospects.take(left))
     tracks.history = replace(tracks.history, populations={**tracks.history.populations, plate: population})
+
+
+def _wait(now: _Births, found: Found) -> tuple[Candidate, ...]:
+    """The candidates of a plate after the look, in which nobody was given these detections."""
+    before, frame = now.tracks.history.candidates.get(now.plate, ()), now.frame.index
+    if not now.birth.tentative:
+        return feed(before, found.boxes, found.scores, frame, now.birth)
+    compiled = now.work.engine.plates[now.plate]
+    rule = next(iter(compiled.association_rules.values()))
+    new = [
+        start_tentative(rule, box, float(score), frame, compiled.motion.start_moments(box))
+        for box, score in zip(found.boxes, found.scores, strict=True)
+    ]
+    return keep_best([*before, *new], now.birth)
 
 
 def _find_lost(now: _Births, found: Found, seen: Sequence[str]) -> Floats:
@@ -208,7 +225,7 @@ def _start_confirmed(now: _Births, ready: Sequence[Candidate], found: Found) -> 
     refused = 0
     for number, candidate in enumerate(ready):
         others = tracks.boxes(tracks.held(now.plate))
-        if alike(candidate.box[None], others, now.birth.min_distance_box, now.birth.max_overlap).any():
+        if alike(candidate.box[None], others, now.birth.min_distance_box, now.birth.covered).any():
             done.append(candidate)
         elif len(tracks.of_plate(now.plate)) >= most:
             refused += 1
@@ -256,18 +273,21 @@ def _start(now: _Births, candidate: Candidate, nearest: Match | None) -> None:
         )
         born = start(now.work, target, now.plate, box)
         tracks.decide(*born.decisions)
-    state = _with_belief(born.state, candidate)
+    state = _with_belief(born.state, candidate, now.work.engine.plates[now.plate].association_rules)
     tracks.add(target, state, _start_record(state, frame.index, frame), born.metrics)
 
 
-def _with_belief(state: TargetState, candidate: Candidate) -> TargetState:
-    """The state of a target that was a prospect: what was known of that is the target's."""
+def _with_belief(state: TargetState, candidate: Candidate, rules: Iterable[str]) -> TargetState:
+    """The state of a target that was a prospect or a tentative track, with what was known of it."""
     belief = state.belief
-    if candidate.existence is None or candidate.mean is None or candidate.covariance is None:
+    if candidate.mean is None or candidate.covariance is None:
         return state
     if isinstance(belief, GaussianPosterior):
         belief = replace(belief, mean=candidate.mean, covariance=candidate.covariance)
-    return replace(state, belief=belief, existence=candidate.existence)
+    references, observed = dict(state.references), candidate.observed
+    if observed is not None and len(observed):
+        references |= {agent: {**references.get(agent, {}), OBSERVED: observed} for agent in rules}
+    return replace(state, belief=belief, references=references, existence=candidate.existence)
 
 
 def _refuse(now: _Births, waiting: int) -> None:

@@ -14,20 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.assign import assign_pairs
-from bayesnet_track.adapt.association import NOBODY
+from bayesnet_track.adapt.association import NOBODY, Owners
 from bayesnet_track.adapt.existence import Population
+from bayesnet_track.adapt.lifecycle import Candidate
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import QUIET_MINIMUM
+from bayesnet_track.adapt.passes import Pass, share_by_overlap, share_in_passes
 from bayesnet_track.adapt.situation import Situation
 from bayesnet_track.adapt.status import judge_status
-from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian
+from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.lifecycle.assigning import advance_tentative, name_owners, tentative_tracks
 from bayesnet_track.engine.lifecycle.association import Associated
 from bayesnet_track.engine.lifecycle.detecting import Found, look
 from bayesnet_track.engine.lifecycle.existing import Crowd, divide, gate
+from bayesnet_track.engine.lifecycle.sharing import Predict, Tracks, follow, own_detections
 from bayesnet_track.engine.outcome import Outcome, State
 from bayesnet_track.engine.rows.columns import GIVEN, GIVEN_NONE, Columns, RowRecords, Rows, RowStates
-from bayesnet_track.engine.rows.fitting import RowRule
+from bayesnet_track.engine.rows.fitting import LinearMotion, RowRule
 from bayesnet_track.engine.rows.row_metrics import RowMeasures, RowMetrics
 from bayesnet_track.engine.state import apply_decisions
 from bayesnet_track.journal.net.net import Decision
@@ -35,7 +39,6 @@ from bayesnet_track.numerics.gaussian import ALONE
 from bayesnet_track.numerics.kernels.row_columns import AREA, FIT, HYPOTHESES, NATS, UD
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +48,7 @@ class Predicted:
     Attributes:
         mean: (T, D).
         covariance: (T, D, D).
-        image: (2,) width and height of the frame.
+        image: (2,) width and height that they are confined to.
     """
 
     mean: Floats
@@ -63,7 +66,9 @@ class Given:
         is_given: (T,) whether there is one that may be its own.
         numbers: (T, 8) what was measured, in the columns of `numerics.kernels.row_columns`.
         existence: (T,) probability that each exists.
+        observed: (T, H) what is remembered of the detections of each.
         population: what was learnt of all detections, where targets exist with a probability.
+        candidates: the tentative tracks after the frame; None where there were none.
     """
 
     whose: tuple[str | None, ...]
@@ -71,7 +76,9 @@ class Given:
     is_given: NDArray[np.bool_]
     numbers: Floats
     existence: Floats
+    observed: Floats
     population: Population | None = None
+    candidates: tuple[Candidate, ...] | None = None
 
 
 def advance_rows(work: FrameWork, state: State, rows: Rows) -> tuple[Outcome, Associated]:
@@ -85,7 +92,10 @@ def advance_rows(work: FrameWork, state: State, rows: Rows) -> tuple[Outcome, As
         lambda plate: held_rows(rows, plate),
     )
     if rule.crowd is None:
-        given = assign_rows(work, rows, predicted, found.get(rule.plate))
+        waiting = tentative_tracks(rule.compiled, history)
+        given = assign_rows(work, rows, predicted, waiting, found.get(rule.plate))
+        if given.candidates is not None:
+            history = replace(history, candidates={**history.candidates, rule.plate: given.candidates})
     else:
         population = history.populations.get(rule.plate)
         given = divide_rows(work, rows, predicted, population, found.get(rule.plate))
@@ -100,6 +110,7 @@ def advance_rows(work: FrameWork, state: State, rows: Rows) -> tuple[Outcome, As
         own=given.own,
         given=np.where(given.is_given, GIVEN, GIVEN_NONE),
         existence=given.existence,
+        observed=given.observed,
     )
     after, measured, decisions = judge_rows(work, rows, updated, given.numbers)
     net = apply_decisions(work.net, decisions)
@@ -121,15 +132,29 @@ def advance_rows(work: FrameWork, state: State, rows: Rows) -> tuple[Outcome, As
     return outcome, Associated(found, owners, {}, history, failures)
 
 
-def assign_rows(work: FrameWork, rows: Rows, predicted: Predicted, found: Found | None) -> Given:
-    """The best assignment, and the rows updated in place by what each is assigned."""
+def assign_rows(
+    work: FrameWork, rows: Rows, predicted: Predicted, waiting: Sequence[Candidate], found: Found | None
+) -> Given:
+    """The best assignment, and the rows updated in place by what each is assigned.
+
+    Tentative tracks, those `waiting`, take part in it, and are updated, too.
+    """
     from bayesnet_track.numerics.kernels.row_kernels import update_rows
 
-    rule, started = rows.rule, work.engine.clock()
+    rule, started, live = rows.rule, work.engine.clock(), slice(len(rows.ids))
     seen = Found(np.empty((0, 4)), np.empty(0)) if found is None else found
-    owner = share_out(rule, predicted, seen)
-    is_given = owner != NOBODY
-    own = owned(owner, seen)
+    now, predict = rows.columns, predictor(work, rows)
+    before = Tracks(now.mean, now.covariance, now.observed).and_tentative(waiting)
+    expected = Tracks(predicted.mean, predicted.covariance, before.observed)
+    if waiting:
+        expected = Tracks(*predict(before.mean, before.covariance), before.observed)
+    owner = share_out(rule, expected, seen)
+    own = own_detections(owner, seen.boxes, seen.scores)
+    followed, _ = follow(rule.association, before, expected, owner, own, predict)
+    left = advance_tentative(rule.compiled, waiting, followed, own, found is not None) if waiting else None
+    if waiting:
+        predicted.mean[:], predicted.covariance[:] = followed.mean[live], followed.covariance[live]
+    own, is_given = own[live], owner[live] != NOBODY
     started = work.charge("life", started)
     variances = rule.association.variances(own[:, :4]) * rule.temperature
     variances[~is_given] = 1.0
@@ -139,7 +164,8 @@ def assign_rows(work: FrameWork, rows: Rows, predicted: Predicted, found: Found 
         mean, covariance, boxes, is_given, variances, rule.floor, predicted.image, rule.counts, ALONE
     )
     work.charge("belief", started)
-    return Given(whose_are(rows.ids, owner, seen), own, is_given, numbers, rows.columns.existence)
+    whose = name_owners(owner, rows.ids, len(seen.boxes))
+    return Given(whose, own, is_given, numbers, now.existence, followed.observed[live], candidates=left)
 
 
 def divide_rows(
@@ -175,39 +201,36 @@ def divide_rows(
     )
     work.charge("belief", started)
     is_given = np.diff(done.starts) > 0
-    whose = whose_are(rows.ids, done.owner, seen)
-    return Given(whose, owned(done.owner, seen), is_given, numbers, done.existence, done.population)
-
-
-def owned(owner: Ints, seen: Found) -> Floats:
-    """(T, 5) the detection of each target, and its score; zeros where it has none."""
-    own = np.zeros((len(owner), 5))
-    is_given = owner != NOBODY
-    own[is_given, :4], own[is_given, 4] = seen.boxes[owner[is_given]], seen.scores[owner[is_given]]
-    return own
-
-
-def whose_are(ids: Sequence[str], owner: Ints, seen: Found) -> tuple[str | None, ...]:
-    """(N,) whose each detection is."""
-    whose: list[str | None] = [None] * len(seen.boxes)
-    for row in np.flatnonzero(owner != NOBODY).tolist():
-        whose[owner[row]] = ids[row]
-    return tuple(whose)
+    whose = name_owners(done.owner, rows.ids, len(seen.boxes))
+    own = own_detections(done.owner, seen.boxes, seen.scores)
+    return Given(
+        whose, own, is_given, numbers, done.existence, rows.columns.observed, population=done.population
+    )
 
 
 def predict_all(work: FrameWork, rows: Rows) -> Predicted:
     """Every target's prediction."""
+    mean, covariance = predictor(work, rows)(rows.columns.mean, rows.columns.covariance)
+    return Predicted(mean, covariance, image_of(work, rows.rule))
+
+
+def predictor(work: FrameWork, rows: Rows) -> Predict:
+    """The prediction of beliefs from the last frame to this one."""
     from bayesnet_track.numerics.kernels.row_kernels import predict_rows
 
-    image = np.array([work.frame.width, work.frame.height], dtype=np.float64)
+    image = image_of(work, rows.rule)
     move, noise = _moves(rows.rule.motion, work.frame.time - rows.time)
-    mean, covariance = predict_rows(rows.columns.mean, rows.columns.covariance, move, noise, image)
-    return Predicted(mean, covariance, image)
+    return lambda mean, covariance: predict_rows(mean, covariance, move, noise, image)
+
+
+def image_of(work: FrameWork, rule: RowRule) -> Floats:
+    """(2,) width and height that targets are confined to."""
+    return Confined(rule.motion, work.frame.width, work.frame.height).extent
 
 
 @lru_cache(maxsize=64)
-def _moves(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]:
-    return linear_gaussian(motion, dt)
+def _moves(motion: LinearMotion, dt: float) -> tuple[Floats, Floats]:
+    return motion.linearise(np.ones(len(motion.fields)), dt)
 
 
 def held_rows(rows: Rows, plate: str) -> list[str]:
@@ -219,10 +242,23 @@ def held_rows(rows: Rows, plate: str) -> list[str]:
     ]
 
 
-def share_out(rule: RowRule, predicted: Predicted, seen: Found) -> Ints:
-    """(T,) the detection of each target, or `NOBODY`; see `adapt.assign`."""
-    pairs = gate(rule.association, predicted.mean, predicted.covariance, seen.boxes)
-    return assign_pairs(pairs.rows, pairs.columns, pairs.values, len(predicted.mean), len(seen.boxes))
+def share_out(rule: RowRule, expected: Tracks, seen: Found) -> Owners:
+    """(T,) the detection of each target, or `NOBODY`; see `adapt.assign` and `adapt.passes`."""
+    mean, covariance, boxes = expected.mean, expected.covariance, np.ascontiguousarray(seen.boxes)
+    if rule.association.similarity == "iou":
+        return share_by_overlap(rule.association, mean[:, :4], expected.observed, boxes, seen.scores)
+    if rule.association.first_score <= 0.0:
+        return _share_by_density(rule, mean, covariance, boxes)
+
+    def ask(by: Pass, left: Owners, columns: Owners) -> Owners:
+        return _share_by_density(rule, mean[left], covariance[left], boxes[columns])
+
+    return share_in_passes(rule.association, seen.scores, len(mean), ask)
+
+
+def _share_by_density(rule: RowRule, mean: Floats, covariance: Floats, boxes: Floats) -> Owners:
+    pairs = gate(rule.association, mean, covariance, boxes)
+    return assign_pairs(pairs.rows, pairs.columns, pairs.values, len(mean), len(boxes))
 
 
 def judge_rows(

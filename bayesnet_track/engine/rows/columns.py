@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.lifecycle import TrackRecord
 from bayesnet_track.adapt.memory import QUIET_WINDOW, Memory, Quiet, Streak
+from bayesnet_track.adapt.observed import first_observed, remembered
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.engine.rows.fitting import RowRule
 from bayesnet_track.engine.state import TargetState
-from bayesnet_track.observation.cue import OWN_DETECTION
+from bayesnet_track.observation.cue import OBSERVED, OWN_DETECTION
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -34,6 +35,7 @@ class Columns:
         covariance: (T, D, D).
         size: (T,) hypotheses.
         own: (T, 5) the detection that it was given: centre box and score.
+        observed: (T, H) what is remembered of its detections (`adapt.observed`).
         given: (T,) whether there was one: `NEVER_ASKED`, `GIVEN_NONE` or `GIVEN`.
         nats: (T,) sum of the agent's contributions.
         nat_frames: (T,) frames that count in it.
@@ -58,6 +60,7 @@ class Columns:
     covariance: Floats
     size: Ints
     own: Floats
+    observed: Floats
     given: Ints
     nats: Floats
     nat_frames: Ints
@@ -139,6 +142,8 @@ class Rows:
         reference: dict[str, Floats] = {}
         if now.given[row] != NEVER_ASKED:
             reference[OWN_DETECTION] = now.own[row : row + 1] if now.given[row] == GIVEN else np.empty((0, 5))
+        if now.observed.shape[1]:
+            reference[OBSERVED] = now.observed[row]
         belief = GaussianPosterior(now.mean[row], now.covariance[row], rule.motion.fields, int(now.size[row]))
         existence = None if rule.crowd is None else float(now.existence[row])
         references = {rule.agent: reference}
@@ -247,6 +252,7 @@ def make_rows(
         covariance=stack([state.belief.covariance for state in several], width, width),
         size=np.array([len(state.belief) for state in several], dtype=np.int64),
         own=stack([one[0, :5] if one is not None and len(one) else np.zeros(5) for one in own], 5),
+        observed=stack([observed_of(rule, state) for state in several], observed_width(rule)),
         given=np.array(given, dtype=np.int64),
         nats=np.array([nats for nats, _ in helpful], dtype=np.float64),
         nat_frames=np.array([count for _, count in helpful], dtype=np.int64),
@@ -267,6 +273,16 @@ def make_rows(
         existence=np.array([1.0 if one.existence is None else one.existence for one in several]),
     )
     return Rows(rule, tuple(states), columns, time)
+
+
+def observed_of(rule: RowRule, state: TargetState) -> Floats:
+    """(H,) what is remembered of a target's detections; of one that had none yet, its box."""
+    return remembered(rule.association, state.references.get(rule.agent, {}), state.belief.mean)
+
+
+def observed_width(rule: RowRule) -> int:
+    """H."""
+    return int(first_observed(rule.association, np.empty((0, 4)), len(rule.motion.fields)).shape[1])
 
 
 def stack(arrays: Sequence[Floats], *shape: int) -> Floats:

@@ -16,6 +16,7 @@ from bayesnet_track.adapt.memory import Memory, Streak
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.gaussian.belief import GaussianFilter, GaussianPosterior
 from bayesnet_track.belief.gaussian.predict import require_linear
+from bayesnet_track.belief.motion.box_velocity import BoxVelocityMotion
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.lifecycle.existing import CrowdRule
@@ -25,9 +26,10 @@ from bayesnet_track.graph.spec import InferenceNode, Lost
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.executor import is_elsewhere
 from bayesnet_track.journal.net.target_net import TargetNet
-from bayesnet_track.observation.cue import OWN_DETECTION, AssociationRule
+from bayesnet_track.observation.cue import OBSERVED, OWN_DETECTION, AssociationRule
 
 Floats = NDArray[np.float64]
+LinearMotion = KinematicMotion | BoxVelocityMotion
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +51,7 @@ class RowRule:
 
     compiled: CompiledPlate
     agent: str
-    motion: KinematicMotion
+    motion: LinearMotion
     association: AssociationRule
     floor: float
     temperature: float
@@ -92,7 +94,7 @@ def row_rule(engine: Engine, plate: str) -> RowRule | None:
     is_plain = node.self_check is None and association.floor is not None and association.appearance == 0.0
     if not (is_plain and _root_fits(root) and compiled.guard is None and compiled.moving is None):
         return None
-    if not isinstance(motion, KinematicMotion) or not _belief_fits(compiled, motion):
+    if not isinstance(motion, LinearMotion) or not _belief_fits(compiled, motion):
         return None
     if compiled.lifecycle is not None:
         again = compiled.lifecycle.reidentify
@@ -119,7 +121,7 @@ def _root_fits(root: InferenceNode) -> bool:
     return estimate in ("map", "mean") and is_product and all(one is None for one in further)
 
 
-def _belief_fits(compiled: CompiledPlate, motion: KinematicMotion) -> bool:
+def _belief_fits(compiled: CompiledPlate, motion: LinearMotion) -> bool:
     belief = compiled.belief
     if not isinstance(belief, GaussianFilter) or belief.settings.gate < 1.0:
         return False
@@ -154,7 +156,7 @@ def states_fit(rule: RowRule, states: Mapping[str, TargetState], time: float) ->
         and not (state.watched.slow or state.watched.parted or state.watched.frames)
         and _is_plain(state.scored)
         and state.references.keys() <= {rule.agent}
-        and state.references.get(rule.agent, {}).keys() <= {OWN_DETECTION}
+        and state.references.get(rule.agent, {}).keys() <= {OWN_DETECTION, OBSERVED}
         and _memory_fits(rule, state.memory)
         for state in states.values()
     )

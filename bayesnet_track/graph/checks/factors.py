@@ -20,6 +20,7 @@ FURTHER = {
     "constant_velocity": ("vx", "vy"),
     "damped_velocity": ("vx", "vy"),
     "constant_acceleration": ("vx", "vy", "ax", "ay"),
+    "box_velocity": ("vx", "vy", "vw", "vh"),
 }
 
 

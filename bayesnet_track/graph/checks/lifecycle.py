@@ -61,6 +61,29 @@ def associating_agents_have_births(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, "birth, too", key=("agent",))
 
 
+def tracks_are_gaussian(plate: Plate) -> Iterator[GraphMessage]:
+    """Tentative tracks are given detections; they, and those filtered anew over a gap, are Gaussian."""
+    birth, root = plate.spec.birth, plate.inference.get(plate.roots[0]) if plate.roots else None
+    reading = [
+        name
+        for name, node in plate.agents.items()
+        if node.agent.cue in plate.cues and plate.cues[node.agent.cue].reads_detection
+    ]
+    is_gaussian = root is not None and root.belief is not None and root.belief.gaussian is not None
+    allowed = "belief: {gaussian: {filter: kalman}}"
+    if birth is not None and birth.tentative:
+        key = ("birth", "tentative")
+        if not reading:
+            found = "tentative without an agent that is given detections"
+            yield _message(plate, key, found, "an agent: detection, too, or no tentative", on_key=True)
+        elif not is_gaussian:
+            yield _message(plate, key, "tentative beside a belief that is not gaussian", allowed, on_key=True)
+    for name in reading:
+        if plate.agents[name].agent.parameters.get("re_update") and not is_gaussian:
+            found = "re_update beside a belief that is not gaussian"
+            yield plate.message(name, found, allowed, key=("agent",))
+
+
 def _message(
     plate: Plate,
     key: Path,
@@ -78,4 +101,5 @@ LIFE_CHECKS: tuple[Check, ...] = (
     parameters_fit_the_detector,
     recall_has_a_detector,
     associating_agents_have_births,
+    tracks_are_gaussian,
 )

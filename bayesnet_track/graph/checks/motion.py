@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from bayesnet_track.graph.checks.cues import plugin_parameters
 from bayesnet_track.graph.checks.plates import Check, Plate
-from bayesnet_track.graph.settings.motion import Moving
+from bayesnet_track.graph.settings.motion import BoxVelocity, Moving
 from bayesnet_track.graph.text.explain import explain
 from bayesnet_track.graph.text.messages import GraphMessage, Path
 from bayesnet_track.observation.detector import ENTRY_POINT_GROUP, installed_detectors
@@ -89,6 +89,21 @@ def borders_can_be_met(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, "proposal: bootstrap", key=here, on_key=True)
 
 
+def box_velocities_are_gaussian(plate: Plate) -> Iterator[GraphMessage]:
+    """`box_velocity` is filtered by a Gaussian belief, and takes noise in px alone."""
+    for name, key, settings in _moving(plate):
+        if not isinstance(settings, BoxVelocity):
+            continue
+        belief = plate.inference[name].belief
+        if belief is None or belief.gaussian is None:
+            found = f"box_velocity beside {'particles' if belief is None else belief.kind}"
+            yield plate.message(name, found, "belief: {gaussian: {filter: kalman}}", key=key, on_key=True)
+        own = {"sd_px", *BoxVelocity.model_fields.keys() - Moving.model_fields.keys()}
+        for word in sorted(settings.model_fields_set - own):
+            found = f"{word} has no effect on box_velocity"
+            yield plate.message(name, found, sorted(own), key=(*key, word), on_key=True)
+
+
 def angle_is_seen(plate: Plate) -> Iterator[GraphMessage]:
     """A grid has no cells for the angle; elsewhere some agent must read it."""
     for name, key, settings in _moving(plate):
@@ -143,6 +158,7 @@ MOTION_CHECKS: tuple[Check, ...] = (
     size_is_drawn_back_from_somewhere,
     belief_holds_the_motion,
     borders_can_be_met,
+    box_velocities_are_gaussian,
     angle_is_seen,
     jumps_have_places,
 )

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from bayesnet_track.graph.settings.base import (
     FrameCount,
@@ -16,6 +16,7 @@ from bayesnet_track.graph.settings.base import (
     Share,
     Truth,
     Whole,
+    word_or_mapping,
 )
 from bayesnet_track.graph.settings.existence import Existence
 
@@ -48,6 +49,10 @@ class Confirm(Model):
         return self
 
 
+def _word_or_number(value: object) -> str:
+    return "word" if isinstance(value, str) else "number"
+
+
 class Birth(Model):
     """Detections that no live target claims become targets of this plate, each with its own net.
 
@@ -71,10 +76,27 @@ class Birth(Model):
         description="smallest distance between the centres of a new and a live target, in the mean of both "
         "sqrt(w h)",
     )
-    max_overlap: Share = Field(
+    max_overlap: Annotated[
+        Annotated[Literal["never"], Tag("word")] | Annotated[Share, Tag("number")],
+        Discriminator(_word_or_number),
+    ] = Field(
         default=0.5,
-        description="overlap, as a share of the smaller box, from which on two boxes are one object",
+        description="overlap, as a share of the smaller box, from which on two boxes are one object, or "
+        "never",
     )
+    min_score: Annotated[Number, Field(ge=0, le=1)] = Field(
+        default=0.0, description="least score of a detection that starts a target, or a candidate for one"
+    )
+    tentative: Truth = Field(
+        default=False,
+        description="candidates are tentative tracks: each has a belief, and detections are shared out among "
+        "targets and candidates alike; default, a candidate takes the nearest detection that is left",
+    )
+
+    @property
+    def covered(self) -> float | None:
+        """`max_overlap`; None: never."""
+        return None if self.max_overlap == "never" else self.max_overlap
 
 
 class MergeDuplicates(Model):
@@ -137,16 +159,27 @@ class LifeRules:
     existence: Existence | None = None
 
 
+OrNever = Discriminator(word_or_mapping)
+Never = Annotated[Literal["never"], Tag("word")]
+MergeOrNever = Annotated[Never | Annotated[MergeDuplicates, Tag("mapping")], OrNever]
+ReidentifyOrNever = Annotated[Never | Annotated[Reidentify, Tag("mapping")], OrNever]
+
+
 def life_rules(
     birth: Birth | None,
-    merge_duplicates: MergeDuplicates | None,
+    merge_duplicates: MergeOrNever | None,
     death: Death | None,
-    reidentify: Reidentify | None,
+    reidentify: ReidentifyOrNever | None,
     existence: Existence | None = None,
 ) -> LifeRules | None:
     """The rules of a plate with these settings; None when its targets live as long as the run."""
     if birth is None:
-        return LifeRules(None, merge_duplicates, death, None) if merge_duplicates or death else None
+        merge = merge_duplicates if isinstance(merge_duplicates, MergeDuplicates) else None
+        return LifeRules(None, merge, death, None) if merge or death else None
     return LifeRules(
-        birth, merge_duplicates or MergeDuplicates(), death or Death(), reidentify or Reidentify(), existence
+        birth,
+        None if merge_duplicates == "never" else merge_duplicates or MergeDuplicates(),
+        death or Death(),
+        None if reidentify == "never" else reidentify or Reidentify(),
+        existence,
     )

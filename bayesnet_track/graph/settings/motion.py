@@ -16,6 +16,7 @@ from bayesnet_track.graph.settings.base import (
     NotNegative,
     Number,
     Positive,
+    Truth,
     Whole,
 )
 from bayesnet_track.graph.settings.lifecycle import DetectorChoice
@@ -257,6 +258,25 @@ class ByExpressions(Model):
         return 0.0
 
 
+class BoxVelocity(Moving):
+    """Centre and sides each have a velocity; all noise is independent and Gaussian, in px.
+
+    The state of eight fields that SORT and its successors filter: constant velocity of the whole box. Its
+    noise is a diagonal matrix per frame interval, as theirs is: unlike that of `constant_velocity`, two half
+    intervals are not quite one whole. It takes `sd_px` and the keys of its own, beside a belief that is
+    `gaussian`.
+    """
+
+    sd_velocity_px: PixelSd = Field(default=PixelSd(), description="noise of the velocities, px per frame")
+    start_sd_px: PixelSd = Field(default=PixelSd(), description="error of the first box")
+    start_velocity_sd_px: PixelSd = Field(
+        default=PixelSd(x=5.0, y=5.0), description="of the unknown first velocities, px per frame"
+    )
+    leave_image: Truth = Field(
+        default=False, description="whether centres may leave the image; else they stop at its border"
+    )
+
+
 class Motion(Choice):
     """How the target moves between frames."""
 
@@ -267,3 +287,6 @@ class Motion(Choice):
         default=None, description="the acceleration drifts"
     )
     expressions: ByExpressions | None = Field(default=None, description="as expressions say")
+    box_velocity: BoxVelocity | None = Field(
+        default=None, description="the velocities of the centre and of both sides drift"
+    )

@@ -75,6 +75,36 @@ def gate_rows(
 
 
 @compiled
+def overlap_rows(
+    expected: Floats, boxes: Floats, order: Ints, starts: Ints, ends: Ints
+) -> tuple[Ints, Ints, Floats]:
+    """Rows, columns and intersections over union (P,) of the boxes (T, 4) and (N, 4) that overlap at all.
+
+    Looked at are the detections `order[starts[t]:ends[t]]`.
+    """
+    count = expected.shape[0]
+    room = 0
+    for t in range(count):
+        room += ends[t] - starts[t]
+    rows, columns, overlaps = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
+    pairs = 0
+    for t in range(count):
+        for at in range(starts[t], ends[t]):
+            n = order[at]
+            shared, area, other = 1.0, 1.0, 1.0
+            for k in range(2):
+                low = max(expected[t, k] - expected[t, k + 2] / 2, boxes[n, k] - boxes[n, k + 2] / 2)
+                high = min(expected[t, k] + expected[t, k + 2] / 2, boxes[n, k] + boxes[n, k + 2] / 2)
+                shared *= max(high - low, 0.0)
+                area *= expected[t, k + 2]
+                other *= boxes[n, k + 2]
+            if shared > 0.0:
+                rows[pairs], columns[pairs], overlaps[pairs] = t, n, shared / (area + other - shared)
+                pairs += 1
+    return rows[:pairs].copy(), columns[:pairs].copy(), overlaps[:pairs].copy()
+
+
+@compiled
 def find_group(parents: Ints, one: int) -> int:
     """The number of the group that `one` is in."""
     while parents[one] != one:

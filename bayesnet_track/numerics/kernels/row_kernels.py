@@ -35,7 +35,8 @@ def predict_rows(
 ) -> tuple[Floats, Floats]:
     """Means (T, D) and covariances (T, D, D) after m = F m, P = F P F' + Q, confined to an image.
 
-    Centres stay on the image (width, height), sizes from 1 px to twice the image's; the sds of a box are at
+    Centres stay on the image (width, height; infinite: they go anywhere), sizes from 1 px to twice the
+    image's; the sds of a box are at
     most those of one that may be anywhere (`belief.motion.bounds.Confined`).
     """
     count, size = mean.shape
@@ -71,7 +72,8 @@ def predict_rows(
             shrink[k] = 1.0
         for k in range(4):
             extent = image[k % 2]
-            low, high = (0.0, extent - 1.0) if k < 2 else (1.0, 2.0 * extent)
+            least = 0.0 if extent < np.inf else -np.inf
+            low, high = (least, extent - 1.0) if k < 2 else (1.0, 2.0 * extent)
             new[t, k] = min(max(new[t, k], low), high)
             limit = math.sqrt((high - low) ** 2 / 12 + (new[t, k] - (low + high) / 2) ** 2)
             sd = math.sqrt(spread[t, k, k])
@@ -180,7 +182,8 @@ def update_rows(
                     step = far * lower[k, (n - 1) % width]
                     value = value + step if n <= width else value - step
                 extent = image[k % 2]
-                low, high = (0.0, extent - 1.0) if k < 2 else (1.0, 2.0 * extent)
+                least = 0.0 if extent < np.inf else -np.inf
+                low, high = (least, extent - 1.0) if k < 2 else (1.0, 2.0 * extent)
                 value = min(max(value, low), high)
                 boxes[n, k] = value
                 if seen[t]:

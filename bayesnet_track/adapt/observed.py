@@ -1,0 +1,140 @@
+"""What is remembered of the detections that targets were given, one array row a target: pure functions.
+
+A row of T targets with beliefs of D fields has these parts, those that a rule needs:
+
+- the last detection, the frames since then, how many there were after the first;
+- for the direction (Cao et al. 2023): the detections of the last frames, NaN where there was none, and the
+  unit vector from an earlier one to the last;
+- for the re-update (same paper): mean and covariance of the belief when the last one had been used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.observation.cue import OBSERVED, AssociationRule, Reference
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+LAST, GAP, COUNT = slice(0, 4), 4, 5
+FIXED = 6
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the parts of a row stand.
+
+    Attributes:
+        frames: L, over how many frames directions are measured; 0 without.
+        size: D, of the beliefs that are remembered; 0 without.
+    """
+
+    frames: int
+    size: int
+
+    @classmethod
+    def of(cls, rule: AssociationRule, size: int) -> Layout:
+        """That of a rule, for beliefs of D = `size` fields."""
+        return cls(rule.direction_frames if rule.direction > 0 else 0, size if rule.re_update else 0)
+
+    @property
+    def recent(self) -> slice:
+        """Detections of the last L frames, 4 L."""
+        return slice(FIXED, FIXED + 4 * self.frames)
+
+    @property
+    def heading(self) -> slice:
+        """Unit vector of x, y; NaN while unknown."""
+        start = FIXED + 4 * self.frames
+        return slice(start, start + (2 if self.frames else 0))
+
+    @property
+    def mean(self) -> slice:
+        """Mean when the last detection had been used."""
+        return slice(self.heading.stop, self.heading.stop + self.size)
+
+    @property
+    def covariance(self) -> slice:
+        """Its covariance, D * D."""
+        return slice(self.mean.stop, self.mean.stop + self.size**2)
+
+    @property
+    def width(self) -> int:
+        """Length of a row."""
+        return int(self.covariance.stop)
+
+
+def first_observed(rule: AssociationRule, boxes: Floats, size: int) -> Floats:
+    """(T, H) of targets that start in the centre boxes (T, 4); (T, 0) where nothing is remembered."""
+    if not rule.remembers:
+        return np.empty((len(boxes), 0))
+    layout = Layout.of(rule, size)
+    rows = np.full((len(boxes), layout.width), np.nan)
+    rows[:, LAST], rows[:, GAP], rows[:, COUNT] = boxes, 0.0, 0.0
+    return rows
+
+
+def remembered(rule: AssociationRule, reference: Reference, mean: Floats) -> Floats:
+    """(H,) what a reference holds of this; of a target without detections, the box of its mean (D,)."""
+    if OBSERVED in reference:
+        return reference[OBSERVED]
+    return np.asarray(first_observed(rule, mean[None, :4], len(mean))[0])
+
+
+def observe(
+    rule: AssociationRule, observed: Floats, before: tuple[Floats, Floats], own: Floats, is_given: Bools
+) -> Floats:
+    """(T, H) after a frame in which targets were given the detections `own` (T, 4), where `is_given`.
+
+    `before` are means (T, D) and covariances (T, D, D) of the beliefs of the frame before.
+    """
+    if not observed.shape[1]:
+        return observed
+    layout, after = Layout.of(rule, before[0].shape[1]), observed.copy()
+    if layout.size:
+        parting = ~is_given & (observed[:, GAP] == 0.0)
+        after[parting, layout.mean] = before[0][parting]
+        after[parting, layout.covariance] = before[1][parting].reshape(-1, layout.size**2)
+    if layout.frames:
+        origin = earlier(layout, observed)
+        turned = is_given & ~np.isnan(origin[:, 0])
+        after[turned, layout.heading] = _unit(own[turned, :2] - origin[turned, :2])
+        recent = after[:, layout.recent]
+        after[:, layout.recent] = np.concatenate(
+            [recent[:, 4:], np.where(is_given[:, None], own, np.nan)], axis=1
+        )
+    after[is_given, LAST] = own[is_given]
+    after[:, GAP] = np.where(is_given, 0.0, observed[:, GAP] + 1.0)
+    after[:, COUNT] += is_given
+    return after
+
+
+def earlier(layout: Layout, observed: Floats) -> Floats:
+    """(T, 4) the earliest detection within the last L frames, else the last; NaN with the first one only."""
+    origin = np.where(observed[:, [COUNT]] > 0, observed[:, LAST], np.nan)
+    for back in range(layout.frames - 1, -1, -1):
+        one = observed[:, layout.recent][:, 4 * back : 4 * back + 4]
+        origin = np.where(np.isnan(one), origin, one)
+    return origin
+
+
+def direction_consistency(rule: AssociationRule, observed: Floats, boxes: Floats, scores: Floats) -> Floats:
+    """(T, N) weight * score * (1/2 - angle / pi): how well the way to a detection goes on from a target's.
+
+    The angle is that between the target's direction and the way from the same earlier detection to each of
+    the boxes (N, 4). 0 while a target's direction is not known.
+    """
+    layout = Layout(rule.direction_frames, 0)
+    heading, origin = observed[:, layout.heading], earlier(layout, observed)
+    way = _unit(boxes[None, :, :2] - origin[:, None, :2])
+    angle = np.arccos(np.clip((way * heading[:, None]).sum(axis=2), -1.0, 1.0))
+    consistency = rule.direction * scores * (0.5 - angle / np.pi)
+    return np.where(np.isnan(heading[:, :1]) | np.isnan(origin[:, :1]), 0.0, consistency)
+
+
+def _unit(way: Floats) -> Floats:
+    return np.asarray(way / (np.linalg.norm(way, axis=-1, keepdims=True) + 1e-6))

@@ -1,0 +1,77 @@
+"""Whose is which detection, in passes: by score (Zhang et al. 2022), by the last one (Cao et al. 2023)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.assign import assign_total, assign_total_pairs
+from bayesnet_track.adapt.association import NOBODY, Owners
+from bayesnet_track.adapt.observed import LAST, direction_consistency
+from bayesnet_track.numerics.boxes import overlap
+from bayesnet_track.observation.cue import AssociationRule
+
+Floats = NDArray[np.float64]
+Pass = Literal["first", "second", "last"]
+Ask = Callable[[Pass, Owners, Owners], Owners]
+"""One pass: the targets (T,) and detections (N,) that take part -> (T,) which of these each is given."""
+
+
+def share_in_passes(rule: AssociationRule, scores: Floats, count: int, ask: Ask) -> Owners:
+    """(T,) the detection of each of `count` targets, or `NOBODY`; `scores` (N,) are the detections'.
+
+    First those of at least `first_score`, for all targets; then the others, for the targets left; with
+    `recover` at last what is left of the first, by the targets' last detections.
+    """
+    owner = np.full(count, NOBODY, dtype=np.intp)
+    is_first = scores >= rule.first_score
+
+    def give(by: Pass, columns: Owners) -> None:
+        rows = np.flatnonzero(owner == NOBODY)
+        free = columns[~np.isin(columns, owner)]
+        if len(rows) and len(free):
+            chosen = ask(by, rows, free)
+            got = chosen != NOBODY
+            owner[rows[got]] = free[chosen[got]]
+
+    give("first", np.flatnonzero(is_first))
+    if not is_first.all():
+        give("second", np.flatnonzero(~is_first))
+    if rule.recover:
+        give("last", np.flatnonzero(is_first))
+    return owner
+
+
+def share_by_overlap(
+    rule: AssociationRule, expected: Floats, observed: Floats, boxes: Floats, scores: Floats
+) -> Owners:
+    """(T,) the detection of each target, or `NOBODY`, by overlap with the boxes (T, 4) that are expected.
+
+    `observed` (T, H) is what is remembered of the targets' detections (`adapt.observed`). All overlaps count
+    in the assignment; pairs that overlap by less than `min_overlap` are rejected after it.
+    """
+
+    def ask(by: Pass, rows: Owners, columns: Owners) -> Owners:
+        reference = observed[rows, LAST] if by == "last" else expected[rows]
+        if by == "first" and rule.direction > 0:
+            consistency = direction_consistency(rule, observed[rows], boxes[columns], scores[columns])
+            common = overlap(reference[:, None], boxes[columns][None])
+            return assign_total(common + consistency, common >= rule.min_overlap)
+        return _by_overlap_alone(rule, reference, boxes[columns])
+
+    return share_in_passes(rule, scores, len(expected), ask)
+
+
+def _by_overlap_alone(rule: AssociationRule, reference: Floats, boxes: Floats) -> Owners:
+    # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.kernels.pair_kernels import overlap_rows
+
+    order = np.argsort(boxes[:, 0], kind="stable")
+    places, reach = boxes[order, 0], (reference[:, 2] + boxes[:, 2].max()) / 2
+    starts = np.searchsorted(places, reference[:, 0] - reach)
+    ends = np.searchsorted(places, reference[:, 0] + reach, side="right")
+    pairs = overlap_rows(np.ascontiguousarray(reference), np.ascontiguousarray(boxes), order, starts, ends)
+    return assign_total_pairs(*pairs, len(reference), len(boxes), rule.min_overlap)

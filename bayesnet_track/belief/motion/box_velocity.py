@@ -1,0 +1,88 @@
+"""Constant velocity of a whole box, with independent noise in px: the state of SORT and its successors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import BOX_FIELDS, Ancestors
+from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.graph.settings.motion import BoxVelocity, PixelSd
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BoxVelocityMotion:
+    """A motion model (`belief.contract.MotionModel`) of x, y, w, h and their velocities.
+
+    x' = x + v dt, v' = v; each of the eight has noise of its own, its variance in proportion to dt. Particles
+    are propagated, but have no `transition`: the language gives this motion to Gaussian beliefs alone.
+    """
+
+    settings: BoxVelocity
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """x, y, w, h and their velocities, px per frame."""
+        return (*BOX_FIELDS, "vx", "vy", "vw", "vh")
+
+    @property
+    def leaves_image(self) -> bool:
+        """Whether centres go on beyond the image."""
+        return self.settings.leave_image
+
+    def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
+        """(size, 8) states around the centre box (4,)."""
+        mean, covariance = self.start_moments(box)
+        states = mean + rng.standard_normal((size, 8)) * np.sqrt(np.diagonal(covariance))
+        np.maximum(states[:, 2:4], 1.0, out=states[:, 2:4])
+        return np.asarray(states)
+
+    def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
+        """(8,) mean and (8, 8) covariance of what `start` draws."""
+        sds = np.concatenate([_sds(self.settings.start_sd_px), _sds(self.settings.start_velocity_sd_px)])
+        return np.concatenate([box, np.zeros(4)]).astype(np.float64), np.diag(sds**2)
+
+    def propagate(
+        self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
+    ) -> Floats:
+        """(N, 8) states after `dt` frame intervals; widths and heights stay at least 1 px."""
+        new = self.drift(states if parents is None else states[parents], dt)
+        new += rng.standard_normal(new.shape) * np.sqrt(np.diagonal(self._noise(dt)))
+        np.maximum(new[:, 2:4], 1.0, out=new[:, 2:4])
+        return new
+
+    def drift(self, states: Floats, dt: float) -> Floats:
+        """(N, 8) states after `dt` frame intervals without noise: F x."""
+        new = states.copy()
+        new[:, :4] += dt * states[:, 4:]
+        return new
+
+    def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
+        """F and Q, each (8, 8): new = F old + noise of covariance Q; the same at every state.
+
+        Raises:
+            ValueError: dt is not positive and finite.
+        """
+        if not (dt > 0 and np.isfinite(dt)):
+            raise ValueError(f"time between frames must be positive and finite, not {dt}")
+        return np.eye(8) + dt * np.eye(8, k=4), self._noise(dt)
+
+    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+        """Not known of this motion."""
+        raise NotImplementedError("box_velocity is a motion of Gaussian beliefs")
+
+    def transition(self, old: Floats, dt: float) -> Transition:
+        """Not known of this motion."""
+        raise NotImplementedError("box_velocity is a motion of Gaussian beliefs")
+
+    def _noise(self, dt: float) -> Floats:
+        sds = np.concatenate([_sds(self.settings.sd_px), _sds(self.settings.sd_velocity_px)])
+        return np.diag(dt * sds**2)
+
+
+def _sds(of: PixelSd) -> Floats:
+    return np.array([of.x, of.y, of.w, of.h])

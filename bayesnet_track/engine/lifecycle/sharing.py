@@ -1,0 +1,136 @@
+"""Share the detections of a frame out among the targets of a plate and its tentative tracks, as arrays.
+
+Targets that are advanced one by one and those that are rows of a table go through here alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.association import NOBODY, Owners
+from bayesnet_track.adapt.lifecycle import Candidate, look_again
+from bayesnet_track.adapt.observed import GAP, LAST, Layout, first_observed, observe
+from bayesnet_track.graph.settings.lifecycle import Confirm
+from bayesnet_track.observation.cue import AssociationRule
+
+Floats = NDArray[np.float64]
+Predict = Callable[[Floats, Floats], tuple[Floats, Floats]]
+"""Means (T, D) and covariances (T, D, D) -> those one frame later."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Tracks as arrays.
+
+    Attributes:
+        mean: (T, D) of their beliefs.
+        covariance: (T, D, D).
+        observed: (T, H) what is remembered of their detections.
+    """
+
+    mean: Floats
+    covariance: Floats
+    observed: Floats
+
+    def and_tentative(self, candidates: Sequence[Candidate]) -> Tracks:
+        """These, then tentative tracks."""
+        if not candidates:
+            return self
+        return Tracks(
+            np.concatenate([self.mean, np.array([one.mean for one in candidates])]),
+            np.concatenate([self.covariance, np.array([one.covariance for one in candidates])]),
+            np.concatenate([self.observed, np.array([one.observed for one in candidates])]),
+        )
+
+    def only(self, rows: slice) -> Tracks:
+        """Some of them."""
+        return Tracks(self.mean[rows], self.covariance[rows], self.observed[rows])
+
+
+def own_detections(owner: Owners, boxes: Floats, scores: Floats) -> Floats:
+    """(T, 5) the detection that each was given, centre box and score; 0 where none was."""
+    own, is_given = np.zeros((len(owner), 5)), owner != NOBODY
+    own[is_given, :4], own[is_given, 4] = boxes[owner[is_given]], scores[owner[is_given]]
+    return own
+
+
+def follow(
+    rule: AssociationRule, before: Tracks, expected: Tracks, owner: Owners, own: Floats, predict: Predict
+) -> tuple[Tracks, dict[int, tuple[Floats, Floats]]]:
+    """Expectations after detections were given, and the beliefs of the frame before that changed, by row.
+
+    A track that has a detection after a gap is filtered anew over the gap, where the rule says so; what is
+    remembered of detections is brought up to this frame.
+    """
+    is_given = owner != NOBODY
+    changed: dict[int, tuple[Floats, Floats]] = {}
+    mean, covariance = expected.mean, expected.covariance
+    if rule.re_update:
+        for row in np.flatnonzero(is_given & (before.observed[:, GAP] > 0)).tolist():
+            changed[row] = re_update(rule, before.observed[row], own[row, :4], before.mean.shape[1], predict)
+            now = predict(changed[row][0][None], changed[row][1][None])
+            mean[row], covariance[row] = now[0][0], now[1][0]
+    observed = observe(rule, before.observed, (before.mean, before.covariance), own[:, :4], is_given)
+    return Tracks(mean, covariance, observed), changed
+
+
+def re_update(
+    rule: AssociationRule, observed: Floats, box: Floats, size: int, predict: Predict
+) -> tuple[Floats, Floats]:
+    """Belief of the frame before, filtered anew from the last detection on (Cao et al. 2023, section 4.1).
+
+    For every frame of the gap a box on the line from the last detection to the new one is taken for what was
+    detected. The new one itself is left to the update of this frame.
+    """
+    # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.kernels.row_kernels import correct_row
+
+    layout, gap, last = Layout.of(rule, size), int(observed[GAP]), observed[LAST]
+    mean, covariance = observed[layout.mean], observed[layout.covariance].reshape(size, size)
+    for step in range(1, gap + 1):
+        means, covariances = predict(mean[None], covariance[None])
+        mean, covariance = means[0], covariances[0]
+        virtual = last + (box - last) * (step / (gap + 1))
+        correct_row(mean, covariance, virtual - mean[:4], rule.variances(virtual), np.empty((3, size, size)))
+        np.maximum(mean[2:4], 1.0, out=mean[2:4])
+    return mean, covariance
+
+
+def start_tentative(
+    rule: AssociationRule, box: Floats, score: float, frame: int, moments: tuple[Floats, Floats]
+) -> Candidate:
+    """A tentative track that starts with a detection, its belief of these moments."""
+    mean, covariance = moments
+    observed = first_observed(rule, box[None], len(mean))[0]
+    return Candidate(box.copy(), np.zeros(2), (score,), frame, mean, covariance, observed=observed)
+
+
+def update_tentative(
+    candidates: Sequence[Candidate], after: Tracks, own: Floats, variances: Floats, confirm: Confirm | None
+) -> tuple[Candidate, ...]:
+    """Tentative tracks after a frame: those given a detection in `own` (C, 5) are updated by it.
+
+    Without `confirm` nobody looked. Others go on as predicted; those given up are left out.
+    """
+    # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.kernels.row_kernels import correct_row
+
+    left = []
+    for row, one in enumerate(candidates):
+        mean, covariance, size = after.mean[row].copy(), after.covariance[row].copy(), after.mean.shape[1]
+        is_given = bool(own[row, 2] > 0)
+        if is_given:
+            work = np.empty((3, size, size))
+            correct_row(mean, covariance, own[row, :4] - mean[:4], variances[row], work)
+            np.maximum(mean[2:4], 1.0, out=mean[2:4])
+        kept: Candidate | None = one
+        if confirm is not None:
+            box, score = (own[row, :4], float(own[row, 4])) if is_given else (None, None)
+            kept = look_again(one, box, score, confirm)
+        if kept is not None:
+            left.append(replace(kept, mean=mean, covariance=covariance, observed=after.observed[row].copy()))
+    return tuple(left)

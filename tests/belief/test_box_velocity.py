@@ -1,0 +1,55 @@
+"""Constant velocity of the whole box: its moments by hand, alone and confined to the image."""
+
+import numpy as np
+import pytest
+
+from bayesnet_track.belief.gaussian.predict import predict
+from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.box_velocity import BoxVelocityMotion
+from bayesnet_track.graph.spec import BoxVelocity, Gaussian, PixelSd
+
+SETTINGS = BoxVelocity(
+    sd_px=PixelSd(x=1, y=2, w=3, h=4),
+    sd_velocity_px=PixelSd(x=0.1, y=0.2, w=0.3, h=0.4),
+    start_sd_px=PixelSd(x=5, y=5, w=5, h=5),
+    start_velocity_sd_px=PixelSd(x=6, y=6, w=7, h=7),
+)
+BOX = np.array([50.0, 40.0, 20.0, 30.0])
+
+
+def test_moments_of_the_first_frame_and_after_a_step():
+    motion = BoxVelocityMotion(SETTINGS)
+    mean, covariance = motion.start_moments(BOX)
+    assert mean.tolist() == [*BOX, 0, 0, 0, 0]
+    assert np.diag(covariance).tolist() == [25, 25, 25, 25, 36, 36, 49, 49]
+    mean[4:] = [1.0, -1.0, 2.0, -2.0]
+    after, spread = predict(mean, covariance, motion, 2.0, Gaussian())
+    assert after.tolist() == [52.0, 38.0, 24.0, 26.0, 1.0, -1.0, 2.0, -2.0]
+    # x: 25 + 4 * 36 + 2 * 1; velocity: 36 + 2 * 0.01; both: 2 * 36
+    assert spread[0, 0] == pytest.approx(171.0)
+    assert spread[4, 4] == pytest.approx(36.02)
+    assert spread[0, 4] == pytest.approx(72.0)
+
+
+def test_drawn_states_have_these_moments():
+    motion, rng = BoxVelocityMotion(SETTINGS), np.random.default_rng(1)
+    states = motion.propagate(motion.start(BOX, 40_000, rng), 1.0, rng)
+    assert states[:, 2:4].min() >= 1.0
+    spread = motion.linearise(states[0], 1.0)
+    expected = spread[0] @ motion.start_moments(BOX)[1] @ spread[0].T + spread[1]
+    np.testing.assert_allclose(np.cov(states.T)[:2, :2], expected[:2, :2], atol=4 * 65 / 140)
+
+
+@pytest.mark.parametrize(("leave", "x"), [(False, 0.0), (True, -20.0)])
+def test_centres_stop_at_the_border_unless_they_may_leave(leave, x):
+    motion = Confined(BoxVelocityMotion(SETTINGS.model_copy(update={"leave_image": leave})), 100, 80)
+    mean, covariance = motion.start_moments(np.array([5.0, 40.0, 20.0, 30.0]))
+    mean[4] = -25.0
+    after, _ = predict(mean, covariance, motion, 1.0, Gaussian())
+    assert after[0] == x
+    assert motion.extent.tolist() == ([np.inf, np.inf] if leave else [100.0, 80.0])
+
+
+def test_time_has_to_move_forward():
+    with pytest.raises(ValueError, match="positive and finite, not 0"):
+        BoxVelocityMotion(SETTINGS).linearise(np.zeros(8), 0.0)
