@@ -312,13 +312,12 @@ def _begin(rule: CrowdRule, population: Population, found: Found, free: Floats, 
     count, boxes = len(new), found.boxes[new]
     if not count:
         return Prospects.none(len(rule.motion.fields))
-    moments = [rule.motion.start_moments(box) for box in boxes]
-    covariance = np.array([spread for _, spread in moments])
+    mean, covariance = _start_moments(rule.motion, boxes)
     diagonal = np.arange(4)
     covariance[:, diagonal, diagonal] += rule.association.variances(boxes)
     ones = np.ones(count, dtype=np.int64)
     return Prospects(
-        np.array([mean for mean, _ in moments]),
+        mean,
         covariance,
         free[new] * population.new_share(rule.existence),
         frame * ones,
@@ -326,6 +325,17 @@ def _begin(rule: CrowdRule, population: Population, found: Found, free: Floats, 
         ones,
         found.scores[new].astype(np.float64),
     )
+
+
+def _start_moments(motion: MotionModel, boxes: Floats) -> tuple[Floats, Floats]:
+    """(N, D) means and (N, D, D) covariances of targets first seen in boxes (N, 4), at least one."""
+    if isinstance(motion, KinematicMotion):  # every box the same but for its place and size
+        mean, spread = motion.start_moments(boxes[0])
+        means = np.tile(mean, (len(boxes), 1))
+        means[:, :4] = boxes
+        return means, np.tile(spread, (len(boxes), 1, 1))
+    moments = [motion.start_moments(box) for box in boxes]
+    return np.array([mean for mean, _ in moments]), np.array([spread for _, spread in moments])
 
 
 def _prune(rule: CrowdRule, population: Population, prospects: Prospects) -> Prospects:
