@@ -124,6 +124,8 @@ def _label(
     lines = [_fit([head], room, extent), _fit(list(metrics.active) or ["no agent"], room, extent)]
     unseen = [f"{name} {part.status}" for name, part in metrics.parts.items() if part.status != "seen"]
     lines += [_fit(unseen, room, extent)] if unseen else []
+    likeliest = [f"{metrics.mode} {metrics.modes[metrics.mode]:.2f}"] if metrics.modes else []
+    lines += [_fit(likeliest, room, extent)] if likeliest else []
     step = round(cv2.getTextSize("Ag", font, size, weight)[0][1] * 1.6)
     plate_w, plate_h = max(map(extent, lines)) + 2 * pad, step * len(lines) + pad
     x = min(max(low[0], 0), max(width - plate_w, 0))

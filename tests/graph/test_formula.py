@@ -6,6 +6,7 @@ import pytest
 
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text import formula_modes
 from bayesnet_track.graph.text.formula import (
     Integral,
     Likelihood,
@@ -15,6 +16,7 @@ from bayesnet_track.graph.text.formula import (
     formula_text,
 )
 from bayesnet_track.graph.text.formula_motion import latex_lines, lines
+from bayesnet_track.graph.text.load import load_graph
 
 WALK = {"random_walk": {"sd_px": {"x": 20, "y": 10}}}
 PREDICTED = "p(s_t | e_1:t-1)"
@@ -221,3 +223,14 @@ def test_a_factor_of_a_latent_node_is_inside_the_integral(target):
     lines = formula_text(target(nodes)).splitlines()
     assert lines[0].endswith("[∫ p(part_t | s_t) · p(e_look | part_t) · near(part_t) d part_t]")
     assert lines[-1] == "near(part_t) = normal(x - parent.x, 0, 2)"
+
+
+def test_modes_are_said_with_how_long_they_last_and_what_follows():
+    assert formula_modes.lines(load_graph("kalman_ball").targets["ball"], str) == []
+    lines = formula_text(load_graph("bouncing_square").targets["square"]).splitlines()
+    assert [line for line in lines if line.startswith("mode ")] == [
+        "mode straight: moves so, 60 frames on average, then bounce 0.667, behind 0.333",
+        "mode bounce: constant velocity, sd x 1 px, y 1 px, sd velocity 6 px/frame, 2 frames on average, "
+        "then straight",
+        "mode behind: moves so, 10 frames on average, then straight, hidden: every agent says 0.02",
+    ]

@@ -97,3 +97,12 @@ def test_parts_have_boxes_of_their_own_dashed_where_hidden(metrics):
     assert 0.3 < (drawn[191, 231:251] == PART_COLOUR).all(axis=1).mean() < 0.9
     without = draw_overlay(GRAY, replace(whole, parts={"head": seen}))
     assert (drawn != without)[:92, 134:].any()  # the label says what is hidden
+
+
+def test_the_most_probable_mode_stands_below_the_agents(metrics):
+    """One line more on the plate, which is dark: more pixels of it than without modes."""
+    moded = replace(metrics, cloud=(), modes={"seen": 0.07, "behind": 0.93}, hidden=0.93)
+    without, with_one = (
+        (draw_overlay(GRAY, one).max(axis=2) < 60).sum() for one in (replace(metrics, cloud=()), moded)
+    )
+    assert with_one > without + 200

@@ -14,8 +14,8 @@ from fractions import Fraction
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.checked import Factor as Expression
 from bayesnet_track.graph.expressions.write import latex_of, text_of
-from bayesnet_track.graph.spec import Given, Noise, OffsetBox, SizeBox
-from bayesnet_track.graph.text import formula_motion
+from bayesnet_track.graph.spec import Given, Motion, Noise, OffsetBox, SizeBox
+from bayesnet_track.graph.text import formula_modes, formula_motion
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,9 @@ def formula_text(target: CheckedTarget, active: Iterable[str] | None = None) -> 
     lines = [
         f"p({root} | e_1:t) ∝ {predicted}{said}",
         f"{predicted} = ∫ p({root} | {before}) p({before} | e_1:t-1) d {before}",
-        f"p({root} | {before}): {_motion(target)}",
+        f"p({root} | {before}): {_motion(target.inference(target.root).motion)}",
         *formula_motion.lines(target),
+        *formula_modes.lines(target, _motion),
     ]
     for name, given, noise in _latent_nodes(target):
         held = _describe_held(target, name)
@@ -253,8 +254,7 @@ def _describe_held(target: CheckedTarget, state: str) -> str:
     return "; its likelihood a Gaussian" if belief.gaussian is not None else "; its likelihood on a grid"
 
 
-def _motion(target: CheckedTarget) -> str:
-    motion = target.inference(target.root).motion
+def _motion(motion: Motion | None) -> str:
     assert motion is not None
     if motion.expressions is not None:
         return "by expressions" + (", reflected at the borders" if motion.expressions.borders else "")
