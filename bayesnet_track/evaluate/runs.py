@@ -37,6 +37,7 @@ def score_run(run_directory: str | Path, truth_path: str | Path, target: str | N
         active=[len(line.active) for line in metrics],
         region50=[line.region50 for line in metrics],
         region90=[line.region90 for line in metrics],
+        confidence=[line.score for line in metrics],
     )
 
 

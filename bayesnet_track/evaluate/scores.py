@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bayesnet_track.evaluate.long_term import Confident, LongTerm, long_term
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 
 Floats = NDArray[np.float64]
@@ -34,6 +35,10 @@ MEANINGS: Mapping[str, str] = {
     "mean_active": "agents per frame",
     "coverage50": "share of frames with the true centre in the 50 % region, in x and in y",
     "coverage90": "the same for the 90 % region",
+    "long_precision": "VOT-LT: mean overlap where the score is high enough, 0 while absent",
+    "long_recall": "VOT-LT: mean overlap where the target is present, 0 at lower scores",
+    "long_f": "their harmonic mean, at the score where it is largest",
+    "long_f_at": "that score",
 }
 
 
@@ -58,6 +63,11 @@ class Score:
         coverage50: share of frames whose true centre lies in the 50 % region, in x and in y; the given
             frame 0 is left out.
         coverage90: the same of the 90 % region.
+        long_precision: precision of long-term tracking (`long_term`) at the score with the largest F; None,
+            like the next ones, unless the target is absent in some frames.
+        long_recall: recall there.
+        long_f: the largest F over the score.
+        long_f_at: that score.
     """
 
     frames: int
@@ -75,6 +85,10 @@ class Score:
     mean_active: float | None = None
     coverage50: tuple[float, float] | None = None
     coverage90: tuple[float, float] | None = None
+    long_precision: float | None = None
+    long_recall: float | None = None
+    long_f: float | None = None
+    long_f_at: float | None = None
 
     def text(self, explained: bool = False) -> str:
         """One figure a line: its name and value, and with `explained` what it says."""
@@ -98,6 +112,7 @@ def score(
     active: ArrayLike | None = None,
     region50: ArrayLike | None = None,
     region90: ArrayLike | None = None,
+    confidence: ArrayLike | None = None,
 ) -> Score:
     """Scores of one pass of n frames.
 
@@ -109,6 +124,7 @@ def score(
         active: (n,) number of active agents.
         region50: (n, 4) x_low, x_high, y_low, y_high of the centre's 50 % region in px.
         region90: the same of the 90 % region.
+        confidence: (n,) score of each frame, for the figures of long-term tracking.
 
     Raises:
         ValueError: lengths differ, a box is not finite, or no frame has a true box.
@@ -132,6 +148,7 @@ def score(
     centre, true_centre = centre_from_corner(reported[present]), centre_from_corner(true[present])
     iou, gone = overlap(centre, true_centre), given_up[present]
     episodes = lost_episodes(iou)
+    long = None if confidence is None else _long_term(iou, np.asarray(confidence, dtype=np.float64), present)
     return Score(
         frames=len(true),
         scored_frames=int(present.sum()),
@@ -148,7 +165,20 @@ def score(
         mean_active=None if active is None else float(np.mean(np.asarray(active, dtype=np.float64))),
         coverage50=_coverage(region50, present, true_centre),
         coverage90=_coverage(region90, present, true_centre),
+        long_precision=None if long is None else long.precision,
+        long_recall=None if long is None else long.recall,
+        long_f=None if long is None else long.f,
+        long_f_at=None if long is None else long.threshold,
     )
+
+
+def _long_term(iou: Floats, confidence: Floats, present: NDArray[np.bool_]) -> LongTerm | None:
+    """Figures of long-term tracking, where the target is absent in some; the first is given."""
+    if present.all():
+        return None
+    every = np.zeros(len(present))
+    every[present] = iou
+    return long_term([Confident(every[1:], confidence[1:], present[1:])])
 
 
 def success_auc(iou: Floats) -> float:
