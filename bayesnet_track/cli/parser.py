@@ -26,10 +26,15 @@ from bayesnet_track.cli.overview import add_examples
 from bayesnet_track.cli.slips import MainParser, Parser
 
 EXIT_CODES = """\
-exit codes: 0    done 1    an error in bayesnet-track itself; or `doctor` found something broken 2    wrong
-arguments 3    the graph file is wrong 4    the source, or the run that a command reads, cannot be read or was
-changed 5    the source was damaged or truncated; what was read is saved; or `verify` found an unfinished run
-6    an output cannot be written 130  stopped by Ctrl-C; outputs are valid up to the last whole frame
+exit codes:
+  0    done
+  1    an error in bayesnet-track itself; or `doctor` found something broken
+  2    wrong arguments
+  3    the graph file is wrong
+  4    the source, or the run that a command reads, cannot be read or was changed
+  5    the source was damaged or truncated; what was read is saved; or `verify` found an unfinished run
+  6    an output cannot be written
+  130  stopped by Ctrl-C; outputs are valid up to the last whole frame
   143  stopped by SIGTERM; likewise"""
 
 
