@@ -165,9 +165,8 @@ def ask_peer(sequence: Sequence, runs: Kept, every: int, own_score: float) -> Do
     return Done.of(sequence, answers, boxes)
 
 
-def methods_of(options: argparse.Namespace, elsewhere: Elsewhere | None) -> dict[str, dict[str, Any]]:
+def methods_of(elsewhere: Elsewhere | None) -> dict[str, dict[str, Any]]:
     """Family -> setting -> how a sequence is annotated by it."""
-    del options
     ours = {
         f"{threshold:g}, patience {patience}": ("ours", Asking(threshold, patience))
         for patience in PATIENCES
@@ -215,7 +214,7 @@ def main() -> None:
     elsewhere = None
     if options.peers_python:
         elsewhere = Elsewhere(options.peers_python, [str(options.models)] if options.models else [])
-    methods = methods_of(options, elsewhere)
+    methods = methods_of(elsewhere)
     found: list[tuple[str, str, Done]] = []
     for sequence in sequences:
         runs = {"ours": own_runs(sequence, options.graph, options.kept)}
