@@ -9,7 +9,7 @@ SORT where it gives a number, Stone-Soup's JPDA where a track was updated at lea
 c = 50 px, p = 2 and alpha = 2, over box centres. Differences are paired by seeds, with 95 % intervals of
 their mean.
 
-Settings of the graphs were chosen on seeds 0 to 9; report on others.
+Settings of the graphs were chosen on seeds 0 to 4; report on others.
 """
 
 from __future__ import annotations
