@@ -165,3 +165,13 @@ def test_existence_needs_births_and_an_agent_that_measures_by_detections(cues):
     text = errors_of("    existence: {}", cues)
     assert "g.yaml:5:5: t: existence without birth; allowed: birth, too, or no such key" in text
     assert "existence without an agent that measures by detections" in text
+
+
+def test_born_targets_have_no_modes(cues):
+    modes = "modes: {seen: {mean_frames: 40}, behind: {mean_frames: 9, hidden: {}}}"
+    text = HEAD + "    birth: {detector: motion}" + NODES.replace("{x: 9}}}}", "{x: 9}}}, " + modes + "}")
+    with pytest.raises(GraphError) as caught:
+        spec, at = read_graph(text, "g.yaml")
+        check(spec, at, cues)
+    said = "modes of targets with birth: detections are associated by one way to move; allowed: no birth"
+    assert said in str(caught.value)

@@ -109,9 +109,12 @@ def modes_move_plainly(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def beliefs_hold_modes(plate: Plate) -> Iterator[GraphMessage]:
-    """Particles with the bootstrap proposal, or Gaussians; no latent node where it can be hidden."""
+    """Particles by bootstrap or Gaussians; no births; no latent node where it can be hidden."""
     for name, node, modes in _with_modes(plate):
         belief = node.belief
+        if plate.spec.birth is not None:
+            found = "modes of targets with birth: detections are associated by one way to move"
+            yield plate.message(name, found, "no birth, or no modes", key=("modes",), on_key=True)
         if belief is not None and belief.grid is not None:
             found = "modes beside a grid, which has no cells for them"
             yield plate.message(name, found, "particles or gaussian", key=("modes",), on_key=True)
