@@ -18,6 +18,9 @@ MEASURED: Mapping[str, str] = MappingProxyType(
         "two_squares": "[50 of 50 crossings as stated, 39 of 50 random ones](benchmarks.md)",
         "kalman_detections": "[MOTA .845 on noisy detections](benchmarks.md#many-people-in-a-real-sequence)",
         "people_detections": "[MOTA .845 on noisy detections](benchmarks.md#many-people-in-a-real-sequence)",
+        "sort": "[IDF1 .998 or more against `trackers`](benchmarks.md#trackers-of-the-field)",
+        "bytetrack": "[IDF1 1.000 against `trackers`](benchmarks.md#trackers-of-the-field)",
+        "oc_sort": "[IDF1 .984 or more against `trackers`](benchmarks.md#trackers-of-the-field)",
         "orange_and_gray_detected": "[both squares in 49 of 50 scenes](targets.md)",
     }
 )

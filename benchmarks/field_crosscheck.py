@@ -1,0 +1,163 @@
+"""The graphs `sort`, `bytetrack` and `oc_sort` beside the package `trackers`: agreement and speed.
+
+    python benchmarks/field_crosscheck.py --peers-python PEERS/bin/python --data FOLDER [--sequences A,B]
+
+FOLDER holds files of detections in MOT format, one a sequence. Agreement is IDF1 of one output against the
+other, after a one-to-one matching of identities over the whole sequence. One rule of reporting for both: a
+target has a box, the detection that it was given, in frames in which it was given one; of OC-SORT only from
+the third such frame on end after a gap, as the package reports. OC-SORT is compared with the package's filter
+of corners, whose state is the graph's, and with its default, a filter of area and aspect.
+
+Frames per second are of CPU time on one thread, of the frames after the thirtieth: `update` of the peers, and
+ours the step with association, metrics and decisions, no file written. No pixel is read.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from measuring import environment, on_one_thread, table
+
+from bayesnet_track.engine.rows.row_metrics import RowMetrics
+from bayesnet_track.engine.starts import start_targets
+from bayesnet_track.engine.step import Outcome, make_engine, step
+from bayesnet_track.evaluate.mot import score_mot_files
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.numerics.boxes import xyxy_from_centre
+from bayesnet_track.observation.cue import OWN_DETECTION
+from bayesnet_track.observation.detector import NOTHING
+from bayesnet_track.observation.planes import Frame
+from bayesnet_track.sources.detection_files import FileDetector, file_detector
+
+WARM_UP = 30
+PEERS = Path(__file__).with_name("field_peers.py")
+PAIRS = (
+    ("sort", "SORT"),
+    ("bytetrack", "ByteTrack"),
+    ("oc_sort", "OC-SORT, corners"),
+    ("oc_sort", "OC-SORT"),
+)
+STREAK = {"oc_sort": 3}
+"""Graph -> frames in a row with a detection, after a gap, from which on a target is reported."""
+SIZE = (1920, 1080)
+
+Tracks = list[list[list[float]]]
+"""For every frame: id, left, top, right, bottom."""
+
+
+def own_box(outcome: Outcome, line: FrameMetrics) -> list[float]:
+    """The detection that a target was given, as left, top, right, bottom; its box where it starts."""
+    state = outcome.state.targets[line.target]
+    own = state.references["seen"].get(OWN_DETECTION, np.empty((0, 5)))
+    box = own[0, :4] if len(own) else np.array(line.centre_box)
+    return [float(value) for value in xyxy_from_centre(box)]
+
+
+def ours(name: str, detector: FileDetector, count: int) -> tuple[Tracks, list[float], int]:
+    """Tracks, the seconds of each step, and frames that went as rows."""
+    graph = load_graph(name)
+    engine = make_engine(graph, 0, detectors={"detections": detector})
+    image, outcome = np.zeros((SIZE[1], SIZE[0], 3), np.uint8), None
+    tracks: Tracks = []
+    seconds, rows = [], 0
+    for index in range(count):
+        frame = Frame(index=index, time=float(index), time_s=index / 25, image=image)
+        started = time.process_time()
+        if outcome is None:
+            outcome = start_targets(graph, engine, frame, ())
+        else:
+            outcome = step(engine, outcome.state, frame)
+        seconds.append(time.process_time() - started)
+        rows += isinstance(outcome.metrics, RowMetrics)
+        live = [one for one in outcome.metrics if not one.silent and one.target in outcome.state.targets]
+        tracks.append([[float(one.target), *own_box(outcome, one)] for one in live])
+    return tracks, seconds, rows
+
+
+def reported(tracks: Tracks, least: int) -> Tracks:
+    """Without the first boxes after a gap, fewer than `least` frames on end; those of a start are kept."""
+    before: dict[float, int] = {}
+    known: set[float] = set()
+    left = []
+    for frame in tracks:
+        before = {one[0]: before.get(one[0], 0) + 1 if one[0] in known else least for one in frame}
+        known |= before.keys()
+        left.append([one for one in frame if before[one[0]] >= least])
+    return left
+
+
+def idf1(own: Tracks, theirs: Tracks, folder: Path) -> float:
+    """IDF1 of one output against the other."""
+    for name, tracks in (("own", own), ("theirs", theirs)):
+        lines = [
+            f"{index + 1},{one[0] + 1:.0f},{one[1]},{one[2]},{one[3] - one[1]},{one[4] - one[2]},1,1,1\n"
+            for index, frame in enumerate(tracks)
+            for one in frame
+        ]
+        (folder / name).write_text("".join(lines))
+    return float(score_mot_files(str(folder / "own"), str(folder / "theirs")).idf1)
+
+
+def rate(seconds: Sequence[float]) -> str:
+    """Frames per second of CPU time."""
+    return f"{len(seconds[WARM_UP:]) / sum(seconds[WARM_UP:]):.0f}"
+
+
+def peers(python: str, detector: FileDetector, count: int) -> dict[str, Any]:
+    """What the peers' script says of the same detections."""
+    frames = []
+    for index in range(count):
+        found = detector.found.get(index, NOTHING)
+        frames.append(np.column_stack([xyxy_from_centre(found.boxes), found.scores]).tolist())
+    done = subprocess.run([python, str(PEERS)], input=json.dumps(frames), capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(f"{python}: {done.stderr[-2000:]}")
+    answer: dict[str, Any] = json.loads(done.stdout)
+    return answer
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser.add_argument("--peers-python", required=True, help="environment with trackers and norfair")
+    parser.add_argument("--data", required=True, type=Path, help="folder of MOT files of detections")
+    parser.add_argument("--sequences", default="MOT17-04,MOT17-05,MOT17-09,MOT20-01", help="names of files")
+    chosen = parser.parse_args()
+    on_one_thread()
+    print(f"{environment()}; load {os.getloadavg()[0]:.1f}")
+    agreement, speed, names = [], [], []
+    for sequence in chosen.sequences.split(","):
+        detector = file_detector(chosen.data / f"{sequence}.txt")
+        count = max(detector.found) + 1
+        answer = peers(chosen.peers_python, detector, count)
+        figures, names = answer["figures"], [*answer["figures"]]
+        own = {name: ours(name, detector, count) for name in dict.fromkeys(name for name, _ in PAIRS)}
+        with tempfile.TemporaryDirectory() as folder:
+            for name, other in PAIRS:
+                tracks = reported(own[name][0], STREAK.get(name, 1))
+                value = idf1(tracks, figures[other]["tracks"], Path(folder))
+                agreement.append([sequence, name, other, f"{value:.4f}", f"{own[name][2]} of {count}"])
+        speed.append(
+            [
+                sequence,
+                *(rate(seconds) for _, seconds, _ in own.values()),
+                *(rate(figures[name]["seconds"]) for name in names),
+            ]
+        )
+        print(f"{sequence}: {answer['versions']}", flush=True)
+    print(table(["sequence", "graph", "reference", "IDF1", "frames as rows"], agreement))
+    print(table(["frames/s", "sort", "bytetrack", "oc_sort", *names], speed))
+
+
+if __name__ == "__main__":
+    main()
