@@ -1,0 +1,156 @@
+"""Long-term tracking on real sequences from which the target is away for a while.
+
+    python benchmarks/long_term.py DATA_FOLDER [--half A] [--graphs general,FILE] [--seeds 1] [--before 60]
+                                   [--away 40] [--after 60] [--models FOLDER]
+
+A sequence is cut after its first frames (`--before`), followed by `--away` frames of the next sequence of
+the same half, scaled to its size, in which the target is absent, and continued with up to `--after` frames.
+Printed are precision, recall and F of VOT-LT at the confidence with the largest F (docs/scores.md), the share
+of absent frames that are called tracking, and in how many sequences the box overlaps the true one by more
+than half within the first 20 frames after the return, of those in which it did at the cut. With `--models`,
+NanoTrack v2 of the installed OpenCV runs beside.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from measuring import Image, environment, on_one_thread, table
+from numpy.typing import NDArray
+from real_video_coin import HALVES
+from sequences import Sequence, find_sequences
+
+from bayesnet_track import Tracker
+from bayesnet_track.evaluate.long_term import Confident, long_term
+from bayesnet_track.numerics.boxes import centre_from_corner, overlap
+
+RETURN_FRAMES = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """A sequence with frames of another one in between."""
+
+    own: Sequence
+    other: Sequence
+    before: int
+    away: int
+    after: int
+
+    @property
+    def truth(self) -> NDArray[np.float64]:
+        """(n, 4) true boxes, NaN while the target is away."""
+        gone = np.full((self.away, 4), np.nan)
+        return np.concatenate(
+            [self.own.truth[: self.before], gone, self.own.truth[self.before :][: self.after]]
+        )
+
+    def images(self) -> Iterator[Image]:
+        """The frames, all of the size of the first."""
+        size: tuple[int, int] | None = None
+        others = list(self.other.images())[: self.away]
+        for index, image in enumerate(self.own.images()):
+            if index >= self.before + self.after:
+                return
+            size = size or (image.shape[1], image.shape[0])
+            if index == self.before:
+                yield from (np.asarray(cv2.resize(one, size), np.uint8) for one in others)
+            yield image
+
+
+def make(sequences: list[Sequence], before: int, away: int, after: int) -> list[Made]:
+    """Every sequence that is long enough, with frames of the next one."""
+    found = []
+    for index, own in enumerate(sequences):
+        other = sequences[(index + 1) % len(sequences)]
+        count = min(away, len(other.files))
+        if len(own.files) >= before + RETURN_FRAMES:
+            found.append(Made(own, other, before, count, after))
+    return found
+
+
+def run(made: Made, tracker: Tracker | object) -> tuple[Confident, list[str]]:
+    """Overlap and confidence of each frame after the first, and statuses."""
+    truth = made.truth
+    boxes, confidence, status = [], [], []
+    for index, image in enumerate(made.images()):
+        if index == 0:
+            start = tuple(float(v) for v in truth[0])
+            tracker.init(image, start if isinstance(tracker, Tracker) else tuple(int(v) for v in start))
+            continue
+        ok, box = tracker.update(image)
+        boxes.append(tuple(float(v) for v in box))
+        confidence.append(float(tracker.getTrackingScore()))
+        status.append(tracker.status if isinstance(tracker, Tracker) else "tracking" if ok else "lost")
+    true = truth[1 : len(boxes) + 1]
+    present = np.isfinite(true).all(axis=1)
+    iou = np.zeros(len(true))
+    iou[present] = overlap(centre_from_corner(np.array(boxes)[present]), centre_from_corner(true[present]))
+    return Confident(iou, np.array(confidence), present), status
+
+
+def nano(models: Path) -> object:
+    """NanoTrack v2."""
+    parameters = cv2.TrackerNano_Params()
+    parameters.backbone = str(models / "nanotrack_backbone_v2.onnx")
+    parameters.neckhead = str(models / "nanotrack_head_v2.onnx")
+    return cv2.TrackerNano_create(parameters)
+
+
+def row(name: str, made: list[Made], runs: list[tuple[Confident, list[str]]]) -> list[str]:
+    """Figures of one tracker."""
+    found = long_term([one for one, _ in runs])
+    assert found is not None
+    absent = [
+        np.mean([s == "tracking" for s, there in zip(status, one.present, strict=True) if not there])
+        for one, status in runs
+    ]
+    per = len(runs) // len(made)
+    held = back = 0
+    for index, (one, _) in enumerate(runs):
+        cut = made[index // per]
+        if one.iou[cut.before - 2] <= 0.5:
+            continue
+        held += 1
+        first = cut.before + cut.away - 1
+        back += bool((one.iou[first : first + RETURN_FRAMES] > 0.5).any())
+    figures = [f"{v:.3f}" for v in (found.f, found.precision, found.recall, found.threshold)]
+    return [name, *figures, f"{np.mean(absent):.2f}", f"{back} of {held}"]
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--half", choices=("A", "B"), default="A")
+    parser.add_argument("--graphs", default="general")
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--before", type=int, default=60)
+    parser.add_argument("--away", type=int, default=40)
+    parser.add_argument("--after", type=int, default=60)
+    parser.add_argument("--models", type=Path)
+    options = parser.parse_args()
+    on_one_thread()
+    cv2.setNumThreads(1)
+    sequences = find_sequences(options.data, list(HALVES[options.half]), None)
+    made = make(sequences, options.before, options.away, options.after)
+    rows = []
+    for graph in options.graphs.split(","):
+        runs = [run(one, Tracker(graph, seed)) for one in made for seed in range(options.seeds)]
+        rows.append(row(Path(graph).stem, made, runs))
+    if options.models is not None:
+        rows.append(row("NanoTrack v2", made, [run(one, nano(options.models)) for one in made]))
+    print(environment() + "\n")
+    head = ["", "F", "precision", "recall", "at", "absent called tracking", "back within 20 frames"]
+    print(f"half {options.half}, {len(made)} sequences\n\n" + table(head, rows))
+
+
+if __name__ == "__main__":
+    main()
