@@ -93,6 +93,6 @@ def test_what_an_agent_reads_is_a_field_of_its_node(motion, node, belief, fits):
         if fits:
             check_graph(graph)
             continue
-        message = f"{cue} reads vx, vy, which the state of this node has not"
+        message = f"{cue} reads vx, vy, which the state of this node does not have"
         with pytest.raises(GraphError, match=message):
             check_graph(graph)

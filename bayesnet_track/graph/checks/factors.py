@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+from pydantic import ValidationError
+
 from bayesnet_track.graph.checked import Factor
 from bayesnet_track.graph.checks.cues import plugin_parameters
 from bayesnet_track.graph.checks.joins import GraphCheck
@@ -66,11 +68,14 @@ def agents_find_what_they_read(plate: Plate) -> Iterator[GraphMessage]:
         declaration = plate.cues.get(node.agent.cue)
         if declaration is None or declaration.reads is None:
             continue
-        wanted = declaration.reads(plugin_parameters(node.agent, declaration.parameters))
+        try:
+            wanted = declaration.reads(plugin_parameters(node.agent, declaration.parameters))
+        except ValidationError:
+            continue  # said where parameters are checked
         state = names_at(plate, str(node.parent))
         missing = [field for field in wanted if field not in state]
         if missing:
-            found = f"{node.agent.cue} reads {', '.join(missing)}, which the state of this node has not"
+            found = f"{node.agent.cue} reads {', '.join(missing)}, which the state of this node does not have"
             allowed = "a motion with a velocity, at no latent node and on no grid"
             yield plate.message(name, found, allowed, key=("agent", node.agent.cue))
 
@@ -109,7 +114,7 @@ def _explain_name(message: GraphMessage, word: str, near: tuple[str, ...]) -> Gr
         where = "known only at a latent node that draws one state for each hypothesis"
         return replace(message, found=f"name {word!r}, {where}")
     if word in STATE_NAMES:
-        return replace(message, found=f"name {word!r}, which the state of this node has not")
+        return replace(message, found=f"name {word!r}, which the state of this node does not have")
     return replace(message, nearest=nearest(word, near)) if word else message
 
 
