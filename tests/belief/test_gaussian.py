@@ -192,14 +192,15 @@ def test_choices_give_the_moments_of_the_mixture(motion_of):
     assert not found.gated
 
 
-def test_covariance_stays_positive_over_a_long_run(motion_of):
-    """100,000 steps, with measurements a thousand times sharper than the prediction and long gaps."""
+@pytest.mark.parametrize("steps", [5_000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_covariance_stays_positive_over_a_long_run(motion_of, steps):
+    """With measurements a thousand times sharper than the prediction, and long gaps."""
     motion = motion_of("constant_acceleration")
     mean, covariance = motion.start_moments(BOX)
     settings = spec.Gaussian(filter="kalman", gate=1)
     one = {"a": Measurement(("x", "y"), BOX[:2], np.diag([1e-4, 1e-4]))}
     least = np.inf
-    for k in range(100_000):
+    for k in range(steps):
         mean, covariance = predict(mean, covariance, motion, 50.0 if k % 1000 == 0 else 1.0, settings)
         if k % 10 < 8:
             found = take(mean, covariance, motion.fields, one, 1.0)
