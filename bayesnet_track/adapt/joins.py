@@ -138,7 +138,8 @@ def decide_joins(
     decisions: list[Joined | Parted] = []
     pairs: dict[Pair, PairMemory] = {}
     known = {frozenset(pair): pair for pair in net.joins}
-    for i, k in zip(*np.nonzero(np.triu(overlaps, 1)), strict=True):
+    always = any(rule.when.overlap == 0 for rule in rules)
+    for i, k in zip(*np.nonzero(np.triu(np.ones_like(overlaps) if always else overlaps, 1)), strict=True):
         first, second = names[i], names[k]
         rule = join_of(rules, kinds[first], kinds[second])
         if frozenset((first, second)) in known or rule is None or overlaps[i, k] < rules[rule].when.overlap:
@@ -186,8 +187,9 @@ def spanning_tree(overlaps: Mapping[Pair, float]) -> tuple[tuple[Pair, ...], dic
 
 
 def _order_pair(rule: Join, kinds: Mapping[str, str], first: str, second: str) -> Pair:
-    """The pair, a carrier first."""
-    carrier = rule.between[0] if rule.attachment is not None and rule.between is not None else None
+    """The pair, a carrier first, and the first kind of a factor."""
+    ordered = rule.attachment is not None or rule.factor is not None
+    carrier = rule.between[0] if ordered and rule.between is not None else None
     return (second, first) if carrier is not None and kinds[second] == carrier else (first, second)
 
 

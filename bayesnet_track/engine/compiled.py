@@ -107,6 +107,7 @@ class Engine:
         detectors: what finds targets, by name and parameters; plates that want the same share it.
         clock: seconds, for timings only.
         joins: how targets depend on each other.
+        constants: numbers that their factors use by name.
         executor: how the agents of a frame are asked; changes no result.
         target_executor: who advances whole nets elsewhere, which changes no result; None for nobody.
     """
@@ -116,6 +117,7 @@ class Engine:
     clock: Callable[[], float] = working_clock
     detectors: Mapping[str, Detector] = field(default_factory=dict)
     joins: tuple[Join, ...] = ()
+    constants: Mapping[str, float] = field(default_factory=dict)
     executor: Executor = field(default_factory=Serial)
     target_executor: TargetExecutor | None = None
 
@@ -149,7 +151,9 @@ def make_engine(
         for name, plate in graph.targets.items()
     }
     made = _make_detectors([one for one in plates.values() if one.detector], detectors or {})
-    return Engine(plates, Streams(seed), detectors=made, joins=graph.spec.joins)
+    return Engine(
+        plates, Streams(seed), detectors=made, joins=graph.spec.joins, constants=graph.spec.constants
+    )
 
 
 def _make_detectors(plates: Sequence[CompiledPlate], given: Mapping[str, Detector]) -> dict[str, Detector]:

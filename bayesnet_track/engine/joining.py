@@ -32,6 +32,7 @@ from bayesnet_track.graph.settings.joins import Join
 from bayesnet_track.inference.factors import log_prior_factor, log_seen
 from bayesnet_track.inference.joint import Edge, Marginal, Member, Pair, joint_marginals
 from bayesnet_track.inference.messages import Observer, evaluate
+from bayesnet_track.inference.pair_factors import pair_factor
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.joint_beliefs import RingChanged
 from bayesnet_track.journal.metrics import JoinMetrics
@@ -118,13 +119,20 @@ def _tree(work: FrameWork, memory: JoinMemory, of: Mapping[str, Filtered]) -> _T
     for pair in work.net.joins:
         known = memory.pairs.get(pair, PairMemory())
         pairs[pair] = replace(known, first_in_front=_predict_order(known, rules[pair]))
-    sharing = {pair: one.overlap for pair, one in pairs.items() if rules[pair].shares_pixels}
+    sharing = {pair: one.overlap for pair, one in pairs.items() if rules[pair].reweights}
     tree, left_out = spanning_tree(sharing)
     edges, closing = (
         tuple(
-            Edge(pair, pairs[pair].first_in_front, rules[pair].nats, rules[pair].pairings)
+            Edge(
+                pair,
+                pairs[pair].first_in_front,
+                rules[pair].nats,
+                rules[pair].pairings,
+                pair_factor(rules[pair], work.engine.constants, work.frame),
+            )
             for pair in chosen
-            if pairs[pair].overlap > 0 and all(of[name].step.degenerate is None for name in pair)
+            if (pairs[pair].overlap > 0 or rules[pair].factor is not None)
+            and all(of[name].step.degenerate is None for name in pair)
         )
         for chosen in (tree, left_out)
     )
@@ -135,6 +143,7 @@ def _marginals(
     work: FrameWork, tree: _Tree, levels: Mapping[str, Level], of: Mapping[str, Filtered]
 ) -> tuple[dict[str, Marginal], dict[Pair, float]]:
     """The joint belief's marginals, and of each edge the probability that its first target is in front."""
+    relates = any(edge.factor is not None for edge in (*tree.edges, *tree.closing))
     members = {
         name: Member(
             np.ascontiguousarray(of[name].step.support.boxes),
@@ -144,6 +153,7 @@ def _marginals(
             _logs_on(work, of[name], [of[other] for other in others]),
             max(len(of[name].plan.observations), 1),
             levels[name].best,
+            _states_of(of[name]) if relates else {},
         )
         for name, others in _neighbours((*tree.edges, *tree.closing)).items()
     }
@@ -234,6 +244,11 @@ def _logs_on(work: FrameWork, one: Filtered, others: Sequence[Filtered]) -> dict
 def _predict_order(one: PairMemory, rule: Join) -> float:
     """P(first in front) before this frame's evidence: the chain's prediction."""
     return one.first_in_front * rule.stay + (1.0 - one.first_in_front) * (1.0 - rule.stay)
+
+
+def _states_of(one: Filtered) -> dict[str, Floats]:
+    """Field -> its (N,) values at a target's hypotheses."""
+    return dict(zip(one.step.posterior.fields, one.step.support.states.T, strict=True))
 
 
 def _prior_of(one: Filtered) -> LogWeights:

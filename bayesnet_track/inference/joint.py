@@ -19,7 +19,9 @@ W is the target's likelihood of a box wholly on the one in front, and l the leve
 be seen: half way between its best and worst hypotheses, so that to be hidden is better than to match badly
 and worse than to match well. Of several targets each is hidden by one other at most, so that no share of a
 box is taken out twice. L_top is that of a target that is seen, so that one of which nothing is to be seen is
-not taken for one that matches.
+not taken for one that matches. Targets that a factor f relates share no pixels:
+
+    p(i, j) ~ beta_i beta_j L_i L_j f(i, j)
 
 The sum over j is an average over a few partners of each i, drawn by a mixture of j's own posterior and prior,
 one from every stratum of it: no table of all pairs is made. Targets that hang together form a tree; messages
@@ -44,6 +46,9 @@ Hidden = tuple[float, float, float, float, int]
 STEEP, HALF = 4.0, 0.25
 """Log-odds at the best hypothesis, and share of a box whose misfit halves an agent's likelihood."""
 
+LEAST_LOG = -700.0
+"""Densities of pairs are numbers up to e^700."""
+
 FARTHEST = 150.0
 """A log-likelihood further below the best counts as so far below it: their ratio has to stay a number."""
 
@@ -61,6 +66,7 @@ class Member:
             hypothesis for one that is not named.
         agents: number of agents that the likelihood is a product of.
         top: log L of a perfect match; that of the best hypothesis where it is higher.
+        states: field -> (N,) values, which factors of pairs read.
     """
 
     boxes: Floats
@@ -70,6 +76,7 @@ class Member:
     on: Mapping[str, float] = field(default_factory=dict)
     agents: int = 1
     top: float = -np.inf
+    states: Mapping[str, Floats] = field(default_factory=dict)
 
     @cached_property
     def losses(self) -> Floats:
@@ -94,21 +101,34 @@ class Member:
         return max(self.top, float(self.log_likelihood.max()))
 
 
+Factor = Callable[[Mapping[str, Floats], Mapping[str, Floats]], Floats]
+"""States of the first and of the second target, field by field -> log density of each pair."""
+
+
 @dataclass(frozen=True)
 class Edge:
-    """A pair of targets whose pixels are accounted for together.
+    """A pair of targets whose pixels are accounted for together, or which a factor relates.
 
     Attributes:
         pair: the two.
         first_in_front: prior probability that the first is in front.
         nats: log-odds against one box wholly on the other.
         pairings: partners of each hypothesis.
+        factor: what relates them instead of pixels.
     """
 
     pair: Pair
     first_in_front: float
     nats: float = 0.0
     pairings: int = 8
+    factor: Factor | None = None
+
+    @property
+    def turned(self) -> Edge:
+        """The same edge, seen from its second target."""
+        factor = self.factor
+        other = None if factor is None else lambda first, second: factor(second, first)
+        return replace(self, pair=self.pair[::-1], first_in_front=1.0 - self.first_in_front, factor=other)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +201,7 @@ def joint_marginals(
         said = _together(members[speaker], others, speaker, messages)
         edge = around[speaker][hearer]
         if edge.pair[0] != hearer:
-            edge = replace(edge, pair=(hearer, speaker), first_in_front=1.0 - edge.first_in_front)
+            edge = edge.turned
         messages[speaker, hearer] = _message(
             members[speaker],
             members[hearer],
@@ -299,6 +319,9 @@ def _message(
     _, evidence = LogWeights.normalise(speaker.prior.log - speaker.losses)
     with np.errstate(divide="ignore"):
         log_importance = speaker.prior.log - np.log(shares) - evidence
+    if edge.factor is not None:
+        weight = np.exp(log_importance - speaker.losses) * said.all
+        return _related(hearer.states, speaker.states, edge.factor, partners, weight)
     return _Message(
         *pair_sums(
             np.ascontiguousarray(hearer.boxes),
@@ -319,6 +342,23 @@ def _message(
     )
 
 
+def _related(
+    hearer: Mapping[str, Floats],
+    speaker: Mapping[str, Floats],
+    factor: Factor,
+    partners: NDArray[np.intp],
+    weight: Floats,
+) -> _Message:
+    """The mean over partners of their weight times the pair's factor; without it where it is 0 for all."""
+    own = {name: values[None] for name, values in hearer.items()}
+    log = factor(own, {name: values[partners] for name, values in speaker.items()})
+    density = np.exp(np.clip(log, None, -LEAST_LOG))
+    if not density.any():
+        density = np.ones(partners.shape)
+    nothing = np.zeros(partners.shape[1])
+    return _Message((weight[partners] * density).mean(axis=0), nothing, nothing, nothing)
+
+
 def _marginal(one: Member, said: _Said) -> Marginal:
     with np.errstate(divide="ignore"):
         log = one.log_likelihood + np.log(said.all)
@@ -337,6 +377,8 @@ def _order(
     messages: Mapping[Pair, _Message],
 ) -> float:
     """P(first in front | all evidence): the mean of what both ends say, each an average over its partners."""
+    if edge.factor is not None:
+        return edge.first_in_front
     found = []
     for own, other in (edge.pair, edge.pair[::-1]):
         one, message = members[own], messages[other, own]

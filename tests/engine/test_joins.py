@@ -19,6 +19,7 @@ from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.carried import BEHIND, carried_box
 from bayesnet_track.sources.scenes.crowd import crowd
+from bayesnet_track.sources.scenes.squares import orange_and_gray
 
 FEW = 18
 """Frames in which some of the crowd meet."""
@@ -164,3 +165,23 @@ def test_a_factor_that_is_the_same_everywhere_changes_no_joint_belief():
             assert (own.join is None) == (before.join is None)
             if own.join is not None and before.join is not None:
                 assert own.join.hidden == pytest.approx(before.join.hidden, abs=1e-6)
+
+
+@pytest.mark.parametrize(("factor", "pulls"), [("1", False), ("normal(b.x - a.x, -200, 3)", True)])
+def test_a_factor_of_two_targets_pulls_them_however_far_they_are(factor, pulls):
+    """An orange and a gray square, 220 px apart; the spring's length is 200 px."""
+    scene = orange_and_gray(0, frames=25)
+    plain = as_plain(load_graph("orange_and_gray").spec)
+    apart = tracked(scene, check_graph(plain), 0, 3)
+    join = {"between": ["orange", "gray"], "factor": factor, "pairings": 64, "when": {"overlap": 0}}
+    joined = tracked(scene, check_graph({**plain, "joins": [join]}), 0, 3)
+    events = [event for outcome in joined for event in outcome.events if isinstance(event, Joined)]
+    assert [(event.kinds, event.overlap) for event in events] == [(("orange", "gray"), 0.0)]
+
+    def gap(outcome):
+        boxes = {name: state.belief.mean for name, state in outcome.state.targets.items()}
+        return boxes["2"][0] - boxes["1"][0]
+
+    before, after = gap(apart[-1]), gap(joined[-1])
+    assert before < -202
+    assert after > before + 0.5 if pulls else abs(after - before) < 1.5

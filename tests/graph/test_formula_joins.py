@@ -35,3 +35,21 @@ def test_latex_has_the_equation_and_the_words_as_comments():
     assert all(line.startswith("% ") for line in (lines[0], *lines[4:]))
     only = Join.model_validate({"between": ["a", "b"], "attachment": {}})
     assert all(line.startswith("% ") for line in join_latex(only).splitlines())
+
+
+def test_a_factor_of_two_states():
+    spring = Join.model_validate(
+        {
+            "between": ["hand", "face"],
+            "factor": "normal(hypot(a.x-b.x, a.y-b.y), 40, 10)",
+            "when": {"overlap": 0},
+        }
+    )
+    assert join_text(spring).splitlines() == [
+        "of every hand and face:",
+        "p(hand_t, face_t | e_1:t) ∝ p(hand_t | e_1:t) · p(face_t | e_1:t) · f(hand_t, face_t)",
+        "f(a, b) = normal(hypot(a.x - b.x, a.y - b.y), 40, 10)",
+    ]
+    latex = join_latex(spring)
+    assert r"p(\mathit{hand}_{t}, \mathit{face}_{t} \mid e_{1:t}) &\propto" in latex
+    assert r"f(a, b) &= \mathcal{N}\left(\mathrm{hypot}\left(x_{\mathrm{a}} - x_{\mathrm{b}}" in latex

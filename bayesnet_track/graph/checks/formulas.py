@@ -105,6 +105,50 @@ def attached_motions_are_kinematic(spec: GraphSpec, at: Positions) -> Iterator[G
                 yield at.message(("joins", number, "attachment"), found, "another motion", on_key=True)
 
 
+def factors_of_pairs_can_be_read(spec: GraphSpec, at: Positions) -> Iterator[GraphMessage]:
+    """A join's factor is an expression of the states of the two kinds, and shares no pixels."""
+    for number, join in enumerate(spec.joins):
+        path: Path = ("joins", number, "factor")
+        if join.factor is None:
+            if join.when.overlap == 0:
+                found = "overlap 0, which joins all targets, without a factor"
+                yield at.message(("joins", number, "when", "overlap"), found, "a number above 0")
+            continue
+        for other in ("exclusion", "occlusion", "attachment"):
+            if getattr(join, other) is not None:
+                yield at.message(path, f"factor beside {other}", "either of them", on_key=True)
+        if join.between is None:
+            yield at.message(path, "factor without between", "between: [a, b]", on_key=True)
+            continue
+        kinds = (join.between[0], join.between[-1])
+        if any(kind not in spec.targets for kind in kinds):
+            continue
+        states = [
+            f"{letter}.{name}"
+            for letter, kind in zip("ab", kinds, strict=True)
+            for name in (*BOX, *_fields_of(spec, kind))
+        ]
+        names = (*states, *(name for name in FRAME_NAMES if name != "dt"), *spec.constants)
+        try:
+            parse(join.factor, names)
+        except ExpressionError as error:
+            message = at.message(path, error.found, error.allowed)
+            near = nearest(error.word, error.near) if error.word else ""
+            yield at.inside(replace(message, nearest=near), error.at)
+
+
+def _fields_of(spec: GraphSpec, kind: str) -> tuple[str, ...]:
+    """Fields of the state of a kind of target, beside the box."""
+    nodes = spec.targets[kind].nodes.values()
+    root = next((one for one in nodes if isinstance(one, InferenceNode) and one.parent is None), None)
+    if root is None or root.motion is None:
+        return ()
+    if root.motion.expressions is not None:
+        return tuple(root.motion.expressions.fields)
+    order = {"random_walk": 0, "constant_acceleration": 4}.get(root.motion.kind, 2)
+    return (*VELOCITIES[:order], *(("angle",) if root.motion.settings.sd_angle_deg > 0 else ()))
+
+
 def drift_of(motion: ByExpressions) -> Mapping[str, Term]:
     """Field -> the expression of its value after a step, of a motion that was checked."""
     return {name: parse(str(text)) for name, text in motion.drift.items()}
@@ -138,4 +182,7 @@ FORMULA_CHECKS: tuple[Check, ...] = (
     formulas_can_be_read,
     beliefs_hold_the_formulas,
 )
-FORMULA_JOIN_CHECKS: tuple[GraphCheck, ...] = (attached_motions_are_kinematic,)
+FORMULA_JOIN_CHECKS: tuple[GraphCheck, ...] = (
+    attached_motions_are_kinematic,
+    factors_of_pairs_can_be_read,
+)

@@ -6,6 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
+from bayesnet_track.graph.expressions.terms import MAX_CHARACTERS
 from bayesnet_track.graph.settings.base import (
     FrameCount,
     Model,
@@ -13,7 +14,6 @@ from bayesnet_track.graph.settings.base import (
     NotNegative,
     Number,
     Positive,
-    Share,
     Whole,
 )
 
@@ -70,7 +70,10 @@ class Together(Model):
     box, widened by one sd of the centre on each side.
     """
 
-    overlap: Share = Field(default=0.05, description="smallest overlap at which they are joined")
+    overlap: Annotated[Number, Field(ge=0, le=1)] = Field(
+        default=0.05,
+        description="smallest overlap at which they are joined; 0, of a `factor` alone: always",
+    )
     apart_frames: FrameCount = Field(
         default=5, description="consecutive frames with a smaller overlap before they part"
     )
@@ -96,6 +99,11 @@ class Join(Model):
     exclusion: Exclusion | None = Field(default=None, description="no pixel is evidence for two targets")
     occlusion: Occlusion | None = Field(default=None, description="as `exclusion`, and the order persists")
     attachment: Attachment | None = Field(default=None, description="one may carry the other")
+    factor: Annotated[str, Field(max_length=MAX_CHARACTERS)] | None = Field(
+        default=None,
+        description="[expression](expressions.md) of the two states, `a.x` of the first kind and `b.x` of "
+        "the second; a density up to a constant",
+    )
     when: Together = Field(default=Together(), description="when they are joined")
     pairings: Annotated[Whole, Field(ge=1, le=64)] = Field(
         default=8, description="hypotheses of the other target that each hypothesis is paired with"
@@ -103,14 +111,19 @@ class Join(Model):
 
     @model_validator(mode="after")
     def _joins_something(self) -> Self:
-        if self.exclusion is None and self.occlusion is None and self.attachment is None:
-            raise ValueError("at least one of exclusion, occlusion, attachment")
+        if (self.exclusion, self.occlusion, self.attachment, self.factor) == (None,) * 4:
+            raise ValueError("at least one of exclusion, occlusion, attachment, factor")
         return self
 
     @property
     def shares_pixels(self) -> bool:
         """True when pixels of both are accounted for."""
         return self.exclusion is not None or self.occlusion is not None
+
+    @property
+    def reweights(self) -> bool:
+        """True when hypotheses of both are weighed together: by shared pixels, or by a factor."""
+        return self.shares_pixels or self.factor is not None
 
     @property
     def stay(self) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from bayesnet_track.graph.expressions.parse import parse
+from bayesnet_track.graph.expressions.write import latex_of, text_of
 from bayesnet_track.graph.settings.joins import Join
 
 _SHARED = "o_t: which one is in front; S_i: evidence of the pixels of box i that the other does not hide"
@@ -11,7 +13,11 @@ def join_text(join: Join) -> str:
     """What the joint belief of a pair is while its nets are joined, one equation a line."""
     first, second = _states(join)
     together = f"{first}_t, {second}_t"
-    lines = [f"while the beliefs of {first} and {second} overlap by {join.when.overlap:g} or more:"]
+    near = f"while the beliefs of {first} and {second} overlap by {join.when.overlap:g} or more:"
+    lines = [near if join.when.overlap else f"of every {first} and {second}:"]
+    if join.factor is not None:
+        lines.append(f"p({together} | e_1:t) ∝ p({first}_t | e_1:t) · p({second}_t | e_1:t) · f({together})")
+        lines.append(f"f(a, b) = {text_of(parse(join.factor))}")
     if join.shares_pixels:
         against = f" · e^(-{join.nats:g} c({together}))" if join.nats else ""
         lines.append(
@@ -33,6 +39,18 @@ def join_text(join: Join) -> str:
 def join_latex(join: Join) -> str:
     """The same as LaTeX (amsmath's `align*`), what is said in words as comments."""
     comments = [f"% {line}" for line in join_text(join).split("\n")]
+    if join.factor is not None:
+        one, other = (rf"\mathit{{{_escape(name)}}}_{{t}}" for name in _states(join))
+        each = r" \, ".join(rf"p({name} \mid e_{{1:t}})" for name in (one, other))
+        return "\n".join(
+            [
+                comments[0],
+                r"\begin{align*}",
+                rf"p({one}, {other} \mid e_{{1:t}}) &\propto {each} \, f({one}, {other}) \\",
+                rf"f(a, b) &= {latex_of(parse(join.factor))}",
+                r"\end{align*}",
+            ]
+        )
     if not join.shares_pixels:
         return "\n".join(comments)
     first, second = (rf"\mathit{{{_escape(name)}}}_{{t}}" for name in _states(join))
