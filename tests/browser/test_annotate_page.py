@@ -2,6 +2,7 @@
 
 import json
 import signal
+import time
 
 import cv2
 import numpy as np
@@ -60,6 +61,19 @@ def settled(browser, text):
     )
 
 
+def tracked(browser, folder, kept, in_force):
+    """All answers are on the disk, and the page shows what was tracked from those that are in force."""
+    end = time.monotonic() + 60
+    while len(answers(folder)) < kept:
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    browser.wait(
+        f"return document.querySelector('.headline dd').innerText.trim() === '{in_force}'"
+        " && !document.querySelector('.standing.busy')",
+        60,
+    )
+
+
 def frame(browser):
     return int(browser.run("return document.querySelector('.lanes input').value"))
 
@@ -108,16 +122,16 @@ def test_a_box_is_tracked_asked_about_taken_back_and_gone_on_with(browser, comma
     assert browser.run("return document.querySelector('.drawn text').textContent") != before
     browser.press(Keys.ENTER)
     browser.wait("return !document.querySelector('.drawn')")
-    browser.wait("return !document.querySelector('.standing.busy')", 60)
+    tracked(browser, out, 2, 2)
     given = answers(out)
     assert [one["target"] for one in given] == ["target 1", "target 2"]
     at = frame(browser)
     browser.press("g")
-    browser.wait("return !document.querySelector('.standing.busy')", 60)
+    tracked(browser, out, 3, 3)
     assert answers(out)[-1]["kind"] == "gone"
     browser.screenshot("annotate_gone.png")
     browser.press("u")
-    browser.wait("return !document.querySelector('.standing.busy')", 60)
+    tracked(browser, out, 4, 2)
     assert answers(out)[-1] == {"kind": "undo"} and at >= 0
     # The command ends at once on Ctrl-C, and its files are written.
     run.process.send_signal(signal.SIGINT)

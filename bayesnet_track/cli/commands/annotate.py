@@ -149,6 +149,8 @@ def _show(options: argparse.Namespace, session: Session, store: FrameStore, runs
         complain("Ctrl-C or `Finish` on the page writes the annotations; every answer is kept at once")
         stop.is_patient = True
         desk.wait(lambda: stop.signal is not None)
+        if desk.is_behind:
+            complain("the last answers are not tracked yet; the same command goes on from them")
 
 
 def _progress(count: int) -> None:

@@ -74,7 +74,7 @@ class Desk:
 
     def wait(self, give_up: Callable[[], bool]) -> None:
         """Until the person has left, and everything is tracked that was asked for; or until `give_up`."""
-        while not give_up() and not (self._is_left and not self._is_behind):
+        while not give_up() and not (self._is_left and not self.is_behind):
             time.sleep(0.05)
 
     def close(self) -> None:
@@ -108,7 +108,7 @@ class Desk:
                 "version": self._version,
                 "marks": self._marks_version,
                 "busy": self._busy,
-                "behind": self._is_behind,
+                "behind": self.is_behind,
                 "trouble": self._trouble,
                 "left": self._is_left,
                 "answers": len(in_force(self._session.answers)),
@@ -156,7 +156,8 @@ class Desk:
         self._tell()
 
     @property
-    def _is_behind(self) -> bool:
+    def is_behind(self) -> bool:
+        """Whether an answer is not tracked yet."""
         return self._done != self._session.version
 
     def _tell(self) -> None:
@@ -167,7 +168,7 @@ class Desk:
     def _work(self) -> None:
         while True:
             with self._news:
-                self._news.wait_for(lambda: self._is_behind or self._is_closed)
+                self._news.wait_for(lambda: self.is_behind or self._is_closed)
                 if self._is_closed:
                     return
                 version, self._trouble = self._session.version, ""
