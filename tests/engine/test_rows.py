@@ -85,7 +85,10 @@ def numbers(value, path=""):
 
 
 def assert_alike(rows, singles):
-    """Events are the same bytes; metrics differ by rounding in what is next to nothing."""
+    """Events are the same bytes; metrics differ by rounding in what is next to nothing.
+
+    The UD of an agent that says nothing is that around any of equal hypotheses, as rounding has it.
+    """
     assert [[to_json(one) for one in o.events] for o in rows] == [
         [to_json(one) for one in o.events] for o in singles
     ]
@@ -95,7 +98,10 @@ def assert_alike(rows, singles):
         for a, b in zip(own.metrics, other.metrics, strict=True):
             a, b = numbers(json.loads(to_json(a))), numbers(json.loads(to_json(b)))
             assert a.keys() == b.keys()
+            silent = {name for name, nats in b.items() if name.startswith(".strength.") and nats < 1e-12}
             for key in a:
+                if key.replace(".agent_ud_px2.", ".strength.") in silent - {key}:
+                    continue
                 is_number = type(a[key]) is float
                 assert (
                     a[key] == pytest.approx(b[key], rel=1e-8, abs=1e-13) if is_number else a[key] == b[key]
