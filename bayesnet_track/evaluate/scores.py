@@ -91,9 +91,14 @@ class Score:
     long_f_at: float | None = None
 
     def text(self, explained: bool = False) -> str:
-        """One figure a line: its name and value, and with `explained` what it says."""
+        """One figure a line: its name and value, and with `explained` what it says.
+
+        The figures of long-term tracking are left out where the target is never absent.
+        """
         lines = []
         for field in fields(self):
+            if field.name.startswith("long_") and self.long_f is None:
+                continue
             line = f"{field.name:<14} {_show(getattr(self, field.name))}"
             lines.append(f"{line:<26} {MEANINGS[field.name]}".rstrip() if explained else line)
         return "\n".join(lines)

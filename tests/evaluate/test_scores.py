@@ -126,5 +126,5 @@ def test_table_and_json():
     back = json.loads(full.json())
     assert back["auc"] == full.auc and back["lost_when_off"] is None and back["coverage50"] == [1.0, 1.0]
     lines = dict(line.split(None, 1) for line in full.text().splitlines())
-    assert list(lines) == list(back)
+    assert list(lines) == [name for name in back if not name.startswith("long_")]
     assert (lines["auc"], lines["lost_when_off"], lines["coverage90"]) == ("0.9524", "-", "1.00 1.00")
