@@ -107,14 +107,14 @@ REMEDIES: Mapping[str, Remedy] = MappingProxyType(
             "log RUN --kind distractor_seen",
             "ROOT.distractors.within_nats",
             "6",
-            "more look-alikes limit the score; an agent that tells them apart (motion, stereo) helps more",
+            "more look-alikes limit the score; an agent that distinguishes them (motion, stereo) helps more",
         ),
         "alike": Remedy(
             "it is uncertain because of a look-alike that never comes close",
             "log RUN --kind distractor_seen",
             "ROOT.distractors.frames",
             "8",
-            "only look-alikes that stay so long raise doubt; an agent that tells them apart helps more",
+            "only look-alikes that stay so long raise doubt; an agent that distinguishes them helps more",
         ),
         "false_alarm": Remedy(
             "the box is right but reported as lost",
