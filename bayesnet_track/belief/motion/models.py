@@ -12,9 +12,19 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Ancestors
+from bayesnet_track.belief.motion.kinematics import (
+    Rows,
+    chains,
+    driven,
+    move_rows,
+    plain_states,
+    step_rows,
+    steps,
+    unmixing,
+)
 from bayesnet_track.belief.motion.noise import (
     Transition,
     add_noise,
@@ -40,10 +50,6 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
-Rows = tuple[tuple[float, ...], ...]
-
-FEW = 700
-"""Up to so many states NumPy draws their normals, beyond a kernel does: the same bits."""
 
 DERIVATIVES = (("vx", "vy"), ("ax", "ay"))
 
@@ -100,19 +106,19 @@ class KinematicMotion:
             new = self.drift(states if parents is None else states.take(parents, axis=0), dt)
         else:
             parents = np.arange(len(states)) if parents is None else parents
-            new = _driven(_plain(states), parents, *_step_rows(self.dynamics, self.diffusion, dt), rng)
+            new = driven(plain_states(states), parents, *step_rows(self.dynamics, self.diffusion, dt), rng)
         add_noise(self.noise, new[:, :4], rng, dt)
         return new
 
     def drift(self, states: Floats, dt: float) -> Floats:
         """(N, D) states after `dt` frame intervals without noise: F x."""
         if self.order == 1:
-            _steps(self.dynamics, self.diffusion, dt)  # refuses a time that does not move forward
+            steps(self.dynamics, self.diffusion, dt)  # refuses a time that does not move forward
             return states.copy()
         # Imported here: a graph is validated without compiling anything.
         from bayesnet_track.numerics.kernels.kinematic_kernels import drifted
 
-        return drifted(_plain(states), _move_rows(self.dynamics, self.diffusion, dt))
+        return drifted(plain_states(states), move_rows(self.dynamics, self.diffusion, dt))
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """F and Q, each (D, D): new = F old + noise of covariance Q, at the state (D,).
@@ -146,7 +152,7 @@ class KinematicMotion:
         box's noise adds up with the last entry of D alone.
         """
         mean = self.drift(old, dt)
-        chain = None if self.diffusion == 0 else _unmixing(self.dynamics, self.diffusion, dt)
+        chain = None if self.diffusion == 0 else unmixing(self.dynamics, self.diffusion, dt)
         keep = _find_noisy(self)
         same = _same_sds(self, dt)
         if same is None:
@@ -158,14 +164,14 @@ class KinematicMotion:
         def all_coordinates(states: Floats) -> tuple[Floats, Floats]:
             points, log_jacobian = box_coordinates(self.noise, states[:, :4])
             if chain is not None:
-                mixed = _chains(states) @ chain.unmix.T
+                mixed = chains(states) @ chain.unmix.T
                 points[:, :2] = mixed[:, :2]
                 points = np.concatenate([points, mixed[:, 2:]], axis=1)
             return points, log_jacobian
 
         def coordinates(states: Floats) -> tuple[Floats, Floats]:
             if chain is not None and len(keep) == 2 * self.order:  # the size has no noise
-                return _chains(states) @ chain.unmix.T, np.zeros(len(states))
+                return chains(states) @ chain.unmix.T, np.zeros(len(states))
             points, log_jacobian = all_coordinates(states)
             return points.take(keep, axis=1), log_jacobian
 
@@ -246,7 +252,7 @@ def _sds(motion: KinematicMotion, old: Floats, dt: float) -> Floats:
     """(C, N, K) sds of the coordinates with noise around boxes `old` (N, 4)."""
     variances = component_variances(motion.noise, old, dt)
     if motion.diffusion != 0:
-        pivots = _unmixing(motion.dynamics, motion.diffusion, dt).pivots
+        pivots = unmixing(motion.dynamics, motion.diffusion, dt).pivots
         variances[:, :, :2] += pivots[0]
         further = np.broadcast_to(np.repeat(pivots[1:], 2), (*variances.shape[:2], 2 * motion.order - 2))
         variances = np.concatenate([variances, further], axis=2)
@@ -261,7 +267,7 @@ def _same_sds(motion: KinematicMotion, dt: float) -> Floats | None:
 
 def _kinematics(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]:
     """F and the kinematic part of Q, each (D, D)."""
-    moves, covariance = _steps(motion.dynamics, motion.diffusion, dt)
+    moves, covariance = steps(motion.dynamics, motion.diffusion, dt)
     size = len(motion.fields)
     transition, noise_covariance = np.eye(size), np.zeros((size, size))
     for axis in (0, 1):
@@ -269,96 +275,3 @@ def _kinematics(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats]:
         transition[np.ix_(columns, columns)] = moves
         noise_covariance[np.ix_(columns, columns)] = covariance
     return transition, noise_covariance
-
-
-def _chains(states: Floats) -> Floats:
-    """(N, 2 n): x, y, vx, vy, ..., the states without the size."""
-    return np.concatenate([states[:, :2], states[:, 4:]], axis=1)
-
-
-def _both_axes(matrix: ArrayLike) -> Floats:
-    """The (2 n, 2 n) matrix that does to x, y, vx, vy, ... what `matrix` (n, n) does to each axis."""
-    return np.asarray(np.kron(np.asarray(matrix), np.eye(2)), dtype=np.float64)
-
-
-@dataclass(frozen=True, eq=False)
-class _Unmixing:
-    """What makes the noise of an axis' chain independent: `unmix` for both axes, and the variances left."""
-
-    unmix: Floats
-    pivots: Floats
-
-
-@lru_cache(maxsize=256)
-def _unmixing(dynamics: Rows, diffusion: float, dt: float) -> _Unmixing:
-    covariance = _steps(dynamics, diffusion, dt)[1]
-    lower = np.linalg.cholesky(covariance[::-1, ::-1])
-    scale = np.diag(lower)
-    return _Unmixing(_both_axes(np.linalg.inv(lower / scale)[::-1, ::-1]), (scale**2)[::-1])
-
-
-@lru_cache(maxsize=256)
-def _step_rows(dynamics: Rows, diffusion: float, dt: float) -> tuple[Rows, Rows]:
-    """The rows of the transition, and of the triangular root of the noise's covariance, for one axis."""
-    transition, covariance = _steps(dynamics, diffusion, dt)
-    return _rows(transition), _rows(np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
-
-
-@lru_cache(maxsize=256)
-def _move_rows(dynamics: Rows, diffusion: float, dt: float) -> Rows:
-    """The rows of the transition for one axis."""
-    return _rows(_steps(dynamics, diffusion, dt)[0])
-
-
-def _driven(states: Floats, parents: Ancestors, moves: Rows, root: Rows, rng: np.random.Generator) -> Floats:
-    from bayesnet_track.numerics.kernels.kinematic_kernels import driven, driven_by
-
-    if len(parents) > FEW:
-        return driven_by(states, parents, moves, root, rng)
-    return driven(states, parents, moves, root, rng.standard_normal((len(parents), 2 * len(moves))))
-
-
-def _plain(states: Floats) -> Floats:
-    """`states` writable and in C order: one compiled version of a kernel only."""
-    from bayesnet_track.numerics.compiled import plain
-
-    return plain(states)
-
-
-def _rows(matrix: Floats) -> Rows:
-    return tuple(tuple(row) for row in matrix.tolist())
-
-
-@lru_cache(maxsize=256)
-def _steps(dynamics: Rows, diffusion: float, dt: float) -> tuple[Floats, Floats]:
-    """exp(A dt) and the integral of exp(A s) q exp(A s)' over s in 0..dt, for one axis.
-
-    Series on a short step, then doubled: F(2h) = F F, Q(2h) = Q + F Q F'. Unlike the block exponential of
-    Van Loan it stays exact over long gaps of a damped motion.
-
-    Raises:
-        ValueError: dt is not positive and finite.
-    """
-    if not (dt > 0 and np.isfinite(dt)):
-        raise ValueError(f"time between frames must be positive and finite, not {dt}")
-    matrix = np.array(dynamics)
-    n = len(matrix)
-    doublings = max(0, int(np.ceil(np.log2(np.abs(matrix).sum(axis=1).max() * dt + 1e-300))) + 3)
-    h = dt / 2**doublings
-    source = np.zeros((n, n))
-    source[-1, -1] = diffusion
-    # Q' = A Q + Q A' + source and F' = A F as Taylor series of order 12 about 0.
-    transition: Floats = np.eye(n)
-    term: Floats = np.eye(n)
-    covariance, rate = np.zeros((n, n)), source * h
-    for k in range(1, 13):
-        term = matrix @ term * (h / k)
-        transition = transition + term
-        covariance = covariance + rate
-        rate = (matrix @ rate + rate @ matrix.T) * (h / (k + 1))
-    for _ in range(doublings):
-        covariance = covariance + transition @ covariance @ transition.T
-        transition = transition @ transition
-    transition.setflags(write=False)
-    covariance.setflags(write=False)
-    return transition, covariance
