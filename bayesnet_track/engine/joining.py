@@ -30,7 +30,8 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.occlusion import report_hidden
 from bayesnet_track.graph.settings.joins import Join
 from bayesnet_track.inference.factors import log_prior_factor, log_seen
-from bayesnet_track.inference.joint import Edge, Marginal, Member, Pair, joint_marginals
+from bayesnet_track.inference.joint import Marginal, joint_marginals
+from bayesnet_track.inference.joint_members import Edge, Member, Pair
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.inference.pair_factors import pair_factor
 from bayesnet_track.journal.events.event import Event

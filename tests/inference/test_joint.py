@@ -10,14 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from bayesnet_track.inference.joint import (
-    Edge,
-    Marginal,
-    Member,
-    bad_shares,
-    draw_partners,
-    joint_marginals,
-)
+from bayesnet_track.inference.joint import Marginal, joint_marginals
+from bayesnet_track.inference.joint_members import Edge, Member, bad_shares
+from bayesnet_track.inference.joint_messages import draw_partners
 from bayesnet_track.numerics.kernels.joint_kernels import behind, loss_of
 from bayesnet_track.numerics.log_weights import LogWeights
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from bayesnet_track.graph.settings.joins import Join
-from bayesnet_track.inference.joint import Edge, Member, joint_marginals
+from bayesnet_track.inference.joint import joint_marginals
+from bayesnet_track.inference.joint_members import Edge, Member
 from bayesnet_track.inference.pair_factors import pair_factor
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.planes import Frame

@@ -1,0 +1,104 @@
+"""The hypotheses of targets that are near each other, and the pairs that are accounted for together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.numerics.log_weights import LogWeights
+
+Floats = NDArray[np.float64]
+Pair = tuple[str, str]
+Hidden = tuple[float, float, float, float, int]
+
+STEEP, HALF = 4.0, 0.25
+"""Log-odds at the best hypothesis, and share of a box whose misfit halves an agent's likelihood."""
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """One target's hypotheses.
+
+    Attributes:
+        boxes: (N, 4) centre boxes, px.
+        prior: their N weights before the evidence.
+        log_likelihood: (N,) log L, one of them finite at least.
+        level: log of what stands for its evidence where it is hidden.
+        on: other -> log L of a box of this target's that lies wholly on the other; that of its best
+            hypothesis for one that is not named.
+        agents: number of agents that the likelihood is a product of.
+        top: log L of a perfect match; that of the best hypothesis where it is higher.
+        states: field -> (N,) values, which factors of pairs read.
+    """
+
+    boxes: Floats
+    prior: LogWeights
+    log_likelihood: Floats
+    level: float
+    on: Mapping[str, float] = field(default_factory=dict)
+    agents: int = 1
+    top: float = -np.inf
+    states: Mapping[str, Floats] = field(default_factory=dict)
+
+    @cached_property
+    def losses(self) -> Floats:
+        """(N,) by how much log L is below that of a perfect match."""
+        return np.asarray(self._perfect - self.log_likelihood)
+
+    @cached_property
+    def bad(self) -> Floats:
+        """(N,) share of each box that does not match."""
+        return bad_shares(self.losses, self.agents)
+
+    def hidden_by(self, other: str) -> Hidden:
+        """Shares that do not match: what stands for hidden pixels, W, the worst's and the best's; agents."""
+        worst, best = float(self.losses.max()), float(self.losses.min())
+        occluder = min(max(self._perfect - self.on.get(other, self._perfect), best), worst)
+        losses = np.array([max(self._perfect - self.level, 0.0), occluder, worst, best])
+        level, occluder, worst, best = bad_shares(losses, self.agents).tolist()
+        return level, occluder, worst, best, self.agents
+
+    @property
+    def _perfect(self) -> float:
+        return max(self.top, float(self.log_likelihood.max()))
+
+
+Factor = Callable[[Mapping[str, Floats], Mapping[str, Floats]], Floats]
+"""States of the first and of the second target, field by field -> log density of each pair."""
+
+
+@dataclass(frozen=True)
+class Edge:
+    """A pair of targets whose pixels are accounted for together, or which a factor relates.
+
+    Attributes:
+        pair: the two.
+        first_in_front: prior probability that the first is in front.
+        nats: log-odds against one box wholly on the other.
+        pairings: partners of each hypothesis.
+        factor: what relates them instead of pixels.
+    """
+
+    pair: Pair
+    first_in_front: float
+    nats: float = 0.0
+    pairings: int = 8
+    factor: Factor | None = None
+
+    @property
+    def turned(self) -> Edge:
+        """The same edge, seen from its second target."""
+        factor = self.factor
+        other = None if factor is None else lambda first, second: factor(second, first)
+        return replace(self, pair=self.pair[::-1], first_in_front=1.0 - self.first_in_front, factor=other)
+
+
+def bad_shares(losses: Floats, agents: int) -> Floats:
+    """(N,) share of a box that does not match, where `agents` say that log L is `losses` below the best."""
+    with np.errstate(divide="ignore"):
+        log = np.log(np.expm1(losses / agents) + np.exp(losses / agents - STEEP))
+    return np.asarray(np.clip((log + STEEP) / (STEEP / HALF), 0.0, None))
