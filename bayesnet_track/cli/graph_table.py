@@ -28,7 +28,7 @@ MEASURED: Mapping[str, str] = MappingProxyType(
 """Graph -> what a page has measured, with that page."""
 
 DEPTH = ("stereo",)
-NETWORK = ("siamese",)
+NETWORK = ("siamese", "onnx")
 
 HEAD = """\
 # The installed graphs
@@ -36,10 +36,11 @@ HEAD = """\
 <!-- Made by python -m bayesnet_track.cli.graph_table; do not edit. -->
 
 Each of these graphs can be named without a path, as in `bayesnet-track run general …`. Start with `general`
-for one target of unknown appearance, and with `kalman_detections` if you have a detector's boxes. `sort`,
-`bytetrack` and `oc_sort` are [the field's own trackers](targets.md#trackers-of-the-field-as-graphs). The
-others belong to the scenes of `bayesnet-track demo` and show one thing each; copy the file that is nearest
-to your task. `bayesnet-track graph NAME --formula` prints the density that a graph stands for.
+for one target of unknown appearance, with `kalman_detections` if you have a detector's boxes, and with
+`people` if you have [a detection network](detectors.md#onnx). `sort`, `bytetrack` and `oc_sort` are [the
+field's own trackers](targets.md#trackers-of-the-field-as-graphs). The others belong to the scenes of
+`bayesnet-track demo` and show one thing each; copy the file that is nearest to your task. `bayesnet-track
+graph NAME --formula` prints the density that a graph stands for.
 
 Cost is what the cues of all agents declare for 1000 hypotheses of 60 × 60 px, in ms, with all of them on: a
 figure to compare graphs by. [Benchmarks](benchmarks.md) have measured times. Where the column of accuracy
@@ -74,6 +75,8 @@ def _needs(plate: CheckedTarget) -> Iterator[str]:
         yield "a start box"
     elif birth.detector.detector == GIVEN:
         yield "a file of detections"
+    elif birth.detector.detector in NETWORK:
+        yield "the file of a network"
     if any(declared[cue].needs_color for cue in cues):
         yield "colour"
     if any(cue in DEPTH for cue in cues):

@@ -115,18 +115,22 @@ def value(field, name, shape):
     return part(field, part(1, name) + part(2, part(1, whole(1, 1) + part(2, sides))))
 
 
-def brightness_network(before=(), after=(), units=1.0, turned=False):
-    """A network that sees how bright each cell of 8x8 px of a 32x32 px input is.
+def brightness_network(before=(), after=(), units=1.0, turned=False, size=32, stride=8, second=()):
+    """A network that sees how bright each cell of 8x8 px of an input of `size` x `size` px is.
 
-    It gives 16 rows: columns `before`, x, y, w, h of the cell (in `units`), columns `after` that are None for
-    the brightness; an order of columns is how the layouts of detection networks differ.
+    It gives a row for each cell, one every `stride` px: columns `before`, x, y, w, h of the cell (in
+    `units`), the brightness, columns `after`; an order of columns is how the layouts of detection networks
+    differ. A `second` output has this shape.
     """
-    side, cells = 8, 16
-    rows, columns = np.mgrid[:4, :4].reshape(2, -1)
-    box = np.stack([columns * 8 + 4.0, rows * 8 + 4.0, np.full(16, 8.0), np.full(16, 8.0)], axis=1) * units
+    side, per_row = 8, (size - 8) // stride + 1
+    cells = per_row**2
+    rows, columns = np.mgrid[:per_row, :per_row].reshape(2, -1) * stride
+    box = np.stack([columns + 4.0, rows + 4.0, np.full(cells, 8.0), np.full(cells, 8.0)], axis=1) * units
+    low, high = box[:, :2] - box[:, 2:] / 2, box[:, :2] + box[:, 2:] / 2
     table = [*(np.full(cells, v) for v in before), *box.T]
-    if after == "ssd":
-        low, high = box[:, :2] - box[:, 2:] / 2, box[:, :2] + box[:, 2:] / 2
+    if after == "end_to_end":
+        left, right = np.column_stack([low, high]), np.full((cells, 1), 1.0)
+    elif after == "ssd":
         left, right = np.column_stack([np.zeros(cells), np.ones(cells)]), np.column_stack([low, high])
     else:
         left, right = (
@@ -140,15 +144,26 @@ def brightness_network(before=(), after=(), units=1.0, turned=False):
     order = ["left", "bright", *(["right"] if right.size else [])]
     wide = left.shape[1] + 1 + right.shape[1]
     nodes = [
-        node("Conv", ["x", "weights"], "seen", numbers("kernel_shape", [8, 8]), numbers("strides", [8, 8])),
+        node(
+            "Conv",
+            ["x", "weights"],
+            "seen",
+            numbers("kernel_shape", [8, 8]),
+            numbers("strides", [stride] * 2),
+        ),
         node("Reshape", ["seen", "shape"], "bright"),
         node("Concat", order, "rows" if turned else "y", number("axis", 2)),
     ]
     if turned:
         nodes.append(node("Transpose", ["rows"], "y", numbers("perm", [0, 2, 1])))
     shape = (1, wide, cells) if turned else (1, cells, wide)
+    outputs = value(12, "y", shape)
+    if second:
+        tensors.append(tensor("second_shape", np.array(second, np.int64)))
+        nodes.append(node("Reshape", ["seen", "second_shape"], "z"))
+        outputs += value(12, "z", second)
     graph = b"".join(nodes) + part(2, "g") + b"".join(tensors)
-    graph += value(11, "x", (1, 3, 32, 32)) + value(12, "y", shape)
+    graph += value(11, "x", (1, 3, size, size)) + outputs
     return whole(1, 8) + part(7, graph) + part(8, part(1, "") + whole(2, 13))
 
 

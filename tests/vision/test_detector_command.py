@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from bayesnet_track.cli.main import main
@@ -90,3 +92,41 @@ def test_a_gray_source_is_refused_by_a_detector_of_colour(tmp_path, capsys):
 def test_detectors_are_listed(capsys):
     assert main(["list"]) == 0
     assert "background" in capsys.readouterr().out.split("detectors:")[1]
+
+
+@pytest.fixture(scope="module")
+def walkers(tmp_path_factory):
+    """Twenty frames of 256 x 128 px: two bright squares of 16 px walk past each other."""
+    path = tmp_path_factory.mktemp("walkers")
+    for index in range(20):
+        image = np.zeros((128, 256, 3), np.uint8)
+        image[24:40, 20 + 4 * index :][:, :16] = (255, 240, 250)
+        image[84:100, 200 - 4 * index :][:, :16] = (245, 255, 250)
+        cv2.imwrite(str(path / f"{index:03}.png"), image)
+    return path
+
+
+def test_people_are_found_by_a_network_and_followed(walkers, network, tmp_path, capsys):
+    onnx = network(after=(0.25,), size=128, stride=2, turned=True)  # as YOLO v8 exports, two classes
+    settings = {"model": onnx, "input_width": 128, "input_height": 128, "min_score": 0.9}
+    changes = [f"--set=birth.detector.onnx.{key}={value}" for key, value in settings.items()]
+    command = ["run", "people", "--source", str(walkers), "--out", str(tmp_path / "run"), "--quiet"]
+    assert main([*command, *changes]) == 0, capsys.readouterr().err
+    lines = [line.split(",") for line in (tmp_path / "run" / "tracks.txt").read_text().splitlines()]
+    assert {line[1] for line in lines} == {"1", "2"} and len(lines) > 30
+    for line in lines:
+        index, (left, top, width, height) = int(line[0]) - 1, map(float, line[2:6])
+        across = 20 + 4 * index if top < 60 else 200 - 4 * index
+        assert abs(left - across) < 5 and abs(width - 16) < 2 and abs(height - 16) < 2
+
+
+def test_people_without_a_network_say_how_to_give_one(walkers, network, tmp_path, capsys):
+    command = ["run", "people", "--source", str(walkers), "--out", str(tmp_path / "run")]
+    assert main(command) == 2
+    assert "people.onnx: no such model file" in capsys.readouterr().err
+    cut = tmp_path / "cut.onnx"
+    cut.write_bytes(Path(network()).read_bytes()[:300])
+    assert main([*command, "--set", f"birth.detector.onnx.model={cut}"]) == 2
+    said = capsys.readouterr().err
+    assert "cut.onnx: OpenCV cannot read it as an ONNX model" in said and "Traceback" not in said
+    assert not (tmp_path / "run").exists()

@@ -27,6 +27,8 @@ def one_bright(height, width, rows, columns):
         ({"after": (0.25,), "turned": True}, {"layout": "yolo"}, "0"),
         ({"after": (0.3, 0.9)}, {"layout": "yolo_objectness", "classes": ["a", "b"]}, "b"),
         ({"after": "ssd"}, {"layout": "ssd", "classes": ["none", "lamp"]}, "lamp"),
+        ({"after": "end_to_end"}, {"layout": "yolo_end_to_end", "classes": ["none", "lamp"]}, "lamp"),
+        ({"after": (0.25,), "second": (1, 1, 4, 4)}, {"layout": "yolo"}, "0"),
         ({"units": 1 / 32}, {"layout": "rows", "units": "share"}, ""),
     ],
 )
@@ -53,6 +55,36 @@ def test_labels_can_be_chosen(bench, network):
     pair = one_bright(32, 32, slice(8, 16), slice(16, 24))
     assert len(bench.made("onnx", **parameters, keep=["lamp"]).detect(pair, {})[0]) == 1
     assert len(bench.made("onnx", **parameters, keep=["other"]).detect(pair, {})[0]) == 0
+    assert len(bench.made("onnx", **parameters, keep=["0"]).detect(pair, {})[0]) == 1
+
+
+YOLO = {"layout": "yolo"}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"keep": ["person"]}, "`keep` has 'person'; names of classes: none: give `classes`, or numbers; "),
+        ({"keep": ["2"]}, "numbers 0 to 1"),
+        ({"classes": ["a", "b"], "keep": ["c"]}, "`keep` has 'c'; names of classes: a, b; numbers 0 to 1"),
+        ({"classes": ["a"]}, "gives scores for 2 classes, and `classes` names 1; a network for segmentation"),
+        ({"layout": "rows", "keep": ["x"]}, "names of classes: none: give `classes`, or numbers"),
+    ],
+)
+def test_classes_that_the_network_does_not_have_are_refused(bench, network, change, said):
+    kind = {} if change.get("layout") == "rows" else {"after": (0.25,)}
+    with pytest.raises(DetectorError) as error:
+        bench.made("onnx", model=network(**kind), **{**YOLO, **INPUT, **change})
+    assert said in str(error.value)
+
+
+def test_of_several_outputs_only_one_may_be_of_the_layout(bench, network):
+    with pytest.raises(DetectorError, match="outputs of 1 x 16 x 5, 1 x 4 x 4; 0 of them fit layout ssd"):
+        bench.made("onnx", model=network(second=(1, 4, 4)), **{**INPUT, "layout": "ssd"})
+    with pytest.raises(DetectorError, match="2 of them fit layout rows, one is needed"):
+        bench.made(
+            "onnx", model=network(size=40, second=(1, 5, 5)), layout="rows", input_width=40, input_height=40
+        )
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from bayesnet_track.observation.detector import (
     DetectorState,
 )
 from bayesnet_track.observation.planes import FramePair
-from bayesnet_track.vision.detectors.onnx_layouts import LAYOUTS, Found, LayoutError
+from bayesnet_track.vision.detectors.onnx_layouts import Found, LayoutError, fitting
 from bayesnet_track.vision.detectors.selection import select
 
 Floats = NDArray[np.float64]
@@ -41,11 +41,11 @@ class OnnxParameters(DetectorParameters):
         default=(0.0, 0.0, 0.0), description="Taken off the channels in the network's order (gray levels)."
     )
     channels: Literal["rgb", "bgr"] = Field(default="rgb", description="Order of the network's channels.")
-    layout: Literal["rows", "yolo", "yolo_objectness", "ssd"] = Field(
+    layout: Literal["rows", "yolo", "yolo_objectness", "yolo_end_to_end", "ssd"] = Field(
         default="rows",
         description="Output: `rows` of x, y, w, h, score; `yolo` of x, y, w, h, score of each class; "
-        "`yolo_objectness` with one more score before these, which multiplies them; `ssd` of image, class, "
-        "score, x0, y0, x1, y1. x, y are centres.",
+        "`yolo_objectness` with one more score before these, which multiplies them; `yolo_end_to_end` of x0, "
+        "y0, x1, y1, score, class; `ssd` of image, class, score, x0, y0, x1, y1. x, y are centres.",
     )
     units: Literal["px", "share"] = Field(
         default="px", description="Boxes are in pixels of the input, or in shares of it."
@@ -54,7 +54,7 @@ class OnnxParameters(DetectorParameters):
         default=(), max_length=10000, description="Names of the classes, from number 0 on."
     )
     keep: tuple[str, ...] = Field(
-        default=(), description="Labels that are kept (names, or numbers as text); all when empty."
+        default=(), description="Classes that are kept (names, or numbers as text); all when empty."
     )
     min_score: float = Field(default=0.4, ge=0, le=1, description="Least score of a detection (0..1).")
 
@@ -82,11 +82,14 @@ class Onnx:
         boxes[:, :2] = (boxes[:, :2] - rim) / shrink - 0.5
         boxes[:, 2:] /= shrink
         labels = [self._label(number) for number in found.classes]
+        scores = found.scores
         if settings.keep:
-            kept = [k for k, label in enumerate(labels) if label in settings.keep]
-            boxes, scores, labels = boxes[kept], found.scores[kept], [labels[k] for k in kept]
-            return select(boxes, scores, frame, settings, labels), state
-        return select(boxes, found.scores, frame, settings, labels), state
+            named = zip(labels, found.classes, strict=True)
+            kept = [
+                k for k, names in enumerate(named) if not {str(n) for n in names}.isdisjoint(settings.keep)
+            ]
+            boxes, scores, labels = boxes[kept], scores[kept], [labels[k] for k in kept]
+        return select(boxes, scores, frame, settings, labels), state
 
     def _input(self, image: NDArray[np.uint8]) -> tuple[Floats, Floats, Any]:
         """(2,) pixels of the input per pixel of the frame; (2,) rim before it, px; the (1, 3, H, W) input."""
@@ -112,9 +115,27 @@ class Onnx:
         )
         return inner / frame, rim, np.ascontiguousarray(values.transpose(2, 0, 1)[None])
 
+    def check(self) -> None:
+        """Run the network on a black frame; raises DetectorError where it and the parameters do not fit."""
+        settings = self.parameters
+        black = np.zeros((1, 3, settings.input_height, settings.input_width), np.float32)
+        classes, names = self._found(self.forward(black)).distinguished, settings.classes
+        if classes is not None and names and len(names) != classes:
+            raise DetectorError(
+                f"{settings.model}: gives scores for {classes} classes, and `classes` names {len(names)}; a "
+                "network for segmentation or poses has further columns, and is not supported"
+            )
+        for label in settings.keep:
+            is_number = label.isdecimal() and (classes is None or int(label) < classes)
+            if label not in names and not is_number:
+                known = ", ".join(names) or "none: give `classes`, or numbers"
+                numbers = "" if classes is None else f"; numbers 0 to {classes - 1}"
+                raise DetectorError(f"`keep` has {label!r}; names of classes: {known[:300]}{numbers}")
+
     def _found(self, outputs: Any) -> Found:
         try:
-            return LAYOUTS[self.parameters.layout](np.asarray(outputs, dtype=np.float64))
+            arrays = [np.asarray(output, dtype=np.float64) for output in outputs]
+            return fitting(arrays, self.parameters.layout)
         except LayoutError as error:
             raise DetectorError(f"{self.parameters.model}: {error}") from error
 
@@ -142,14 +163,15 @@ def _make(parameters: OnnxParameters) -> Detector:
     def forward(blob: Any) -> Any:
         try:
             network.setInput(blob)
-            return network.forward()
+            return network.forward(network.getUnconnectedOutLayersNames())
         except cv2.error as error:
             raise DetectorError(
-                f"{path}: does not run on a 3-channel input of {size} px: {_reason(error)}"
+                f"{path}: does not run on a 3-channel input of {size} px (input_width, "
+                f"input_height: as it was exported): {_reason(error)}"
             ) from error
 
     detector = Onnx(parameters, forward)
-    detector._found(forward(np.zeros((1, 3, parameters.input_height, parameters.input_width), np.float32)))
+    detector.check()
     return detector
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -24,11 +24,13 @@ class Found:
         boxes: (N, 4) x, y, w, h with the middle of the box, from the input's top-left edge.
         scores: (N,).
         classes: (N,) number of the class; -1 where there are none.
+        distinguished: how many classes have a score of their own; None where the output does not tell.
     """
 
     boxes: Floats
     scores: Floats
     classes: NDArray[np.int64]
+    distinguished: int | None = None
 
 
 def rows(output: Floats) -> Found:
@@ -48,23 +50,61 @@ def yolo_objectness(output: Floats) -> Found:
     return _best(np.concatenate([table[:, :4], table[:, 5:] * table[:, 4:5]], axis=1))
 
 
+def yolo_end_to_end(output: Floats) -> Found:
+    """(N, 6) x0, y0, x1, y1, score, class: what is left after the network's own suppression."""
+    table = _table(output, 6, 6, "rows of x0, y0, x1, y1, score, class")
+    table = table[np.isfinite(table).all(axis=1)]
+    return Found(_centred(table[:, :4]), table[:, 4], table[:, 5].astype(np.int64))
+
+
 def ssd(output: Floats) -> Found:
     """(N, 7) image, class, score, x0, y0, x1, y1; rows of another image than 0 are left out."""
     table = _table(output, 7, 7, "rows of image, class, score, x0, y0, x1, y1")
     table = table[np.isfinite(table).all(axis=1) & (table[:, 0] == 0)]
-    low, high = table[:, 3:5], table[:, 5:7]
-    boxes = np.concatenate([(low + high) / 2, high - low], axis=1)
-    return Found(boxes, table[:, 2], table[:, 1].astype(np.int64))
+    return Found(_centred(table[:, 3:]), table[:, 2], table[:, 1].astype(np.int64))
 
 
 LAYOUTS: Mapping[str, Callable[[Floats], Found]] = MappingProxyType(
-    {"rows": rows, "yolo": yolo, "yolo_objectness": yolo_objectness, "ssd": ssd}
+    {
+        "rows": rows,
+        "yolo": yolo,
+        "yolo_objectness": yolo_objectness,
+        "yolo_end_to_end": yolo_end_to_end,
+        "ssd": ssd,
+    }
 )
+
+
+def fitting(outputs: Sequence[Floats], layout: str) -> Found:
+    """What the one output says that is of the layout; raises LayoutError where none or several are."""
+    found, refused = [], []
+    for output in outputs:
+        try:
+            found.append(LAYOUTS[layout](output))
+        except LayoutError as error:
+            refused.append(error)
+    if len(found) == 1:
+        return found[0]
+    if len(outputs) == 1:
+        raise refused[0]
+    shapes = ", ".join(_shape(output) for output in outputs)
+    raise LayoutError(f"gives outputs of {shapes}; {len(found)} of them fit layout {layout}, one is needed")
 
 
 def _best(table: Floats) -> Found:
     classes = table[:, 4:].argmax(axis=1)
-    return Found(table[:, :4], table[np.arange(len(table)), 4 + classes], classes.astype(np.int64))
+    scores = table[np.arange(len(table)), 4 + classes]
+    return Found(table[:, :4], scores, classes.astype(np.int64), table.shape[1] - 4)
+
+
+def _centred(corners: Floats) -> Floats:
+    """(N, 4) x0, y0, x1, y1 as x, y, w, h with the middle of the box."""
+    low, high = corners[:, :2], corners[:, 2:]
+    return np.concatenate([(low + high) / 2, high - low], axis=1)
+
+
+def _shape(output: Floats) -> str:
+    return " x ".join(str(side) for side in output.shape)
 
 
 def _table(output: Floats, least: int, most: int | None, wanted: str) -> Floats:
@@ -79,5 +119,4 @@ def _table(output: Floats, least: int, most: int | None, wanted: str) -> Floats:
         table = table.T if first and fits[0] else table
         if (fits[0] if first else fits[1]) or table.size == 0:
             return np.asarray(table)
-    shape = " x ".join(str(side) for side in output.shape)
-    raise LayoutError(f"gives an output of {shape}; the layout wants {wanted}")
+    raise LayoutError(f"gives an output of {_shape(output)}; the layout wants {wanted}")
