@@ -29,6 +29,7 @@ from bayesnet_track.cli.commands.learn_stereo import learn_stereo
 from bayesnet_track.cli.commands.report import report
 from bayesnet_track.cli.commands.resume import resume
 from bayesnet_track.cli.commands.review import log, score
+from bayesnet_track.cli.commands.simulate import simulate
 from bayesnet_track.cli.commands.smooth import smooth
 from bayesnet_track.cli.commands.tracking import run
 from bayesnet_track.cli.commands.verify import verify
@@ -66,6 +67,7 @@ COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "batch": batch,
     "init": init,
     "score": score,
+    "simulate": simulate,
     "smooth": smooth,
     "learn-shape": learn_shape,
     "learn-stereo": learn_stereo,

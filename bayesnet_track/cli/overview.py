@@ -12,7 +12,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "label a video": ("annotate",),
     "look at a run": ("report", "log", "diagnose", "smooth", "export"),
     "measure": ("score", "compare", "what-if"),
-    "write a graph": ("init", "validate", "graph", "schema"),
+    "write a graph": ("init", "validate", "graph", "simulate", "schema"),
     "fit to your videos": ("fit", "learn-shape", "learn-stereo"),
     "detect; calibrate cameras": ("detect", "calibrate"),
 }
@@ -39,6 +39,7 @@ EXAMPLES: Mapping[str, str] = {
     "init": "init mine.yaml",
     "validate": "validate mine.yaml",
     "graph": "graph general --formula",
+    "simulate": "simulate general --source video.mp4 --init 57,21,31,45 --png prior.png",
     "schema": "schema > graph.schema.json",
     "fit": "fit general --source a.mp4 --truth a.txt --out mine.yaml",
     "learn-shape": "learn-shape person.npz --source a.mp4 --truth a.txt",

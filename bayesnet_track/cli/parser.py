@@ -12,6 +12,7 @@ from bayesnet_track.cli.commands.export import add_export
 from bayesnet_track.cli.commands.init import add_init
 from bayesnet_track.cli.commands.report import add_report
 from bayesnet_track.cli.commands.resume import add_resume
+from bayesnet_track.cli.commands.simulate import add_simulate
 from bayesnet_track.cli.commands.smooth import add_smooth
 from bayesnet_track.cli.commands.tracking import add_run
 from bayesnet_track.cli.commands.verify import add_verify
@@ -71,6 +72,7 @@ def make_parser() -> MainParser:
 
     add_annotate(commands)
     add_smooth(commands)
+    add_simulate(commands)
     add_detect(commands)
     add_calibrate(commands)
     add_plugins(commands.add_parser("schema", help="print the JSON Schema of graph files, for editors"))

@@ -1,0 +1,90 @@
+"""Trajectories that a graph expects before it has seen anything: draws from the prior of its motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.motion.borders import confined
+from bayesnet_track.belief.motion.composed import Influences, compose_motion
+from bayesnet_track.engine.compiled import make_plate_motion
+from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.settings.motion import Moving
+from bayesnet_track.numerics.streams import Streams
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """Trajectories drawn from the prior.
+
+    Attributes:
+        states: (T + 1, N, D) of N trajectories in T + 1 frames, the first one included.
+        fields: names of the D columns: centre x, y, w, h in px, then those of the motion.
+        modes: names of the modes, which the last column numbers; empty without modes.
+    """
+
+    states: Floats
+    fields: tuple[str, ...]
+    modes: tuple[str, ...] = ()
+
+    @property
+    def boxes(self) -> Floats:
+        """(T + 1, N, 4) centre boxes."""
+        return self.states[:, :, :4]
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """What to draw.
+
+    Attributes:
+        frames: T, frames after the first one.
+        draws: N, number of trajectories.
+        seed: of all draws.
+        size: width and height of the image; None for one without borders.
+    """
+
+    frames: int = 50
+    draws: int = 200
+    seed: int = 0
+    size: tuple[int, int] | None = None
+
+
+def simulate(plate: CheckedTarget, constants: dict[str, float], box: Floats, chosen: Simulation) -> Simulated:
+    """Trajectories of a target that starts in the centre box (4,), as the tracker predicts without evidence.
+
+    What depends on evidence is left out: `camera`, `inflate` and `relocalize`.
+
+    Raises:
+        ValueError: frames or draws are less than 1.
+    """
+    if chosen.frames < 1 or chosen.draws < 1:
+        raise ValueError(f"{chosen.frames} frames and {chosen.draws} draws: at least 1 of each is needed")
+    motion = prior_motion(plate, constants, np.asarray(box, dtype=np.float64)[2:4])
+    if chosen.size is not None:
+        motion = confined(motion, *chosen.size)
+    streams = Streams(chosen.seed)
+
+    def stream(frame: int) -> np.random.Generator:
+        return streams.of("", plate.root, frame, "simulate")
+
+    states = [motion.start(np.asarray(box, dtype=np.float64), chosen.draws, stream(0))]
+    for frame in range(1, chosen.frames + 1):
+        states.append(motion.propagate(states[-1].copy(), 1.0, stream(frame)))
+    modes = plate.inference(plate.root).modes
+    return Simulated(np.array(states), motion.fields, () if modes is None else tuple(modes))
+
+
+def prior_motion(plate: CheckedTarget, constants: dict[str, float], first_size: Floats) -> MotionModel:
+    """The motion of a plate from one frame to the next, before anything was seen."""
+    root = plate.inference(plate.root)
+    assert root.motion is not None
+    plain, settings = make_plate_motion(root, constants), root.motion.settings
+    if not isinstance(settings, Moving) or settings.is_plain:
+        return plain
+    return compose_motion(plain, settings, Influences(1.0, first_size))
