@@ -1,67 +1,21 @@
-"""What is remembered of targets that come and go, and the rules of it: pure functions.
-
-Candidates gather looks until they are confirmed; live targets are watched for loss, for detections of their
-own, and for beliefs that hold the same object.
-"""
+"""What is remembered of targets that come and go, and when a lost one ends."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.association import NOBODY, Owners, distances, pair_up
+from bayesnet_track.adapt.candidates import Candidate
 from bayesnet_track.adapt.existence import Population
-from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, MergeDuplicates
+from bayesnet_track.graph.settings.lifecycle import Death
 from bayesnet_track.journal.net.target_net import Fault
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.detector import DetectorState
 
 Floats = NDArray[np.float64]
-
-FOLLOW_BOX = 1.0
-"""How far from where it is expected a candidate is looked for, in box sides."""
-
-SAME_PLACE = 0.1
-"""Places this share of a box apart are one object: beliefs are widened by so much to be compared."""
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """Something detected that is no target yet.
-
-    Attributes:
-        box: (4,) centre box where it was last detected, or is expected since.
-        step: (2,) its centre's last displacement per look, px.
-        looks: for each of the last looks, its score there, or None when it was not seen.
-        first_frame: frame in which it was first detected.
-        mean: (D,) of its belief, where the plate has `existence` or tentative tracks.
-        covariance: (D, D) of its belief.
-        existence: probability that it exists.
-        observed: (H,) what is remembered of the detections of a tentative track (`adapt.observed`).
-    """
-
-    box: Floats
-    step: Floats
-    looks: tuple[float | None, ...]
-    first_frame: int
-    mean: Floats | None = None
-    covariance: Floats | None = None
-    existence: float | None = None
-    observed: Floats | None = None
-
-    @property
-    def seen(self) -> int:
-        """In how many of its looks it was seen."""
-        return sum(score is not None for score in self.looks)
-
-    @property
-    def score(self) -> float:
-        """Mean score of the looks in which it was seen."""
-        scores = [score for score in self.looks if score is not None]
-        return sum(scores) / len(scores)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,91 +87,6 @@ class TrackHistory:
     populations: Mapping[str, Population] = field(default_factory=dict)
 
 
-# ------------------------------------------------------------------------------------ candidates
-
-
-def feed(
-    candidates: Sequence[Candidate], boxes: Floats, scores: Floats, frame: int, rule: Birth
-) -> tuple[Candidate, ...]:
-    """The candidates after a look that found the boxes (N, 4), the best first, which are no live target's.
-
-    A candidate goes on with the nearest box within `FOLLOW_BOX` of where it is expected. One that was missed
-    too often to be confirmed by the looks it has left is dropped. No more than twice `rule.max_targets` (and
-    8) are
-    kept: those seen most often, then those with the best scores.
-    """
-    confirm = rule.confirm
-    expected = np.array([_move_on(one).box for one in candidates]).reshape(-1, 4)
-    owner = pair_up(distances(boxes, expected), np.full((len(boxes), len(expected)), FOLLOW_BOX))
-    found = {int(k): row for row, k in enumerate(owner) if k != NOBODY}
-    kept = []
-    for number, one in enumerate(candidates):
-        row = found.get(number)
-        if row is None:
-            after = _add_look(_move_on(one), None, confirm)
-        else:
-            after = _add_look(one, float(scores[row]), confirm)
-            after = replace(after, box=boxes[row].copy(), step=boxes[row, :2] - one.box[:2])
-        if not _is_hopeless(after, confirm):
-            kept.append(after)
-    for new in np.flatnonzero(owner == NOBODY):
-        kept.append(Candidate(boxes[new].copy(), np.zeros(2), (float(scores[new]),), frame))
-    return keep_best(kept, rule)
-
-
-def look_again(
-    candidate: Candidate, box: Floats | None, score: float | None, confirm: Confirm
-) -> Candidate | None:
-    """A tentative track after a look: seen in the centre box (4,) or not; None when it is given up."""
-    after = _add_look(candidate, score, confirm)
-    if box is not None:
-        after = replace(after, box=box.copy(), step=box[:2] - candidate.box[:2])
-    return None if _is_hopeless(after, confirm) else after
-
-
-def keep_best(kept: Sequence[Candidate], rule: Birth) -> tuple[Candidate, ...]:
-    """No more than twice `rule.max_targets` (and 8): those seen most often, then those of the best scores."""
-    best = sorted(range(len(kept)), key=lambda k: (-kept[k].seen, -kept[k].score, k))
-    chosen = sorted(best[: max(2 * rule.max_targets, 8)])
-    return tuple(kept[k] for k in chosen)
-
-
-def is_confirmed(candidate: Candidate, confirm: Confirm) -> bool:
-    """True when it is seen now and was often enough."""
-    return candidate.looks[-1] is not None and candidate.seen >= confirm.hits
-
-
-def _add_look(candidate: Candidate, score: float | None, confirm: Confirm) -> Candidate:
-    return replace(candidate, looks=(*candidate.looks, score)[-confirm.of :])
-
-
-def _move_on(candidate: Candidate) -> Candidate:
-    box = candidate.box.copy()
-    box[:2] += candidate.step
-    return replace(candidate, box=box)
-
-
-def _is_hopeless(candidate: Candidate, confirm: Confirm) -> bool:
-    """True after so many misses on end that no look it has had can count toward a confirmation."""
-    misses = 0
-    for score in reversed(candidate.looks):
-        if score is not None:
-            break
-        misses += 1
-    return misses > confirm.of - confirm.hits
-
-
-def is_refusal_notable(before: int, after: int) -> bool:
-    """True when the number of refused births has reached 1, 10, 100, ... since it was `before`."""
-    level = 1
-    while level <= before:
-        level *= 10
-    return after >= level
-
-
-# ------------------------------------------------------------------------------------ ends
-
-
 def find_end_cause(record: TrackRecord, rule: Death) -> tuple[str, int, int] | None:
     """Why a net ends: (lost or unseen, for how many frames, the rule's number); None when it lives on."""
     if record.lost_frames >= rule.lost_frames:
@@ -225,85 +94,3 @@ def find_end_cause(record: TrackRecord, rule: Death) -> tuple[str, int, int] | N
     if rule.unseen_frames is not None and record.unseen_frames >= rule.unseen_frames:
         return "unseen", record.unseen_frames, rule.unseen_frames
     return None
-
-
-def belief_overlap(mean_a: Floats, cov_a: Floats, mean_b: Floats, cov_b: Floats) -> Floats:
-    """Bhattacharyya coefficient, 0..1, of two Gaussians of x, y, w, h, both widened by `SAME_PLACE` of a box.
-
-    exp(-D), D = d' S^-1 d / 8 + ln(det S / sqrt(det S_a det S_b)) / 2, S = (S_a + S_b) / 2. Means: (..., 4)
-    and covariances (..., 4, 4).
-
-    >>> box, sure = np.array([50.0, 40, 20, 20]), np.zeros((4, 4))
-    >>> round(float(belief_overlap(box, sure, box + [4, 0, 0, 0], sure)), 6)  # exp(-(4 / 2)^2 / 8)
-    0.606531
-    """
-    box = (mean_a + mean_b) / 2
-    widening = ((SAME_PLACE * box[..., [2, 3, 2, 3]]) ** 2)[..., None] * np.eye(4)
-    first, second = cov_a + widening, cov_b + widening
-    both = (first + second) / 2
-    d = (mean_a - mean_b)[..., None]
-    shape = np.linalg.slogdet(both)[1] - (np.linalg.slogdet(first)[1] + np.linalg.slogdet(second)[1]) / 2
-    apart = (np.swapaxes(d, -1, -2) @ np.linalg.solve(both, d))[..., 0, 0]
-    return np.asarray(np.exp(-apart / 8 - np.maximum(shape, 0.0) / 2))
-
-
-def overlapping(
-    names: Sequence[str],
-    means: Floats,
-    covariances: Floats,
-    since: Sequence[int],
-    before: Mapping[tuple[str, str], tuple[float, ...]],
-    rule: MergeDuplicates,
-) -> dict[tuple[str, str], tuple[float, ...]]:
-    """(younger, older) -> overlaps of their beliefs in the last frames; means (T, 4), covariances (T, 4, 4).
-
-    No more than `rule.frames` of them; only pairs that overlap by `rule.overlap` in this frame. Of those born
-    in one frame the later named is the younger. Targets whose centres lie a box apart are not compared.
-    """
-    first, second = near_pairs(means)
-    first, second = _that_may_overlap(first, second, means, covariances, rule.overlap)
-    if not len(first):
-        return {}
-    values = belief_overlap(means[first], covariances[first], means[second], covariances[second])
-    streaks = {}
-    for pair in np.flatnonzero(values >= rule.overlap).tolist():
-        i, j, value = int(first[pair]), int(second[pair]), float(values[pair])
-        older, younger = (names[k] for k in sorted((i, j), key=lambda k: (since[k], k)))
-        streak = (*before.get((younger, older), ()), value)
-        streaks[younger, older] = streak[-rule.frames :]
-    return streaks
-
-
-def _that_may_overlap(
-    first: Owners, second: Owners, means: Floats, covariances: Floats, least: float
-) -> tuple[Owners, Owners]:
-    """The pairs whose fields, each alone, do not rule out an overlap of `least`: cheap, and leaves few."""
-    if least <= 0.0 or not len(first):
-        return first, second
-    variances = np.diagonal(covariances, axis1=1, axis2=2)
-    spread = (variances[first] + variances[second]) / 2
-    spread += (SAME_PLACE * ((means[first] + means[second]) / 2)[:, [2, 3, 2, 3]]) ** 2
-    away = (means[first] - means[second]) ** 2
-    may = (away <= -8.0 * np.log(least) * (1.0 + 1e-9) * spread).all(axis=1)
-    return first[may], second[may]
-
-
-def near_pairs(boxes: Floats) -> tuple[Owners, Owners]:
-    """Rows i < j (P,) of centre boxes (T, 4) whose centres lie less than a box apart, in order.
-
-    >>> near_pairs(np.array([[0.0, 0, 4, 4], [9, 0, 4, 4], [3, 0, 4, 4]]))
-    (array([0]), array([2]))
-    """
-    order = np.argsort(boxes[:, 0], kind="stable")
-    x, sides = boxes[order, 0], np.sqrt(boxes[order, 2] * boxes[order, 3])
-    largest = float(sides.max(initial=0.0))
-    # Those that follow in x, up to where not even the largest box could be near.
-    counts = np.searchsorted(x, x + (sides + largest) / 2, side="right") - np.arange(1, len(x) + 1)
-    one = np.repeat(np.arange(len(x)), counts)
-    other = one + 1 + np.arange(len(one)) - np.repeat(np.cumsum(counts) - counts, counts)
-    away = np.hypot(x[one] - x[other], boxes[order[one], 1] - boxes[order[other], 1])
-    near = away / ((sides[one] + sides[other]) / 2) < 1.0
-    ends = order[one[near]], order[other[near]]
-    low, high = np.minimum(*ends), np.maximum(*ends)
-    by_rows = np.lexsort((high, low))
-    return low[by_rows], high[by_rows]

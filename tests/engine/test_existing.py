@@ -5,8 +5,14 @@ import json
 import numpy as np
 import pytest
 
+from bayesnet_track.adapt.candidates import Candidate
 from bayesnet_track.engine import step as steps
-from bayesnet_track.engine.lifecycle.existing import CrowdRule, gate
+from bayesnet_track.engine.lifecycle.confirming import with_belief
+from bayesnet_track.engine.lifecycle.detecting import Found
+from bayesnet_track.engine.lifecycle.ends import remember
+from bayesnet_track.engine.lifecycle.existing import gate
+from bayesnet_track.engine.lifecycle.prospects import CrowdRule, confirmed, first_population
+from bayesnet_track.engine.lifecycle.track_table import table_of
 from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.graph.text.load import load_graph
@@ -196,3 +202,28 @@ def test_a_plate_without_existence_has_no_such_rule():
     assert CrowdRule.of(compiled) is None and compiled.first_existence is None
     rule = next(iter(compiled.association_rules.values()))
     assert len(gate(rule, np.empty((0, 4)), np.empty((0, 4, 4)), np.ones((2, 4))).rows) == 0
+
+
+def test_a_prospect_begins_with_the_share_of_new_targets_among_free_detections():
+    own = jpda(existence={"clutter": 0.3})
+    compiled = steps.make_engine(own, 0, detectors={"detections": FileDetector({})}).plates["target"]
+    rule = CrowdRule.of(compiled)
+    boxes = np.array([[100.0, 100, 30, 60], [300, 200, 30, 60]])
+    prospects = first_population(rule, Found(boxes, np.ones(2)), 7).prospects
+    np.testing.assert_allclose(prospects.existence, 0.1 / (0.1 + 0.3))
+    np.testing.assert_array_equal(prospects.mean[:, :4], boxes)
+    assert prospects.first.tolist() == [7, 7] and confirmed(rule, prospects) == {}
+
+
+def test_a_target_starts_and_is_remembered_with_the_belief_that_it_has(graph):
+    done = outcomes(graph, {k: seen_at([100, 100, 30, 60]) for k in range(8)}, 8)[-1]
+    ((target, state),) = done.state.targets.items()
+    mean, spread = state.belief.mean + 3.0, 2.0 * state.belief.covariance
+    waiting = Candidate(mean[:4], np.zeros(2), (1.0,), 5)
+    assert with_belief(state, waiting, ()) is state  # it has no belief
+    born = with_belief(state, Candidate(mean[:4], np.zeros(2), (1.0,), 5, mean, spread, 0.93), ())
+    assert born.existence == 0.93
+    np.testing.assert_array_equal(born.belief.mean, mean)
+    np.testing.assert_array_equal(born.belief.covariance, spread)
+    memory = remember(table_of(done), target, "target")
+    np.testing.assert_array_equal(memory.mean, done.state.history.records[target].mean)

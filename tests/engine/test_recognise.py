@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.adapt.association import NOBODY, alike, associate, distances, pair_up
-from bayesnet_track.adapt.lifecycle import AppearanceMemory, belief_overlap, is_refusal_notable
+from bayesnet_track.adapt.lifecycle import AppearanceMemory
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.engine.lifecycle.recognise import (
     LOOKALIKE,
@@ -72,25 +72,6 @@ def test_nobody_claims_where_nobody_is():
     assert owner.shape == free.shape == (0,)
 
 
-def test_overlap_of_beliefs_is_the_integral_of_the_root_of_their_product():
-    """Axes are independent here: the product of four integrals over a fine grid."""
-    rng = np.random.default_rng(1)
-    means = np.array([[50.0, 40, 30, 20], [53.0, 39, 31, 22]])
-    variances = rng.uniform(1.0, 9.0, (2, 4))
-    box = means.mean(axis=0)
-    wide = variances + (0.1 * box[[2, 3, 2, 3]]) ** 2
-    exact = 1.0
-    for k in range(4):
-        x = np.linspace(means[0, k] - 60, means[0, k] + 60, 24001)
-        p, q = (
-            np.exp(-((x - m[k]) ** 2) / (2 * v[k])) / np.sqrt(2 * np.pi * v[k])
-            for m, v in zip(means, wide, strict=True)
-        )
-        exact *= np.sum(np.sqrt(p * q)) * (x[1] - x[0])
-    found = belief_overlap(means[0], np.diag(variances[0]), means[1], np.diag(variances[1]))
-    assert found == pytest.approx(exact, rel=1e-9)
-
-
 def test_place_is_a_density_over_the_frame():
     """g N + (1 - g) / A sums to 1 over a frame that holds all of N: the mean of A times it is 1."""
     motion = make_motion(Motion(random_walk={"sd_px": {"x": 2, "y": 3}}))
@@ -129,8 +110,3 @@ def test_a_target_is_taken_once_and_what_is_left_is_new():
     # Target 1 is taken: the other detection is 2 with odds of 1 to 2, and so more probably new.
     assert (second.detection, second.recognition.target, second.is_sure) == (1, "2", False)
     assert second.recognition.probability == pytest.approx(1 / 3) and second.recognition.rival == "new"
-
-
-def test_refusals_are_told_at_powers_of_ten():
-    notable = [n for n in range(1, 2000) if is_refusal_notable(n - 1, n)]
-    assert notable == [1, 10, 100, 1000] and is_refusal_notable(7, 400) and not is_refusal_notable(100, 999)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.assign import assign, gated_gains
 from bayesnet_track.adapt.association import NOBODY, Owners
-from bayesnet_track.adapt.lifecycle import Candidate, TrackHistory
+from bayesnet_track.adapt.candidates import Candidate
+from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.adapt.observed import first_observed, remembered
 from bayesnet_track.adapt.passes import share_by_overlap, share_in_passes
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior

@@ -22,7 +22,8 @@ from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.assigning import Sharing, give_detection, score_looks
 from bayesnet_track.engine.lifecycle.detecting import Found, look
-from bayesnet_track.engine.lifecycle.existing import Crowd, CrowdRule, divide
+from bayesnet_track.engine.lifecycle.existing import Crowd, divide
+from bayesnet_track.engine.lifecycle.prospects import CrowdRule
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.journal.events.births import DetectorFailed

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.association import NOBODY, Owners
-from bayesnet_track.adapt.lifecycle import Candidate, look_again
+from bayesnet_track.adapt.candidates import Candidate, look_again
 from bayesnet_track.adapt.observed import GAP, LAST, Layout, first_observed, observe
 from bayesnet_track.graph.settings.lifecycle import Confirm
 from bayesnet_track.observation.cue import AssociationRule

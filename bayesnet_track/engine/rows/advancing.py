@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from bayesnet_track.adapt.assign import assign_pairs
 from bayesnet_track.adapt.association import NOBODY, Owners
+from bayesnet_track.adapt.candidates import Candidate
 from bayesnet_track.adapt.existence import Population
-from bayesnet_track.adapt.lifecycle import Candidate
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import QUIET_MINIMUM
 from bayesnet_track.adapt.passes import Pass, share_by_overlap, share_in_passes

@@ -19,7 +19,7 @@ from bayesnet_track.belief.gaussian.predict import require_linear
 from bayesnet_track.belief.motion.box_velocity import BoxVelocityMotion
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
-from bayesnet_track.engine.lifecycle.existing import CrowdRule
+from bayesnet_track.engine.lifecycle.prospects import CrowdRule
 from bayesnet_track.engine.scoring.score import Scored
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import InferenceNode, Lost

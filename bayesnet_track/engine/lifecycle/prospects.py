@@ -1,0 +1,193 @@
+"""Prospects, what may exist and is no target yet: they begin, move, are updated, and confirmed or dropped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.adapt.candidates import Candidate
+from bayesnet_track.adapt.existence import Pairs, Population, Prospects, Shared
+from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.gaussian.predict import predict
+from bayesnet_track.belief.motion.borders import confined
+from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian
+from bayesnet_track.engine.compiled import CompiledPlate
+from bayesnet_track.engine.lifecycle.detecting import Found
+from bayesnet_track.graph.settings.existence import Existence
+from bayesnet_track.graph.spec import Gaussian
+from bayesnet_track.observation.cue import AssociationRule
+
+Floats = NDArray[np.float64]
+
+HOPELESS = 0.02
+"""A prospect is dropped when it exists with less than this share of a new one's probability."""
+
+LEAST_FREE = 0.2
+"""A detection that is free with less probability starts no prospect."""
+
+PROSPECTS = 4
+"""Prospects that are kept, in multiples of `birth.max_targets`."""
+
+
+@dataclass(frozen=True, eq=False)
+class CrowdRule:
+    """What a plate says of existence and association.
+
+    Attributes:
+        association: which detections may be a target's, and how far off they are.
+        existence: the settings.
+        is_marginal: whether targets use all detections that may be theirs, or those assigned to them.
+        motion: how targets move.
+        most: prospects that are kept.
+    """
+
+    association: AssociationRule
+    existence: Existence
+    is_marginal: bool
+    motion: MotionModel
+    most: int
+
+    @classmethod
+    def of(cls, compiled: CompiledPlate) -> CrowdRule | None:
+        """That of a plate; None where it has no existence."""
+        life = compiled.lifecycle
+        if life is None or life.existence is None or life.birth is None or not compiled.association_rules:
+            return None
+        association = next(iter(compiled.association_rules.values()))
+        is_marginal = compiled.plate.spec.associate == "marginal"
+        most = max(PROSPECTS * life.birth.max_targets, 32)
+        return cls(association, life.existence, is_marginal, compiled.motion, most)
+
+
+def first_population(rule: CrowdRule, found: Found, frame: int) -> Population:
+    """That of a first frame, in which free detections were `found`."""
+    population = Population(Prospects.none(len(rule.motion.fields))).with_sizes(found.boxes)
+    free = np.ones(len(found.boxes))
+    population = population.after_look(float(free.sum()) * (1.0 - population.new_share(rule.existence)), 0, 0)
+    return replace(population, prospects=begin_prospects(rule, population, found, free, frame))
+
+
+def confirmed(rule: CrowdRule, prospects: Prospects) -> dict[int, Candidate]:
+    """The prospects that exist probably enough, by their rows, the most probable first."""
+    ready = np.flatnonzero(prospects.existence >= rule.existence.confirm)
+    ready = ready[np.argsort(-prospects.existence[ready], kind="stable")]
+    return {row: _candidate(prospects, row) for row in ready.tolist()}
+
+
+def _candidate(prospects: Prospects, row: int) -> Candidate:
+    seen, looks = max(int(prospects.seen[row]), 1), max(int(prospects.looks[row]), 1)
+    mean = prospects.mean[row]
+    scores = (float(prospects.score[row]) / seen,) * seen
+    return Candidate(
+        mean[:4],
+        np.zeros(2),
+        ((None,) * max(looks - seen, 0) + scores),
+        int(prospects.first[row]),
+        mean,
+        prospects.covariance[row],
+        float(prospects.existence[row]),
+    )
+
+
+def predict_prospects(
+    prospects: Prospects, motion: MotionModel, dt: float, size: tuple[int, int]
+) -> Prospects:
+    """The prospects as they are expected after `dt` frame intervals; `size` is that of the image."""
+    if not len(prospects):
+        return prospects
+    if isinstance(motion, KinematicMotion) and (linear := _moves(motion, dt)) is not None:
+        from bayesnet_track.numerics.kernels.row_kernels import predict_rows
+
+        mean, covariance = predict_rows(prospects.mean, prospects.covariance, *linear, np.array(size, float))
+    else:
+        moves = confined(motion, *size)
+        several = [
+            predict(mean, covariance, moves, dt, Gaussian(filter="extended"))
+            for mean, covariance in zip(prospects.mean, prospects.covariance, strict=True)
+        ]
+        mean, covariance = np.array([one[0] for one in several]), np.array([one[1] for one in several])
+    return replace(prospects, mean=mean, covariance=covariance)
+
+
+@lru_cache(maxsize=64)
+def _moves(motion: KinematicMotion, dt: float) -> tuple[Floats, Floats] | None:
+    """F and Q of a motion that is linear with noise in px; else None."""
+    try:
+        return linear_gaussian(motion, dt)
+    except ValueError:
+        return None
+
+
+def advance_prospects(
+    rule: CrowdRule, prospects: Prospects, pairs: Pairs, shared: Shared, found: Found
+) -> Prospects:
+    """The prospects after the look."""
+    from bayesnet_track.numerics.kernels.mixing_kernels import mix_rows
+
+    if not len(prospects):
+        return prospects
+    first = len(shared.existence) - len(prospects)
+    own = pairs.rows >= first
+    rows, columns, weights = pairs.rows[own] - first, pairs.columns[own], pairs.values[own]
+    starts = np.searchsorted(rows, np.arange(len(prospects) + 1))
+    mean, covariance = prospects.mean.copy(), prospects.covariance.copy()
+    boxes = np.ascontiguousarray(found.boxes[columns])
+    missed = np.clip(1.0 - np.bincount(rows, weights, minlength=len(prospects)), 0.0, 1.0)
+    mix_rows(mean, covariance, starts, boxes, rule.association.variances(boxes), weights, missed)
+    is_seen = shared.seen[first:] >= 0.5
+    scores = np.bincount(rows, weights * found.scores[columns], minlength=len(prospects))
+    return Prospects(
+        mean,
+        covariance,
+        shared.existence[first:],
+        prospects.first,
+        prospects.seen + is_seen,
+        prospects.looks + 1,
+        prospects.score + np.where(is_seen, scores, 0.0),
+    )
+
+
+def begin_prospects(
+    rule: CrowdRule, population: Population, found: Found, free: Floats, frame: int
+) -> Prospects:
+    """A prospect for each detection that may be nobody's, as far as it is `free` (N,)."""
+    new = np.flatnonzero(free >= LEAST_FREE)
+    count, boxes = len(new), found.boxes[new]
+    if not count:
+        return Prospects.none(len(rule.motion.fields))
+    mean, covariance = _start_moments(rule.motion, boxes)
+    diagonal = np.arange(4)
+    covariance[:, diagonal, diagonal] += rule.association.variances(boxes)
+    ones = np.ones(count, dtype=np.int64)
+    return Prospects(
+        mean,
+        covariance,
+        free[new] * population.new_share(rule.existence),
+        frame * ones,
+        ones,
+        ones,
+        found.scores[new].astype(np.float64),
+    )
+
+
+def _start_moments(motion: MotionModel, boxes: Floats) -> tuple[Floats, Floats]:
+    """(N, D) means and (N, D, D) covariances of targets first seen in boxes (N, 4), at least one."""
+    if isinstance(motion, KinematicMotion):  # every box the same but for its place and size
+        mean, spread = motion.start_moments(boxes[0])
+        means = np.tile(mean, (len(boxes), 1))
+        means[:, :4] = boxes
+        return means, np.tile(spread, (len(boxes), 1, 1))
+    moments = [motion.start_moments(box) for box in boxes]
+    return np.array([mean for mean, _ in moments]), np.array([spread for _, spread in moments])
+
+
+def prune(rule: CrowdRule, population: Population, prospects: Prospects) -> Prospects:
+    """Those that may still become targets, the most probable."""
+    kept = np.flatnonzero(prospects.existence >= HOPELESS * population.new_share(rule.existence))
+    if len(kept) > rule.most:
+        best = np.argsort(-prospects.existence[kept], kind="stable")[: rule.most]
+        kept = np.sort(kept[best])
+    return prospects.take(kept)
