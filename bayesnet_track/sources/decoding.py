@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
+from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.readers import Damage, Picture, Reader
 from bayesnet_track.sources.sandbox import Limits, begin_picture, give_up_rights
-from bayesnet_track.vision.image_size import PictureError
 
 SLOTS = 3
 """Pictures that may be on their way: one is read while others wait."""

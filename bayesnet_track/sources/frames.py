@@ -28,11 +28,11 @@ from bayesnet_track.journal.events.sources import (
     SourceStalled,
 )
 from bayesnet_track.observation.depth import Depth
+from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.origin import Origin
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.readers import Damage, Dropped, Reader, Stalled
-from bayesnet_track.vision.image_size import PictureError
 
 SourceItem = Frame | FramesMissing | FramesDropped | FrameSizeChanged | SourceDamaged | SourceStalled
 OnResize = Literal["stop", "rescale"]

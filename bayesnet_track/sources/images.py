@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.observation.image_size import PictureError, read_checked
 from bayesnet_track.sources.paths import natural_key
 from bayesnet_track.sources.readers import Damage, Picture
-from bayesnet_track.vision.image_size import PictureError, read_checked
 
 IMAGE_INTERVAL_S = 1.0 / 25.0
 ROWS_AT_ONCE = 256

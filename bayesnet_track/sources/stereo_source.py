@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.observation.depth import Depth, PointMap, RightEye
+from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.sources.depth_files import read_points
 from bayesnet_track.sources.frames import OnResize, Source
 from bayesnet_track.sources.images import ImageReader, times_of
@@ -24,7 +25,6 @@ from bayesnet_track.sources.origin import Kind, Origin
 from bayesnet_track.sources.paths import SourceError, depth_files
 from bayesnet_track.sources.readers import Damage, Picture, Reader, ReaderItem
 from bayesnet_track.sources.sources import check_range, make_reader
-from bayesnet_track.vision.image_size import PictureError
 from bayesnet_track.vision.stereo.stereo import RectifiedPair, Rectifier, read_calibration
 
 if TYPE_CHECKING:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Protocol
 
+from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.sources.live import Image, LiveReader
 from bayesnet_track.sources.readers import Damage, Picture, Reader
-from bayesnet_track.vision.image_size import PictureError
 
 
 class Open(Protocol):

@@ -17,10 +17,10 @@ import numpy as np
 from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
+from bayesnet_track.observation.image_size import MAX_PIXELS, PictureError
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.readers import Damage, Picture
 from bayesnet_track.sources.timing import Declared, Timing, declared_by, timing_of
-from bayesnet_track.vision.image_size import MAX_PIXELS, PictureError
 
 # Playlists and scripts (hls, concat, ...) name other files and hosts: only self-contained formats are read.
 FORMATS = (

@@ -159,7 +159,7 @@ def _make(parameters: ColorBackprojectionParameters) -> Detector:
     detector = ColorBackprojection(parameters, nothing)
     if parameters.picture is None:
         return detector
-    from bayesnet_track.vision.image_size import PictureError, read_checked
+    from bayesnet_track.observation.image_size import PictureError, read_checked
 
     try:
         data = np.frombuffer(read_checked(Path(parameters.picture)), np.uint8)
