@@ -181,5 +181,6 @@ CUE = CueDeclaration(
     make=_make,
     cost_ms=8.0,
     missing=_missing,
+    files=lambda parameters: (parameters.model,) if parameters.model else (),
     adapts=True,
 )

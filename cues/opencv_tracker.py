@@ -179,5 +179,6 @@ CUE = CueDeclaration(
     rate_max=0.2,
     opaque=True,
     missing=_missing,
+    files=lambda parameters: tuple(parameters.models.values()),
     measures=True,
 )

@@ -261,5 +261,6 @@ CUE = CueDeclaration(
     parameters=ShapeParameters,
     make=_make,
     cost_ms=16.0,
+    files=lambda parameters: () if parameters.model is None else (parameters.model,),
     adapts=True,
 )

@@ -165,4 +165,5 @@ CUE = CueDeclaration(
     cost_ms=6.0,
     rate_max=0.05,
     missing=_missing,
+    files=lambda parameters: tuple(path for path in (parameters.backbone, parameters.head) if path),
 )

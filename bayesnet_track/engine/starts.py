@@ -52,11 +52,18 @@ def check_starts(graph: CheckedGraph, starts: Sequence[Start], width: int, heigh
     """Refuse starts from which no target could be tracked in a frame of this size.
 
     Raises:
-        StartError: there is none and nothing is born either, a plate that the graph does not have, or
-            a box as in `check_box`.
+        StartError: there is none and nothing is born either, a plate that the graph does not have, a box as
+            in `check_box`, or a mask of the graph has another size.
     """
     if not starts and not has_births(graph):
         raise StartError("no start box is given; at least one is needed, or `birth` in the graph")
+    for name, mask in graph.masks.items():
+        rows, columns = mask.grey.shape
+        if (columns, rows) != (width, height):
+            raise StartError(
+                f"mask {name}: {columns}x{rows} px, and the frames have {width}x{height} px; "
+                "allowed: the frames' size; scale its file"
+            )
     for start in starts:
         if start.plate is not None and start.plate not in graph.targets:
             close = nearest(start.plate, graph.targets)

@@ -10,6 +10,7 @@ from bayesnet_track.graph.display import html_of
 from bayesnet_track.graph.expressions.terms import Term
 from bayesnet_track.graph.spec import AgentNode, GraphSpec, InferenceNode, Target
 from bayesnet_track.observation.cue import CueDeclaration, NoParameters, installed_cues
+from bayesnet_track.observation.masks import Mask
 
 
 @dataclass(frozen=True)
@@ -20,11 +21,13 @@ class Factor:
         parent: the inference node above it.
         term: the expression.
         constants: the numbers that it uses by name.
+        mask: the image that it asks, or None.
     """
 
     parent: str
     term: Term
     constants: Mapping[str, float]
+    mask: Mask | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,12 +100,14 @@ class CheckedGraph:
         targets: plate name -> checked plate.
         text: the canonical YAML of `spec` (what a run directory stores).
         cues: name -> declaration of those of its cues that are not installed, but were given.
+        masks: the images of its factors, by their paths as written.
     """
 
     spec: GraphSpec
     targets: Mapping[str, CheckedTarget]
     text: str
     cues: Mapping[str, CueDeclaration] = field(default_factory=dict)
+    masks: Mapping[str, Mask] = field(default_factory=dict)
 
     @property
     def declarations(self) -> Mapping[str, CueDeclaration]:

@@ -266,7 +266,7 @@ class AgentNode(Model):
 
 
 class FactorNode(Model):
-    """A leaf that weighs each hypothesis by an [expression](expressions.md) instead of looking at the image.
+    """A leaf that weighs each hypothesis by an [expression](expressions.md) or a mask, not by the frame.
 
     Its density multiplies the likelihood of the node above it, in a pool with the exponent 1. It is always
     on: no rule switches it, and it has no KL and no contribution of its own.
@@ -274,20 +274,34 @@ class FactorNode(Model):
     Example::
 
         size: {parent: person, factor: "normal(h, 0.32 * y + 12, 8)"}
+        road: {parent: person, mask: road.png, factor: "0.02 + mask(x, y + h / 2)"}
     """
 
     parent: Name = Field(description="the inference node above")
-    factor: Annotated[str, Field(max_length=MAX_CHARACTERS)] = Field(
-        description="expression of the node's state, a density up to a constant"
+    factor: Annotated[str, Field(max_length=MAX_CHARACTERS)] | None = Field(
+        default=None,
+        description="expression of the node's state, a density up to a constant; required without a mask, "
+        "default with one `mask(x, y)`",
     )
+    mask: Annotated[str, Field(min_length=1, max_length=1000)] | None = Field(
+        default=None,
+        description="image file, a path from where the graph file is: grey value 0 to 255 of a place as its "
+        "likelihood 0 to 1",
+    )
+
+    @property
+    def expression(self) -> str:
+        """What it says, the default included."""
+        return "mask(x, y)" if self.factor is None else self.factor
 
 
 def node_kind(value: Any) -> str:
     """Which of the nodes a value is, or is to be: agent, factor or inference."""
     if isinstance(value, Model):
         return {AgentNode: "agent", FactorNode: "factor"}.get(type(value), "inference")
-    kinds = ("agent", "factor") if isinstance(value, Mapping) else ()
-    return next((kind for kind in kinds if kind in value), "inference")
+    if not isinstance(value, Mapping):
+        return "inference"
+    return "agent" if "agent" in value else "factor" if {"factor", "mask"} & value.keys() else "inference"
 
 
 Node = Annotated[

@@ -211,7 +211,7 @@ def _weigh(target: CheckedTarget, name: str, factor: Factor) -> Weigh:
         is_prior = is_prior and not _is_latent(target, node)
         node = target.parent[node]
     given_from = at if above is None else _hypotheses_of(target, above)
-    return Weigh(name, at, given_from, factor.term, factor.constants, is_prior)
+    return Weigh(name, at, given_from, factor.term, factor.constants, is_prior, factor.mask)
 
 
 def _fuse(target: CheckedTarget, node: str, messengers: frozenset[str]) -> Fusion:

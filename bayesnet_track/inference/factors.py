@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
 from bayesnet_track.graph.expressions.evaluate import log_values
 from bayesnet_track.graph.expressions.terms import Term
-from bayesnet_track.graph.expressions.vocabulary import PARENT
+from bayesnet_track.graph.expressions.vocabulary import MASK, PARENT
 from bayesnet_track.observation.cue import Hypotheses
+from bayesnet_track.observation.masks import Mask
 from bayesnet_track.observation.planes import FramePair
 
 Floats = NDArray[np.float64]
@@ -33,6 +34,7 @@ class Weigh:
         term: the expression, a density up to a constant.
         constants: the numbers that it uses by name.
         is_prior: it multiplies the root's prior: all nodes from it up to the root are products.
+        mask: the image that the expression asks, or None.
     """
 
     factor: str
@@ -41,6 +43,7 @@ class Weigh:
     term: Term
     constants: Mapping[str, float]
     is_prior: bool
+    mask: Mask | None = None
 
 
 @dataclass(frozen=True)
@@ -110,7 +113,7 @@ def log_seen(steps: tuple[Weigh, ...], evidence: Evidence) -> Floats:
     return evidence.log_likelihood - np.where(np.isfinite(log), log, 0.0)
 
 
-def _names(step: Weigh, own: Hypotheses, above: Hypotheses, frames: FramePair) -> dict[str, Value]:
+def _names(step: Weigh, own: Hypotheses, above: Hypotheses, frames: FramePair) -> dict[str, Value | Mask]:
     """What the names of an expression stand for."""
     frame, before = frames.current, frames.previous
     return {
@@ -121,4 +124,5 @@ def _names(step: Weigh, own: Hypotheses, above: Hypotheses, frames: FramePair) -
         "frame_height": float(frame.height),
         "dt": 1.0 if before is None else frame.time - before.time,
         **step.constants,
+        **({} if step.mask is None else {MASK: step.mask}),
     }

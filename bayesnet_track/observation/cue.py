@@ -135,6 +135,7 @@ class CueDeclaration:
         is_appearance: False when it does not tell one target from another by its looks: motion, place.
         missing: parameters -> what they need and this computer has not (a library's part, a file), in words,
             or None; `validate` asks it. Without it nothing is needed.
+        files: parameters -> paths of the files that it reads, such as a network's; runs record their SHA-256.
         measures: True for a `MeasuringCue`: it has `measure`, and no `log_likelihood`.
         adapts: True for a `LocallyAdaptable` one: it has `adapt`.
         reads_detection: True for a `AssociatingCue`: it has `rule`.
@@ -165,6 +166,7 @@ class CueDeclaration:
     reads_angle: bool = False
     has_residuals: bool = False
     reads: Callable[[Any], tuple[str, ...]] | None = None
+    files: Callable[[Any], tuple[str, ...]] | None = None
 
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and NAME.fullmatch(self.name)):

@@ -144,6 +144,7 @@ class DetectorDeclaration:
         needs_depth: True when it needs a second eye or a point map.
         cost_ms: declared price of a frame of 640x480 px (rules weigh with it, so that a run never depends on
             a clock).
+        files: parameters -> paths of the files that it reads, such as a network's; runs record their SHA-256.
     """
 
     name: str
@@ -153,6 +154,7 @@ class DetectorDeclaration:
     needs_color: bool = False
     needs_depth: bool = False
     cost_ms: float = 10.0
+    files: Callable[[Any], tuple[str, ...]] | None = None
 
     def check_source(self, has_color: bool, has_depth: bool) -> None:
         """Refuse a source in which it can find nothing; raises DetectorError."""

@@ -69,6 +69,13 @@ def declared_size(data: bytes) -> Size | None:
     return max(width for width, _ in sizes), max(height for _, height in sizes)
 
 
+def is_cut_off(data: bytes) -> bool:
+    """Whether the end of a JPEG or PNG is missing: OpenCV fills it with gray or black and says nothing."""
+    if data.startswith(b"\xff\xd8"):
+        return data.rfind(b"\xff\xd9") < max(data.rfind(b"\xff\xda"), 2)
+    return data.startswith(b"\x89PNG") and b"IEND" not in data[-64:]
+
+
 def _sizes(data: bytes) -> Iterable[Size]:
     if data.startswith(b"\x89PNG\r\n\x1a\n"):
         return [unpack_from(">II", data, 16)]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.observation.image_size import PictureError, read_checked
+from bayesnet_track.observation.image_size import PictureError, is_cut_off, read_checked
 from bayesnet_track.sources.paths import natural_key
 from bayesnet_track.sources.readers import Damage, Picture
 
@@ -83,7 +83,7 @@ def read_image(path: Path) -> tuple[NDArray[np.uint8], bool]:
     import cv2
 
     data = read_checked(path)
-    if _is_cut_off(data):
+    if is_cut_off(data):
         raise PictureError(f"{path.name}: the image is cut off")
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
@@ -130,10 +130,3 @@ def _to_bgr(rows: NDArray[Any]) -> NDArray[np.uint8]:
         alpha = rows[..., 3:].astype(np.uint16)
         rows = ((rows[..., :3] * alpha + 127) // 255).astype(np.uint8)
     return rows
-
-
-def _is_cut_off(data: bytes) -> bool:
-    # OpenCV fills what is missing of a JPEG or PNG with gray or black and says nothing.
-    if data.startswith(b"\xff\xd8"):
-        return data.rfind(b"\xff\xd9") < max(data.rfind(b"\xff\xda"), 2)
-    return data.startswith(b"\x89PNG") and b"IEND" not in data[-64:]

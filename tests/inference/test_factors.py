@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+import cv2
 import numpy as np
 import pytest
 
@@ -181,6 +182,42 @@ def test_a_factor_pulls_every_belief(fakes, belief):
     engine, _ = fakes.engine(nodes, {"a": fakes.flat()})
     mean = fakes.play(engine, 1)[-1].state.targets["1"].belief.mean
     assert mean[0] == pytest.approx(50 + 10 * 64 / (64 + 16), abs=0.5)
+
+
+@pytest.fixture
+def ramp(tmp_path, monkeypatch):
+    """A mask as wide as the fakes' frames, brighter to the right: its file and its grey values."""
+    grey = np.round(255 * np.exp(-0.5 * ((np.arange(120) - 60.0) / 16) ** 2)).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "ramp.png"), np.tile(grey, (100, 1)))
+    monkeypatch.chdir(tmp_path)
+    return {"parent": "s", "mask": "ramp.png"}, grey
+
+
+def test_a_mask_is_a_factor_between_four_pixels(fakes, ramp):
+    node, grey = ramp
+    evidence, _, _ = asked(fakes, {"s": {}, "a": AGENT, "f": node}, boxes_at([30.0, 50.25]))
+    expected = [grey[30] / 255, (0.75 * grey[50] + 0.25 * grey[51]) / 255]
+    np.testing.assert_allclose(np.exp(evidence.factors["f"]), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("belief", ["particles", "grid", "gaussian"])
+def test_a_mask_pulls_every_belief_as_by_enumeration(fakes, ramp, belief):
+    """Prediction N(50, 8^2) times the mask, summed over the columns."""
+    node, grey = ramp
+    columns = np.arange(120.0)
+    weights = np.exp(-0.5 * ((columns - 50) / 8) ** 2) * grey
+    exact = columns @ weights / weights.sum()
+    assert exact == pytest.approx(52, abs=0.05)
+    engine, _ = fakes.engine({"s": {"belief": belief}, "a": AGENT, "f": node}, {"a": fakes.flat()})
+    mean = fakes.play(engine, 1)[-1].state.targets["1"].belief.mean
+    assert mean[0] == pytest.approx(exact, abs=1.0)  # 500 particles: 8 / sqrt(500) = .36
+
+
+def test_a_black_mask_is_left_out(fakes, ramp):
+    cv2.imwrite("ramp.png", np.zeros((100, 120), np.uint8))
+    evidence, observer, _ = asked(fakes, {"s": {}, "a": AGENT, "f": ramp[0]}, boxes_at([30, 50]))
+    assert observer.factors.flaws["f"].ignored
+    assert evidence.factors == {}
 
 
 def test_rules_see_no_factor(fakes):

@@ -67,7 +67,7 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     scene = source.scene
     graph = load_graph(options.graph or SCENE_GRAPHS.get(options.scene, "two_squares"))
     if options.set:
-        graph = set_values(graph.text, options.set)
+        graph = set_values(graph.text, options.set, masks=graph.masks)
     # Only what an earlier demo wrote there is replaced without being asked to.
     out = run_folder(options.out or f"runs/{options.scene}")
     options.overwrite = options.overwrite or options.out is None

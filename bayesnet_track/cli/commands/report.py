@@ -109,10 +109,11 @@ def _graph(directory: RunDirectory) -> CheckedGraph | None:
     from bayesnet_track.graph.text.messages import GraphError
     from bayesnet_track.graph.text.recorded import read_recorded
     from bayesnet_track.observation.cue import stand_ins
+    from bayesnet_track.observation.masks import AnyMask
 
     try:
         spec, at = read_recorded(directory.graph)
-        return check(spec, at, stand_ins(cues_named(spec)))
+        return check(spec, at, stand_ins(cues_named(spec)), AnyMask())
     except (GraphError, OSError) as error:
         complain(f"{directory.graph}: the page shows no net: {error}")
         return None

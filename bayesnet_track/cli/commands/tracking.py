@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
     out = run_folder(options.out)
     graph = load_graph(options.graph)
     if options.set:
-        graph = set_values(graph.text, options.set)
+        graph = set_values(graph.text, options.set, masks=graph.masks)
     if options.init_from is not None:
         starts = [read_start(Path(options.init_from), options.start)]
     else:

@@ -24,7 +24,7 @@ def what_if(options: argparse.Namespace) -> int:
     """Run again, then compare."""
     from bayesnet_track.cli.commands.compare import check_page, show_comparison
     from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
-    from bayesnet_track.runtime.checkpoints.unchanged import check_cues
+    from bayesnet_track.runtime.checkpoints.unchanged import check_cues, check_files
     from bayesnet_track.runtime.recording.manifest import add_output
     from bayesnet_track.runtime.recording.run_reader import open_run
     from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
@@ -48,7 +48,9 @@ def what_if(options: argparse.Namespace) -> int:
         )
     if not options.force:
         check_cues(recipe, ())
-    graph = set_values(first.graph_text, options.set, not options.no_adaptation)
+        check_files(recipe)
+    masks = recipe.read_masks()
+    graph = set_values(first.graph_text, options.set, not options.no_adaptation, masks)
     out = Path(options.out or f"{str(options.run).rstrip('/')}-what-if")
     if out.resolve() == first.directory.path.resolve():
         raise UsageError(f"--out {out}: that is the run itself; give another folder")
@@ -128,7 +130,9 @@ def add_what_if(commands: argparse._SubParsersAction[Any]) -> None:
         "--overwrite", action="store_true", help="replace an earlier run in --out, and the file of --html"
     )
     what_if.add_argument(
-        "--force", action="store_true", help="continue although the source, or a cue file, has changed since"
+        "--force",
+        action="store_true",
+        help="continue although the source, or a cue, mask or model file, has changed since",
     )
     what_if.add_argument("-q", "--quiet", action="store_true", help="no progress line")
     what_if.add_argument("-v", "--verbose", action="store_true", help="every decision when it is made")

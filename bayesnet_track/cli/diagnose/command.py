@@ -55,6 +55,7 @@ def advise(run: Run, finding: Finding) -> dict[str, Any]:
     """A finding as plain data, with the key and value to try where the run's graph takes them."""
     from bayesnet_track.graph.text.change import ChangeError, change_graph
     from bayesnet_track.graph.text.messages import GraphError
+    from bayesnet_track.observation.masks import AnyMask
 
     kind = run.kinds[finding.target]
     found = {"target": finding.target, "type": kind, "found": finding.what, "frame": finding.frame}
@@ -64,7 +65,7 @@ def advise(run: Run, finding: Finding) -> dict[str, Any]:
     names = names_of(run.graph_text, kind, finding.agent)
     setting: str | None = remedy.setting(names)
     try:
-        change_graph(run.graph_text, [str(setting)])
+        change_graph(run.graph_text, [str(setting)], masks=AnyMask())
     except (ChangeError, GraphError):
         setting = None
     return {

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from bayesnet_track.cli.commands.answer import UsageError
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
+    from bayesnet_track.observation.masks import Mask
 
 
 def add_set_option(parser: argparse.ArgumentParser) -> None:
@@ -24,7 +25,9 @@ def add_set_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def set_values(text: str, changes: Sequence[str], adaptation: bool = True) -> CheckedGraph:
+def set_values(
+    text: str, changes: Sequence[str], adaptation: bool = True, masks: Mapping[str, Mask] | None = None
+) -> CheckedGraph:
     """The graph of a canonical text with other values; `adaptation` is False for all agents always on.
 
     Raises:
@@ -34,6 +37,6 @@ def set_values(text: str, changes: Sequence[str], adaptation: bool = True) -> Ch
     from bayesnet_track.graph.text.change import ChangeError, change_graph
 
     try:
-        return change_graph(text, changes, adaptation)
+        return change_graph(text, changes, adaptation, masks)
     except ChangeError as error:
         raise UsageError(f"--set {error}") from error

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 from pydantic import ValidationError
 
@@ -12,10 +13,13 @@ from bayesnet_track.graph.checks.cues import plugin_parameters
 from bayesnet_track.graph.checks.joins import GraphCheck
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.expressions.parse import parse
-from bayesnet_track.graph.expressions.terms import ExpressionError, names_in
-from bayesnet_track.graph.expressions.vocabulary import FRAME_NAMES, PARENT, STATE_NAMES, WORDS
-from bayesnet_track.graph.spec import GraphSpec, InferenceNode
+from bayesnet_track.graph.expressions.terms import Call, ExpressionError, names_in, walk
+from bayesnet_track.graph.expressions.vocabulary import FRAME_NAMES, MASK, PARENT, STATE_NAMES, WORDS
+from bayesnet_track.graph.spec import FactorNode, GraphSpec, InferenceNode
 from bayesnet_track.graph.text.messages import GraphMessage, Positions, nearest
+from bayesnet_track.graphs import graph_folder
+from bayesnet_track.observation.image_size import PictureError
+from bayesnet_track.observation.masks import Mask, read_mask
 
 BOX = ("x", "y", "w", "h")
 FURTHER = {
@@ -38,10 +42,56 @@ def factors_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
     """Every factor is an expression of names that exist at its node."""
     for name, node in plate.factors.items():
         try:
-            parse(node.factor, names_at(plate, str(node.parent)))
+            parse(node.expression, names_at(plate, str(node.parent)), node.mask is not None)
         except ExpressionError as error:
             message = plate.message(name, error.found, error.allowed, key=("factor",))
             yield plate.at.inside(_explain_name(message, error.word, error.near), error.at)
+
+
+def masks_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
+    """The image of a factor is there, can be read, and is asked."""
+    for name, node in plate.factors.items():
+        if node.mask is None:
+            continue
+        wrong = plate.masks.get(node.mask)
+        if isinstance(wrong, str):
+            found, _, allowed = wrong.partition("; allowed: ")
+            allowed = allowed or "an image file of the frames' size, its path from where the graph file is"
+            yield plate.message(name, found, allowed, key=("mask",))
+        elif not _asks_its_mask(node.expression):
+            found, allowed = "a mask that the factor does not ask", "mask(x, y) in the factor, or no factor"
+            yield plate.message(name, found, allowed, key=("mask",), on_key=True)
+
+
+def _asks_its_mask(text: str) -> bool:
+    try:
+        return any(isinstance(one, Call) and one.function == MASK for one in walk(parse(text, mask=True)))
+    except ExpressionError:
+        return True  # said where expressions are checked
+
+
+def masks_of(spec: GraphSpec, folder: Path, given: Mapping[str, Mask] | None = None) -> dict[str, Mask | str]:
+    """Path as written -> the mask, or what is wrong with it; of `given` as it is given there.
+
+    Others are looked for in `folder`, then among the installed graphs.
+    """
+    found: dict[str, Mask | str] = {}
+    for target in spec.targets.values():
+        for node in target.nodes.values():
+            name = node.mask if isinstance(node, FactorNode) else None
+            if name is None or name in found:
+                continue
+            found[name] = given[name] if given is not None and name in given else _read(name, folder)
+    return found
+
+
+def _read(name: str, folder: Path) -> Mask | str:
+    here = folder / name
+    installed = Path(graph_folder()) / name
+    try:
+        return read_mask(here if here.exists() or not installed.is_file() else installed)
+    except (PictureError, ValueError) as error:
+        return f"mask {str(error)[:300]}"
 
 
 def names_at(plate: Plate, node: str) -> tuple[str, ...]:
@@ -94,9 +144,10 @@ def read_factors(plate: Plate) -> dict[str, Factor]:
     """The factors of a plate that passed the checks."""
     found = {}
     for name, node in plate.factors.items():
-        term = parse(node.factor)
+        term = parse(node.expression, mask=True)
         used = {one: plate.constants[one] for one in names_in(term) if one in plate.constants}
-        found[name] = Factor(str(node.parent), term, used)
+        mask = plate.masks.get(node.mask or "")
+        found[name] = Factor(str(node.parent), term, used, mask if isinstance(mask, Mask) else None)
     return found
 
 
@@ -118,5 +169,5 @@ def _explain_name(message: GraphMessage, word: str, near: tuple[str, ...]) -> Gr
     return replace(message, nearest=nearest(word, near)) if word else message
 
 
-FACTOR_CHECKS: tuple[Check, ...] = (factors_can_be_read, agents_find_what_they_read)
+FACTOR_CHECKS: tuple[Check, ...] = (factors_can_be_read, masks_can_be_read, agents_find_what_they_read)
 CONSTANT_CHECKS: tuple[GraphCheck, ...] = (constants_have_their_own_names,)

@@ -9,6 +9,7 @@ from functools import cached_property
 from bayesnet_track.graph.spec import AgentNode, FactorNode, InferenceNode, Target
 from bayesnet_track.graph.text.messages import GraphMessage, Path, Positions
 from bayesnet_track.observation.cue import CueDeclaration
+from bayesnet_track.observation.masks import Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,6 +22,7 @@ class Plate:
         at: where its parts stand.
         cues: installed cues by name.
         constants: numbers that expressions use by name.
+        masks: images by their paths as written; one that cannot be read as what is wrong with it.
     """
 
     name: str
@@ -28,6 +30,7 @@ class Plate:
     at: Positions
     cues: Mapping[str, CueDeclaration]
     constants: Mapping[str, float] = field(default_factory=dict)
+    masks: Mapping[str, Mask | str] = field(default_factory=dict)
 
     @cached_property
     def agents(self) -> dict[str, AgentNode]:

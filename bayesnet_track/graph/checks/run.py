@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from itertools import islice
+from pathlib import Path as FilePath
 from typing import Any
 
 from pydantic import ValidationError
@@ -12,7 +13,7 @@ from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.checks.cues import CUE_CHECKS, cue_parameters
 from bayesnet_track.graph.checks.evidence import evidence_counts_once
 from bayesnet_track.graph.checks.existence import EXISTENCE_CHECKS
-from bayesnet_track.graph.checks.factors import CONSTANT_CHECKS, FACTOR_CHECKS, read_factors
+from bayesnet_track.graph.checks.factors import CONSTANT_CHECKS, FACTOR_CHECKS, masks_of, read_factors
 from bayesnet_track.graph.checks.formulas import FORMULA_JOIN_CHECKS
 from bayesnet_track.graph.checks.joins import JOIN_CHECKS
 from bayesnet_track.graph.checks.lifecycle import LIFE_CHECKS
@@ -26,6 +27,7 @@ from bayesnet_track.graph.text.messages import MAX_MESSAGES, GraphError, GraphMe
 from bayesnet_track.graph.text.write import write_graph
 from bayesnet_track.observation.cue import ENTRY_POINT_GROUP, CueDeclaration, installed_cues
 from bayesnet_track.observation.cue_files import GivenCue, own_cues
+from bayesnet_track.observation.masks import Mask
 from bayesnet_track.observation.plugins import given
 
 Cues = Mapping[str, CueDeclaration] | Iterable[GivenCue]
@@ -34,10 +36,16 @@ Cues = Mapping[str, CueDeclaration] | Iterable[GivenCue]
 CHECKS_OF_A_SOUND_TREE = (*RULE_CHECKS, *EXISTENCE_CHECKS, evidence_counts_once, *FACTOR_CHECKS)
 
 
-def check(spec: GraphSpec, at: Positions | None = None, cues: Cues | None = None) -> CheckedGraph:
+def check(
+    spec: GraphSpec,
+    at: Positions | None = None,
+    cues: Cues | None = None,
+    masks: Mapping[str, Mask] | None = None,
+) -> CheckedGraph:
     """The graph with its trees resolved and its cues' parameters typed.
 
-    `at` says where its parts stand (from `read_graph`); `cues` are the installed ones unless given.
+    `at` says where its parts stand (from `read_graph`); `cues` are the installed ones unless given, `masks`
+    images that are known already, by their paths as written.
 
     Raises:
         GraphError: every failure of every check in every target.
@@ -47,7 +55,8 @@ def check(spec: GraphSpec, at: Positions | None = None, cues: Cues | None = None
     named = cues_named(spec)
     own = {**given(ENTRY_POINT_GROUP), **mapped_cues(cues)}
     known = own if isinstance(cues, Mapping) else {**installed_cues(named), **own}
-    plates = [Plate(name, target, at, known, spec.constants) for name, target in spec.targets.items()]
+    images = masks_of(spec, FilePath(at.file).parent, masks)
+    plates = [Plate(name, target, at, known, spec.constants, images) for name, target in spec.targets.items()]
     errors = [message for plate in plates for message in _violations(plate)]
     for find in (*CONSTANT_CHECKS, *JOIN_CHECKS, *FORMULA_JOIN_CHECKS):
         errors += islice(find(spec, at), MAX_MESSAGES + 1)
@@ -57,10 +66,15 @@ def check(spec: GraphSpec, at: Positions | None = None, cues: Cues | None = None
     if errors:
         raise GraphError(errors)
     kept = {name: own[name] for name in sorted(named) if name in own}
-    return CheckedGraph(spec, {plate.name: _resolve(plate) for plate in plates}, text, kept)
+    asked = {name: one for name, one in images.items() if isinstance(one, Mask)}
+    return CheckedGraph(spec, {plate.name: _resolve(plate) for plate in plates}, text, kept, asked)
 
 
-def check_graph(graph: GraphSpec | Mapping[str, Any], cues: Cues | None = None) -> CheckedGraph:
+def check_graph(
+    graph: GraphSpec | Mapping[str, Any],
+    cues: Cues | None = None,
+    masks: Mapping[str, Mask] | None = None,
+) -> CheckedGraph:
     """`check` for a graph written in Python, as a specification or as plain data with the words of YAML.
 
     Messages name the path of keys, for want of a line.
@@ -74,7 +88,7 @@ def check_graph(graph: GraphSpec | Mapping[str, Any], cues: Cues | None = None) 
             graph = GraphSpec.model_validate(graph)
         except ValidationError as error:
             raise GraphError(explain(error, GraphSpec, graph, at)) from None
-    return check(graph, at, cues)
+    return check(graph, at, cues, masks)
 
 
 def mapped_cues(cues: Cues | None) -> Mapping[str, CueDeclaration]:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.graph.expressions.terms import Call, Number, Term
-from bayesnet_track.graph.expressions.vocabulary import DENSITIES
+from bayesnet_track.graph.expressions.vocabulary import DENSITIES, MASK
 
 Floats = NDArray[np.float64]
 Value = Any
@@ -60,6 +60,8 @@ def _value(term: Term, names: Mapping[str, Value]) -> Value:
     if isinstance(term, Call):
         if term.function in _LOG_DENSITIES:
             return np.exp(_log_density(term, names))
+        if term.function == MASK:
+            return names[MASK](*[_value(one, names) for one in term.arguments])
         return _OPERATIONS[term.function](*[_value(one, names) for one in term.arguments])
     return np.float64(math.pi) if term.name == "pi" else np.asarray(names[term.name], dtype=np.float64)
 

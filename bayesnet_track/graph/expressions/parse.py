@@ -25,6 +25,7 @@ from bayesnet_track.graph.expressions.vocabulary import (
     BINARY,
     COMPARE,
     FUNCTIONS,
+    MASK,
     NEGATIVE,
     POWER,
     PREFIX,
@@ -41,8 +42,8 @@ _TOKEN = re.compile(
 _SIGNS = "numbers, names, + - * / ** ( ) , < <= > >= == != and or not"
 
 
-def parse(text: str, names: Collection[str] | None = None) -> Term:
-    """The tree of an expression; of `names` alone, unless None.
+def parse(text: str, names: Collection[str] | None = None, mask: bool = False) -> Term:
+    """The tree of an expression; of `names` alone, unless None; with `mask` it may ask the factor's mask.
 
     >>> parse("2 * x")
     Call(function='*', arguments=(Number(value=2.0, at=0), Variable(name='x', at=4)), at=2)
@@ -53,7 +54,7 @@ def parse(text: str, names: Collection[str] | None = None) -> Term:
     if len(text) > MAX_CHARACTERS:
         found, allowed = f"an expression of {len(text)} characters", f"at most {MAX_CHARACTERS} characters"
         raise ExpressionError(found, allowed, MAX_CHARACTERS)
-    return _Parser(_tokens(text), names).whole()
+    return _Parser(_tokens(text), names, mask).whole()
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,7 @@ class _Parser:
 
     tokens: list[_Token]
     names: Collection[str] | None
+    mask: bool = False
     place: int = 0
     depth: int = 0
     terms: int = field(default=0)
@@ -167,8 +169,12 @@ class _Parser:
 
     def call(self, token: _Token) -> Term:
         if token.text not in FUNCTIONS:
-            found, known = f"unknown function {token.text!r}", tuple(FUNCTIONS)
+            found = f"unknown function {token.text!r}"
+            known = tuple(name for name in FUNCTIONS if self.mask or name != MASK)
             raise ExpressionError(found, ", ".join(known), token.at, token.text, known)
+        if token.text == MASK and not self.mask:
+            allowed = "in a factor that has a mask: {parent: ..., mask: FILE, factor: ...}"
+            raise ExpressionError("mask without an image", allowed, token.at)
         self.take()
         arguments: list[Term] = []
         while self.next.text != ")" or arguments:

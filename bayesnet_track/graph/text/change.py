@@ -10,8 +10,9 @@ from typing import Any
 import yaml
 
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.messages import GraphError, listed, nearest, shown_name
+from bayesnet_track.observation.masks import Mask
 
 Keys = tuple[str, ...]
 
@@ -20,7 +21,9 @@ class ChangeError(ValueError):
     """A change that cannot be made; says which names there are and which is nearest."""
 
 
-def change_graph(text: str, changes: Sequence[str], adaptation: bool = True) -> CheckedGraph:
+def change_graph(
+    text: str, changes: Sequence[str], adaptation: bool = True, masks: Mapping[str, Mask] | None = None
+) -> CheckedGraph:
     """The graph of a canonical text with other values.
 
     Args:
@@ -28,6 +31,7 @@ def change_graph(text: str, changes: Sequence[str], adaptation: bool = True) -> 
         changes: each ``path=value``. The path names keys from the top, joined by dots; ``targets``, the plate
             and ``nodes`` may be left out (``square.adapt.activate.above.ud_px2=200``). The value is YAML.
         adaptation: False for all agents always on: no rule switches one, none stops itself.
+        masks: images of its factors by their paths as written; others are read.
 
     Raises:
         ChangeError: no such path, or one that may mean several; a value that is no YAML.
@@ -43,7 +47,7 @@ def change_graph(text: str, changes: Sequence[str], adaptation: bool = True) -> 
         keys = resolve(data, tuple(path.strip().split(".")))
         data = _with(data, keys, _value(path, value))
     try:
-        return load_graph(data if adaptation else always_on(data))
+        return check_graph(data if adaptation else always_on(data), masks=masks)
     except GraphError as error:
         raise GraphError([replace(one, file="--set") for one in error.errors]) from None
 

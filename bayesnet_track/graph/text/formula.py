@@ -228,7 +228,7 @@ def _weights(target: CheckedTarget) -> list[tuple[str, str, Expression]]:
 
 def _expression(factor: Expression) -> str:
     constants = "".join(f", {name} = {value:g}" for name, value in factor.constants.items())
-    return text_of(factor.term) + constants
+    return text_of(factor.term) + constants + ("" if factor.mask is None else f", mask: {factor.mask}")
 
 
 def _latex_weight(name: str, state: str) -> str:

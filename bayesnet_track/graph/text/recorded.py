@@ -18,6 +18,7 @@ from bayesnet_track.graph.text.messages import GraphError, Positions
 from bayesnet_track.graph.text.read import bytes_of, read_graph
 from bayesnet_track.graph.text.renamed import new_word
 from bayesnet_track.graph.text.write import plain_text
+from bayesnet_track.observation.masks import Mask
 
 
 def recorded_text(text: str) -> str:
@@ -47,13 +48,15 @@ def read_recorded(path: Path) -> tuple[GraphSpec, Positions]:
         return read_graph(content, str(path))
 
 
-def load_recorded(path: Path, cues: Cues | None = None) -> CheckedGraph:
-    """The checked graph of a run directory; `cues` as of `load_graph`.
+def load_recorded(
+    path: Path, cues: Cues | None = None, masks: Mapping[str, Mask] | None = None
+) -> CheckedGraph:
+    """The checked graph of a run directory; `cues` as of `load_graph`, `masks` as of `check`.
 
     Raises:
         GraphError: every error of it.
     """
-    return check(*read_recorded(path), cues)
+    return check(*read_recorded(path), cues, masks)
 
 
 def _current(data: Any, annotation: Any) -> Any:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from errno import EINVAL
 from functools import cache
@@ -20,11 +20,15 @@ from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.engine.starts import Start
 from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.checks.cues import plugin_parameters
 from bayesnet_track.graph.text.recorded import load_recorded
 from bayesnet_track.graph.text.write import graph_sha256
 from bayesnet_track.journal.atomic import write_atomically
 from bayesnet_track.journal.writer import read_position
 from bayesnet_track.observation.cue_files import CueFile, GivenCue, file_of
+from bayesnet_track.observation.detector import detectors_of_graphs
+from bayesnet_track.observation.image_size import PictureError
+from bayesnet_track.observation.masks import AnyMask, Mask, read_mask
 from bayesnet_track.runtime.checkpoints.file_names import change_texts, hide_bytes, restore_bytes
 from bayesnet_track.runtime.checkpoints.versions import versions
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
@@ -84,6 +88,8 @@ class Recipe:
         own_motion: whether a motion model of one's own stood in for the graph's.
         cue_files: cue name -> the file that declares it, of the cues that come from files.
         own_cues: names of the cues that were given as objects of a program.
+        masks: images of the graph's factors, by their paths as the graph has them.
+        models: files that agents and detectors read, such as networks, by their paths as the graph has them.
         options: what else was asked for, by name: `budget_ms`; `allow_plugins`, what of other packages was at
             work (to be named here allows nothing); `manifest`, that the run is finished by one;
             `keep_beliefs`.
@@ -102,6 +108,8 @@ class Recipe:
     own_motion: bool = False
     cue_files: Mapping[str, GivenFile] = field(default_factory=dict)
     own_cues: tuple[str, ...] = ()
+    masks: Mapping[str, GivenFile] = field(default_factory=dict)
+    models: Mapping[str, GivenFile] = field(default_factory=dict)
     options: Mapping[str, bool | int | float | str] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=versions)
     recipe: int = RECIPE_VERSION
@@ -140,7 +148,12 @@ class Recipe:
     def text(self) -> str:
         """It as JSON."""
         plain = _codec().dump_python(self)
-        for name in ("cue_files", "own_cues"):  # a recipe without them is what it was before there were any
+        for name in (
+            "cue_files",
+            "own_cues",
+            "masks",
+            "models",
+        ):  # a recipe without them is what it was before there were any
             if not plain[name]:
                 del plain[name]
         return json.dumps(plain, indent=1) + "\n"
@@ -192,6 +205,14 @@ class Recipe:
 
         return reopen(self.origin)
 
+    def read_masks(self) -> dict[str, Mask]:
+        """Images of the graph's factors as they are now, by their paths in it; without what is gone."""
+        found = {}
+        for name, file in self.masks.items():
+            with suppress(PictureError):
+                found[name] = read_mask(file.place)
+        return found
+
     @contextmanager
     def opened(self) -> Iterator[FrameSource]:
         """The same source again, let go of at the end; raises as `open_source`."""
@@ -220,7 +241,9 @@ class Recipe:
             raise RunDirectoryError(f"{path}: cannot be read: {error}") from error
         if graph_sha256(text) != self.graph_sha256:
             raise RecipeError(f"{path}: another graph than the one that the run began with")
-        return load_recorded(path, tuple(cues))
+        return load_recorded(
+            path, tuple(cues), {name: AnyMask()[name] for name in self.masks} | self.read_masks()
+        )
 
 
 def _check_format(path: Path, plain: object) -> None:
@@ -267,8 +290,29 @@ def make_recipe(
         own_motion=own_motion,
         cue_files={name: _given_cue(file) for name, file in files.items() if file is not None},
         own_cues=tuple(name for name, file in files.items() if file is None),
+        masks={
+            name: GivenFile(str(mask.path), str(mask.path.absolute()), mask.sha256)
+            for name, mask in sorted(graph.masks.items())
+        },
+        models={path: _given(path) for path in _model_files(graph)},
         options=dict(sorted({**options, HAS_MANIFEST: True}.items())),
     )
+
+
+def _model_files(graph: CheckedGraph) -> list[str]:
+    """Files that the agents and detectors of a graph read, by their paths as it has them."""
+    found: set[str] = set()
+    cues = graph.declarations
+    for plate in graph.targets.values():
+        for agent, parameters in plate.parameters.items():
+            files = cues[plate.agent(agent).agent.cue].files
+            found |= set(() if files is None else files(parameters))
+        birth = plate.spec.birth
+        if birth is not None:
+            declaration = detectors_of_graphs([birth.detector.detector])[birth.detector.detector]
+            if declaration.files is not None:
+                found |= set(declaration.files(plugin_parameters(birth.detector, declaration.parameters)))
+    return sorted(found)
 
 
 def _given(path: str | PathLike[str]) -> GivenFile:

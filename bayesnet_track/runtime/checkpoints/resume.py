@@ -33,6 +33,7 @@ from bayesnet_track.runtime.checkpoints.standing import standing
 from bayesnet_track.runtime.checkpoints.unchanged import (
     ResumeError,
     check_cues,
+    check_files,
     check_outputs,
     check_plain,
     check_same,
@@ -116,6 +117,7 @@ def resume(
         check_plain(directory)
         cues = tuple(cues)
         check_cues(recipe, cues)
+        check_files(recipe)
         graph = recipe.load_graph(directory, cues)
         check_same(recipe, source, motion)
         checkpoint = _checkpoint(directory, recipe, say)

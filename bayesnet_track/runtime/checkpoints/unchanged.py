@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from bayesnet_track.belief.contract import MotionModel
@@ -18,7 +18,6 @@ from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.versions import versions
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.results import FrameSource
-from bayesnet_track.sources.paths import SourceError
 
 
 class ResumeError(ValueError):
@@ -46,12 +45,18 @@ def check_same(recipe: Recipe, source: FrameSource | None, motion: MotionModel |
             raise ResumeError(f"it cannot go on: {recipe.origin.only_once}")
         if recipe.has_video:
             raise ResumeError(f"its video cannot be drawn again: {recipe.origin.only_once}")
+    given = [file.changes for file in (recipe.detections, recipe.inputs) if file is not None]
+    _refuse_changes([recipe.origin.changes, *given] if source is None else given)
+
+
+def check_files(recipe: Recipe) -> None:
+    """Refuse masks and model files that are gone or are not those of the run; raises ResumeError."""
+    _refuse_changes([file.changes for file in (*recipe.masks.values(), *recipe.models.values())])
+
+
+def _refuse_changes(asked: Iterable[Callable[[], Iterable[str]]]) -> None:
     try:
-        changes = [*recipe.origin.changes()] if source is None else []
-        for given in (recipe.detections, recipe.inputs):
-            changes += () if given is None else given.changes()
-    except SourceError:
-        raise
+        changes = [change for find in asked for change in find()]
     except OSError as error:
         raise ResumeError(
             f"{error.filename}: it reads this file, and it cannot be read: {error.strerror}"

@@ -169,4 +169,5 @@ DETECTOR = DetectorDeclaration(
     parameters=ContourShapeParameters,
     make=_make,
     cost_ms=20.0,
+    files=lambda parameters: (parameters.model,),
 )

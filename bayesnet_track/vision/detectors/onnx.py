@@ -187,4 +187,5 @@ DETECTOR = DetectorDeclaration(
     parameters=OnnxParameters,
     make=_make,
     cost_ms=200.0,
+    files=lambda parameters: (parameters.model,),
 )

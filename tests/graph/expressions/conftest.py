@@ -6,13 +6,13 @@ import pytest
 from hypothesis import strategies as st
 
 from bayesnet_track.graph.expressions.terms import Call, Number, Variable
-from bayesnet_track.graph.expressions.vocabulary import BINARY, FUNCTIONS
+from bayesnet_track.graph.expressions.vocabulary import BINARY, FUNCTIONS, MASK
 
 NAMES = ("x", "y", "w", "h", "parent.x")
 
 
 CALLS = [
-    *[(name, len(function.parameters)) for name, function in FUNCTIONS.items()],
+    *[(name, len(function.parameters)) for name, function in FUNCTIONS.items() if name != MASK],
     *[(sign, 2) for sign in BINARY],
     ("neg", 1),
     ("not", 1),
