@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,26 +26,14 @@ class ColorCells:
 
     space: Literal["rgb", "hsv"] = "rgb"
     levels: int = 8
+    margin: ClassVar[int] = 0
+    inputs: ClassVar[tuple[Plane, ...]] = ()
+    is_points: ClassVar[bool] = False
 
     @property
     def size(self) -> int:
         """Number of cells."""
         return self.levels**3 if self.space == "rgb" else self.levels**3 // 2
-
-    @property
-    def margin(self) -> int:
-        """Depends on the pixel alone."""
-        return 0
-
-    @property
-    def inputs(self) -> tuple[Plane, ...]:
-        """Made from the picture itself."""
-        return ()
-
-    @property
-    def is_points(self) -> bool:
-        """An image-like plane."""
-        return False
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """Cells on `region`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,21 +22,13 @@ class Hue:
 
     min_chroma: int = 30
     median_px: int = 1
+    inputs: ClassVar[tuple[Plane, ...]] = ()
+    is_points: ClassVar[bool] = False
 
     @property
     def margin(self) -> int:
         """Half the median filter."""
         return self.median_px // 2
-
-    @property
-    def inputs(self) -> tuple[Plane, ...]:
-        """Made from the picture itself."""
-        return ()
-
-    @property
-    def is_points(self) -> bool:
-        """An image-like plane."""
-        return False
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """Hue on `region`."""
@@ -64,21 +57,13 @@ class HueBins:
 
     bins: int = 32
     min_chroma: int = 30
-
-    @property
-    def margin(self) -> int:
-        """Depends on the pixel alone."""
-        return 0
+    margin: ClassVar[int] = 0
+    is_points: ClassVar[bool] = False
 
     @property
     def inputs(self) -> tuple[Plane, ...]:
         """Hue."""
         return (Hue(self.min_chroma),)
-
-    @property
-    def is_points(self) -> bool:
-        """An image-like plane."""
-        return False
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """Bins on `region`."""

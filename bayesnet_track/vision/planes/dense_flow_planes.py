@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -43,20 +44,9 @@ class DisPlane:
     is given whole: pixels far away decide on the coarse levels.
     """
 
-    @property
-    def margin(self) -> None:
-        """It depends on the whole frame."""
-        return None
-
-    @property
-    def inputs(self) -> tuple[Plane, ...]:
-        """Made from the two frames."""
-        return ()
-
-    @property
-    def is_points(self) -> bool:
-        """Not cut to a region."""
-        return True
+    margin: ClassVar[None] = None
+    inputs: ClassVar[tuple[Plane, ...]] = ()
+    is_points: ClassVar[bool] = True
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """Both directions, with OpenCV's preset for the highest speed."""
@@ -89,6 +79,7 @@ class DenseFlowPlane:
     min_gradient_gray: float = 3.0
     reach_px: int = 24
     agree_px: float = 1.0
+    is_points: ClassVar[bool] = False
 
     @property
     def margin(self) -> int:
@@ -99,11 +90,6 @@ class DenseFlowPlane:
     def inputs(self) -> tuple[Plane, ...]:
         """DIS of the whole frames, or the two frames alone."""
         return (DisPlane(),) if self.by == "dis" else ()
-
-    @property
-    def is_points(self) -> bool:
-        """Image-like."""
-        return False
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """Vectors and their validity on `region`."""

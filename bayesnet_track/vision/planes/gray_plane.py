@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,24 +17,13 @@ class GrayPlane:
     A gray source gives its own values back: the three weights sum to 1.
     """
 
-    @property
-    def margin(self) -> int:
-        """A pixel's brightness depends on that pixel alone."""
-        return 0
-
-    @property
-    def inputs(self) -> tuple[Plane, ...]:
-        """Made from the frame."""
-        return ()
+    margin: ClassVar[int] = 0
+    inputs: ClassVar[tuple[Plane, ...]] = ()
+    is_points: ClassVar[bool] = False
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """(rows, columns) uint8 of the current frame on `region`."""
         return gray(region.of(frames.current.image))
-
-    @property
-    def is_points(self) -> bool:
-        """Image-like."""
-        return False
 
 
 def gray(image: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,21 +58,13 @@ class FlowPlane:
     half_window_px: int = 5
     reach_px: int = 24
     agree_px: float = 1.0
+    inputs: ClassVar[tuple[Plane, ...]] = ()
+    is_points: ClassVar[bool] = True
 
     @property
     def margin(self) -> int:
         """Reach, the coarsest window with its gradient, and what the pyramid mixes in from its edges."""
         return self.reach_px + COARSEST * (self.half_window_px + 6)
-
-    @property
-    def inputs(self) -> tuple[Plane, ...]:
-        """Made from the two frames."""
-        return ()
-
-    @property
-    def is_points(self) -> bool:
-        """Points in frame coordinates."""
-        return True
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """The valid vectors of the current frame whose points lie in `region`."""
@@ -133,21 +126,9 @@ class CameraPlane:
     """
 
     only_clear: bool = True
-
-    @property
-    def margin(self) -> None:
-        """It depends on the whole frame."""
-        return None
-
-    @property
-    def inputs(self) -> tuple[Plane, ...]:
-        """Made from the two frames."""
-        return ()
-
-    @property
-    def is_points(self) -> bool:
-        """One matrix for the frame, whatever the region."""
-        return True
+    margin: ClassVar[None] = None
+    inputs: ClassVar[tuple[Plane, ...]] = ()
+    is_points: ClassVar[bool] = True
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """The matrix, from the whole frames."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -31,21 +32,13 @@ class EdgePlane:
 
     min_gradient_gray: float = 8.0
     blur_px: float = 1.0
-
-    @property
-    def margin(self) -> None:
-        """A pixel is an edge or not by what it hangs together with anywhere in the frame."""
-        return None
+    margin: ClassVar[None] = None
+    is_points: ClassVar[bool] = True
 
     @property
     def inputs(self) -> tuple[Plane, ...]:
         """Made from the brightness."""
         return (GrayPlane(),)
-
-    @property
-    def is_points(self) -> bool:
-        """Points in frame coordinates."""
-        return True
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """The edge points of the frame."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -179,21 +179,13 @@ class PointsPlane:
     matcher: Matcher = field(default_factory=Correlation)
     range: Range = field(default_factory=Range)
     needs_depth: bool = True
+    inputs: ClassVar[tuple[Plane, ...]] = ()
+    is_points: ClassVar[bool] = False
 
     @property
     def margin(self) -> int:
         """The least size of a region: a region that is too small does not reach further than its size."""
         return self.range.min_pixels
-
-    @property
-    def inputs(self) -> tuple[Plane, ...]:
-        """Made from the frame and what belongs to it."""
-        return ()
-
-    @property
-    def is_points(self) -> bool:
-        """An image-like plane."""
-        return False
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """The points on `region`.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -23,26 +23,14 @@ class TextureCodes:
 
     form: Literal["patterns", "gradients"] = "gradients"
     noise: int = 8
+    margin: ClassVar[int] = 1
+    inputs: ClassVar[tuple[Plane, ...]] = ()
+    is_points: ClassVar[bool] = False
 
     @property
     def bins(self) -> int:
         """Number of codes."""
         return 10 if self.form == "patterns" else 9
-
-    @property
-    def margin(self) -> int:
-        """Depends on the neighbours."""
-        return 1
-
-    @property
-    def inputs(self) -> tuple[Plane, ...]:
-        """Made from the picture itself."""
-        return ()
-
-    @property
-    def is_points(self) -> bool:
-        """An image-like plane."""
-        return False
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """Codes on `region`; beyond the frame its border is repeated."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from bayesnet_track.observation.planes import Array, FramePair, Plane, Region
 
@@ -11,20 +12,9 @@ from bayesnet_track.observation.planes import Array, FramePair, Plane, Region
 class WholeFrame:
     """The frame's own picture, (H, W, 3) uint8 BGR, not copied and never cut: in frame coordinates."""
 
-    @property
-    def margin(self) -> None:
-        """All of the frame."""
-        return None
-
-    @property
-    def inputs(self) -> tuple[Plane, ...]:
-        """Made from the frame."""
-        return ()
-
-    @property
-    def is_points(self) -> bool:
-        """In frame coordinates, as points are."""
-        return True
+    margin: ClassVar[None] = None
+    inputs: ClassVar[tuple[Plane, ...]] = ()
+    is_points: ClassVar[bool] = True
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """The picture, whatever the region."""
