@@ -57,9 +57,10 @@ class VideoReader:
     def __init__(self, text: str, network: bool = False) -> None:
         self._text = text
         stamps: list[int] = []
+        unordered = False
         if not network:
             with _open(text, network) as container:
-                stamps = _probe(container, _video_stream(text, container))
+                stamps, unordered = _probe(container, _video_stream(text, container))
         self._container = _open(text, network)
         self._stream = _video_stream(text, self._container)
         self._stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
@@ -77,10 +78,11 @@ class VideoReader:
         self._silent = 0
         self._lost = 0
         self._end_s = 0.0
-        # AVI has no presentation times: reordered, the n-th picture has the n-th smallest decoding time.
+        # AVI has no presentation times, and some programs write decoding times in their place. Where pictures
+        # are reordered, the n-th of them then has the n-th smallest decoding time.
         self._is_avi = self._container.format.name == "avi"
-        reordered = self._is_avi and self._stream.codec_context.has_b_frames
-        self._untimed: list[int] | None = [] if reordered else None
+        unordered = (self._is_avi or unordered) and bool(self._stream.codec_context.has_b_frames)
+        self._untimed: list[int] | None = [] if unordered else None
         self._origin: int | None = stamps[0] if stamps and self._untimed is None else None
 
     def close(self) -> None:
@@ -240,24 +242,26 @@ def _not_a_video(text: str, found: str) -> SourceError:
     )
 
 
-def _probe(container: Any, stream: Any) -> list[int]:
-    """The sorted times of the first packets, in the stream's time base.
+def _probe(container: Any, stream: Any) -> tuple[list[int], bool]:
+    """The sorted times of the first packets, in the stream's time base, and whether all are decoding times.
 
     Every picture up to the last decoding time is among them; later ones would leave holes.
     """
     stamps: list[int] = []
     known_until: int | None = None
+    all_decoding = True
     try:
         for packet in container.demux(stream):
             stamp = packet.pts if packet.pts is not None else packet.dts
             if packet.size and stamp is not None and not getattr(packet, "is_discard", False):
                 stamps.append(stamp)
                 known_until = packet.dts if packet.dts is not None else known_until
+                all_decoding = all_decoding and stamp == packet.dts
             if len(stamps) >= PROBE_PACKETS:
                 break
     except FAULTS:
         pass
-    return sorted(stamp for stamp in stamps if known_until is None or stamp <= known_until)
+    return sorted(stamp for stamp in stamps if known_until is None or stamp <= known_until), all_decoding
 
 
 def _words(error: BaseException) -> str:

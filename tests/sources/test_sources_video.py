@@ -103,6 +103,29 @@ def test_time_that_stands_still_ends_the_source(make_video, monkeypatch):
     assert source.end_reason == "source_damaged"
 
 
+def test_decoding_times_in_place_of_presentation_times_are_put_in_order(tmp_path):
+    """As some programs write them: where pictures are reordered, their times would run backwards."""
+    path, packets = tmp_path / "decoding.mp4", []
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=25, options={"bf": "2", "b-adapt": "0"})
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for n in [*range(20), None]:
+            frame = None
+            if n is not None:
+                frame = av.VideoFrame.from_ndarray(np.full((48, 64, 3), 10 * n, np.uint8), format="bgr24")
+                frame.pts, frame.time_base = n, Fraction(1, 25)
+            packets += stream.encode(frame)
+        first = packets[0].dts
+        assert any(packet.pts - packet.dts != packets[0].pts - first for packet in packets)
+        for packet in packets:
+            packet.pts = packet.dts = packet.dts - first
+            container.mux(packet)
+    source, frames, events = read(path)
+    assert events == [] and source.end_reason == "end_of_source"
+    assert [f.time for f in frames] == [float(n) for n in range(20)]
+    assert [round(f.image.mean() / 10) for f in frames] == list(range(20))
+
+
 def test_a_title_need_not_be_utf8(tmp_path):
     path = tmp_path / "title.mp4"
     with av.open(str(path), "w") as container:
