@@ -6,16 +6,18 @@ joined. Both are functions of the target's state and the frame; time is read for
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.adapt.situation import Situation, quiet_level
 from bayesnet_track.belief.estimate import estimate
+from bayesnet_track.belief.particles.maps import find_maps
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.findings import Decided, Learnt, Measured, TargetResult
@@ -28,10 +30,12 @@ from bayesnet_track.engine.scoring.distractors import find_distractor
 from bayesnet_track.engine.scoring.score import Scored, most, probability, with_distractor
 from bayesnet_track.engine.starting import start_late
 from bayesnet_track.engine.state import TargetState, apply_decisions, inside_frame
+from bayesnet_track.engine.summaries import Summary, summarise
 from bayesnet_track.graph.spec import InferenceNode
 from bayesnet_track.inference.guard import changes, watch
 from bayesnet_track.inference.learn import Lesson, learning_rate, over_frames
 from bayesnet_track.inference.measure import measure
+from bayesnet_track.inference.measure_rows import is_flat, is_plain, measure_rows
 from bayesnet_track.inference.part_measures import part_rates
 from bayesnet_track.journal.events.beliefs import DegenerateBelief
 from bayesnet_track.journal.events.event import Event
@@ -52,17 +56,26 @@ def finish_targets(work: FrameWork, filtered: Mapping[str, Filtered]) -> dict[st
     One thing after the other for all targets: the code that a processor keeps at hand then serves them all.
     """
     started = work.engine.clock()
+    find_maps(one.step for one in filtered.values())
     states = {target: estimate_target(work, one) for target, one in filtered.items()}
     started = work.charge("belief", started)
-    measured = {target: measure_target(work, one, states[target]) for target, one in filtered.items()}
+    boxes = {target: inside_frame(state[:4], work.frame) for target, state in states.items()}
+    measures = measure_all(work, filtered, boxes)
+    measured = {
+        target: measure_target(work, one, states[target], boxes[target], measures[target])
+        for target, one in filtered.items()
+    }
     decided = {target: decide_target(work, one, measured[target]) for target, one in filtered.items()}
     started = work.charge("measure", started)
     learnt = {
         target: learn_target(work, one, measured[target], decided[target]) for target, one in filtered.items()
     }
     work.charge("learn", started)
+    summaries = summarise(work, filtered)
     return {
-        target: describe_target(work, one, measured[target], decided[target], learnt[target])
+        target: describe_target(
+            work, one, measured[target], decided[target], learnt[target], summaries[target]
+        )
         for target, one in filtered.items()
     }
 
@@ -73,16 +86,37 @@ def estimate_target(work: FrameWork, filtered: Filtered) -> Floats:
     return estimate(plate.inference(plate.root).estimate, filtered.step)
 
 
-def measure_target(work: FrameWork, filtered: Filtered, state: Floats) -> Measured:
-    """UD, KL, ... of the belief with the estimate `state` (D,), and how sure it is to hold the target."""
+def measure_all(
+    work: FrameWork, filtered: Mapping[str, Filtered], boxes: Mapping[str, Floats]
+) -> dict[str, Measures]:
+    """Target -> UD, KL, ... of its belief, its estimate in `boxes` (4,); as arrays where that can be done."""
+    alike: dict[Hashable, list[str]] = {}
+    found: dict[str, Measures] = {}
+    areas = {target: float(box[2] * box[3]) for target, box in boxes.items()}
+    for target, one in filtered.items():
+        plate = work.plate_of(target).plate
+        if is_flat(plate) and is_plain(one.plan, one.step):
+            alike.setdefault((plate.name, one.plan.active, len(one.step.prior)), []).append(target)
+        else:
+            found[target] = measure(plate, one.plan, one.step, areas[target])
+    for targets in alike.values():
+        first, plate = filtered[targets[0]], work.plate_of(targets[0]).plate
+        steps = [filtered[target].step for target in targets]
+        rows = measure_rows(plate, first.plan, steps, [areas[target] for target in targets])
+        found.update(zip(targets, rows, strict=True))
+    return found
+
+
+def measure_target(
+    work: FrameWork, filtered: Filtered, state: Floats, box: Floats, measures: Measures
+) -> Measured:
+    """How sure it is to hold the target with the estimate `state` (D,), whose `box` is inside the frame."""
     compiled, live = work.plate_of(filtered.target), work.net.targets[filtered.target]
     root = compiled.plate.inference(compiled.plate.root)
-    box = inside_frame(state[:4], work.frame)
     by_hand = work.by_hand.get(filtered.target, ())
     net = apply_decisions(work.net, (*filtered.faults, *by_hand)).targets[filtered.target]
     if filtered.missed:
         net = changed(net, active=net.active - set(filtered.missed))
-    measures = measure(compiled.plate, filtered.plan, filtered.step, float(box[2] * box[3]))
     scored = filtered.before.scored
     if root.score is None:
         return Measured(state, box, net, measures, scored)
@@ -195,7 +229,12 @@ def _learning_rates(
 
 
 def describe_target(
-    work: FrameWork, filtered: Filtered, measured: Measured, decided: Decided, learnt: Learnt
+    work: FrameWork,
+    filtered: Filtered,
+    measured: Measured,
+    decided: Decided,
+    learnt: Learnt,
+    summary: Summary,
 ) -> TargetResult:
     """The state for the next frame, and all that is written down of this one."""
     compiled, frame, target = work.plate_of(filtered.target), work.frame, filtered.target
@@ -226,11 +265,10 @@ def describe_target(
         events.append(measured.distractor)
     events += measured.notices
     events += changes(frame.index, target, before.watched, learnt.watched, learnt.judged, compiled.guard)
-    spread = stepped.posterior.covariance
-    metrics = frame_metrics(work, filtered, measured, decided, learnt, spread)
+    metrics = frame_metrics(work, filtered, measured, decided, learnt, summary)
     metrics = with_modes(metrics, filtered.modes, measured.score is not None)
     decisions = (*filtered.faults, *work.by_hand.get(target, ()), *learnt.decisions)
-    return TargetResult(after, metrics, decisions, tuple(events), spread)
+    return TargetResult(after, metrics, decisions, tuple(events), summary.covariance)
 
 
 def _report_flaws(filtered: Filtered, frame: int, now: frozenset[str]) -> list[Event]:

@@ -13,14 +13,11 @@ from bayesnet_track.engine.findings import Decided, Learnt, Measured
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.scoring.assurance import e_value, said_status
 from bayesnet_track.engine.scoring.score import blur_regions
+from bayesnet_track.engine.summaries import Summary
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
-from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.observation.planes import Frame
 
 Floats = NDArray[np.float64]
-
-CLOUD_SIZE = 48
-"""Hypotheses kept per frame, drawn from the posterior, so that they carry no weights."""
 
 
 def index(measures: Measures, root: str) -> float:
@@ -34,26 +31,24 @@ def frame_metrics(
     measured: Measured,
     decided: Decided,
     learnt: Learnt,
-    covariance: Floats,
+    summary: Summary,
 ) -> FrameMetrics:
-    """What is written down of a target: `covariance` (D, D) of its belief, the status that it ran with.
+    """What is written down of a target: its belief in a few numbers, the status that it ran with.
 
     Without a calibrated score the score is `index`.
     """
     target, stepped, measures = filtered.target, filtered.step, measured.measures
     plate = work.plate_of(target).plate
-    posterior, weights = stepped.posterior, stepped.support.weights
-    cloud = posterior.draw(CLOUD_SIZE, work.stream(target, plate.root)("cloud"))
-    variances = np.maximum(covariance.diagonal()[:4], 0.0)
+    variances = np.maximum(summary.covariance.diagonal()[:4], 0.0)
     score, features = index(measures, plate.root), {}
     if measured.score is not None:
         score, features = measured.score, {**measured.scored.smooth, "most": measured.bound}
     root = plate.inference(plate.root)
     if root.localization_error is None:
-        region50, region90 = map(tuple, posterior.regions((0.5, 0.9)).tolist())
+        region50, region90 = summary.regions
     else:
         side = float(np.sqrt(max(measures.area_px2, 1.0)))
-        wide = blur_regions(posterior, root.localization_error, score, side)
+        wide = blur_regions(stepped.posterior, root.localization_error, score, side)
         region50, region90 = wide.region50, wide.region90
         variances[:2] += wide.variance
     return FrameMetrics(
@@ -69,9 +64,9 @@ def frame_metrics(
         status=said_status(work.net.targets[target].status, measured.scored, root.guarantee),
         score=score,
         log_evidence=stepped.log_evidence,
-        surprise=kl(weights.log, stepped.prior.log),
-        ess=weights.ess,
-        particles=len(weights),
+        surprise=summary.surprise,
+        ess=summary.ess,
+        particles=len(stepped.support.weights),
         active=tuple(a for a in plate.agents if a in measures.kl),
         kl=measures.kl,
         contribution=measures.contribution,
@@ -80,7 +75,7 @@ def frame_metrics(
         learn_rate=learnt.rate,
         region50=region50,
         region90=region90,
-        cloud=tuple(map(tuple, np.rint(cloud).astype(np.int64).tolist())),
+        cloud=summary.cloud,
         silent=measures.silent,
         angle=learnt.angle,
         join=filtered.join,

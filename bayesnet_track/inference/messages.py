@@ -30,7 +30,7 @@ from bayesnet_track.inference.parts import part_boxes
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import Region, region_of_boxes
 
-__all__ = ["Joined", "Observer", "evaluate", "join_messages", "without"]
+__all__ = ["Joined", "Observer", "evaluate", "join_messages", "join_plain", "without"]
 
 Floats = NDArray[np.float64]
 
@@ -118,7 +118,7 @@ def join_messages(
     those present.
     """
     if not measured and not latent:
-        return _join_plain(plan, said, len(hypotheses))
+        return Joined(join_plain(plan, said, (len(hypotheses),)), {}, None)
     messages = dict(said)
     gaussians = {agent: own for agent, own in measured.items() if own is not None}
     # What of a source's message is not in its Gaussian: all, nothing, or what a latent node's is scaled by.
@@ -163,17 +163,20 @@ def join_messages(
     return Joined(messages, reaching, _rest(at_root, rests, len(hypotheses)) if reaching else None)
 
 
-def _join_plain(plan: Plan, said: Mapping[str, Floats], size: int) -> Joined:
-    """As `join_messages` where nothing was measured and no node is latent: products and pools only."""
+def join_plain(plan: Plan, said: Mapping[str, Floats], shape: tuple[int, ...]) -> dict[str, Floats]:
+    """As `join_messages` where nothing was measured and no node is latent: products and pools only.
+
+    Messages of T targets with one plan may come in one array (T, N), which is their `shape` then.
+    """
     messages = dict(said)
     for fusion in plan.fusions:
         weights = fusion.weights(messages)
         if weights:
-            total = np.zeros(size)
+            total = np.zeros(shape)
             for child, weight in weights.items():
                 total = total + (messages[child] if weight == 1.0 else weight * messages[child])
             messages[fusion.node] = total
-    return Joined(messages, {}, None)
+    return messages
 
 
 def without(

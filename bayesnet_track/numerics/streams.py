@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,10 +27,26 @@ class Streams:
 
     def of(self, target: str, node: str, frame: int, purpose: str) -> np.random.Generator:
         """A Philox generator whose key is a stable hash of the seed and the four names."""
-        text = "\x1f".join((str(self.seed), target, node, str(frame), purpose))
-        digest = hashlib.blake2b(text.encode(), digest_size=16).digest()
+        digest = self._digest(target, node, frame, purpose)
         seed: Any = _Key(digest)  # the stubs of NumPy know no such seed, its documentation does
         return np.random.Generator(np.random.Philox(seed))
+
+    def uniforms(self, targets: Iterable[str], node: str, frame: int, purpose: str) -> NDArray[np.float64]:
+        """(T,) what `of(target, node, frame, purpose).random()` gives for each of T targets.
+
+        >>> streams = Streams(seed=7)
+        >>> one = streams.of("2", "square", frame=3, purpose="shift").random()
+        >>> streams.uniforms(["1", "2"], "square", frame=3, purpose="shift")[1] == one
+        True
+        """
+        from bayesnet_track.numerics.kernels.stream_kernels import first_uniforms
+
+        digests = b"".join(self._digest(target, node, frame, purpose) for target in targets)
+        return first_uniforms(np.frombuffer(digests, "<u8").astype(np.uint64).reshape(-1, 2))
+
+    def _digest(self, target: str, node: str, frame: int, purpose: str) -> bytes:
+        text = "\x1f".join((str(self.seed), target, node, str(frame), purpose))
+        return hashlib.blake2b(text.encode(), digest_size=16).digest()
 
 
 class _Key(ISeedSequence):

@@ -14,18 +14,20 @@ Floats = NDArray[np.float64]
 def tilt(prior_log: Floats, log_likelihoods: Floats) -> Floats:
     """(M, N) normalised log-weights: the prior (N,) times each likelihood (M, N).
 
-    A likelihood that leaves nothing positive and finite says nothing: its row is the prior.
+    A likelihood that leaves nothing positive and finite says nothing: its row is the prior. Of T targets, the
+    priors are (T, N) and the likelihoods (M, T, N).
 
     >>> np.exp(tilt(np.log([0.5, 0.5]), np.log([[1.0, 3.0]]))).round(2).tolist()
     [[0.25, 0.75]]
     """
     log = log_likelihoods + prior_log
-    top = log.max(axis=1, initial=-np.inf)
+    top = log.max(axis=-1, initial=-np.inf)
     lost = ~np.isfinite(top)  # also where there is a NaN: it is the maximum then
     if lost.any():
-        log[lost], top[lost] = prior_log, prior_log.max()
-    log -= top[:, None]
-    log -= np.log(np.exp(log).sum(axis=1))[:, None]
+        log[lost] = np.broadcast_to(prior_log, log.shape)[lost]
+        top[lost] = log[lost].max(axis=-1)
+    log -= top[..., None]
+    log -= np.log(np.exp(log).sum(axis=-1))[..., None]
     return np.asarray(log)
 
 
@@ -35,10 +37,12 @@ def divergences(f: Floats, g: Floats) -> Floats:
     Args:
         f: (N,) or (M, N).
         g: (M, N), or (N,) for all rows of f.
+
+    Of T targets, (M, T, N) gives (M, T).
     """
     shared = np.exp(f)
     with np.errstate(invalid="ignore"):  # 0 times the infinity of log 0, which counts nothing
         terms = shared * (f - g)
     if not shared.all():
         terms[np.broadcast_to(shared == 0.0, terms.shape)] = 0.0
-    return np.asarray(np.maximum(terms.sum(axis=1), 0.0))
+    return np.asarray(np.maximum(terms.sum(axis=-1), 0.0))

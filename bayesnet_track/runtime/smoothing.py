@@ -18,8 +18,8 @@ from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.smoothing.backward import Move, smooth_particles
 from bayesnet_track.belief.smoothing.gaussian import smooth_gaussians
 from bayesnet_track.engine.compiled import make_plate_motion
-from bayesnet_track.engine.frame_metrics import CLOUD_SIZE
 from bayesnet_track.engine.scoring.score import blur_regions
+from bayesnet_track.engine.summaries import CLOUD_SIZE
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.births import TargetStarted
 from bayesnet_track.journal.events.event import Event

@@ -11,8 +11,8 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.engine.frame_metrics import CLOUD_SIZE
 from bayesnet_track.engine.rows.columns import GIVEN, Rows
+from bayesnet_track.engine.summaries import CLOUD_SIZE
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.kernels.row_columns import AREA, FIT, UD
 from bayesnet_track.numerics.streams import Streams

@@ -207,3 +207,14 @@ def likeliest(
         if value > best:
             best, where = value, int(m)
     return where
+
+
+@compiled
+def likeliest_of_each(
+    log_factors: Floats, points: Floats, log_weights: Floats, means: Floats, precisions: Floats
+) -> Ints:
+    """(T,) `likeliest` of each of T mixtures: (T, M), (T, M, K), (T, N), (T, N, K), (T, N, K), in C order."""
+    found = np.empty(log_factors.shape[0], np.int64)
+    for t in range(found.shape[0]):
+        found[t] = likeliest(log_factors[t], points[t], log_weights[t], means[t], precisions[t])
+    return found

@@ -75,3 +75,12 @@ def look_up_even(weights: Floats, shift: float, count: int) -> Ancestors:
         largest = max(largest, first_of[m])
         first_of[m] = largest
     return first_of[:count]
+
+
+@compiled
+def look_up_even_of_each(weights: Floats, shifts: Floats, count: int) -> Ancestors:
+    """(T, count) `look_up_even` of the weights (T, N) of each of T targets with its own shift."""
+    found = np.empty((weights.shape[0], count), np.int64)
+    for t in range(weights.shape[0]):
+        found[t] = look_up_even(weights[t], shifts[t], count)
+    return found

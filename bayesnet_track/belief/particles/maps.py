@@ -1,0 +1,69 @@
+"""The maximum a posteriori hypotheses of many targets at once: those of `map.map_index`, one kernel call."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import Step
+from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.models import KinematicMotion
+from bayesnet_track.belief.particles.belief import FindMap
+
+Floats = NDArray[np.float64]
+
+
+def find_maps(steps: Iterable[Step[Any]]) -> None:
+    """Find `map_state` of the steps of particle filters that share a motion, before anybody asks for it.
+
+    Other steps find theirs when they are asked. Every row of states moves by itself, so that the states of
+    several targets can stand below each other.
+    """
+    alike: dict[Hashable, list[tuple[Step[Any], FindMap]]] = {}
+    for step in steps:
+        find = step.find_map
+        if not isinstance(find, FindMap) or "map_state" in step.__dict__:
+            continue
+        motion = find.inputs.motion
+        inner = motion.motion if isinstance(motion, Confined) else motion
+        if isinstance(inner, KinematicMotion):
+            key = (inner, find.inputs.dt, find.states.shape, find.inputs.prior.states.shape)
+            alike.setdefault(key, []).append((step, find))
+    for group in alike.values():
+        _find(group)
+
+
+def _find(group: list[tuple[Step[Any], FindMap]]) -> None:
+    from bayesnet_track.numerics.kernels.density_kernels import likeliest_of_each
+
+    finds = [find for _, find in group]
+    inputs = finds[0].inputs
+    own, before = (len(states) for states in (finds[0].states, inputs.prior.states))
+    count = len(group)
+    transition = inputs.motion.transition(_below([one.inputs.prior.states for one in finds]), inputs.dt)
+    points, log_jacobian = transition.coordinates(_below([one.states for one in finds]))
+    factors = np.array([one.log_likelihood for one in finds]) + log_jacobian.reshape(count, own)
+    weights = np.array([one.inputs.prior.weights.log for one in finds])
+    components, width = transition.sds.shape[0], points.shape[1]
+    log_weights = transition.log_shares[:, None] + weights[:, None]
+    means = np.broadcast_to(
+        transition.means.reshape(count, 1, before, width), (count, components, before, width)
+    )
+    sds = transition.sds.reshape(components, count, before, width).swapaxes(0, 1)
+    best = likeliest_of_each(
+        factors,
+        np.ascontiguousarray(points).reshape(count, own, width),
+        log_weights.reshape(count, -1),
+        np.ascontiguousarray(means).reshape(count, -1, width),
+        1.0 / np.ascontiguousarray(sds).reshape(count, -1, width),
+    )
+    for (step, find), place in zip(group, best.tolist(), strict=True):
+        if place >= 0:  # else all densities are 0 in floating point, and the step looks further
+            step.__dict__["map_state"] = find.states[place]
+
+
+def _below(states: list[Floats]) -> Floats:
+    return states[0] if len(states) == 1 else np.concatenate(states)

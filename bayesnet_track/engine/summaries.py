@@ -1,0 +1,121 @@
+"""What is written down of beliefs besides their measures: spread, regions, surprise, a cloud of hypotheses.
+
+Particles of many targets are summarised as arrays, with the bits that each target has alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import Posterior, Step
+from bayesnet_track.belief.particles.particle_set import ParticleSet
+from bayesnet_track.engine.filtering import Filtered
+from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.numerics.divergence import kl
+
+Floats = NDArray[np.float64]
+Rows = list[tuple[float, ...]]
+
+CLOUD_SIZE = 48
+"""Hypotheses kept per frame, drawn from the posterior, so that they carry no weights."""
+
+SHARES = (0.5, 0.9)
+"""Of the centre's weight that lies in the regions."""
+
+
+@dataclass(frozen=True, eq=False)
+class Summary:
+    """A belief in a few numbers.
+
+    Attributes:
+        covariance: (D, D) of the states.
+        ess: effective number of hypotheses.
+        surprise: KL of the belief from its prior, nats.
+        regions: of `SHARES`: x_low, x_high, y_low, y_high in px.
+        cloud: rounded boxes of some hypotheses.
+    """
+
+    covariance: Floats
+    ess: float
+    surprise: float
+    regions: Rows
+    cloud: tuple[tuple[int, ...], ...]
+
+
+def summarise(work: FrameWork, filtered: Mapping[str, Filtered]) -> dict[str, Summary]:
+    """Target -> its belief in a few numbers."""
+    alike: dict[Hashable, list[str]] = {}
+    found: dict[str, Summary] = {}
+    for target, one in filtered.items():
+        own = one.step.posterior
+        if isinstance(own, ParticleSet) and one.step.support is own:
+            alike.setdefault((work.net.targets[target].template, own.states.shape), []).append(target)
+        else:
+            found[target] = summarise_one(work, target, one.step)
+    for targets in alike.values():
+        found |= _summarise_rows(work, targets, [filtered[target].step for target in targets])
+    return found
+
+
+def summarise_one(work: FrameWork, target: str, step: Step[Posterior]) -> Summary:
+    """The belief of a target after its step in a few numbers."""
+    posterior, weights = step.posterior, step.support.weights
+    cloud = posterior.draw(CLOUD_SIZE, work.stream(target, work.plate_of(target).plate.root)("cloud"))
+    return Summary(
+        posterior.covariance,
+        weights.ess,
+        kl(weights.log, step.prior.log),
+        list(map(tuple, posterior.regions(SHARES).tolist())),
+        _rounded(cloud),
+    )
+
+
+def _summarise_rows(
+    work: FrameWork, targets: Sequence[str], steps: Sequence[Step[Posterior]]
+) -> dict[str, Summary]:
+    from bayesnet_track.numerics.kernels.resampling_kernels import look_up_even_of_each
+
+    states = np.array([step.support.states for step in steps])
+    weights = np.array([step.support.weights.weights for step in steps])
+    log = np.array([step.support.weights.log for step in steps])
+    away = states - np.matmul(weights[:, None], states)
+    covariances = np.matmul((away * weights[:, :, None]).swapaxes(1, 2), away)
+    ess = _effective(log).tolist()
+    surprises = [kl(step.support.weights.log, step.prior.log) for step in steps]
+    regions = np.concatenate([_regions(states[:, :, axis], weights) for axis in (0, 1)], axis=2).tolist()
+    root = work.plate_of(targets[0]).plate.root
+    shifts = work.engine.streams.uniforms(targets, root, work.frame.index, "cloud")
+    chosen = look_up_even_of_each(weights, shifts, CLOUD_SIZE)
+    clouds = np.rint(np.take_along_axis(states[:, :, :4], chosen[:, :, None], axis=1)).astype(np.int64)
+    return {
+        target: Summary(
+            covariances[t], ess[t], surprises[t], list(map(tuple, regions[t])), tuple(map(tuple, cloud))
+        )
+        for t, (target, cloud) in enumerate(zip(targets, clouds.tolist(), strict=True))
+    }
+
+
+def _effective(log: Floats) -> Floats:
+    """(T,) effective sample sizes of normalised log-weights (T, N)."""
+    twice = 2.0 * log
+    top = twice.max(axis=1)
+    return np.asarray(np.exp(-(top + np.log(np.exp(twice - top[:, None]).sum(axis=1)))))
+
+
+def _regions(values: Floats, weights: Floats) -> Floats:
+    """(T, S, 2) the central `SHARES` of the weight along an axis: values and weights (T, N)."""
+    order = values.argsort(axis=1)
+    ordered = np.take_along_axis(values, order, axis=1)
+    cumulative = np.take_along_axis(weights, order, axis=1).cumsum(axis=1)
+    tails = np.array([tail for share in SHARES for tail in ((1.0 - share) / 2.0, (1.0 + share) / 2.0)])
+    levels = tails * cumulative[:, -1:]
+    before = np.stack([(cumulative < levels[:, k, None]).sum(axis=1) for k in range(len(tails))], axis=1)
+    return np.take_along_axis(ordered, before, axis=1).reshape(len(values), len(SHARES), 2)
+
+
+def _rounded(boxes: Floats) -> tuple[tuple[int, ...], ...]:
+    return tuple(map(tuple, np.rint(boxes).astype(np.int64).tolist()))

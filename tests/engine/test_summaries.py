@@ -1,0 +1,94 @@
+"""Targets that are measured together: the same bits as each measured by itself."""
+
+import numpy as np
+import pytest
+
+from bayesnet_track.belief.particles.map import map_index
+from bayesnet_track.belief.particles.maps import find_maps
+from bayesnet_track.engine.filtering import filter_target
+from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.step import State, make_engine, start_target
+from bayesnet_track.engine.summaries import summarise, summarise_one
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.inference.measure import measure
+from bayesnet_track.inference.measure_rows import is_flat, is_plain, measure_rows
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
+
+MOTIONS = {
+    "velocity": {"constant_velocity": {"sd_velocity_px": 1.0}},
+    "sized": {"constant_velocity": {"sd_velocity_px": 1.0, "sd_px": {"w": 1, "h": 1}}},
+    "walk": {
+        "random_walk": {
+            "sd_box": {"x": 0.1, "y": 0.1},
+            "sd_log": {"scale": 0.05},
+            "heavy_tail": {"weight": 0.5, "factor": 4},
+        }
+    },
+}
+AGENTS = {"color": {"color_histogram": {"floor": 0.003}}, "gray": "intensity"}
+
+
+def filtered(motion, agents, fuse="product"):
+    """Three targets after the first half of a frame."""
+    nodes = {
+        "root": {
+            "belief": {"particles": {"size": 133}},
+            "motion": MOTIONS[motion],
+            "fuse": fuse,
+            "ud_fields": ["x", "y"],
+        }
+    } | {name: {"parent": "root", "agent": AGENTS[name]} for name in agents}
+    engine = make_engine(load_graph({"name": "three", "targets": {"thing": {"nodes": nodes}}}), 3)
+    rng = np.random.default_rng(0)
+    image = np.kron(rng.integers(0, 255, (6, 8, 3), dtype=np.uint8), np.ones((16, 16, 1), np.uint8))
+    first, second = (Frame(n, float(n), np.roll(image, 2 * n, axis=1)) for n in range(2))
+    state = State()
+    for number, at in enumerate([(20.0, 20.0), (60.0, 40.0), (118.0, 90.0)]):
+        state = start_target(engine, state, first, str(number), "thing", np.array([*at, 16.0, 16.0])).state
+    work = FrameWork(engine, state.net, PlaneCache(FramePair(second, first)))
+    return work, {target: filter_target(work, target, state.targets[target]) for target in state.targets}
+
+
+@pytest.mark.parametrize(
+    ("motion", "agents"), [("velocity", ["color"]), ("sized", ["color", "gray"]), ("walk", ["gray"])]
+)
+def test_targets_measured_together_are_measured_as_alone(motion, agents):
+    work, found = filtered(motion, agents)
+    plate = work.plate_of("0").plate
+    steps = [one.step for one in found.values()]
+    assert is_flat(plate) and all(is_plain(one.plan, one.step) for one in found.values())
+    find_maps(steps)
+    for step in steps:
+        find = step.find_map
+        best = map_index(
+            find.log_likelihood,
+            find.states,
+            find.inputs.prior.states,
+            find.inputs.prior.weights,
+            find.inputs.motion,
+            find.inputs.dt,
+        )
+        assert step.__dict__["map_state"].tolist() == find.states[best].tolist()
+    plan = found["0"].plan
+    together = measure_rows(plate, plan, steps, [1.0, 2.0, 3.0])
+    assert [vars(one) for one in together] == [
+        vars(measure(plate, plan, step, area)) for step, area in zip(steps, (1.0, 2.0, 3.0), strict=True)
+    ]
+    for target, one in summarise(work, found).items():
+        alone = summarise_one(work, target, found[target].step)
+        assert one.covariance.tobytes() == alone.covariance.tobytes()
+        assert (one.ess, one.surprise, one.regions, one.cloud) == (
+            alone.ess,
+            alone.surprise,
+            alone.regions,
+            alone.cloud,
+        )
+
+
+def test_a_weight_of_zero_counts_nothing_in_any_measure():
+    work, found = filtered("velocity", ["color", "gray"], "pool")
+    plate, plan = work.plate_of("0").plate, found["0"].plan
+    steps = [one.step for one in found.values()]
+    steps[1].evidence.messages["gray"][::2] = -np.inf
+    together = measure_rows(plate, plan, steps, [1.0] * 3)
+    assert [vars(one) for one in together] == [vars(measure(plate, plan, step, 1.0)) for step in steps]
