@@ -36,7 +36,7 @@ class Streams:
 
         >>> streams = Streams(seed=7)
         >>> one = streams.of("2", "square", frame=3, purpose="shift").random()
-        >>> streams.uniforms(["1", "2"], "square", frame=3, purpose="shift")[1] == one
+        >>> float(streams.uniforms(["1", "2"], "square", frame=3, purpose="shift")[1]) == one
         True
         """
         from bayesnet_track.numerics.kernels.stream_kernels import first_uniforms
