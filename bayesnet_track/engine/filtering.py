@@ -6,11 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bayesnet_track.adapt.backoff import quarantine
-from bayesnet_track.belief.contract import Evaluate, MotionModel, Posterior, Step
+from bayesnet_track.belief.contract import Evaluate, Evidence, MotionModel, Posterior, Step
 from bayesnet_track.belief.modes import Modes
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.formulas import Undefined, undefined_in
+from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.modes import ModeState
 from bayesnet_track.engine.predicting import PredictedMotion, predict_motion
@@ -22,6 +26,8 @@ from bayesnet_track.inference.hidden import Sight, evaluate_modes
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.metrics import JoinMetrics
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +127,26 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
     modes = None if compiled.modes is None else ModeState.of(compiled.modes, prior, stepped.posterior, dt)
     found = Filtered(target, before, stepped, faults, moves, plan, missed, flaws=flaws, undefined=undefined)
     return found if modes is None else replace(found, modes=modes)
+
+
+def evaluate_at(work: FrameWork, target: str, before: TargetState, boxes: Floats) -> Evidence:
+    """What the net of a target says of centre boxes (N, 4) that are as probable as each other.
+
+    Every agent with a reference is asked, switched off or not. What a state holds beside the box is that of
+    the belief's mean.
+    """
+    compiled = work.plate_of(target)
+    rest = np.broadcast_to(before.belief.mean[4:], (len(boxes), len(before.belief.fields) - 4))
+    hypotheses = hypotheses_of(np.hstack([boxes, rest]), before.belief.fields)
+    plan = compile_plan(compiled.plate, before.references.keys() & set(compiled.plate.agents), compiled.cues)
+    observer = Observer(
+        work.cache,
+        compiled.cues,
+        before.references,
+        work.stream(target, compiled.plate.root),
+        availability=work.availability_of(target, "observing"),
+    )
+    return evaluate(plan, observer, hypotheses, np.full(len(boxes), -np.log(len(boxes))))
 
 
 def _evaluation(work: FrameWork, plan: Plan, modes: Modes | None, observer: Observer) -> Evaluate:

@@ -78,6 +78,13 @@ class CheckedTarget:
                 found[name] = frozenset(own).union(*(found.get(child, frozenset()) for child in own))
         return found
 
+    def correlation(self, node: str) -> float | None:
+        """Of the children's errors, where the pool of an inference node is learned; None elsewhere."""
+        spec = self.inference(node)
+        if spec.fuse is None or spec.fuse.pool != "learned":
+            return None
+        return 1.0 if spec.correlation is None else spec.correlation
+
     def agent(self, name: str) -> AgentNode:
         """The specification of an agent node."""
         node = self.spec.nodes[name]

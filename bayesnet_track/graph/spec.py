@@ -65,6 +65,7 @@ from bayesnet_track.graph.settings.motion import (
 )
 from bayesnet_track.graph.settings.nodes import (
     Belief,
+    Correlation,
     Estimate,
     Fuse,
     Given,
@@ -214,6 +215,11 @@ class InferenceNode(Model):
     )
     estimate: Estimate | None = Field(default=None, description="root only; default map")
     fuse: Fuse | None = Field(default=None, description="required with two or more children")
+    correlation: Correlation | None = Field(
+        default=None,
+        description="of the errors of the children's own estimates, with `fuse: {pool: learned}`; "
+        "`fit --fusion` estimates it. Default 1, as in an equal pool",
+    )
     ud_fields: tuple[Literal["x", "y", "w", "h"], ...] = Field(
         default=("x", "y", "w", "h"), min_length=1, description="fields that UD counts"
     )

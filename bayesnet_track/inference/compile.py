@@ -11,6 +11,7 @@ from typing import Literal
 
 from bayesnet_track.graph.checked import CheckedTarget, Factor
 from bayesnet_track.graph.expressions.write import text_of
+from bayesnet_track.graph.settings.nodes import pool_exponents
 from bayesnet_track.graph.spec import AgentNode, Fuse, Given, Latent
 from bayesnet_track.inference.factors import Weigh
 from bayesnet_track.inference.plane_words import plane_words
@@ -61,6 +62,7 @@ class Fusion:
         factors: factors of the node with a message in this plan; each counts once, in a pool too.
         own: how a latent node's own state is held: one draw per hypothesis, draws joined by the
             row-normalised kernel, a Gaussian, or cells of a grid.
+        correlation: of the children's errors, in a learned pool; None in others.
     """
 
     node: str
@@ -70,15 +72,15 @@ class Fusion:
     given: Given | None = None
     own: Own = "one"
     factors: tuple[str, ...] = ()
+    correlation: float | None = None
 
     def weights(self, present: Container[str]) -> dict[str, float]:
-        """Child in `present` -> exponent of its likelihood: they sum to 1 for a pool, and are 1 otherwise.
+        """Child in `present` -> exponent of its likelihood: for a pool `pool_exponents`, and 1 otherwise.
 
         Those of factors are 1.
         """
         kept = {c: share for c, share in zip(self.children, self.shares, strict=True) if c in present}
-        total = sum(kept.values()) if self.kind == "pool" else 1.0
-        weights = {child: share / total for child, share in kept.items()}
+        weights = pool_exponents(kept, self.correlation) if self.kind == "pool" else kept
         return {**weights, **{factor: 1.0 for factor in self.factors if factor in present}}
 
 
@@ -219,8 +221,9 @@ def _fuse(target: CheckedTarget, node: str, messengers: frozenset[str]) -> Fusio
     fuse = target.inference(node).fuse or Fuse.model_validate("product")
     factors = tuple(name for name, factor in target.factors.items() if factor.parent == node)
     if fuse.kind == "pool":
-        shares = tuple(1.0 if fuse.pool == "equal" else fuse.settings[child] for child in children)
-        return Fusion(node, "pool", children, shares, factors=factors)
+        shares = tuple(fuse.shares(children).values())
+        correlation = target.correlation(node)
+        return Fusion(node, "pool", children, shares, factors=factors, correlation=correlation)
     shares = (1.0,) * len(children)
     if fuse.latent is None:
         return Fusion(node, fuse.kind, children, shares, factors=factors)

@@ -6,6 +6,7 @@ from collections.abc import Set
 from dataclasses import dataclass, replace
 
 from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.graph.settings.nodes import pool_exponents
 from bayesnet_track.graph.spec import AgentNode, FactorNode
 
 MARGIN = 28.0
@@ -157,14 +158,12 @@ def with_factors(target: CheckedTarget) -> CheckedTarget:
 
 
 def pool_weights(target: CheckedTarget, node: str, alive: Set[str]) -> dict[str, float]:
-    """Child -> weight in the log-linear pool of `node`: they sum to 1 over the children that are alive."""
+    """Child -> weight in the log-linear pool of `node`, over the children that are alive."""
     fuse = target.inference(node).fuse
     if fuse is None or fuse.pool is None:
         return {}
     children = [child for child in target.children[node] if child in alive and child not in target.factors]
-    raw = {child: 1.0 if fuse.pool == "equal" else fuse.pool[child] for child in children}
-    total = sum(raw.values())
-    return {child: value / total for child, value in raw.items()}
+    return pool_exponents(fuse.shares(children), target.correlation(node))
 
 
 def _alive(target: CheckedTarget, active: Set[str]) -> frozenset[str]:

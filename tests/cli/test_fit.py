@@ -67,6 +67,35 @@ def test_a_graph_is_calibrated_and_keeps_its_comments(data, capsys):
     assert not (data / "fitted.yaml.part").exists()
 
 
+POOLED = GRAPH.replace("# moves\n", "# moves\n        fuse: {pool: learned}  # dependent\n").replace(
+    "agent: intensity}", "agent: intensity}\n      colors: {parent: target, agent: foreground_color}"
+)
+
+
+def test_the_correlation_of_a_learned_pool_is_written(data, capsys):
+    """The square stands still here, so that 20 frames are on target."""
+    (data / "g.yaml").write_text(POOLED)
+    folder, out = data / "still", data / "fitted.yaml"
+    (folder / "one" / "img").mkdir(parents=True)
+    pattern = np.random.default_rng(5).integers(60, 255, (20, 20, 3)).astype(np.uint8)
+    lines = []
+    for k in range(24):
+        x = 40 + 2 * (k % 3)
+        picture = np.random.default_rng(k).integers(50, 70, (80, 100, 3)).astype(np.uint8)
+        picture[30:50, x : x + 20] = pattern
+        cv2.imwrite(str(folder / "one" / "img" / f"{k:04d}.png"), picture)
+        lines.append(f"{x},30,20,20\n")
+    (folder / "one" / "groundtruth.txt").write_text("".join(lines))
+    assert main(["fit", str(data / "g.yaml"), "--folder", str(folder), "--fusion", "--out", str(out)]) == 0
+    said = capsys.readouterr().err.splitlines()[-1]
+    node = load_graph(out).targets["target"].inference("target")
+    assert node.correlation is not None and 0.0 <= node.correlation <= 1.0
+    assert said.startswith(f"target: errors correlated by {node.correlation:g} (")
+    assert said.endswith(f"each of 2 children counts {1 / (1 + node.correlation):.2f}")
+    assert "# fit: errors at true boxes, 23 frames of 1 video" in out.read_text()
+    assert "fuse: {pool: learned}  # dependent" in out.read_text()
+
+
 ADAPTIVE = GRAPH.replace(
     "  # moves\n",
     """
@@ -172,7 +201,7 @@ CASES = [
     ),
     (
         ("--folder", "DATA", "--what", "score,sizes"),
-        "--what: no 'sizes'; there are score, localization_error, lost, ud, temperature, sds, policy",
+        "--what: no 'sizes'; there are score, localization_error, lost, ud, temperature, sds, policy, fusion",
     ),
     (
         ("--folder", "DATA", "--what", "sds"),
@@ -184,12 +213,16 @@ CASES = [
         "levels of UD in the same unit",
     ),
     (
+        ("--folder", "DATA", "--fusion"),
+        "fusion: no node with fuse: {pool: learned}, whose correlation is to be estimated",
+    ),
+    (
         ("--folder", "DATA", "--what", "policy,ud"),
         "--what: ud and policy both set the levels of `activate` and `deactivate`; choose one",
     ),
     (
         ("--folder", "DATA", "--what", "score,sds", "--leave-one-out"),
-        "--leave-one-out judges score and regions; fit sds and policy to other videos first",
+        "--leave-one-out judges score and regions; fit sds, fusion and policy to other videos first",
     ),
     (
         ("--folder", "DATA", "--guarantee", "0.05"),

@@ -23,9 +23,15 @@ QUANTILE = {0.5: -2.0 * np.log(0.5), 0.9: -2.0 * np.log(0.1)}
 
 PRIOR, SHARED, COLOR, INTENSITY = 20.0, 6.0, 3.0, 6.0
 
+CORRELATION = SHARED**2 / (SHARED**2 + COLOR**2)
+"""Of the errors of both colour agents: what they share of their variance."""
+
 
 def graph(fuse):
     nodes = {"root": {"fuse": "product"}, "intensity": "root"}
+    if fuse == "learned":
+        color = {"parent": "root", "fuse": {"pool": "learned"}, "correlation": CORRELATION}
+        return {**nodes, "color": color, "hue": "color", "blobs": "color"}
     if fuse == "flat":
         return {**nodes, "hue": "root", "blobs": "root"}
     color = {"parent": "root", "fuse": fuse}
@@ -42,7 +48,7 @@ def coverage(fakes, fuse, runs, size=1000):
     """Shares of runs whose 50 % and 90 % regions cover h, and mean squared error over mean trace."""
     plate, _ = fakes.plate(graph(fuse))
     # Above the latent state an agent's error includes the shared one: calibrated, not sharp.
-    color = np.hypot(SHARED, COLOR) if fuse in ("flat", "pool") else COLOR
+    color = np.hypot(SHARED, COLOR) if fuse in ("flat", "pool", "learned") else COLOR
     plan = compile_plan(plate, plate.agents, {a: fakes.Oracle(fakes.flat()) for a in plate.agents})
     rng = np.random.default_rng(1)
     prior = LogWeights.uniform(size)
@@ -86,6 +92,31 @@ def test_a_pool_covers_nearly_what_it_says(fakes):
     shares, ratio = coverage(fakes, "pool", 1000)
     assert_covers(shares, [0.47, 0.87], 1000)
     assert 0.9 < ratio < 1.25  # 1.06
+
+
+def test_a_learned_pool_covers_what_it_says(fakes):
+    """Its Gaussian is the exact marginal of h: of 1000 hypotheses 30 are effective, which costs a point."""
+    shares, ratio = coverage(fakes, "learned", 1000)
+    assert_covers(shares, [0.485, 0.885], 1000)
+    assert 0.9 < ratio < 1.2
+
+
+def test_a_learned_pool_is_the_marginal_of_the_shared_state_exactly(fakes):
+    """log N(h; mean of both, shared variance + own variance / 2), but for a constant."""
+    plate, _ = fakes.plate(graph("learned"))
+    seen = {"hue": (3.0, -1.0), "blobs": (7.0, 2.0)}
+    sd = float(np.hypot(SHARED, COLOR))
+    cues = {agent: fakes.Oracle(fakes.gaussian(*z, sd)) for agent, z in seen.items()}
+    boxes = np.hstack([np.random.default_rng(3).normal(0.0, PRIOR, (50, 2)), np.full((50, 2), 20.0)])
+    beta = LogWeights.uniform(50).log
+    evidence = evaluate(
+        compile_plan(plate, cues, {**cues, "intensity": cues["hue"]}),
+        fakes.observer(cues),
+        Hypotheses(boxes),
+        beta,
+    )
+    exact = -0.5 * ((boxes[:, :2] - [5.0, 0.5]) ** 2).sum(axis=1) / (SHARED**2 + COLOR**2 / 2)
+    assert np.ptp(evidence.messages["color"] - exact) < 1e-10
 
 
 @pytest.mark.slow

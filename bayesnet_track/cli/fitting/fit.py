@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import OK, UsageError, complain, say, users_mistake, writing
+from bayesnet_track.cli.fitting.fusion import fit_fusion
 from bayesnet_track.cli.fitting.promises import check_count, check_promises, write_promises
 from bayesnet_track.cli.fitting.tracking import check_text, fit_policy, fit_sds
 from bayesnet_track.cli.fitting.videos import Video, find_videos, frames_of
@@ -20,9 +21,9 @@ if TYPE_CHECKING:
     from bayesnet_track.evaluate.fitting import Checked, Fitted
     from bayesnet_track.graph.checked import CheckedGraph
 
-WHAT = ("score", "localization_error", "lost", "ud", "temperature", "sds", "policy")
+WHAT = ("score", "localization_error", "lost", "ud", "temperature", "sds", "policy", "fusion")
 USUAL_WHAT = "score,localization_error,lost"
-BEFORE = ("sds", "policy")
+BEFORE = ("sds", "policy", "fusion")
 """What changes the tracking, and is fitted before the rest."""
 
 
@@ -42,7 +43,9 @@ def fit(options: argparse.Namespace) -> int:
             if out.exists() and not options.overwrite:
                 raise UsageError(f"{out} exists; --overwrite replaces it")
     if options.leave_one_out and not set(what).isdisjoint(BEFORE):
-        raise UsageError("--leave-one-out judges score and regions; fit sds and policy to other videos first")
+        raise UsageError(
+            "--leave-one-out judges score and regions; fit sds, fusion and policy to other videos first"
+        )
     if "ud" in what and "policy" in what:
         raise UsageError(
             "--what: ud and policy both set the levels of `activate` and `deactivate`; choose one"
@@ -58,6 +61,9 @@ def fit(options: argparse.Namespace) -> int:
         return _put(out, written, f"calibrated on {plural(len(videos), 'video')}")
     if "sds" in what:
         text = fit_sds(text, graph, videos, options.end)
+        graph = check_text(text, str(out or options.graph))
+    if "fusion" in what:
+        text = fit_fusion(text, graph, videos, options.end)
         graph = check_text(text, str(out or options.graph))
     if "policy" in what:
         text = fit_policy(text, graph, videos, options.end, options.seeds)
@@ -247,8 +253,15 @@ def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
     fit.add_argument(
         "--what",
         metavar="LIST",
-        help="of score, localization_error, lost, ud, temperature, sds, policy (default "
+        help="of score, localization_error, lost, ud, temperature, sds, policy, fusion (default "
         "score,localization_error,lost)",
+    )
+    fit.add_argument(
+        "--fusion",
+        action="store_const",
+        const="fusion",
+        dest="what",
+        help="the same as --what fusion: the correlation of every learned pool",
     )
     fit.add_argument(
         "--features",

@@ -64,6 +64,19 @@ def weights_name_the_children(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, "a weight for every child, or equal", key=("fuse", "pool"))
 
 
+def correlations_belong_to_learned_pools(plate: Plate) -> Iterator[GraphMessage]:
+    """A correlation is of the children of a learned pool, which are two at least."""
+    for name, node in plate.inference.items():
+        is_learned = node.fuse is not None and node.fuse.pool == "learned"
+        if node.correlation is not None and not is_learned:
+            found = "key 'correlation' at a node whose pool is not learned"
+            yield plate.message(name, found, "fuse: {pool: learned}", key=("correlation",), on_key=True)
+        below = [child for child in plate.children[name] if child not in plate.factors]
+        if is_learned and len(below) < 2:
+            found = f"pool is learned, and {below[0]!r} is the only child" if below else "pool has no child"
+            yield plate.message(name, found, "two children or more, or no fuse", key=("fuse", "pool"))
+
+
 def thresholds_in_order(plate: Plate) -> Iterator[GraphMessage]:
     """`deactivate.below` is below `activate.above`, and `learn.below` below `lost.above`, in equal units."""
     for name, node in plate.inference.items():
@@ -141,6 +154,7 @@ def learning_has_a_rule(plate: Plate) -> Iterator[GraphMessage]:
 VALUE_CHECKS: tuple[Check, ...] = (
     noise_is_there,
     weights_name_the_children,
+    correlations_belong_to_learned_pools,
     thresholds_in_order,
     *ADAPT_CHECKS,
     *SCORE_CHECKS,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
@@ -131,24 +132,49 @@ class Latent(Model):
 Weights = Annotated[dict[Name, Positive], Field(min_length=1)]
 
 
+def pool_exponents(shares: Mapping[str, float], correlation: float | None = None) -> dict[str, float]:
+    """Child -> exponent of its likelihood in a pool of the children with these shares.
+
+    Without a correlation they sum to 1. With r each of k is 1 / (1 + (k - 1) r): the precision of the mean of
+    k errors of equal variance and correlation r is k times that of one, over 1 + (k - 1) r. So r = 0 is the
+    product, and r = 1 the pool.
+
+    >>> pool_exponents({"a": 3.0, "b": 1.0}), pool_exponents({"a": 1.0, "b": 1.0}, 0.25)
+    ({'a': 0.75, 'b': 0.25}, {'a': 0.8, 'b': 0.8})
+    """
+    if correlation is not None:
+        return dict.fromkeys(shares, 1.0 / (1.0 + (len(shares) - 1) * correlation))
+    total = sum(shares.values())
+    return {child: share / total for child, share in shares.items()}
+
+
+Correlation = Annotated[Number, Field(ge=0, le=1)]
+
+
 class Fuse(Choice):
     """How an inference node joins its children's likelihoods."""
 
     product: Empty | None = Field(default=None, description="children independent given this node")
     pool: (
         Annotated[
-            Annotated[Literal["equal"], Tag("word")] | Annotated[Weights, Tag("mapping")],
+            Annotated[Literal["equal", "learned"], Tag("word")] | Annotated[Weights, Tag("mapping")],
             Discriminator(word_or_mapping),
         ]
         | None
     ) = Field(
         default=None,
-        description="log-linear pool: equal, or a weight per child; weights are scaled to sum to 1 over the "
-        "active children",
+        description="log-linear pool: equal, or a weight per child, scaled to sum to 1 over the active "
+        "children; or learned: of k active children each has 1 / (1 + (k - 1) r), with the node's "
+        "`correlation` r",
     )
     latent: Latent | None = Field(
         default=None, description="a state of its own; children independent given it"
     )
+
+    def shares(self, children: Iterable[str]) -> dict[str, float]:
+        """Child -> its share of a pool as written; only their ratios count."""
+        pool = self.pool
+        return {child: pool[child] if isinstance(pool, dict) else 1.0 for child in children}
 
     @classmethod
     def bare(cls, word: str) -> Any:

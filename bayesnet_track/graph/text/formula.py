@@ -1,7 +1,7 @@
 """The density that a net stands for, as text and as LaTeX.
 
 The posterior of the root is its prediction times the messages of its children. A product multiplies them, a
-pool raises them to weights that sum to 1 over the active children, a latent node integrates over its own
+pool raises them to weights over the active children, a latent node integrates over its own
 state.
 """
 
@@ -14,6 +14,7 @@ from fractions import Fraction
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.checked import Factor as Expression
 from bayesnet_track.graph.expressions.write import latex_of, text_of
+from bayesnet_track.graph.settings.nodes import pool_exponents
 from bayesnet_track.graph.spec import Given, Motion, Noise, OffsetBox, SizeBox
 from bayesnet_track.graph.text import formula_modes, formula_motion
 
@@ -119,11 +120,8 @@ def _factor(target: CheckedTarget, name: str, state: str, active: set[str]) -> F
         return None
     weights = dict.fromkeys((child for child, _ in speaking), 1.0)
     if node.fuse is not None and node.fuse.pool is not None:
-        pool = node.fuse.pool
         pooled = [child for child in weights if child not in factors]
-        given = {child: 1.0 if isinstance(pool, str) else pool[child] for child in pooled}
-        total = sum(given.values())
-        weights |= {child: weight / total for child, weight in given.items()}
+        weights |= pool_exponents(node.fuse.shares(pooled), target.correlation(name))
     product = Product(tuple((factor, weights[child]) for child, factor in speaking))
     alone = len(speaking) == 1
     inner: Factor = speaking[0][1] if alone else product
