@@ -29,7 +29,7 @@ MAY_IMPORT = {
     "view": BASE | {"graph", "observation"},
     "inference": BASE | {"adapt", "belief", "graph", "observation", "view"},
     "engine": BASE | {"adapt", "belief", "graph", "inference", "observation", "sources", "vision"},
-    "evaluate": BASE | {"engine", "graph", "observation", "sources"},
+    "evaluate": BASE | {"belief", "engine", "graph", "observation", "sources"},
     "runtime": BASE | {"adapt", "belief", "engine", "graph", "inference", "observation", "sources", "view"},
     "cli": BASE
     | {"engine", "evaluate", "graph", "graphs", "inference", "observation", "runtime", "sources", "view"}

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import OK, UsageError, complain, say, users_mistake, writing
 from bayesnet_track.cli.fitting.fusion import fit_fusion
+from bayesnet_track.cli.fitting.motion import add_motion, fit_motion_text
 from bayesnet_track.cli.fitting.promises import check_count, check_promises, write_promises
 from bayesnet_track.cli.fitting.tracking import check_text, fit_policy, fit_sds
 from bayesnet_track.cli.fitting.videos import Video, find_videos, frames_of
@@ -52,6 +53,10 @@ def fit(options: argparse.Namespace) -> int:
         )
     if promises:
         check_promises(options, graph)
+    if options.motion:
+        text, from_what = fit_motion_text(text, graph, options)
+        check_text(text, str(out or options.graph))
+        return _put(out, text, f"fitted to {from_what}")
     videos = list(find_videos(options))
     if promises:
         check_count(options, len(videos))
@@ -282,6 +287,7 @@ def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
         metavar="SHARE",
         help="calibrate, instead of --what, an alarm that is false in at most this share of whole videos",
     )
+    add_motion(fit)
     fit.add_argument("-o", "--out", metavar="FILE", help="graph file to write (default: print it)")
     fit.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
     fit.add_argument(

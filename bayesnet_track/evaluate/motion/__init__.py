@@ -1,0 +1,1 @@
+"""Noise and modes of a motion by maximum evidence of measured boxes."""

@@ -1,0 +1,192 @@
+"""Log-evidence of measured boxes under a motion: a Kalman filter, or one per regime that interact.
+
+In the coordinates of the motion's noise (x, y, and the size in px or in logarithms) kinematic motion is
+linear and Gaussian, so that the evidence of boxes with Gaussian errors has a closed form. `sd_box` is taken
+at the last box that was measured. Each mode is a regime, and so is a heavy tail, which is drawn anew in every
+frame. Regimes interact as in `belief.gaussian.modal` (Blom and Bar-Shalom 1988), which is exact for one.
+
+Many settings are evaluated at once: every array has them on its first axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.modes import Modes
+from bayesnet_track.belief.motion.kinematics import steps
+from bayesnet_track.belief.motion.models import KinematicMotion
+from bayesnet_track.belief.motion.noise import (
+    box_coordinates,
+    component_log_shares,
+    component_variances,
+    is_log,
+    noisy,
+)
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A motion that may explain the boxes.
+
+    Attributes:
+        motions: of each mode; the only one where there are no modes.
+        modes: how modes follow each other, or None.
+        error_sd: sd of a box's centre (px) and of its sides (px, or as a share of them where the motion's
+            noise of the size is in logarithms).
+    """
+
+    motions: tuple[KinematicMotion, ...]
+    modes: Modes | None
+    error_sd: tuple[float, float]
+
+
+def log_evidence(boxes: Floats, hypotheses: Sequence[Hypothesis]) -> Floats:
+    """(B,) log p(boxes | hypothesis) of each of B, given the first box.
+
+    Args:
+        boxes: (T, 4) centre boxes, NaN where none was measured; the first one is.
+        hypotheses: B, of motions with the same fields and the same noisy coordinates.
+    """
+    first = hypotheses[0].motions[0]
+    columns = noisy_columns(first)
+    points = np.full((len(boxes), len(columns)), np.nan)
+    seen: NDArray[np.bool_] = np.asarray(np.isfinite(boxes).all(axis=1))
+    points[seen] = box_coordinates(first.noise, boxes[seen])[0][:, columns]
+    tables = [_tables(one, _carried(boxes, seen), columns) for one in hypotheses]
+    moves, driven, added, chains, begin = (np.array(part) for part in zip(*tables, strict=True))
+    errors = np.array([_error_variances(one, columns) for one in hypotheses])
+    return _filter(points, seen, _Regimes(moves, driven, added, chains, begin), errors, _start_sds(first))
+
+
+def noisy_columns(motion: KinematicMotion) -> list[int]:
+    """Which coordinates of the box the motion moves: x and y where they have any noise, the size likewise."""
+    x, y, w, h = noisy(motion.noise)
+    driven = motion.diffusion != 0 or motion.order > 1
+    return [k for k, moves in enumerate((x or driven, y or driven, w, h)) if moves]
+
+
+@dataclass(frozen=True, eq=False)
+class _Regimes:
+    """K regimes of B hypotheses: moves and driven (B, K, D, D), added (B, K, T, C), chains, begin (B, K)."""
+
+    moves: Floats
+    driven: Floats
+    added: Floats
+    chains: Floats
+    begin: Floats
+
+
+def _tables(
+    one: Hypothesis, boxes: Floats, columns: list[int]
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    moves, driven, added, shares, of_mode = [], [], [], [], []
+    for mode, motion in enumerate(one.motions):
+        move, noise = _kinematics(motion, columns)
+        parts = component_variances(motion.noise, boxes, 1.0)[:, :, columns]
+        for share, variances in zip(np.exp(component_log_shares(motion.noise)), parts, strict=True):
+            moves.append(move)
+            driven.append(noise)
+            added.append(variances)
+            shares.append(share)
+            of_mode.append(mode)
+    chain = np.ones((1, 1)) if one.modes is None else one.modes.chain.over(1.0)
+    begin = np.ones(1) if one.modes is None else one.modes.start()
+    drawn = np.array(shares)
+    return (
+        np.array(moves),
+        np.array(driven),
+        np.array(added),
+        chain[np.ix_(of_mode, of_mode)] * drawn,
+        begin[of_mode] * drawn,
+    )
+
+
+def _kinematics(motion: KinematicMotion, columns: list[int]) -> tuple[Floats, Floats]:
+    """F and its noise, (D, D), of the chosen coordinates, then the derivatives of x and y."""
+    move, covariance = steps(motion.dynamics, motion.diffusion, 1.0)
+    size = len(columns) + 2 * (motion.order - 1)
+    whole, noise = np.eye(size), np.zeros((size, size))
+    for axis in (0, 1):
+        if axis in columns:
+            chain = [columns.index(axis), *range(len(columns) + axis, size, 2)]
+            whole[np.ix_(chain, chain)] = move
+            noise[np.ix_(chain, chain)] = covariance
+    return whole, noise
+
+
+def _error_variances(one: Hypothesis, columns: list[int]) -> Floats:
+    """(C,) variances of the measured coordinates."""
+    place, side = one.error_sd
+    size = (side**2 / 2, 2 * side**2) if is_log(one.motions[0].noise) else (side**2, side**2)
+    return np.array([place**2, place**2, *size])[columns]
+
+
+def _start_sds(motion: KinematicMotion) -> Floats:
+    return np.repeat(motion.start_sd, 2)
+
+
+def _carried(boxes: Floats, seen: NDArray[np.bool_]) -> Floats:
+    """(T, 4) the last box measured in each frame."""
+    last = np.maximum.accumulate(np.where(seen, np.arange(len(boxes)), 0))
+    return np.asarray(boxes[last])
+
+
+def _filter(
+    points: Floats, seen: NDArray[np.bool_], regimes: _Regimes, errors: Floats, start_sds: Floats
+) -> Floats:
+    batch, count, size, _ = regimes.moves.shape
+    width = points.shape[1]
+    mean = np.zeros((batch, count, size))
+    mean[..., :width] = points[0]
+    covariance = np.zeros((batch, count, size, size))
+    measured = np.arange(width)
+    covariance[..., measured, measured] = errors[:, None]
+    behind = np.arange(width, size)
+    covariance[..., behind, behind] = start_sds**2
+    weights, total = regimes.begin, np.zeros(batch)
+    turned = regimes.moves.swapaxes(-1, -2)
+    for t in range(1, len(points)):
+        entered = weights if count == 1 else None
+        if entered is None:
+            mean, covariance, entered = _mix(mean, covariance, weights, regimes.chains)
+        mean = (regimes.moves @ mean[..., None])[..., 0]
+        covariance = regimes.moves @ covariance @ turned + regimes.driven
+        covariance[..., measured, measured] += regimes.added[:, :, t - 1]
+        weights = entered
+        if not seen[t]:
+            continue
+        expected = covariance[..., :width, :width].copy()
+        expected[..., measured, measured] += errors[:, None]
+        innovation = points[t] - mean[..., :width]
+        across = covariance[..., :width]
+        gain = across @ np.linalg.inv(expected)
+        change = (gain @ innovation[..., None])[..., 0]
+        # R S^-1 e = e - H K e, so that d2 = e' S^-1 e needs no second solution.
+        d2 = (innovation * (innovation - change[..., :width]) / errors[:, None]).sum(axis=-1)
+        mean = mean + change
+        covariance = covariance - gain @ across.swapaxes(-1, -2)
+        log = -0.5 * (d2 + np.linalg.slogdet(expected)[1] + width * np.log(2 * np.pi))
+        top = log.max(axis=1)
+        shares = weights * np.exp(log - top[:, None])
+        summed = shares.sum(axis=1)
+        total = total + top + np.log(summed)
+        weights = shares / summed[:, None]
+    return np.asarray(total)
+
+
+def _mix(mean: Floats, covariance: Floats, weights: Floats, chains: Floats) -> tuple[Floats, Floats, Floats]:
+    """Each regime's Gaussian before it moves: those that lead to it, moments matched."""
+    joint = chains * weights[:, :, None]
+    entered = joint.sum(axis=1)
+    shares = joint / np.maximum(entered, 1e-300)[:, None]
+    mixed = np.einsum("bij,bid->bjd", shares, mean)
+    away = mean[:, :, None] - mixed[:, None]
+    spread = np.einsum("bij,bide->bjde", shares, covariance)
+    spread += np.einsum("bij,bijd,bije->bjde", shares, away, away)
+    return mixed, spread, entered

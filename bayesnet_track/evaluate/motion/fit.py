@@ -1,0 +1,243 @@
+"""Noise and modes of a motion, found by maximum evidence of measured boxes, with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.modes import make_modes
+from bayesnet_track.belief.motion.models import make_motion
+from bayesnet_track.belief.motion.noise import is_log
+from bayesnet_track.evaluate.motion.evidence import Hypothesis, log_evidence, noisy_columns
+from bayesnet_track.evaluate.motion.parameters import (
+    MotionFitError,
+    Path,
+    check_motion,
+    parameters_of,
+    with_value,
+)
+from bayesnet_track.graph import spec
+
+Floats = NDArray[np.float64]
+
+FEWEST_FRAMES = 20
+QUANTILE = 1.6448536269514722
+"""A Gaussian lies within so many sds with a probability of 90 %."""
+REACH = 1000.0
+"""Estimates are sought within this factor of where the search begins."""
+LARGEST_SD = 1.0
+"""An estimate whose logarithm has a larger sd is not known: its 90 % interval spans a factor of 27."""
+GRADIENT_STEP, CURVATURE_STEP = 1e-4, 1e-2
+ERRORS = (("error", "place"), ("error", "size"))
+"""Where the sds of the boxes' own errors stand among the parameters; they are in no graph."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitted parameter.
+
+    Attributes:
+        path: keys below the root node; one of `ERRORS` for an error of the boxes.
+        value: by maximum evidence.
+        low: lower end of the 90 % interval.
+        high: upper end.
+        before: the graph's own value; NaN for an error of the boxes.
+        is_known: whether the boxes tell it: its interval spans less than a factor of 27.
+    """
+
+    path: Path
+    value: float
+    low: float
+    high: float
+    before: float
+    is_known: bool
+
+
+@dataclass(frozen=True)
+class FittedMotion:
+    """What was found.
+
+    Attributes:
+        estimates: of each parameter.
+        log_evidence: at the estimates.
+        log_evidence_before: with the graph's own values, the boxes' errors fitted to them.
+        frames: frames with a box, the first of each track left out.
+    """
+
+    estimates: tuple[Estimate, ...]
+    log_evidence: float
+    log_evidence_before: float
+    frames: int
+
+
+def fit_motion(
+    root: spec.InferenceNode, tracks: Sequence[Floats], error_sd: float | None = None
+) -> FittedMotion:
+    """The noise of the root's motion, and how long its modes last, that explain `tracks` best.
+
+    Intervals are of the observed information: the evidence's curvature in the logarithms of the parameters.
+
+    Args:
+        root: the node with the motion.
+        tracks: (T, 4) centre boxes of each target, NaN where it was not seen.
+        error_sd: sd of the boxes' errors, px; fitted as well when None.
+
+    Raises:
+        MotionFitError: the motion has no closed form, or the boxes are too few.
+    """
+    from scipy.optimize import minimize
+
+    check_motion(root)
+    trimmed = [track for track in map(_trimmed, tracks) if len(track) > 1]
+    frames = sum(int(np.isfinite(track[:, 0]).sum()) - 1 for track in trimmed)
+    if frames < FEWEST_FRAMES:
+        raise MotionFitError(
+            f"{frames} frames with a box after the first; at least {FEWEST_FRAMES} are needed"
+        )
+    own = dict(parameters_of(root))
+    begin = own if error_sd is not None else own | _first_errors(root, trimmed)
+    paths = list(begin)
+    fixed = None if error_sd is None else _given_errors(root, trimmed, error_sd)
+
+    def evidence(places: Floats) -> Floats:
+        """(B,) at B places, rows of the parameters' logarithms."""
+        hypotheses = [
+            _hypothesis(root, dict(zip(paths, row, strict=True)), fixed) for row in np.exp(places).tolist()
+        ]
+        each = [log_evidence(track, hypotheses) for track in trimmed]
+        return np.asarray(np.sum(each, axis=0))
+
+    low, high = _bounds(begin)
+    first = np.clip(np.log(list(begin.values())), low, high)
+    starts = np.clip(first + np.log([1.0, 0.3, 3.0, 0.1, 10.0])[:, None], low, high)
+    best = starts[int(np.argmax(evidence(starts)))]
+    found = minimize(
+        lambda place: _with_gradient(evidence, place),
+        best,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=list(zip(low, high, strict=True)),
+    ).x
+    at_bound = (found - low < 1e-3) | (high - found < 1e-3)
+    sds = _sds(_curvature(evidence, found), at_bound)
+    errors = np.array([path in ERRORS for path in paths])
+    before = evidence(np.where(errors, found, first)[None])[0]
+    return FittedMotion(
+        tuple(
+            _estimate(path, place, sd, own.get(path, np.nan))
+            for path, place, sd in zip(paths, found, sds, strict=True)
+        ),
+        float(evidence(found[None])[0]),
+        float(before),
+        frames,
+    )
+
+
+def _hypothesis(
+    root: spec.InferenceNode, values: Mapping[Path, float], fixed: tuple[float, float] | None
+) -> Hypothesis:
+    for path, value in values.items():
+        if path not in ERRORS:
+            root = with_value(root, path, value)
+    assert root.motion is not None
+    usual = make_motion(root.motion)
+    error = fixed or (values.get(ERRORS[0], 1.0), values.get(ERRORS[1], 1.0))
+    if root.modes is None:
+        return Hypothesis((usual,), None, error)
+    own = (None if mode.motion is None else make_motion(mode.motion) for mode in root.modes.values())
+    return Hypothesis(tuple(usual if one is None else one for one in own), make_modes(root.modes), error)
+
+
+def _trimmed(track: Floats) -> Floats:
+    """The track from its first box on."""
+    seen = np.flatnonzero(np.isfinite(track).all(axis=1))
+    return track[seen[0] :] if len(seen) else track[:0]
+
+
+def _first_errors(root: spec.InferenceNode, tracks: Sequence[Floats]) -> dict[Path, float]:
+    """Where the search for the boxes' errors begins: what their second differences allow."""
+    motion = make_motion(_any_motion(root))
+    columns = noisy_columns(motion)
+    found: dict[Path, float] = {}
+    for path, is_size in zip(ERRORS, (False, True), strict=True):
+        chosen = [k for k in columns if (k > 1) is is_size]
+        if not chosen:
+            continue
+        rows = [
+            np.log(track[:, chosen]) if chosen[0] > 1 and is_log(motion.noise) else track[:, chosen]
+            for track in tracks
+        ]
+        jerks = np.concatenate([np.diff(row, 2, axis=0).ravel() for row in rows])
+        jerks = jerks[np.isfinite(jerks)]
+        spread = float(np.median(np.abs(jerks))) / 3 if len(jerks) else 0.0
+        found[path] = max(spread, 0.05 if chosen[0] < 2 or not is_log(motion.noise) else 0.002)
+    return found
+
+
+def _given_errors(root: spec.InferenceNode, tracks: Sequence[Floats], error_sd: float) -> tuple[float, float]:
+    if not is_log(make_motion(_any_motion(root)).noise):
+        return error_sd, error_sd
+    sides = np.concatenate([track[np.isfinite(track[:, 2]), 2:].ravel() for track in tracks])
+    return error_sd, error_sd / float(np.median(sides))
+
+
+def _any_motion(root: spec.InferenceNode) -> spec.Motion:
+    assert root.motion is not None
+    own = [mode.motion for mode in (root.modes or {}).values() if mode.motion is not None]
+    return own[0] if root.modes is not None and len(own) == len(root.modes) else root.motion
+
+
+def _bounds(begin: Mapping[Path, float]) -> tuple[Floats, Floats]:
+    """Of the logarithms: durations at least a frame, tails wider than the rest and less than all of it."""
+    low, high = (np.log(list(begin.values())) + sign * np.log(REACH) for sign in (-1, 1))
+    for k, path in enumerate(begin):
+        if path[-1] == "mean_frames":
+            low[k] = 0.0
+        elif path[-1] == "factor":
+            low[k] = np.log(1.05)
+        elif path[-1] == "weight":
+            high[k] = np.log(0.95)
+    return low, high
+
+
+def _with_gradient(evidence: Callable[[Floats], Floats], place: Floats) -> tuple[float, Floats]:
+    """Minus the log-evidence and its gradient, by central differences in one pass."""
+    away = GRADIENT_STEP * np.eye(len(place))
+    values = evidence(np.concatenate([place[None], place + away, place - away]))
+    ahead, behind = values[1 : len(place) + 1], values[len(place) + 1 :]
+    return -float(values[0]), -(ahead - behind) / (2 * GRADIENT_STEP)
+
+
+def _curvature(evidence: Callable[[Floats], Floats], place: Floats) -> Floats:
+    """(P, P) second derivatives of the log-evidence, by central differences in one pass."""
+    size, away = len(place), CURVATURE_STEP * np.eye(len(place))
+    pairs = [(i, j) for i in range(size) for j in range(i + 1)]
+    rows = [
+        place + first * away[i] + second * away[j]
+        for i, j in pairs
+        for first in (1, -1)
+        for second in (1, -1)
+    ]
+    values = evidence(np.array(rows)).reshape(-1, 4)
+    found = np.zeros((size, size))
+    for (i, j), (both, one, other, neither) in zip(pairs, values, strict=True):
+        found[i, j] = found[j, i] = (both - one - other + neither) / (4 * CURVATURE_STEP**2)
+    return found
+
+
+def _sds(curvature: Floats, at_bound: NDArray[np.bool_]) -> Floats:
+    """(P,) sds of the logarithms; inf where the evidence does not tell."""
+    sds, free = np.full(len(curvature), np.inf), np.flatnonzero(~at_bound)
+    information = -curvature[np.ix_(free, free)]
+    if len(free) and np.linalg.eigvalsh(information)[0] > 0:
+        sds[free] = np.sqrt(np.diagonal(np.linalg.inv(information)))
+    return sds
+
+
+def _estimate(path: Path, place: float, sd: float, before: float) -> Estimate:
+    with np.errstate(over="ignore"):
+        low, high = np.exp(place - QUANTILE * sd), np.exp(place + QUANTILE * sd)
+    return Estimate(path, float(np.exp(place)), float(low), float(high), before, bool(sd <= LARGEST_SD))

@@ -1,0 +1,87 @@
+"""How well `fit --motion` finds the noise that boxes were drawn with, and how often its intervals hold it.
+
+    python benchmarks/fit_motion.py [--scenes 50] [--frames 400] [--motion constant_velocity]
+
+Each scene is a trajectory from the prior, every box measured with an error of 2 px; the search begins
+at six times the true values. Scenes have the seeds 5000, 5001, ...; nothing was chosen on them.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from bayesnet_track.engine.simulating import Simulation, simulate
+from bayesnet_track.evaluate.motion.fit import ERRORS, fit_motion
+from bayesnet_track.evaluate.motion.parameters import parameters_of, with_value
+from bayesnet_track.graph.checks.run import check
+from bayesnet_track.graph.text.read import read_graph
+
+FIRST_SEED = 5000
+ERROR_PX = 2.0
+BOX = np.array([1e5, 1e5, 60.0, 40.0])
+GRAPH = """\
+bayesnet: 1
+name: moves
+targets:
+  ball:
+    nodes:
+      ball: {belief: particles, NODE}
+      gray: {parent: ball, agent: intensity}
+"""
+TURN = "{constant_velocity: {sd_velocity_px: 6, start_velocity_sd_px: 3}}"
+MOTIONS = {
+    "random_walk": "motion: {random_walk: {sd_px: {x: 3, y: 5}}}",
+    "constant_velocity": "motion: {constant_velocity: {sd_velocity_px: 1.5, start_velocity_sd_px: 3}}",
+    "damped_velocity": "motion: {damped_velocity: {sd_velocity_px: 2, start_velocity_sd_px: 3}}",
+    "relative": "motion: {random_walk: {sd_box: {x: 0.1, y: 0.1}, sd_log: {scale: 0.03}}}",
+    "heavy_tail": "motion: {random_walk: {sd_box: {x: 0.1, y: 0.1}, heavy_tail: {weight: 0.3, factor: 6}}}",
+    "modes": "motion: {constant_velocity: {sd_velocity_px: 0.5, start_velocity_sd_px: 3}}, modes: {straight: "
+    f"{{mean_frames: 20}}, turn: {{mean_frames: 10, motion: {TURN}}}}}",
+}
+
+
+def main() -> None:
+    """Print a row for each parameter."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--scenes", type=int, default=50)
+    parser.add_argument("--frames", type=int, default=400)
+    parser.add_argument("--motion", action="append", choices=list(MOTIONS), help="default: all")
+    options = parser.parse_args()
+    print("motion             parameter                     true  median error  in 90 % interval  not known")
+    for name in options.motion or MOTIONS:
+        for line in rows(name, options.scenes, options.frames):
+            print(line, flush=True)
+
+
+def rows(name: str, scenes: int, frames: int) -> list[str]:
+    """A row for each parameter of a motion."""
+    plate = check(*read_graph(GRAPH.replace("NODE", MOTIONS[name]), "moves.yaml")).targets["ball"]
+    root = plate.inference("ball")
+    true = dict(parameters_of(root))
+    far = root
+    for path, value in true.items():
+        if path[-1] not in ("weight", "factor", "mean_frames"):
+            far = with_value(far, path, 6 * value)
+    found: dict[tuple[str, ...], list[tuple[float, bool, bool]]] = {}
+    for seed in range(FIRST_SEED, FIRST_SEED + scenes):
+        drawn = simulate(plate, {}, BOX, Simulation(frames, 1, seed)).boxes[:, 0]
+        boxes = drawn + np.random.default_rng(seed).normal(0, ERROR_PX, drawn.shape)
+        for one in fit_motion(far, [boxes]).estimates:
+            value = {**true, ERRORS[0]: ERROR_PX}.get(one.path)
+            if value is not None:
+                is_in = one.low <= value <= one.high
+                found.setdefault(one.path, []).append((abs(one.value / value - 1), is_in, one.is_known))
+    return [
+        f"{name:17}  {'.'.join(path[-2:]):26} {({**true, ERRORS[0]: ERROR_PX})[path]:7g} "
+        f"{100 * float(np.median([e for e, _, _ in each])):11.1f} % "
+        f"{sum(is_in for _, is_in, _ in each):9d} of {len(each)} {sum(not k for _, _, k in each):9d}"
+        for path, each in found.items()
+    ]
+
+
+if __name__ == "__main__":
+    main()
