@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from functools import partial, wraps
 from os import PathLike
 from pathlib import Path
-from typing import ParamSpec, cast
+from typing import Literal, ParamSpec, cast
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.starts import Start, StartError, check_depth, check_starts
@@ -21,7 +21,8 @@ from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.detector import GIVEN
 from bayesnet_track.runtime.checkpoints.checkpoint import EVERY_S, Checkpoints
-from bayesnet_track.runtime.checkpoints.recipe import KEEPS_BELIEFS, Recipe, file_sha256, make_recipe
+from bayesnet_track.runtime.checkpoints.recipe import Recipe, file_sha256, make_recipe
+from bayesnet_track.runtime.checkpoints.recipe_options import options_of
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import RETRIES, Executing, make_executor
 from bayesnet_track.runtime.inputs import InputsAt, as_inputs
@@ -70,7 +71,7 @@ def track(
     motion: MotionModel | None = None,
     detections: str | PathLike[str] | None = None,
     overwrite: bool = False,
-    video: bool = False,
+    video: bool | Literal["mkv", "mp4"] = False,
     keep_beliefs: bool = False,
     executor: str | Executing = "serial",
     workers: int | None = None,
@@ -95,7 +96,7 @@ def track(
         motion: a motion model of one's own in place of every plate's, such as `FunctionMotion`.
         detections: a file of detections, MOT or JSON Lines, for births by `detections`.
         overwrite: replace an earlier run in `out`, which stays as it is until the first frame is tracked.
-        video: write the annotated video into `out` too.
+        video: write the annotated video into `out` too: video.mkv (True, "mkv") or video.mp4 ("mp4").
         keep_beliefs: keep every frame's beliefs in `out`, for `bayesnet-track smooth`.
         executor: how agents are asked, which changes no result: serial, threads, processes, or what
             `make_executor` made.
@@ -171,10 +172,10 @@ def track(
                 starts,
                 seed,
                 detections=detections,
-                has_video=video,
+                has_video=bool(video),
                 own_motion=motion is not None,
                 inputs=None if callable(inputs) else inputs,
-                options=_options(engine, budget_ms, keep_beliefs),
+                options=options_of(engine, budget_ms, keep_beliefs, video == "mp4"),
             )
             files = small_files(checked, recipe, getattr(opened, "truth_text", None))
             take_place: Callable[[], None] | None = None
@@ -267,26 +268,6 @@ def make_checkpointer(
 def opaque_agents(engine: Engine) -> tuple[str, ...]:
     """Agents that keep something which cannot be stored."""
     return tuple(agent for compiled in engine.plates.values() for agent in sorted(compiled.opaque))
-
-
-def _options(
-    engine: Engine, budget_ms: float | None, keep_beliefs: bool
-) -> dict[str, bool | int | float | str]:
-    """What else the recipe remembers: the budget, and what of other packages is at work."""
-    options: dict[str, bool | int | float | str] = {}
-    if budget_ms is not None:
-        options["budget_ms"] = budget_ms
-    if keep_beliefs:
-        options[KEEPS_BELIEFS] = True
-    named: set[str] = set()
-    for compiled in engine.plates.values():
-        named |= {compiled.plate.agent(agent).agent.cue for agent in compiled.plate.agents}
-        if compiled.lifecycle is not None and compiled.lifecycle.birth is not None:
-            named.add(compiled.lifecycle.birth.detector.detector)
-    theirs = sorted(named & plugins.allowed())
-    if theirs:
-        options["allow_plugins"] = ",".join(theirs)
-    return options
 
 
 def _starts(box: CornerBox | Sequence[Start] | None) -> list[Start]:

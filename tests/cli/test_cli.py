@@ -543,8 +543,8 @@ MISTAKES = {
     ),
     "run general --source {images} --init 1,2,5,5 --out {out}/x.mp4": (
         2,
-        "bayesnet-track run: --out {out}/x.mp4: this is the folder of the run; --out {out}/x --video writes "
-        "{out}/x/video.mkv",
+        "bayesnet-track run: --out {out}/x.mp4: this is the folder of the run; --out {out}/x --video mp4 "
+        "writes {out}/x/video.mp4",
     ),
     "graph general --target targt": (
         2,

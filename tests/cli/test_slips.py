@@ -1,7 +1,10 @@
 """Suggestions for wrong command lines, one by one; `test_cli` has whole lines."""
 
+import argparse
+
 import pytest
 
+from bayesnet_track.cli.options.video import add_video_option
 from bayesnet_track.cli.slips import boxes_in_words, nearest
 
 
@@ -24,3 +27,22 @@ def test_a_box_in_several_words_is_shown_as_one(given, slips):
 def test_the_nearest_name_or_nothing():
     assert nearest("--vidoe", ["--video", "--view"]) == "; did you mean --video?"
     assert nearest("--zzz", ["--video", "--view"]) == ""
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["--video", "x.mp4"], "'x.mp4': the video is written into the run, as video.mp4: --video mp4"),
+        (["--video", "general"], "'general': mkv or mp4 is needed, or nothing: write --video last"),
+    ],
+)
+def test_the_video_takes_a_format_and_no_name(given, said):
+    parser = argparse.ArgumentParser(exit_on_error=False)
+    add_video_option(parser)
+    assert [parser.parse_args(one).video for one in ([], ["--video"], ["--video", "mp4"])] == [
+        False,
+        "mkv",
+        "mp4",
+    ]
+    with pytest.raises(argparse.ArgumentError, match=said):
+        parser.parse_args(given)

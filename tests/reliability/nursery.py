@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -64,7 +65,7 @@ def prepare(folder: Path, frames: int = FRAMES) -> None:
 
 
 def begin(
-    given: Path, folder: Path, every_s: float = EVERY_S, video: bool = False, executor: str = "serial"
+    given: Path, folder: Path, every_s: float = EVERY_S, video: Any = False, executor: str = "serial"
 ) -> None:
     graph = given / "graph.yaml"
     with open_source(str(given / "pictures")) as source:

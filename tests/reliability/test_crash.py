@@ -39,13 +39,15 @@ def in_order(at_once: type, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("bayesnet_track.runtime.checkpoints.checkpoint.ThreadPoolExecutor", at_once)
 
 
-@pytest.fixture(scope="module")
-def begin(nursery: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Work:
+@pytest.fixture(scope="module", params=["mkv", "mp4"])
+def begin(
+    request: pytest.FixtureRequest, nursery: ModuleType, tmp_path_factory: pytest.TempPathFactory
+) -> Work:
     # Forks have no threads but their own.
     cv2.setNumThreads(1)
     given = tmp_path_factory.mktemp("given")
     nursery.prepare(given, FRAMES)
-    return lambda folder: nursery.begin(given, folder, EVERY_S, video=True)
+    return lambda folder: nursery.begin(given, folder, EVERY_S, video=request.param)
 
 
 @pytest.fixture(scope="module")

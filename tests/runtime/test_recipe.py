@@ -11,6 +11,7 @@ import pytest
 from bayesnet_track import Start, track
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError, make_recipe
+from bayesnet_track.runtime.checkpoints.recipe_options import VIDEO_FORMAT
 from bayesnet_track.sources.origin import Origin, fingerprint
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.reopen import reopen
@@ -93,3 +94,9 @@ def test_a_directory_without_a_recipe_is_refused(tmp_path: Path, text: str | Non
         (tmp_path / "run.json").write_text(text)
     with pytest.raises(RecipeError, match=r"run\.json"):
         Recipe.read(tmp_path)
+
+
+@pytest.mark.parametrize(("options", "kind"), [({}, "video"), ({VIDEO_FORMAT: "mp4"}, "mp4")])
+def test_the_recipe_knows_the_format_of_the_video(options: dict[str, str], kind: str) -> None:
+    recipe = Recipe("g", "0" * 64, Origin("own", "", "own"), has_video=True, options=options)
+    assert recipe.optional == (kind,)

@@ -102,6 +102,7 @@ def test_a_run_directory_with_a_video(video, tmp_path):
         "inputs.jsonl",
         "inputs_ahead.jsonl",
         "report.html",
+        "video.mp4",
     }
     assert (summary.frames, summary.reason) == (6, "interrupted")
 

@@ -10,6 +10,7 @@ import pytest
 
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.runtime.recording.remux import remux
 from bayesnet_track.runtime.recording.videowriter import VideoWriter
 from bayesnet_track.sources.sources import open_source
 
@@ -43,6 +44,33 @@ def test_what_is_written_can_be_read(tmp_path, name, codecs, monkeypatch):
     red = [f.image[..., 2].mean() for f in frames]
     # Lossy, in limited range: a few gray levels.
     assert np.allclose(red, 6.0 * np.arange(40), atol=8)
+
+
+def test_an_mp4_is_in_fragments_until_it_is_finished(tmp_path):
+    path = tmp_path / "v.mp4"
+    writer = VideoWriter(path, 65, 49, 1 / 25)
+    for number in range(40):
+        writer.write(picture(number))
+    assert b"moof" in path.read_bytes()  # the first fragment is there to be read
+    writer.finish()
+    if av.__version__.startswith(("14.0", "14.1")):
+        pytest.skip("these cannot copy a stream")
+    data = path.read_bytes()
+    assert (
+        b"moof" not in data and data.count(b"moov") == 1 and [p.name for p in tmp_path.iterdir()] == ["v.mp4"]
+    )
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert stream.frames == 40 and stream.average_rate == 25
+        assert [frame.pts * stream.time_base * 25 for frame in container.decode(stream)] == list(range(40))
+
+
+def test_an_mp4_that_cannot_be_read_stays_as_it_is(tmp_path):
+    path = tmp_path / "v.mp4"
+    path.write_bytes(b"no video")
+    with pytest.raises(av.error.InvalidDataError):
+        remux(path)
+    assert path.read_bytes() == b"no video" and len(list(tmp_path.iterdir())) == 1
 
 
 def test_a_writer_without_frames_closes_twice(tmp_path):

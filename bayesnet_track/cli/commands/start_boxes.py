@@ -23,9 +23,10 @@ def run_folder(text: str) -> Path:
     """
     out = Path(text)
     if out.suffix.lower() in VIDEOS:
-        folder = out.with_suffix("")
+        folder, kind = out.with_suffix(""), "mp4" if out.suffix.lower() == ".mp4" else "mkv"
         raise UsageError(
-            f"--out {text}: this is the folder of the run; --out {folder} --video writes {folder}/video.mkv"
+            f"--out {text}: this is the folder of the run; --out {folder} --video {kind} writes "
+            f"{folder}/video.{kind}"
         )
     return out
 

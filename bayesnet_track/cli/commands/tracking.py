@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from bayesnet_track.cli.commands.answer import (
     UsageError,
@@ -21,6 +21,7 @@ from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.rerun import add_rerun_option
 from bayesnet_track.cli.options.runs import add_run_options
 from bayesnet_track.cli.options.sources import add_depth_options, add_window_options
+from bayesnet_track.cli.options.video import add_video_option
 from bayesnet_track.cli.options.view import add_view_options
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ def track_source(
     source: FrameSource,
     starts: Sequence[Start],
     out: Path,
-    video: bool,
+    video: bool | Literal["mkv", "mp4"],
     view: LiveView | None = None,
 ) -> int:
     """Track from the start boxes and write the run to `out`; the exit code."""
@@ -210,7 +211,7 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
         metavar="FILE",
         help="file of detections (MOT, JSON Lines) for a graph whose births use `detections`",
     )
-    run.add_argument("--video", action="store_true", help="also write the annotated video (video.mkv)")
+    add_video_option(run)
     run.add_argument(
         "--keep-beliefs", action="store_true", help="keep every frame's beliefs, for `smooth` (beliefs.jsonl)"
     )

@@ -30,6 +30,7 @@ from bayesnet_track.observation.detector import detectors_of_graphs
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.observation.masks import AnyMask, Mask, read_mask
 from bayesnet_track.runtime.checkpoints.file_names import change_texts, hide_bytes, restore_bytes
+from bayesnet_track.runtime.checkpoints.recipe_options import HAS_MANIFEST, KEEPS_BELIEFS, VIDEO_FORMAT
 from bayesnet_track.runtime.checkpoints.versions import versions
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.sources.origin import Origin
@@ -40,11 +41,6 @@ if TYPE_CHECKING:
     from bayesnet_track.sources.scene_source import SceneSource
 
 RECIPE_VERSION = 1
-KEEPS_BELIEFS = "keep_beliefs"
-"""The option by which a recipe says that beliefs are kept for smoothing."""
-
-HAS_MANIFEST = "manifest"
-"""The option by which a recipe says that its run is finished by a manifest; earlier versions wrote none."""
 
 
 class RecipeError(ValueError):
@@ -92,7 +88,7 @@ class Recipe:
         models: files that agents and detectors read, such as networks, by their paths as the graph has them.
         options: what else was asked for, by name: `budget_ms`; `allow_plugins`, what of other packages was at
             work (to be named here allows nothing); `manifest`, that the run is finished by one;
-            `keep_beliefs`.
+            `keep_beliefs`; `video`.
         versions: library -> version.
         recipe: version of this format.
     """
@@ -131,7 +127,8 @@ class Recipe:
     @property
     def optional(self) -> tuple[str, ...]:
         """What the recorder writes besides what every run has."""
-        asked = {"video": self.has_video, "beliefs": bool(self.options.get(KEEPS_BELIEFS))}
+        kind = str(self.options.get(VIDEO_FORMAT, "video"))
+        asked = {kind: self.has_video, "beliefs": bool(self.options.get(KEEPS_BELIEFS))}
         return tuple(name for name, is_asked in asked.items() if is_asked)
 
     @property

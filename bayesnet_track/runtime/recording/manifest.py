@@ -23,7 +23,7 @@ FORMAT = 1
 
 SAME = "inputs"
 """Such an output has the same bytes for the same graph, source, start boxes, seed and library versions."""
-VARIES = {"recipe": "machine", "video": "machine", "timings": "clock", "report": "clock"}
+VARIES = {"recipe": "machine", "video": "machine", "mp4": "machine", "timings": "clock", "report": "clock"}
 """What the bytes of the others depend on, besides: paths and codecs of the machine, or the clock."""
 PASSING = ("checkpoint", "previous", "ahead")
 """Files that a run needs only until it is finished."""

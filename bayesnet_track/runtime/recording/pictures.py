@@ -98,6 +98,7 @@ def _source(directory: RunDirectory, started: RunStarted) -> FrameSource:
 def _video(directory: RunDirectory, started: RunStarted) -> FrameSource:
     from bayesnet_track.sources.sources import open_source
 
-    if not directory.video.is_file():
-        raise FileNotFoundError(f"and the run wrote no {directory.video.name}")
-    return open_source(str(directory.video))
+    video = directory.mp4 if directory.mp4.is_file() else directory.video
+    if not video.is_file():
+        raise FileNotFoundError(f"and the run wrote no {video.name}")
+    return open_source(str(video))

@@ -28,7 +28,7 @@ from bayesnet_track.journal.writer import (
 )
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.recording.beliefs import BeliefWriter
-from bayesnet_track.runtime.recording.rundir import RunDirectory
+from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.recording.tracks import NO_IDS, CsvWriter, MotWriter
 from bayesnet_track.runtime.recording.videowriter import VideoWriter
 from bayesnet_track.runtime.results import Result
@@ -57,7 +57,7 @@ class Recorder:
         directory: where the files go.
         graph: what is tracked with.
         frame_interval_s: nominal seconds between frames, for the video.
-        optional: which of `video` (annotated) and `beliefs` (for smoothing) to write as well.
+        optional: which of `video` or `mp4` (annotated) and `beliefs` (for smoothing) to write as well.
         after: how far the files of a run are written that goes on here; what follows is cut off. The video
             begins anew: see `redraw`.
         before_first: called before the first frame is written; until then no file is opened, and events wait.
@@ -80,6 +80,7 @@ class Recorder:
         self._before_first, self._waiting = before_first, list[Event]()
         self._files = ExitStack()
         self._video: VideoWriter | None = None
+        self._kind = "mp4" if "mp4" in optional else "video"
         if before_first is None:
             self._open(after)
 
@@ -131,7 +132,7 @@ class Recorder:
                 raise OutputError(f"{file.path}: something else changed it while it was being written")
         if self._video is not None:
             self._video.finish()
-            written["video"] = _read(self._directory.video)
+            written[self._kind] = _read(self._video.path)
         self._files.close()
         return written
 
@@ -181,7 +182,7 @@ class Recorder:
         self._timings.flush()
         for file in self._lines().values():
             file.flush()
-        if "video" in self._optional:
+        if self._kind in self._optional:
             # As the file has them, so that a run that goes on can draw the same again.
             lines = [from_json(to_json(metrics)) for metrics in result.targets]
             self._draw(result.frame, [one for one in lines if isinstance(one, FrameMetrics)])
@@ -199,7 +200,7 @@ class Recorder:
         if self._video is None:
             height, width = frame.image.shape[:2]
             self._video = self._files.enter_context(
-                VideoWriter(self._directory.video, width, height, self._interval)
+                VideoWriter(self._directory.path / FILES[self._kind], width, height, self._interval)
             )
         image = frame.image
         for metrics in measured:

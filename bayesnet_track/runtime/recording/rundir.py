@@ -20,6 +20,7 @@ FILES = {
     "timings": "timings.jsonl",
     "graph": "graph.yaml",
     "video": "video.mkv",
+    "mp4": "video.mp4",
     "report": "report.html",
     "truth": "truth.txt",
     "inputs": "inputs.jsonl",
@@ -194,6 +195,11 @@ class RunDirectory:
     def video(self) -> Path:
         """The annotated video."""
         return self.path / FILES["video"]
+
+    @property
+    def mp4(self) -> Path:
+        """The same, where MP4 was asked for."""
+        return self.path / FILES["mp4"]
 
     @property
     def report(self) -> Path:

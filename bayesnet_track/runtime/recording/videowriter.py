@@ -12,22 +12,10 @@ from numpy.typing import NDArray
 
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.writer import OutputError
+from bayesnet_track.runtime.recording.remux import DiskFile, remux
 
 SUFFIXES = {".mkv": "matroska", ".mp4": "mp4"}
 _CLUSTER_S = 1
-
-
-class _Output:
-    """A file as PyAV writes one: it does not look how much of its bytes was taken."""
-
-    def __init__(self, file: disk.RawFile) -> None:
-        self._file, self.size = file, 0
-        self.seek, self.tell = file.seek, file.tell
-
-    def write(self, data: bytes | memoryview) -> int:
-        disk.write_whole(self._file, data)
-        self.size = max(self.size, self._file.tell())
-        return len(data)
 
 
 class VideoWriter:
@@ -66,7 +54,7 @@ class VideoWriter:
         except OSError as error:
             raise self._error(error) from error
         try:
-            self._output = _Output(self._file)
+            self._output = DiskFile(self._file)
             self._container = av.open(
                 self._output, mode="w", format=SUFFIXES[path.suffix.lower()], options=options
             )
@@ -100,7 +88,7 @@ class VideoWriter:
             raise self._error(error) from error
 
     def finish(self) -> None:
-        """Close the file, and wait until the disk has it."""
+        """Close the file, and wait until the disk has it; an MP4 is no longer fragmented then."""
         self._end()
         try:
             disk.check_held(self._file, self._place, self._output.size)
@@ -109,6 +97,11 @@ class VideoWriter:
             raise self._error(error) from error
         finally:
             self._file.close()
+        if self._count and self.path.suffix.lower() == ".mp4":
+            try:
+                remux(self.path)
+            except self._faults as error:
+                raise self._error(error) from error
 
     def close(self) -> None:
         """Close the file; safe to call twice."""

@@ -1,0 +1,37 @@
+"""What else a recipe remembers of a run, by name."""
+
+from __future__ import annotations
+
+from bayesnet_track.engine.step import Engine
+from bayesnet_track.observation import plugins
+
+KEEPS_BELIEFS = "keep_beliefs"
+"""The option by which a recipe says that beliefs are kept for smoothing."""
+
+VIDEO_FORMAT = "video"
+"""The option by which a recipe says that the annotated video is `mp4`; without it, it is Matroska."""
+
+HAS_MANIFEST = "manifest"
+"""The option by which a recipe says that its run is finished by a manifest; earlier versions wrote none."""
+
+
+def options_of(
+    engine: Engine, budget_ms: float | None, keep_beliefs: bool, mp4: bool
+) -> dict[str, bool | int | float | str]:
+    """What else the recipe remembers: the budget, and what of other packages is at work."""
+    options: dict[str, bool | int | float | str] = {}
+    if budget_ms is not None:
+        options["budget_ms"] = budget_ms
+    if keep_beliefs:
+        options[KEEPS_BELIEFS] = True
+    if mp4:
+        options[VIDEO_FORMAT] = "mp4"
+    named: set[str] = set()
+    for compiled in engine.plates.values():
+        named |= {compiled.plate.agent(agent).agent.cue for agent in compiled.plate.agents}
+        if compiled.lifecycle is not None and compiled.lifecycle.birth is not None:
+            named.add(compiled.lifecycle.birth.detector.detector)
+    theirs = sorted(named & plugins.allowed())
+    if theirs:
+        options["allow_plugins"] = ",".join(theirs)
+    return options

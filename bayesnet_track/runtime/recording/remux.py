@@ -1,0 +1,65 @@
+"""A fragmented MP4 as a plain one, with one index at its end, which every player can seek in."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Any
+
+from bayesnet_track.journal import disk
+from bayesnet_track.journal.atomic import PART
+
+
+class DiskFile:
+    """A file as PyAV writes one: it does not look how much of its bytes was taken."""
+
+    def __init__(self, file: disk.RawFile) -> None:
+        self._file, self.size = file, 0
+        self.seek, self.tell = file.seek, file.tell
+
+    def write(self, data: bytes | memoryview) -> int:
+        """Write all of it."""
+        disk.write_whole(self._file, data)
+        self.size = max(self.size, self._file.tell())
+        return len(data)
+
+
+def remux(path: Path) -> None:
+    """Replace the MP4 at `path` by one with the same frames and one index; it is there whole or as it was.
+
+    With PyAV 14.0 and 14.1 it stays as it was: they give the copy the headers of another encoder.
+
+    Raises:
+        OSError: it cannot be read or written (also those of FFmpeg).
+    """
+    import av
+
+    if av.__version__.split(".")[:2] in (["14", "0"], ["14", "1"]):
+        return
+    part = path.with_name(path.name + PART)
+    try:
+        with ExitStack() as stack:
+            # The explicit protocol keeps FFmpeg from reading a protocol into the file's name.
+            given: Any = stack.enter_context(av.open(f"file:{path.absolute()}"))
+            file = disk.open_raw(part, "wb")
+            stack.callback(file.close)
+            made: Any = av.open(DiskFile(file), mode="w", format="mp4", options={"fflags": "+bitexact"})
+            with made:
+                stream = _same_stream(made, given.streams.video[0])
+                for packet in given.demux(given.streams.video[0]):
+                    if packet.dts is not None:  # the last packet is empty
+                        packet.stream = stream
+                        made.mux(packet)
+            disk.sync(file)
+        disk.replace(part, path)
+    except OSError:
+        with suppress(OSError):
+            disk.unlink(part)
+        raise
+
+
+def _same_stream(container: Any, stream: Any) -> Any:
+    if hasattr(container, "add_stream_from_template"):
+        # Otherwise PyAV 14 opens an encoder, whose headers are not those of the packets.
+        return container.add_stream_from_template(stream, opaque=True)
+    return container.add_stream(template=stream)  # before PyAV 14
