@@ -57,7 +57,7 @@ class Filtered:
         missed: agents that gave no answer for a reason outside of them -> that reason.
         join: what a joint belief says of it, once there is one; None for a target that is in none.
         flaws: factor -> what was wrong with its values.
-        undefined: expression of the motion -> at how many states it had no value.
+        undefined: expression of the motion, or of a latent node -> at how many states it had no value.
         modes: its modes; None when it has none.
     """
 
@@ -123,7 +123,7 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
     if out:
         plan = compile_plan(compiled.plate, plan.active - out, compiled.cues)
     missed, flaws = dict(observer.missed), dict(observer.factors.flaws)
-    undefined = undefined_in(motion)
+    undefined = {**undefined_in(motion), **observer.factors.undefined}
     modes = None if compiled.modes is None else ModeState.of(compiled.modes, prior, stepped.posterior, dt)
     found = Filtered(target, before, stepped, faults, moves, plan, missed, flaws=flaws, undefined=undefined)
     return found if modes is None else replace(found, modes=modes)

@@ -30,6 +30,20 @@ class Factor:
     mask: Mask | None = None
 
 
+@dataclass(frozen=True)
+class Conditional:
+    """p(own box | parent's box) of a latent node, as expressions.
+
+    Attributes:
+        fields: field of the own box -> its distribution, a density of the variable `DRAWN`, or its value. One
+            that is not named is the parent's.
+        constants: the numbers that they use by name.
+    """
+
+    fields: Mapping[str, Term]
+    constants: Mapping[str, float]
+
+
 @dataclass(frozen=True, eq=False)
 class CheckedTarget:
     """One plate, its tree resolved.
@@ -45,6 +59,7 @@ class CheckedTarget:
         governor: agent -> the nearest inference node above it that has `adapt` rules, or None.
         factors: factor node -> its expression, in file order.
         constants: numbers that expressions use by name.
+        givens: latent node -> its distribution by expressions, of those that have one.
     """
 
     name: str
@@ -57,6 +72,7 @@ class CheckedTarget:
     governor: Mapping[str, str | None]
     factors: Mapping[str, Factor] = field(default_factory=dict)
     constants: Mapping[str, float] = field(default_factory=dict)
+    givens: Mapping[str, Conditional] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Name and size."""

@@ -9,7 +9,7 @@ from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from bayesnet_track.graph.checked import CheckedTarget, Factor
+from bayesnet_track.graph.checked import CheckedTarget, Conditional, Factor
 from bayesnet_track.graph.expressions.write import text_of
 from bayesnet_track.graph.settings.nodes import pool_exponents
 from bayesnet_track.graph.spec import AgentNode, Fuse, Given, Latent
@@ -29,11 +29,15 @@ HELD: Mapping[Own, str] = {
 
 @dataclass(frozen=True)
 class Draw:
-    """Prior down: a latent node draws its own hypotheses around those of `given_from`, or in them."""
+    """Prior down: a latent node draws its own hypotheses around those of `given_from`, or in them.
+
+    `written` is the distribution where expressions say it.
+    """
 
     node: str
     given_from: str
     given: Given
+    written: Conditional | None = None
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,7 @@ class Fusion:
         shares: weights of the children as given; only their ratios count, and only for a pool.
         given: p(own state | parent's state) of a latent node, or None.
         factors: factors of the node with a message in this plan; each counts once, in a pool too.
+        written: p(own state | parent's state) where expressions say it.
         own: how a latent node's own state is held: one draw per hypothesis, draws joined by the
             row-normalised kernel, a Gaussian, or cells of a grid.
         correlation: of the children's errors, in a learned pool; None in others.
@@ -73,6 +78,7 @@ class Fusion:
     own: Own = "one"
     factors: tuple[str, ...] = ()
     correlation: float | None = None
+    written: Conditional | None = None
 
     def weights(self, present: Container[str]) -> dict[str, float]:
         """Child in `present` -> exponent of its likelihood: for a pool `pool_exponents`, and 1 otherwise.
@@ -199,7 +205,8 @@ def _draw(target: CheckedTarget, node: str) -> Draw:
     fuse = target.inference(node).fuse
     assert fuse is not None and fuse.latent is not None
     above = target.parent[node]
-    return Draw(node, target.root if above is None else _hypotheses_of(target, above), fuse.latent.given)
+    given_from = target.root if above is None else _hypotheses_of(target, above)
+    return Draw(node, given_from, fuse.latent.given, target.givens.get(node))
 
 
 def _weigh(target: CheckedTarget, name: str, factor: Factor) -> Weigh:
@@ -228,7 +235,7 @@ def _fuse(target: CheckedTarget, node: str, messengers: frozenset[str]) -> Fusio
     if fuse.latent is None:
         return Fusion(node, fuse.kind, children, shares, factors=factors)
     given, own = fuse.latent.given, _own(target, node, fuse.latent)
-    return Fusion(node, fuse.kind, children, shares, given, own, factors)
+    return Fusion(node, fuse.kind, children, shares, given, own, factors, written=target.givens.get(node))
 
 
 def _own(target: CheckedTarget, node: str, latent: Latent) -> Own:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
+from bayesnet_track.belief.motion.formulas import Undefined
 from bayesnet_track.graph.expressions.evaluate import log_values
 from bayesnet_track.graph.expressions.terms import Term
 from bayesnet_track.graph.expressions.vocabulary import MASK, PARENT
@@ -68,10 +69,13 @@ class Factors:
     Attributes:
         flaws: factor -> what was wrong when it was first evaluated.
         used: factors that were evaluated and not left out.
+        undefined: field of a latent node by expressions, ``given head.x`` -> at how many hypotheses its
+            distribution has no value.
     """
 
     flaws: MutableMapping[str, Flaw] = field(default_factory=dict)
     used: set[str] = field(default_factory=set)
+    undefined: MutableMapping[str, Undefined] = field(default_factory=dict)
 
 
 def weigh(

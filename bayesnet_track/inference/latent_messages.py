@@ -28,6 +28,11 @@ def kernel_message(
     """
     log_kernel = log_noise_density(given, own.boxes, above.boxes).T
     _keep_agreeing(log_kernel, given, above.boxes, own.boxes)
+    return sum_kernel(log_kernel, prior_log, log_likelihood)
+
+
+def sum_kernel(log_kernel: Floats, prior_log: Floats, log_likelihood: Floats) -> Floats:
+    """(N,) the message of `kernel_message` by log p(c_j | h_i) (N, N), which is overwritten."""
     log_q = _log_sum(log_kernel + prior_log[:, None], axis=0)
     log_share = np.full(len(prior_log), -np.inf)
     np.subtract(prior_log, log_q, out=log_share, where=prior_log > -np.inf)

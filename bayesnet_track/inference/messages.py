@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evidence
+from bayesnet_track.belief.motion.formulas import Undefined
 from bayesnet_track.belief.motion.noise import sample_noise
 from bayesnet_track.graph.spec import Noise
 from bayesnet_track.inference.availability import Missing
@@ -17,7 +18,8 @@ from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.executor import each_at_once
 from bayesnet_track.inference.factors import weigh
 from bayesnet_track.inference.gaussian_messages import latent_gaussian, measurement_message, to_power
-from bayesnet_track.inference.latent_messages import grid_message, kernel_message
+from bayesnet_track.inference.given import draw_given, log_given
+from bayesnet_track.inference.latent_messages import grid_message, kernel_message, sum_kernel
 from bayesnet_track.inference.observe import (
     Observer,
     Question,
@@ -150,6 +152,11 @@ def join_messages(
                 rests[fusion.node] = scale
                 if matched is not None:
                     gaussians[fusion.node] = matched
+            elif fusion.written is not None:
+                if fusion.own == "kernel":
+                    log_kernel = log_given(fusion.written, above.boxes, own.boxes)
+                    total = sum_kernel(log_kernel, prior_log, total)
+                rests[fusion.node] = total
             else:
                 around = Hypotheses(part_boxes(fusion.given, above.boxes), above.fields)
                 total = INTEGRALS[fusion.own](fusion.given, around, own, prior_log, total)
@@ -224,8 +231,16 @@ def _draw_latent(plan: Plan, observer: Observer, hypotheses: Hypotheses) -> dict
     again = "" if number == 0 else f" {number}"
     for step in plan.draws:
         above = at[step.given_from]
+        rng = observer.stream(f"latent {step.node}{again}")
+        if step.written is not None:
+            flawed: dict[str, Undefined] = {}
+            own = draw_given(step.written, above.boxes, rng, flawed)
+            at[step.node] = Hypotheses(own, above.fields)
+            for name, one in flawed.items():
+                observer.factors.undefined.setdefault(f"given {step.node}.{name}", one)
+            continue
         around = part_boxes(step.given, above.boxes)
-        boxes = sample_noise(step.given, around, observer.stream(f"latent {step.node}{again}"))
+        boxes = sample_noise(step.given, around, rng)
         at[step.node] = Hypotheses(boxes, above.fields)
     return {step.node: at[step.node] for step in plan.draws}
 

@@ -25,6 +25,7 @@ from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Given
 from bayesnet_track.inference.compile import Fusion, Plan
+from bayesnet_track.inference.given import usual_boxes
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 
 Floats = NDArray[np.float64]
@@ -70,7 +71,9 @@ def nominal_boxes(target: CheckedTarget, box: Floats) -> dict[str, Floats]:
         at[name] = at[target.parent[name]]
         fuse = target.inference(name).fuse
         if fuse is not None and fuse.latent is not None and fuse.latent.given.is_part:
-            found[name] = at[name] = part_boxes(fuse.latent.given, at[name][None])[0]
+            around, written = at[name][None], target.givens.get(name)
+            boxes = part_boxes(fuse.latent.given, around) if written is None else usual_boxes(written, around)
+            found[name] = at[name] = boxes[0]
     return found
 
 

@@ -38,8 +38,15 @@ def spread(weights, values):
     return mean, np.sqrt(weights**2 @ (values - mean) ** 2)
 
 
+def written_part(parent, own, x=0.0, sd=3.0):
+    """The same part, by expressions."""
+    given = {"x": f"normal(parent.x + {x} * parent.w, {sd})", "y": f"normal(parent.y, {sd})"}
+    return {"parent": parent, "fuse": {"latent": {"given": given, "draw": own}}}
+
+
+@pytest.mark.parametrize("part", [part, written_part])
 @pytest.mark.parametrize(("own", "copies"), [("one", 2000), ("kernel", 200)])
-def test_the_marginal_of_a_part_is_that_of_enumeration(asked, own, copies):
+def test_the_marginal_of_a_part_is_that_of_enumeration(asked, own, copies, part):
     """Five places of the whole, cells of 10 px that two parts may lie in, a table of likelihoods for each.
 
     The exact joint is summed over all cells of both parts; p(cell | place) are areas under a Gaussian.

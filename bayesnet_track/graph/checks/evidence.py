@@ -14,6 +14,7 @@ Evidence = tuple[str, str]
 """A cue and its parameters: what an agent reads of the pixels."""
 
 Box = tuple[float, float, float, float]
+ELSEWHERE = 1e6
 WHOLE: Box = (0.0, 0.0, 1.0, 1.0)
 """The target's own box: centre, width and height in its own."""
 
@@ -58,6 +59,8 @@ def _boxes(plate: Plate) -> dict[str | None, Box]:
         fuse = plate.inference[name].fuse if name in plate.inference else None
         if fuse is not None and fuse.latent is not None:
             at, size = fuse.latent.given.offset_box, fuse.latent.given.size_box
+            if fuse.latent.given.written:  # where it is, is not known here: it shares no pixels with another
+                x += ELSEWHERE * len(boxes)
             x, y = (x, y) if at is None else (x + at.x * w, y + at.y * h)
             w, h = (w, h) if size is None else (w * size.w, h * size.h)
         boxes[name] = (x, y, w, h)

@@ -42,7 +42,7 @@ def factors_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
     """Every factor is an expression of names that exist at its node."""
     for name, node in plate.factors.items():
         try:
-            parse(node.expression, names_at(plate, str(node.parent)), node.mask is not None)
+            parse(node.expression, names_at(plate, str(node.parent)), mask=node.mask is not None)
         except ExpressionError as error:
             message = plate.message(name, error.found, error.allowed, key=("factor",))
             yield plate.at.inside(_explain_name(message, error.word, error.near), error.at)

@@ -39,7 +39,8 @@ def parts_have_a_whole(plate: Plate) -> Iterator[GraphMessage]:
     for name, node in plate.inference.items():
         if node.parent is not None or node.fuse is None or node.fuse.latent is None:
             continue
-        for key in sorted({"offset_box", "size_box"} & node.fuse.latent.given.model_fields_set):
+        given = node.fuse.latent.given
+        for key in sorted({"offset_box", "size_box", *given.written} & given.model_fields_set):
             found = f"{key} at the root, which is no part of anything"
             where = ("fuse", "latent", "given", key)
             yield plate.message(name, found, "a node below the root", key=where, on_key=True)
@@ -50,6 +51,8 @@ def latent_grids_hold_positions(plate: Plate) -> Iterator[GraphMessage]:
     for name, node in plate.inference.items():
         latent = node.fuse.latent if node.fuse is not None else None
         if node.parent is None or latent is None or node.belief is None or node.belief.grid is None:
+            continue
+        if latent.given.written:
             continue
         still = [axis for axis in ("x", "y") if getattr(latent.given.sd_px, axis) == 0]
         if still:

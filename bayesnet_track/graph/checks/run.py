@@ -15,6 +15,7 @@ from bayesnet_track.graph.checks.evidence import evidence_counts_once
 from bayesnet_track.graph.checks.existence import EXISTENCE_CHECKS
 from bayesnet_track.graph.checks.factors import CONSTANT_CHECKS, FACTOR_CHECKS, masks_of, read_factors
 from bayesnet_track.graph.checks.formulas import FORMULA_JOIN_CHECKS
+from bayesnet_track.graph.checks.givens import GIVEN_CHECKS, read_givens
 from bayesnet_track.graph.checks.joins import JOIN_CHECKS
 from bayesnet_track.graph.checks.lifecycle import LIFE_CHECKS
 from bayesnet_track.graph.checks.plates import Check, Plate
@@ -33,7 +34,13 @@ from bayesnet_track.observation.plugins import given
 Cues = Mapping[str, CueDeclaration] | Iterable[GivenCue]
 """All cues that there are, by name; or, beside the installed ones, declarations or files of one's own."""
 
-CHECKS_OF_A_SOUND_TREE = (*RULE_CHECKS, *EXISTENCE_CHECKS, evidence_counts_once, *FACTOR_CHECKS)
+CHECKS_OF_A_SOUND_TREE = (
+    *RULE_CHECKS,
+    *EXISTENCE_CHECKS,
+    evidence_counts_once,
+    *FACTOR_CHECKS,
+    *GIVEN_CHECKS,
+)
 
 
 def check(
@@ -128,4 +135,5 @@ def _resolve(plate: Plate) -> CheckedTarget:
         governor=plate.governor,
         factors=read_factors(plate),
         constants=plate.constants,
+        givens=read_givens(plate),
     )

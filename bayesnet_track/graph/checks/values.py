@@ -15,7 +15,7 @@ from bayesnet_track.graph.checks.particles import sizes_in_order
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.checks.positions import PLACE_CHECKS
 from bayesnet_track.graph.checks.scores import SCORE_CHECKS
-from bayesnet_track.graph.spec import Level, Lost, Noise
+from bayesnet_track.graph.spec import Given, Level, Lost, Noise
 from bayesnet_track.graph.text.messages import GraphMessage
 
 
@@ -43,7 +43,10 @@ def noise_is_there(plate: Plate) -> Iterator[GraphMessage]:
 
 def _is_still(noise: Noise) -> bool:
     parts: tuple[Any, ...] = (noise.sd_px, noise.sd_box, noise.sd_log)
-    return not any(getattr(part, field) > 0 for part in parts for field in type(part).model_fields)
+    by_expressions = isinstance(noise, Given) and bool(noise.written)
+    return not by_expressions and not any(
+        getattr(part, field) > 0 for part in parts for field in type(part).model_fields
+    )
 
 
 def weights_name_the_children(plate: Plate) -> Iterator[GraphMessage]:

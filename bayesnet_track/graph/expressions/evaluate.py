@@ -192,7 +192,7 @@ MANY_DEGREES = 1e6
 @np.vectorize
 def _log_gamma_ratio(degrees: float) -> float:
     """log Gamma((d + 1) / 2) - log Gamma(d / 2)."""
-    if not 0.0 < degrees < math.inf:
+    if not 0.0 < degrees / 2.0 < math.inf:  # half of the smallest number is 0
         return math.nan
     if degrees > MANY_DEGREES:
         return 0.5 * math.log(degrees / 2.0) - 0.25 / degrees

@@ -12,6 +12,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from bayesnet_track.graph.expressions.terms import (
+    DRAWN,
     MAX_CHARACTERS,
     MAX_NESTING,
     MAX_TERMS,
@@ -24,12 +25,14 @@ from bayesnet_track.graph.expressions.terms import (
 from bayesnet_track.graph.expressions.vocabulary import (
     BINARY,
     COMPARE,
+    DENSITIES,
     FUNCTIONS,
     MASK,
     NEGATIVE,
     POWER,
     PREFIX,
     SIGN,
+    Function,
 )
 
 MAX_DIGITS = 24
@@ -42,8 +45,13 @@ _TOKEN = re.compile(
 _SIGNS = "numbers, names, + - * / ** ( ) , < <= > >= == != and or not"
 
 
-def parse(text: str, names: Collection[str] | None = None, mask: bool = False) -> Term:
-    """The tree of an expression; of `names` alone, unless None; with `mask` it may ask the factor's mask.
+def parse(
+    text: str, names: Collection[str] | None = None, *, mask: bool = False, draws: bool = False
+) -> Term:
+    """The tree of an expression; of `names` alone, unless None.
+
+    With `mask` it may ask the factor's mask. With `draws` it may be one distribution, without the value that
+    is drawn, `normal(mean, sd)`; the value is then the variable `DRAWN`.
 
     >>> parse("2 * x")
     Call(function='*', arguments=(Number(value=2.0, at=0), Variable(name='x', at=4)), at=2)
@@ -54,7 +62,7 @@ def parse(text: str, names: Collection[str] | None = None, mask: bool = False) -
     if len(text) > MAX_CHARACTERS:
         found, allowed = f"an expression of {len(text)} characters", f"at most {MAX_CHARACTERS} characters"
         raise ExpressionError(found, allowed, MAX_CHARACTERS)
-    return _Parser(_tokens(text), names, mask).whole()
+    return _Parser(_tokens(text), names, mask, draws).whole()
 
 
 @dataclass(frozen=True)
@@ -94,6 +102,7 @@ class _Parser:
     tokens: list[_Token]
     names: Collection[str] | None
     mask: bool = False
+    draws: bool = False
     place: int = 0
     depth: int = 0
     terms: int = field(default=0)
@@ -111,7 +120,20 @@ class _Parser:
         term = self.term(0)
         if self.next.kind != "end":
             raise self.error(self.next, "an operation, or the end of the expression")
+        first = self.tokens[0]
+        if self.draws and first.text in DENSITIES and (term.at, self.is_one_call()) != (first.at, True):
+            found = f"{first.text} inside an expression"
+            raise ExpressionError(found, "one distribution, or a value without any", first.at)
         return term
+
+    def is_one_call(self) -> bool:
+        """Whether the text is a function of arguments and nothing else."""
+        depth = 0
+        for number, token in enumerate(self.tokens[1:], 2):
+            depth += {"(": 1, ")": -1}.get(token.text, 0)
+            if depth == 0:
+                return self.tokens[number].kind == "end"
+        return False
 
     def term(self, least: int) -> Term:
         """A term whose operations bind at least as tightly as `least`."""
@@ -184,9 +206,14 @@ class _Parser:
             self.take()
         self.close("an operation, ',' or ')'")
         function = FUNCTIONS[token.text]
+        is_drawn = self.draws and token is self.tokens[0] and token.text in DENSITIES
+        if is_drawn:
+            function = Function(function.parameters[1:], function.meaning)
         if not function.takes(len(arguments)):
             found = f"{token.text} with {len(arguments)} argument{'' if len(arguments) == 1 else 's'}"
             raise ExpressionError(found, token.text + function.form, token.at)
+        if is_drawn:
+            arguments.insert(0, Variable(DRAWN, token.at))
         return self.counted(Call(token.text, tuple(arguments), token.at))
 
     def close(self, allowed: str) -> None:

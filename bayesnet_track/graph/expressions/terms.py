@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 MAX_CHARACTERS = 1000
 MAX_NESTING = 32
 MAX_TERMS = 200
+DRAWN = "value"
+"""What stands for the value in a distribution that something is drawn from."""
 
 
 class ExpressionError(ValueError):

@@ -19,7 +19,7 @@ from bayesnet_track.graph.settings.base import (
 )
 from bayesnet_track.graph.settings.gaussian import Gaussian
 from bayesnet_track.graph.settings.grid import Grid
-from bayesnet_track.graph.settings.motion import Noise
+from bayesnet_track.graph.settings.motion import Expression, Noise
 from bayesnet_track.graph.settings.particles import Particles
 
 # ---------------------------------------------------------------------------------- belief
@@ -88,14 +88,26 @@ class Given(Noise):
 
     With `offset_box` or `size_box` the node is a *part* of the target: its state is the part's own box,
     `sd_box` is relative to the part's size, agents below learn what is inside the part, and the part's
-    estimate stands beside the target's in the results.
+    estimate stands beside the target's in the results. So it is with `x`, `y`, `w`, `h`, which say the same
+    by expressions of the parent's box.
 
     Example::
 
         head: {parent: person, fuse: {latent: {given: {offset_box: {y: -0.39}, size_box: {w: 0.44, h: 0.22},
           sd_box: {x: 0.1, y: 0.1}}}}}
+        hand: {parent: person, fuse: {latent: {given: {
+          x: "laplace(parent.x, 0.4 * parent.w)", y: "normal(parent.y, 9)"}}}}
     """
 
+    x: Expression | None = Field(
+        default=None,
+        description="instead of all below and above: distribution of the own x by an "
+        "[expression](expressions.md#states-below-the-root), such as `normal(parent.x, 5)`, or its value; "
+        "default `parent.x`",
+    )
+    y: Expression | None = Field(default=None, description="the same of y")
+    w: Expression | None = Field(default=None, description="the same of the width")
+    h: Expression | None = Field(default=None, description="the same of the height")
     offset_box: OffsetBox | None = Field(
         default=None,
         description="the part's centre in the parent's box; default, with `size_box` alone: the parent's "
@@ -108,9 +120,15 @@ class Given(Noise):
     )
 
     @property
+    def written(self) -> dict[str, str]:
+        """Field of the own box -> the expression of its distribution or value; empty without any."""
+        found = {name: getattr(self, name) for name in ("x", "y", "w", "h")}
+        return {name: str(text) for name, text in found.items() if text is not None}
+
+    @property
     def is_part(self) -> bool:
         """Whether the state is the box of a part of the target."""
-        return self.offset_box is not None or self.size_box is not None
+        return self.offset_box is not None or self.size_box is not None or bool(self.written)
 
 
 class Latent(Model):

@@ -16,7 +16,7 @@ from bayesnet_track.graph.checked import Factor as Expression
 from bayesnet_track.graph.expressions.write import latex_of, text_of
 from bayesnet_track.graph.settings.nodes import pool_exponents
 from bayesnet_track.graph.spec import Given, Motion, Noise, OffsetBox, SizeBox
-from bayesnet_track.graph.text import formula_modes, formula_motion
+from bayesnet_track.graph.text import formula_given, formula_modes, formula_motion
 
 
 @dataclass(frozen=True)
@@ -76,6 +76,11 @@ def formula_text(target: CheckedTarget, active: Iterable[str] | None = None) -> 
     ]
     for name, given, noise in _latent_nodes(target):
         held = _describe_held(target, name)
+        written = target.givens.get(name)
+        if written is not None:
+            lines.append(f"p({_text_state(name)} | {_text_state(given)}): by expressions{held}")
+            lines += formula_given.lines(written, _text_state(name))
+            continue
         lines.append(
             f"p({_text_state(name)} | {_text_state(given)}): Gaussian{_place(noise)}, {_noise(noise)}{held}"
         )

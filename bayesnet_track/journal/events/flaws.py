@@ -30,12 +30,14 @@ class FactorFlawed:
 
 @dataclass(frozen=True)
 class MotionFlawed:
-    """An expression of the motion had no value for some hypotheses; written in the first such frame.
+    """An expression of the motion, or of a latent node, had no value for some hypotheses.
+
+    Written in the first such frame.
 
     Attributes:
         frame: the frame.
         target: target id.
-        part: drift or sd, and the field: `drift x`.
+        part: drift or sd, and the field, `drift x`; or `given`, the node and the field, `given head.x`.
         undefined: hypotheses for which it has no value, or for which an sd is negative: the field stays as it
             is, or has no noise.
         hypotheses: hypotheses that were asked about first.
@@ -73,9 +75,10 @@ def describe(event: Events) -> str:
             return _describe_factor(event)
         case MotionFlawed():
             of = f"{event.undefined} of {event.hypotheses} hypotheses"
-            then = (
-                "these have no such noise" if event.part.startswith("sd ") else "it stays as it is for these"
-            )
+            then = {
+                "sd": "these have no such noise",
+                "given": "these have the value of the node above",
+            }.get(event.part.partition(" ")[0], "it stays as it is for these")
             return f"{event.part} of target {event.target} has no value for {of} (such as 0 / 0) → {then}"
         case FlawEnded():
             return f"{event.what} of target {event.target} has a value for every hypothesis again"

@@ -1,0 +1,26 @@
+"""Distributions of latent nodes as a graph writes them: read with their constants, and shown in formulas."""
+
+from __future__ import annotations
+
+from bayesnet_track.graph.checks.givens import is_drawn
+from bayesnet_track.graph.checks.run import check_graph
+from bayesnet_track.graph.text.formula_given import latex_lines, lines
+
+
+def test_a_distribution_is_read_with_the_constants_that_it_uses(cues):
+    given = {"x": "laplace(parent.x + lean, 3)", "w": "parent.w / 2"}
+    nodes = {
+        "s": {"motion": "constant_velocity"},
+        "n": {"parent": "s", "fuse": {"latent": {"given": given}}},
+        "a": {"parent": "n", "agent": "hue"},
+    }
+    constants = {"lean": 2.0, "unused": 1.0}
+    graph = check_graph({"name": "g", "constants": constants, "targets": {"t": {"nodes": nodes}}}, cues)
+    found = graph.targets["t"].givens["n"]
+    assert [is_drawn(term) for term in found.fields.values()] == [True, False]
+    assert list(lines(found, "n_t")) == [
+        "x of n_t ~ laplace(parent.x + lean, 3)",
+        "w of n_t = parent.w / 2",
+        "lean = 2",
+    ]
+    assert next(latex_lines(found, "n_t")).startswith(r"x(n_t) &\sim \mathrm{Laplace}\left(")

@@ -1,0 +1,109 @@
+"""Latent states by expressions: draws and densities against SciPy, messages against quadrature."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from bayesnet_track.graph.checked import Conditional
+from bayesnet_track.graph.expressions.parse import parse
+from bayesnet_track.inference.given import draw_given, log_given, usual_boxes
+from bayesnet_track.inference.parts import nominal_boxes
+from bayesnet_track.journal.events.flaws import FlawEnded, MotionFlawed, describe
+
+PARENT = np.array([50.0, 40.0, 20.0, 30.0])
+
+
+def written(**fields):
+    constants = fields.pop("constants", {})
+    return Conditional({name: parse(text, draws=True) for name, text in fields.items()}, constants)
+
+
+def parents(size=4000):
+    return np.tile(PARENT, (size, 1))
+
+
+@pytest.mark.parametrize(
+    ("text", "exact"),
+    [
+        ("normal(parent.x + 3, 0.2 * parent.w)", stats.norm(53, 4)),
+        ("laplace(parent.x, 5)", stats.laplace(50, 5)),
+        ("student_t(parent.x, 2, 3)", stats.t(3, 50, 2)),
+        ("uniform(parent.x - 4, parent.x + offset)", stats.uniform(46, 10)),
+        ("logistic(parent.x, 3)", stats.logistic(50, 3)),
+    ],
+)
+def test_draws_and_densities_are_those_of_the_distribution(text, exact):
+    given = written(x=text, constants={"offset": 6.0})
+    boxes = draw_given(given, parents(), np.random.default_rng(5))
+    assert stats.kstest(boxes[:, 0], exact.cdf).pvalue > 1e-4
+    np.testing.assert_array_equal(boxes[:, 1:], parents()[:, 1:])
+    np.testing.assert_allclose(log_given(given, PARENT[None], boxes[:50]), exact.logpdf(boxes[:50, :1]).T)
+    assert usual_boxes(given, PARENT[None])[0, 0] == pytest.approx(exact.median())
+
+
+def test_a_field_may_depend_on_those_before_it():
+    """y | x and w | x, y: the density is the product, as the chain rule says."""
+    given = written(x="normal(parent.x, 5)", y="normal(parent.y + 2 * (x - parent.x), 1)", w="y / 4")
+    boxes = draw_given(given, parents(), np.random.default_rng(6))
+    covariance = np.cov(boxes[:, :2].T)
+    exact = np.array([[25.0, 50.0], [50.0, 101.0]])
+    np.testing.assert_allclose(covariance, exact, rtol=5 * np.sqrt(2 / 4000))
+    np.testing.assert_allclose(boxes[:, 2], boxes[:, 1] / 4)
+    expected = stats.multivariate_normal(PARENT[:2], exact).logpdf(boxes[:9, :2])
+    np.testing.assert_allclose(log_given(given, PARENT[None], boxes[:9])[0], expected)
+
+
+def test_what_is_not_drawn_agrees_or_is_impossible():
+    given = written(x="normal(parent.x, 5)", w="parent.h / 2")
+    above = np.array([PARENT, PARENT + [0, 0, 0, 4]])
+    own = draw_given(given, above, np.random.default_rng(1))
+    assert np.isfinite(log_given(given, above, own)).tolist() == [[True, False], [False, True]]
+
+
+@pytest.mark.parametrize(("draw", "size", "error"), [("one", 40_000, 0.02), ("kernel", 600, 0.05)])
+def test_messages_are_the_integral(asked, fakes, draw, size, error):
+    """Two places of the parent; Laplace around them; an agent that sees the child at 56. By quadrature."""
+    places, beta = np.array([50.0, 62.0]), np.array([0.7, 0.3])
+    boxes = np.repeat([[x, 40.0, 20.0, 20.0] for x in places], size // 2, axis=0)
+    log = np.repeat(np.log(beta / (size // 2)), size // 2)
+    given = {"x": "laplace(parent.x, 4)"}
+    nodes = {"s": {}, "n": {"parent": "s", "fuse": {"latent": {"given": given, "draw": draw}}}, "a": "n"}
+    _, evidence = asked(nodes, {"a": fakes.gaussian(56, 40, 3)}, boxes, beta=log)
+    cells = np.linspace(-50, 160, 40_001)
+    likelihood = np.exp(-0.5 * ((cells - 56) / 3) ** 2)
+    exact = [np.trapezoid(stats.laplace(x, 4).pdf(cells) * likelihood, cells) for x in places]
+    said = np.exp(evidence.log_likelihood).reshape(2, -1).mean(axis=1)
+    np.testing.assert_allclose(said, exact, atol=error)
+
+
+def test_where_a_distribution_is_none_the_field_is_the_parents():
+    given, flawed = written(x="normal(parent.x, parent.y - 40)", y="normal(parent.y, 0 / 0)"), {}
+    above = np.array([PARENT, PARENT + [0, 9, 0, 0]])
+    boxes = draw_given(given, above, np.random.default_rng(2), flawed)
+    np.testing.assert_array_equal(boxes[:, 1], above[:, 1])
+    assert boxes[0, 0] == 50
+    assert boxes[1, 0] != 50
+    assert {name: (one.states, one.asked) for name, one in flawed.items()} == {"x": (1, 2), "y": (2, 2)}
+
+
+def test_it_is_written_down_when_it_begins_and_ends(fakes):
+    given = {"x": "normal(parent.x, sqrt(parent.x - 1000))"}
+    nodes = {"s": {}, "n": {"parent": "s", "fuse": {"latent": {"given": given}}}, "a": "n"}
+    engine, _ = fakes.engine(nodes, {"a": fakes.gaussian(50, 42, 7)})
+    events = [event for outcome in fakes.play(engine, 3) for event in outcome.events if event.frame > 0]
+    assert [(type(event), event.part) for event in events] == [(MotionFlawed, "given n.x")]
+    assert "these have the value of the node above" in describe(events[0])
+    assert FlawEnded(9, "1", "given n.x").what == "given n.x"
+
+
+def test_agents_below_learn_at_the_median(fakes):
+    given = {
+        "x": "laplace(parent.x + parent.w / 4, 5)",
+        "y": "uniform(parent.y, parent.y + 8)",
+        "h": "parent.h / 2",
+    }
+    nodes = {"s": {}, "n": {"parent": "s", "fuse": {"latent": {"given": given}}}, "a": "n"}
+    target = fakes.graph(nodes, {"a": fakes.declare(fakes.Oracle(fakes.flat()))}).targets["plate"]
+    np.testing.assert_allclose(nominal_boxes(target, PARENT)["n"], [55, 44, 20, 15])
