@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -215,11 +215,24 @@ def score_mot_files(
     truth_path: str | Path,
     cutoff_px: float = CUTOFF_PX,
     trajectories: bool = False,
+    frames: Collection[int] | None = None,
 ) -> MotScore:
     """Scores of a tracks file against a ground-truth file, both MOT; see `score_mot`.
+
+    With `frames` only these count, as of a run that read every few frames of its source.
 
     Raises:
         OSError: a file cannot be read.
         ValueError: a malformed file; says file and line.
     """
-    return score_mot(read_mot_truth(truth_path), read_mot_tracks(tracks_path), cutoff_px, trajectories)
+    truth, tracks = read_mot_truth(truth_path), read_mot_tracks(tracks_path)
+    if frames is not None:
+        truth, tracks = _renumbered(truth, frames), _renumbered(tracks, frames)
+    return score_mot(truth, tracks, cutoff_px, trajectories)
+
+
+def _renumbered(tracks: Tracks, frames: Collection[int]) -> Tracks:
+    """What is in these frames, numbered from 0 without gaps."""
+    places = np.array(sorted(frames), dtype=np.int64)
+    kept = np.isin(tracks.frames, places)
+    return Tracks(np.searchsorted(places, tracks.frames[kept]), tracks.ids[kept], tracks.boxes[kept])

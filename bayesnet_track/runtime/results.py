@@ -137,3 +137,8 @@ class Summary:
     compiling_s: float = 0.0
     frames_per_second: float = 0.0
     notices: list[Event] = field(default_factory=list)
+
+
+def interval_of(source: FrameSource) -> float:
+    """Nominal seconds between the frames that `source` gives, of which it may leave some out."""
+    return source.frame_interval_s * int(getattr(source, "stride", 1))

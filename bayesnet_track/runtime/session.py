@@ -32,7 +32,7 @@ from bayesnet_track.runtime.recording.manifest import finish
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.replace import replace_run, settle
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
-from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary
+from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary, interval_of
 from bayesnet_track.runtime.run import run
 from bayesnet_track.sources.detection_files import file_detector
 from bayesnet_track.sources.sources import open_source
@@ -78,6 +78,7 @@ def track(
     allow_plugins: Iterable[str] = (),
     cues: Iterable[GivenCue] = (),
     isolate_decoder: bool = False,
+    stride: int = 1,
     sinks: Sequence[Sink] = (),
     summary: Summary | None = None,
     inputs: str | PathLike[str] | InputsAt | None = None,
@@ -106,6 +107,7 @@ def track(
         cues: cues of one's own that the graph may name: declarations, or paths of Python files with a
             ``CUE``, which are run; path and SHA-256 of files are recorded in `out`.
         isolate_decoder: decode in a process of its own, held down by limits; `source` is a text then.
+        stride: track every `stride`-th frame of a `source` that is a text; see `open_source`.
         sinks: further observers.
         summary: filled in as the run goes on.
         inputs: what comes from outside: the inputs.jsonl of an earlier run, to repeat it, or a function that
@@ -145,10 +147,11 @@ def track(
     with ExitStack() as stack:
         if isinstance(source, str | PathLike):
             opened: FrameSource = stack.enter_context(
-                open_source(str(source), isolate_decoder=isolate_decoder)
+                open_source(str(source), isolate_decoder=isolate_decoder, stride=stride)
             )
-        elif isolate_decoder:
-            raise ValueError("isolate_decoder is for a source that is opened here; this one is open already")
+        elif isolate_decoder or stride != 1:
+            option = "isolate_decoder" if isolate_decoder else "stride"
+            raise ValueError(f"{option} is for a source that is opened here; this one is open already")
         else:
             opened = source
         check_starts(checked, starts, opened.width, opened.height)
@@ -185,7 +188,7 @@ def track(
                 directory.clear()
                 begin(directory, files)
             recorder = Recorder(
-                directory, checked, opened.frame_interval_s, recipe.optional, before_first=take_place
+                directory, checked, interval_of(opened), recipe.optional, before_first=take_place
             )
             stack.enter_context(recorder)
             all_sinks.append(recorder)

@@ -51,6 +51,7 @@ class Source:
         declared_frames: number of frames that the whole source declares, or None.
         expected_frames: how many of them lie between `start` and `end`, or None.
         frame_interval_s: nominal seconds between frames.
+        stride: every how many-th frame is handed out.
         is_live: whether it goes on however long a frame takes, as a camera does.
         frames: frames handed out so far.
         end_reason: why it ended, in the words of `RunEnded.reason`; end_of_source while nothing is wrong.
@@ -73,6 +74,7 @@ class Source:
         self.declared_frames = reader.declared_frames
         self.frame_interval_s = reader.frame_interval_s
         self.is_live = bool(getattr(reader, "is_live", False))
+        self.stride = int(getattr(reader, "stride", 1))
         self.frames = 0
         self.end_reason: EndReason = "end_of_source"
         self._reader = reader
@@ -91,9 +93,9 @@ class Source:
     def expected_frames(self) -> int | None:
         """How many frames lie between `start` and `end`; None when the source declares no number."""
         if self.declared_frames is None:
-            return None if self._end is None else self._end - self._start
+            return None if self._end is None else -(-(self._end - self._start) // self.stride)
         last = self.declared_frames if self._end is None else min(self._end, self.declared_frames)
-        return max(last - self._start, 0)
+        return max(-(-(last - self._start) // self.stride), 0)
 
     @property
     def first_frame(self) -> Frame | None:
@@ -141,6 +143,8 @@ class Source:
         last: Frame | None = None
         shape: tuple[int, int, bool] | None = None
         for item in self._reader:
+            if self._end is not None and item.index >= self._end and last is not None:
+                return
             if isinstance(item, Damage):
                 if item.index >= self._start:
                     yield self._report_damage(item.index, item.reason, item.truncated)
@@ -170,7 +174,7 @@ class Source:
             # Pictures that were dropped are not missing: the steps between all that came count.
             steps = item.skipped + 1
             if last is not None and item.time - last.time >= steps * self._reader.gap_from:
-                yield FramesMissing(item.index, item.time - last.time - 1.0)
+                yield FramesMissing(item.index, item.time - last.time - steps)
             now = (image.shape[1], image.shape[0], has_color)
             if shape is not None and now != shape:
                 # Depth cannot be brought to another size: its geometry is that of the pixels.

@@ -57,6 +57,7 @@ class Origin:
         calibration: the pair's file.
         seed: of a scene.
         isolate_decoder: whether it is decoded in a process of its own.
+        stride: every how many-th frame is read.
         absolute: a path as given -> the same from the root.
         fingerprint: source, right, depth, calibration -> what it held.
     """
@@ -73,6 +74,7 @@ class Origin:
     calibration: str | None = None
     seed: int = 0
     isolate_decoder: bool = False
+    stride: int = 1
     absolute: Mapping[str, str] = field(default_factory=dict)
     fingerprint: Mapping[str, Fingerprint] = field(default_factory=dict)
 

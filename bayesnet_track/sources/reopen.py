@@ -27,7 +27,7 @@ def reopen(origin: Origin) -> Source | SceneSource:
     # What is read again are files, however they are named: a run directory is data and allows nothing.
     window = (origin.start, origin.end, False, origin.on_resize)
     if origin.kind == "plain":
-        source = open_source(at[origin.text], *window, origin.isolate_decoder)
+        source = open_source(at[origin.text], *window, origin.isolate_decoder, origin.stride)
     else:
         source = open_stereo_source(
             at[origin.text],
@@ -37,6 +37,7 @@ def reopen(origin: Origin) -> Source | SceneSource:
             side_by_side=origin.kind == "side_by_side",
             calibration=None if origin.calibration is None else at[origin.calibration],
             isolate_decoder=origin.isolate_decoder,
+            stride=origin.stride,
         )
     source.description, source.origin = origin.description, origin
     return source

@@ -18,6 +18,7 @@ from bayesnet_track.sources.paths import (
     _nearest,
 )
 from bayesnet_track.sources.readers import Reader
+from bayesnet_track.sources.stride import strided
 
 __all__ = ["Source", "SourceError", "SourceItem", "open_source"]
 
@@ -32,6 +33,7 @@ def open_source(
     allow_network: bool = False,
     on_resize: OnResize = "stop",
     isolate_decoder: bool = False,
+    stride: int = 1,
 ) -> Source:
     """The source that `text` names.
 
@@ -40,14 +42,24 @@ def open_source(
     change of frame size does: "stop" ends the source, "rescale" brings the picture to the first one's size.
     `isolate_decoder` decodes in a process of its own, held down by limits (`isolated.IsolatedReader`): the
     same frames, and a decoder that crashes, hangs or takes too much memory ends the source, not the program.
+    With `stride` K only every K-th frame is handed out, from `start` on; numbers and times stay the source's.
 
     Raises:
         SourceError: nothing can be read there; says what was found, what is allowed and how to mend it.
     """
     check_range(text, start, end)
     reader = make_reader(text, allow_network, isolate_decoder, start or 0)
+    reader = strided(text, reader, start, stride)
     origin = Origin(
-        "plain", text, text, start, end, on_resize, allow_network, isolate_decoder=isolate_decoder
+        "plain",
+        text,
+        text,
+        start,
+        end,
+        on_resize,
+        allow_network,
+        isolate_decoder=isolate_decoder,
+        stride=stride,
     )
     return Source(text, reader, start, end, on_resize, origin)
 

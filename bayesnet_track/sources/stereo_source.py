@@ -25,6 +25,7 @@ from bayesnet_track.sources.origin import Kind, Origin
 from bayesnet_track.sources.paths import SourceError, depth_files
 from bayesnet_track.sources.readers import Damage, Picture, Reader, ReaderItem
 from bayesnet_track.sources.sources import check_range, make_reader
+from bayesnet_track.sources.stride import strided
 from bayesnet_track.vision.stereo.stereo import RectifiedPair, Rectifier, read_calibration
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ def open_stereo_source(
     side_by_side: bool = False,
     calibration: str | Path | None = None,
     isolate_decoder: bool = False,
+    stride: int = 1,
 ) -> Source:
     """A source whose frames carry a second eye or points.
 
@@ -61,8 +63,8 @@ def open_stereo_source(
         depth: instead of a right eye, depth images (16 bit, 0 for unknown) or ``.npy`` arrays, (H, W) depths
             or (H, W, 3) points in m, one per picture: a folder or a glob.
         calibration: OpenCV YAML file; only ``.npy`` points do without.
-        start, end, allow_network, on_resize, isolate_decoder: as for `open_source`; depth images are read
-            in this process.
+        start, end, allow_network, on_resize, isolate_decoder, stride: as for `open_source`; depth images are
+            read in this process.
 
     Raises:
         SourceError: nothing can be read, or the eyes do not belong together.
@@ -113,8 +115,9 @@ def open_stereo_source(
         depth,
         calibration=pair,
         isolate_decoder=isolate_decoder,
+        stride=stride,
     )
-    return Source(description, reader, start, end, on_resize, origin)
+    return Source(description, strided(left, reader, start, stride), start, end, on_resize, origin)
 
 
 # ------------------------------------------------------------------------------------ pairing

@@ -98,6 +98,7 @@ def _detect_all(
     from bayesnet_track.observation.detector import LearningDetector
     from bayesnet_track.observation.planes import Frame, FramePair
     from bayesnet_track.runtime.recording.videowriter import VideoWriter
+    from bayesnet_track.runtime.results import interval_of
     from bayesnet_track.sources.detections import format_frame
     from bayesnet_track.view.detections import draw_detections
 
@@ -115,7 +116,7 @@ def _detect_all(
             if options.out is not None:
                 lines = stack.enter_context(LineFile(Path(options.out)))
             if options.save_video is not None:
-                size = (item.width, item.height, source.frame_interval_s)
+                size = (item.width, item.height, interval_of(source))
                 video = stack.enter_context(VideoWriter(Path(options.save_video), *size))
         detections, state = detector.detect(pair, state)
         for line in format_frame(item, detections, _is_json(options)):
@@ -140,7 +141,7 @@ def _open(options: argparse.Namespace) -> Source:
     if options.right is None and options.stereo is None and options.depth is None:
         if options.calibration is not None:
             raise UsageError("--calibration is of a pair: give --right, --stereo or --depth, too")
-        return open_source(*window, isolate_decoder=options.isolate_decoder)
+        return open_source(*window, options.isolate_decoder, options.stride)
     return open_stereo_source(
         *window,
         right=options.right,
@@ -148,6 +149,7 @@ def _open(options: argparse.Namespace) -> Source:
         side_by_side=options.stereo is not None,
         calibration=options.calibration,
         isolate_decoder=options.isolate_decoder,
+        stride=options.stride,
     )
 
 

@@ -78,6 +78,7 @@ def _open(options: argparse.Namespace, end: int) -> Source:
         depth=options.depth,
         side_by_side=options.stereo is not None,
         calibration=options.calibration,
+        stride=options.stride,
         isolate_decoder=options.isolate_decoder,
     )
 

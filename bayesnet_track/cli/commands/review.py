@@ -99,7 +99,7 @@ def score(options: argparse.Namespace) -> int:
         raise UsageError(f"no ground truth at {truth}; name one with --truth FILE")
     with users_mistake():
         if is_mot(truth):
-            return _score_several(directory.mot, truth, options)
+            return _score_several(directory.mot, truth, options, _frames_read(directory))
         if options.cutoff is not None or options.trajectories:
             option = "--trajectories" if options.cutoff is None else "--cutoff"
             raise UsageError(f"{option}: {truth} is the ground truth of one target, not MOT; leave it out")
@@ -108,7 +108,19 @@ def score(options: argparse.Namespace) -> int:
     return OK
 
 
-def _score_several(tracks: Path, truth: Path, options: argparse.Namespace) -> int:
+def _frames_read(directory: RunDirectory) -> set[int] | None:
+    """The frames of a run that read every few frames of its source; None where it read them all."""
+    from bayesnet_track.journal.timings import read_seconds
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe
+
+    if not directory.recipe.is_file() or Recipe.read(directory).origin.stride == 1:
+        return None
+    return {frame for frame, _ in read_seconds(directory.timings)}
+
+
+def _score_several(
+    tracks: Path, truth: Path, options: argparse.Namespace, frames: set[int] | None = None
+) -> int:
     from bayesnet_track.evaluate.gospa import CUTOFF_PX
     from bayesnet_track.evaluate.mot import score_mot_files
 
@@ -116,6 +128,6 @@ def _score_several(tracks: Path, truth: Path, options: argparse.Namespace) -> in
         raise UsageError(f"--target: all targets in {truth} are scored at once; leave it out")
     cutoff = CUTOFF_PX if options.cutoff is None else options.cutoff
     with users_mistake():
-        result = score_mot_files(tracks, truth, cutoff, options.trajectories)
+        result = score_mot_files(tracks, truth, cutoff, options.trajectories, frames)
     say(result.json() if options.json else result.text(explained=True))
     return OK

@@ -66,7 +66,7 @@ def _open(options: argparse.Namespace) -> Source:
     if options.right is None and options.stereo is None and options.depth is None:
         if options.calibration is not None:
             raise UsageError("--calibration is of a pair: give --right, --stereo or --depth, too")
-        return open_source(options.source, *window, isolate_decoder=options.isolate_decoder)
+        return open_source(options.source, *window, options.isolate_decoder, options.stride)
     return open_stereo_source(
         options.source,
         *window,
@@ -75,6 +75,7 @@ def _open(options: argparse.Namespace) -> Source:
         side_by_side=options.stereo is not None,
         calibration=options.calibration,
         isolate_decoder=options.isolate_decoder,
+        stride=options.stride,
     )
 
 
@@ -150,8 +151,10 @@ def _opaque(graph: CheckedGraph) -> list[str]:
 
 def _budget_ms(options: argparse.Namespace, source: FrameSource) -> float | None:
     """What a frame may take, where the options say so."""
+    from bayesnet_track.runtime.results import interval_of
+
     if getattr(options, "realtime", False):
-        return 1000.0 * source.frame_interval_s
+        return 1000.0 * interval_of(source)
     budget: float | None = getattr(options, "budget_ms", None)
     return budget
 

@@ -27,11 +27,18 @@ def add_depth_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_window_options(parser: argparse.ArgumentParser) -> None:
-    """`--start`, `--end`, `--on-resize`, `--allow-network`, `--isolate-decoder`."""
+    """`--start`, `--end`, `--stride`, `--on-resize`, `--allow-network`, `--isolate-decoder`."""
     parser.add_argument(
         "--start", type=whole_number(0), default=0, metavar="N", help="first frame (default 0)"
     )
     parser.add_argument("--end", type=whole_number(1), metavar="N", help="frame to stop before")
+    parser.add_argument(
+        "--stride",
+        type=whole_number(1),
+        default=1,
+        metavar="K",
+        help="read every K-th frame only; frame numbers and times stay those of the source (default 1)",
+    )
     parser.add_argument(
         "--on-resize", choices=["stop", "rescale"], default="stop", help="what to do when frames change size"
     )

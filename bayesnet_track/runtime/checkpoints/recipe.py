@@ -153,6 +153,8 @@ class Recipe:
         ):  # a recipe without them is what it was before there were any
             if not plain[name]:
                 del plain[name]
+        if plain["origin"]["stride"] == 1:
+            del plain["origin"]["stride"]
         return json.dumps(plain, indent=1) + "\n"
 
     def write(self, directory: RunDirectory | str | PathLike[str]) -> None:

@@ -47,7 +47,7 @@ from bayesnet_track.runtime.recording.manifest import finish, tidy
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.replace import settle, settle_broken
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
-from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary
+from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary, interval_of
 from bayesnet_track.runtime.run import Resumed, run
 from bayesnet_track.runtime.session import make_checkpointer, opaque_agents, place_cues, prepare_engine
 
@@ -152,7 +152,7 @@ def resume(
             Recorder(
                 directory,
                 graph,
-                opened.frame_interval_s,
+                interval_of(opened),
                 recipe.optional,
                 None if checkpoint is None else checkpoint.written,
             )

@@ -53,7 +53,9 @@ def pictures_of(
         try:
             if (source.width, source.height) == (started.width, started.height):
                 annotated = open_one is _video
-                yield Found(_between(source, first, last, first if annotated else 0), annotated), ""
+                # The video has the frames that were tracked, one after the other.
+                place = (first, _stride(directory)) if annotated else (0, 1)
+                yield Found(_between(source, first, last, place), annotated), ""
                 return
             was = f"{started.width}x{started.height}"
             reasons.append(f"{source.description} is {source.width}x{source.height} px now, and was {was}")
@@ -65,14 +67,22 @@ def pictures_of(
 
 
 def _between(
-    source: FrameSource, first: int, last: int, shift: int
+    source: FrameSource, first: int, last: int, place: tuple[int, int]
 ) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    """The images of frames `first` to `last`; `place`: number of the source's first one, and the step."""
     for item in source:
-        if not isinstance(item, Frame) or item.index + shift < first:
+        index = place[0] + place[1] * item.index if isinstance(item, Frame) else -1
+        if not isinstance(item, Frame) or index < first:
             continue
-        if item.index + shift > last:
+        if index > last:
             return
-        yield item.index + shift, item.image
+        yield index, item.image
+
+
+def _stride(directory: RunDirectory) -> int:
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe
+
+    return Recipe.read(directory).origin.stride if directory.recipe.is_file() else 1
 
 
 def _source(directory: RunDirectory, started: RunStarted) -> FrameSource:
