@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Evaluate, Evidence, MotionModel, Report, Step, Stream
+from bayesnet_track.belief.contract import Evaluate, Evidence, MotionModel, Predicted, Report, Step, Stream
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior, report_gated
 from bayesnet_track.belief.gaussian.mixture import ModalPosterior, mix
 from bayesnet_track.belief.gaussian.predict import predict, require_linear
@@ -102,7 +102,13 @@ class ModalFilter:
             held = together.weights.times(evidence.log_likelihood)[0]
         except DegenerateWeights:
             held = together.weights
-        return _step(posterior, total, together, held, evidence, reports)
+        visible = tuple(
+            Predicted(0.0 if hidden else float(share), part.mean, part.covariance)
+            for part, share, hidden in zip(
+                predicted.parts, predicted.mode_probabilities, self.modes.hidden, strict=True
+            )
+        )
+        return replace(_step(posterior, total, together, held, evidence, reports), predicted=visible)
 
     def _predict(self, part: GaussianPosterior, motion: MotionModel, dt: float) -> GaussianPosterior:
         mean, covariance = predict(part.mean, part.covariance, motion, dt, self.settings)
