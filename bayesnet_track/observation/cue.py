@@ -34,6 +34,7 @@ from bayesnet_track.observation.protocols import OWN_DETECTION as OWN_DETECTION
 from bayesnet_track.observation.protocols import AnyCue as AnyCue
 from bayesnet_track.observation.protocols import AssociatingCue as AssociatingCue
 from bayesnet_track.observation.protocols import AssociationRule as AssociationRule
+from bayesnet_track.observation.protocols import CrowdCue as CrowdCue
 from bayesnet_track.observation.protocols import Cue as Cue
 from bayesnet_track.observation.protocols import Hypotheses as Hypotheses
 from bayesnet_track.observation.protocols import LocallyAdaptable as LocallyAdaptable

@@ -5,7 +5,7 @@ How a cue is declared and found is in `cue`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol, runtime_checkable
 
@@ -16,6 +16,7 @@ from bayesnet_track.observation.likelihoods import Reference
 from bayesnet_track.observation.planes import Plane, Planes
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,6 +239,32 @@ class LocallyAdaptable(Protocol):
         they must go no further than the first, and learning takes the tuning back
         (`bayesnet_track.numerics.sharpening` does both).
         """
+        ...
+
+
+@runtime_checkable
+class CrowdCue(Protocol):
+    """A cue that scores, and learns of, several targets in one call: with the bits of one call for each.
+
+    Planes come one for each target, or the same for all; boxes of all targets below each other, those of
+    target t from `starts[t]` to before `starts[t + 1]`.
+    """
+
+    @property
+    def needs(self) -> tuple[Plane, ...]:
+        """As of a `Cue`."""
+        ...
+
+    def log_likelihood_of_each(
+        self, planes: Sequence[Planes], boxes: Floats, starts: Ints, references: Sequence[Reference]
+    ) -> Floats:
+        """(N,) `log_likelihood` of the boxes (N, 4), each by the reference of its target."""
+        ...
+
+    def follow_each(
+        self, planes: Sequence[Planes], boxes: Floats, references: Sequence[Reference], rates: Floats
+    ) -> Sequence[Reference]:
+        """Each target's reference blended at its rate (T,) with what is learnt in its box, of (T, 4)."""
         ...
 
 
