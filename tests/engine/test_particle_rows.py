@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cues.color_histogram import ColorHistogram
+from bayesnet_track.engine import learning
 from bayesnet_track.engine import step as steps
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.rows.particle_rows import filter_rows, plate_fits
@@ -75,6 +76,29 @@ def test_what_a_cue_says_of_all_and_cannot_be_used_is_asked_one_by_one(monkeypat
     expected = lines(3)
     monkeypatch.setattr(ColorHistogram, "log_likelihood_of_each", said)
     assert lines(3) == expected
+
+
+@pytest.mark.parametrize("answer", ["raises", "not finite"])
+def test_agents_of_all_that_cannot_learn_together_learn_one_by_one(monkeypatch, answer):
+    def followed(self, planes, boxes, references, rates):
+        if answer == "raises":
+            raise RuntimeError("of all")
+        return [{**one, "alpha": np.array(np.nan)} for one in references]
+
+    expected = lines(3)
+    monkeypatch.setattr(ColorHistogram, "follow_each", followed)
+    assert lines(3) == expected
+
+
+def test_agents_of_all_targets_learn_in_one_call(monkeypatch):
+    asked, own = [], ColorHistogram.follow_each
+    monkeypatch.setattr(
+        ColorHistogram, "follow_each", lambda self, *args: asked.append(len(args[1])) or own(self, *args)
+    )
+    together = lines(4)
+    assert asked and max(asked) > 1
+    monkeypatch.setattr(learning, "plate_learns", lambda compiled: False)
+    assert lines(4) == together
 
 
 def test_only_targets_that_fit_go_together():
