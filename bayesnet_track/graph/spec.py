@@ -263,6 +263,12 @@ class AgentNode(Model):
     learn_rate_max: Annotated[Number, Field(ge=0, le=1)] | None = Field(
         default=None, description="instead of the root's learn.rate_max; 0 keeps the first reference"
     )
+    measures: dict[Name, Annotated[str, Field(max_length=MAX_CHARACTERS)]] = Field(
+        default={},
+        max_length=8,
+        description="of an agent that measures: quantity: its "
+        "[expression](expressions.md#measurement-functions) of the state; default, fields of the state",
+    )
     on: Literal["engine", "process"] | None = Field(
         default=None,
         description="where it runs, without effect on results: `engine`, in the engine's own process; "

@@ -9,7 +9,7 @@ from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from bayesnet_track.graph.checked import CheckedTarget, Conditional, Factor
+from bayesnet_track.graph.checked import CheckedTarget, Conditional, Factor, MeasuredAs
 from bayesnet_track.graph.expressions.write import text_of
 from bayesnet_track.graph.settings.nodes import pool_exponents
 from bayesnet_track.graph.spec import AgentNode, Fuse, Given, Latent
@@ -44,13 +44,15 @@ class Draw:
 class Observe:
     """An agent scores the hypotheses of the node `at` (the root or the nearest latent node above it).
 
-    With `measures` it says where the target is instead. Its log-likelihood is divided by `temperature`.
+    With `measures` it says where the target is instead, by quantities that `functions` have of a state. Its
+    log-likelihood is divided by `temperature`.
     """
 
     agent: str
     at: str
     measures: bool = False
     temperature: float = 1.0
+    functions: MeasuredAs | None = None
 
 
 @dataclass(frozen=True)
@@ -158,6 +160,7 @@ def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str
                 _hypotheses_of(target, target.parent[name]),
                 isinstance(cues[name], MeasuringCue),
                 target.agent(name).temperature,
+                target.measures.get(name),
             )
             for name in watching
         ),

@@ -16,12 +16,15 @@ def p_values(plate: CheckedTarget, step: Step[Any], hidden: Sequence[bool] = ())
     """Agent -> probability of a measurement that is farther from the prediction than its own.
 
     Of agents at the root that measured, whose message reaches it as a Gaussian. A measurement shared by
-    several targets has none. Hypotheses in modes in which the target is `hidden` are left out.
+    several targets has none, nor has one of functions of the state. Hypotheses in modes in which the target
+    is `hidden` are left out.
     """
     found = {}
     for agent in plate.agents:
         one = step.evidence.gaussians.get(agent)
         if one is None or one.choices or plate.agent(agent).parent != plate.root:
+            continue
+        if one.seen is not None:
             continue
         fields = step.posterior.fields
         columns = [fields.index(name) for name in one.fields]

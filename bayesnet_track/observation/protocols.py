@@ -5,7 +5,7 @@ How a cue is declared and found is in `cue`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol, runtime_checkable
 
@@ -83,6 +83,27 @@ class Cue(Protocol):
         ...
 
 
+BOX = ("x", "y", "w", "h")
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What the quantities of a measurement would be of states, where they are no fields of them.
+
+    Attributes:
+        function: state field -> (N,), to (N, K) values; NaN where there is none.
+        circular: (K,) whether a quantity is an angle in radians, whose differences are taken modulo 2 pi.
+    """
+
+    function: Callable[[Mapping[str, Floats]], Floats]
+    circular: NDArray[np.bool_]
+
+    def less(self, values: Floats, expected: Floats) -> Floats:
+        """(N, K) values less what was expected; of angles the shorter way round."""
+        away = values - expected
+        return np.where(self.circular, (away + np.pi) % (2.0 * np.pi) - np.pi, away)
+
+
 @dataclass(frozen=True, eq=False)
 class Measurement:
     """A Gaussian message: where an agent found the target, instead of a score for every hypothesis.
@@ -99,6 +120,7 @@ class Measurement:
         choices: where several places may be the target's: (probability, measurement) of each, of the same
             fields and without choices of their own. What they lack of 1 is that none is. `mean` and
             `covariance` then stand for all of them.
+        seen: what they would be of a state, where `fields` are no fields of it; the engine sets it.
     """
 
     fields: tuple[str, ...]
@@ -106,6 +128,7 @@ class Measurement:
     covariance: Floats
     floor: float = 0.0
     choices: tuple[tuple[float, Measurement], ...] = ()
+    seen: Seen | None = None
 
     @property
     def missed(self) -> float:

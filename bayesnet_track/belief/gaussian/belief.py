@@ -132,7 +132,8 @@ class GaussianFilter:
         except DegenerateWeights as fault:
             posterior = _posterior(mean, covariance, prior.fields, len(asked.states))
             return replace(_step(posterior, -np.inf, asked, asked.beta, evidence), degenerate=str(fault))
-        after = take(mean, covariance, prior.fields, evidence.gaussians, self.settings.gate)
+        by_points = self.settings.filter == "unscented"
+        after = take(mean, covariance, prior.fields, evidence.gaussians, self.settings.gate, by_points)
         stepped = _step(
             _posterior(after.mean, after.covariance, prior.fields, len(asked.states)),
             log_evidence + after.log_evidence,

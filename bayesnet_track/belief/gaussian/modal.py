@@ -123,7 +123,7 @@ class ModalFilter:
             mean, covariance, log_evidence = update(part.mean, part.covariance, asked, sampled)
         except DegenerateWeights:
             return part, -np.inf
-        after = take(mean, covariance, part.fields, used, 1.0)
+        after = take(mean, covariance, part.fields, used, 1.0, self.settings.filter == "unscented")
         held = replace(part, mean=_held(after.mean), covariance=after.covariance)
         return held, log_evidence + after.log_evidence
 
@@ -138,7 +138,15 @@ class ModalFilter:
         ):
             if hidden or share <= 0.0:
                 continue
-            taken = take(part.mean, part.covariance, part.fields, evidence.gaussians, self.settings.gate)
+            is_unscented = self.settings.filter == "unscented"
+            taken = take(
+                part.mean,
+                part.covariance,
+                part.fields,
+                evidence.gaussians,
+                self.settings.gate,
+                is_unscented,
+            )
             used |= taken.used
             for one in taken.gated:
                 if one.agent not in nearest or one.d2 < nearest[one.agent].d2:
