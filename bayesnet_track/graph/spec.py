@@ -207,7 +207,11 @@ class InferenceNode(Model):
         description="at the root, default 500 particles; or at a node with `fuse: latent`, then without "
         "settings, default particles",
     )
-    motion: Motion | None = Field(default=None, description="root only, required there")
+    motion: Motion | None = Field(
+        default=None,
+        description="required at the root; or at a node with `fuse: latent`: its deviation from its place in "
+        "its parent's box is remembered, and changes by this random walk in px",
+    )
     modes: Modes | None = Field(
         default=None,
         description="root only; hidden discrete states with memory: ways to move, and whether it is seen. "

@@ -28,7 +28,7 @@ from bayesnet_track.inference.observe import (
     observe,
     remember,
 )
-from bayesnet_track.inference.parts import part_boxes
+from bayesnet_track.inference.parts import deviating_boxes, part_boxes
 from bayesnet_track.inference.readings import note_undefined, read_as
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import Region, region_of_boxes
@@ -244,7 +244,10 @@ def _draw_latent(plan: Plan, observer: Observer, hypotheses: Hypotheses) -> dict
                 observer.factors.undefined.setdefault(f"given {step.node}.{name}", one)
             continue
         around = part_boxes(step.given, above.boxes)
-        boxes = sample_noise(step.given, around, rng)
+        if step.moves:
+            boxes = deviating_boxes(step.node, around, hypotheses.fields)
+        else:
+            boxes = sample_noise(step.given, around, rng)
         at[step.node] = Hypotheses(boxes, above.fields)
     return {step.node: at[step.node] for step in plan.draws}
 

@@ -14,6 +14,7 @@ from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.composed import compose_motion
 from bayesnet_track.belief.motion.jumps import Jumping, Search
+from bayesnet_track.belief.motion.nested import deviations_of
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.smoothing.backward import Move, smooth_particles
 from bayesnet_track.belief.smoothing.gaussian import smooth_gaussians
@@ -127,7 +128,8 @@ def _smooth_lifetime(
     run: Run, root: spec.InferenceNode, lifetime: Sequence[KeptBelief], draws: int, rng: np.random.Generator
 ) -> Sequence[Smoothed]:
     assert root.motion is not None
-    plain = make_plate_motion(root, run.spec.constants)
+    nodes = run.spec.targets[run.kinds[lifetime[0].target]].nodes
+    plain = make_plate_motion(root, run.spec.constants, deviations_of(nodes))
     size = run.started.width, run.started.height
     moves = [
         Move(_motion_into(now, plain, root.motion, size), now.time - before.time)

@@ -16,6 +16,7 @@ from bayesnet_track.graph.text.formula import (
     formula_text,
 )
 from bayesnet_track.graph.text.formula_motion import latex_lines, lines
+from bayesnet_track.graph.text.formula_states import latent_nodes, moves
 from bayesnet_track.graph.text.load import load_graph
 
 WALK = {"random_walk": {"sd_px": {"x": 20, "y": 10}}}
@@ -234,3 +235,14 @@ def test_modes_are_said_with_how_long_they_last_and_what_follows():
         "then straight",
         "mode behind: moves so, 10 frames on average, then straight, hidden: every agent says 0.02",
     ]
+
+
+def test_parts_with_a_motion_are_a_part_of_what_the_belief_is_about():
+    plate = load_graph("person_levels").targets["person"]
+    assert [own for own, _, _ in latent_nodes(plate) if moves(plate, own)] == ["torso", "head"]
+    text = formula_text(plate)
+    before = "person_t-1, torso_t-1, head_t-1"
+    assert f"p(person_t, torso_t, head_t | {before}) = p(person_t | person_t-1) · " in text
+    assert "p(head_t | torso_t, head_t-1, torso_t-1): Gaussian around (x, y - 0.816 h)" in text
+    assert "sd x 2.5 px, y 1 px in the long run, sd x 1.5 px, y 0.6 px a frame" in text
+    assert "[∫" not in text
