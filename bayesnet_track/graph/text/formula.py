@@ -15,7 +15,7 @@ from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.checked import Factor as Expression
 from bayesnet_track.graph.expressions.write import latex_of, text_of
 from bayesnet_track.graph.settings.nodes import pool_exponents
-from bayesnet_track.graph.spec import Motion
+from bayesnet_track.graph.spec import Given, Motion
 from bayesnet_track.graph.text import formula_given, formula_modes, formula_motion
 from bayesnet_track.graph.text.formula_states import (
     describe_held,
@@ -91,20 +91,11 @@ def formula_text(target: CheckedTarget, active: Iterable[str] | None = None) -> 
         *formula_modes.lines(target, _motion),
     ]
     for name, given, law_of in latent_nodes(target):
-        law = f"Gaussian{place(law_of)}, {noise(law_of)}"
-        written = target.givens.get(name)
-        if written is not None:
-            held = describe_held(target, name)
-            lines.append(f"p({text_state(name)} | {text_state(given)}): by expressions{held}")
-            lines += formula_given.lines(written, text_state(name))
-        elif moves(target, name):
-            walk = target.inference(name).motion
-            assert walk is not None
-            lines.append(f"{text_step(name, given)}: {law} in the long run, {noise(walk.settings)} a frame")
-        else:
-            held = describe_held(target, name)
-            lines.append(f"p({text_state(name)} | {text_state(given)}): {law}{held}")
+        lines.append(_law(target, name, given, law_of))
+        if name in target.givens:
+            lines += formula_given.lines(target.givens[name], text_state(name))
     lines += [f"{name}({text_state(at)}) = {_expression(one)}" for name, at, one in _weights(target)]
+    lines += formula_given.measured_lines(target)
     left_out = _list_left_out(target, active)
     return "\n".join([*lines, f"left out (switched off): {', '.join(left_out)}"] if left_out else lines)
 
@@ -121,15 +112,34 @@ def formula_latex(target: CheckedTarget, active: Iterable[str] | None = None) ->
         rf"p({root} \mid e_{{1:t}}) &\propto {predicted}{said} \\",
         rf"{predicted} &= \int p({root} \mid {before}) \, p({before} \mid e_{{1:t-1}}) \, d{before}",
     ]
-    for line in formula_motion.latex_lines(target):
+    rows = [*formula_motion.latex_lines(target), *formula_modes.latex_lines(target, root, before)]
+    comments = [f"% {line}" for line in formula_modes.lines(target, _motion)]
+    for name, given, law_of in latent_nodes(target):
+        if name in target.givens:
+            rows += formula_given.latex_lines(target.givens[name], latex_state(name))
+        else:
+            comments.append(f"% {_law(target, name, given, law_of)}")
+    rows += [
+        rf"{_latex_weight(name, at)} &= {latex_of(one.term)}{_latex_constants(one)}"
+        for name, at, one in _weights(target)
+    ]
+    for row in (*rows, *formula_given.measured_latex_lines(target)):
         lines[-1] += r" \\"
-        lines.append(line)
-    for name, at, one in _weights(target):
-        lines[-1] += r" \\"
-        lines.append(rf"{_latex_weight(name, at)} &= {latex_of(one.term)}{_latex_constants(one)}")
-    lines.append(r"\end{align*}")
+        lines.append(row)
+    lines += [r"\end{align*}", *comments]
     left_out = _list_left_out(target, active)
     return "\n".join([*lines, f"% left out (switched off): {', '.join(left_out)}"] if left_out else lines)
+
+
+def _law(target: CheckedTarget, name: str, given: str, law_of: Given) -> str:
+    """The law of a latent state given the one above, in words."""
+    law = f"Gaussian{place(law_of)}, {noise(law_of)}"
+    if name not in target.givens and moves(target, name):
+        walk = target.inference(name).motion
+        assert walk is not None
+        return f"{text_step(name, given)}: {law} in the long run, {noise(walk.settings)} a frame"
+    said = "by expressions" if name in target.givens else law
+    return f"p({text_state(name)} | {text_state(given)}): {said}{describe_held(target, name)}"
 
 
 def _factor(target: CheckedTarget, name: str, state: str, active: set[str]) -> Factor | None:
