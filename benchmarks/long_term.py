@@ -1,19 +1,21 @@
 """Long-term tracking on real sequences from which the target is away for a while.
 
     python benchmarks/long_term.py DATA_FOLDER [--half A] [--graphs general,FILE] [--seeds 1] [--before 60]
-                                   [--away 40] [--after 60] [--models FOLDER]
+                                   [--away 40] [--after 60] [--peers-python PYTHON] [--models FOLDER]
 
 A sequence is cut after its first frames (`--before`), followed by `--away` frames of the next sequence of
 the same half, scaled to its size, in which the target is absent, and continued with up to `--after` frames.
 Printed are precision, recall and F of VOT-LT at the confidence with the largest F (docs/scores.md), the share
 of absent frames that are called tracking, and in how many sequences the box overlaps the true one by more
-than half within the first 20 frames after the return, of those in which it did at the cut. With `--models`,
-NanoTrack v2 of the installed OpenCV runs beside.
+than half within the first 20 frames after the return, of those in which it did at the cut. With
+`--peers-python`, the interpreter of an environment with OpenCV's contrib build, CSRT runs beside, and
+NanoTrack v2 with `--models`. CSRT has no score: its confidence is 1 while its update succeeds, else 0.
 """
 
 from __future__ import annotations
 
 import argparse
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +24,7 @@ import cv2
 import numpy as np
 from measuring import Image, environment, on_one_thread, table
 from numpy.typing import NDArray
+from real_video import Elsewhere
 from real_video_coin import HALVES
 from sequences import Sequence, find_sequences
 
@@ -74,32 +77,42 @@ def make(sequences: list[Sequence], before: int, away: int, after: int) -> list[
     return found
 
 
-def run(made: Made, tracker: Tracker | object) -> tuple[Confident, list[str]]:
+def run(made: Made, tracker: Tracker) -> tuple[Confident, list[str]]:
     """Overlap and confidence of each frame after the first, and statuses."""
     truth = made.truth
     boxes, confidence, status = [], [], []
     for index, image in enumerate(made.images()):
         if index == 0:
-            start = tuple(float(v) for v in truth[0])
-            tracker.init(image, start if isinstance(tracker, Tracker) else tuple(int(v) for v in start))
+            tracker.init(image, tuple(float(v) for v in truth[0]))
             continue
-        ok, box = tracker.update(image)
+        _, box = tracker.update(image)
         boxes.append(tuple(float(v) for v in box))
         confidence.append(float(tracker.getTrackingScore()))
-        status.append(tracker.status if isinstance(tracker, Tracker) else "tracking" if ok else "lost")
+        status.append(tracker.status)
+    return confident(truth, boxes, confidence), status
+
+
+def confident(truth: NDArray[np.float64], boxes: list[tuple[float, ...]], sure: list[float]) -> Confident:
+    """Overlap and confidence of each frame after the first."""
     true = truth[1 : len(boxes) + 1]
     present = np.isfinite(true).all(axis=1)
     iou = np.zeros(len(true))
     iou[present] = overlap(centre_from_corner(np.array(boxes)[present]), centre_from_corner(true[present]))
-    return Confident(iou, np.array(confidence), present), status
+    return Confident(iou, np.array(sure), present)
 
 
-def nano(models: Path) -> object:
-    """NanoTrack v2."""
-    parameters = cv2.TrackerNano_Params()
-    parameters.backbone = str(models / "nanotrack_backbone_v2.onnx")
-    parameters.neckhead = str(models / "nanotrack_head_v2.onnx")
-    return cv2.TrackerNano_create(parameters)
+def run_peer(elsewhere: Elsewhere, name: str, made: Made) -> tuple[Confident, list[str]]:
+    """The same, by a tracker of the other environment."""
+    truth = made.truth
+    with tempfile.TemporaryDirectory() as folder:
+        files = []
+        for index, image in enumerate(made.images()):
+            files.append(Path(folder) / f"{index:04}.bmp")
+            cv2.imwrite(str(files[-1]), image)
+        found = elsewhere.find(name, files, truth[0].tolist())
+    status = ["lost" if gone else "tracking" for gone in found["lost"][1:]]
+    sure = [0.0 if gone else score for gone, score in zip(found["lost"], found["scores"], strict=True)]
+    return confident(truth, found["boxes"][1:], sure[1:]), status
 
 
 def row(name: str, made: list[Made], runs: list[tuple[Confident, list[str]]]) -> list[str]:
@@ -135,7 +148,8 @@ def main() -> None:
     parser.add_argument("--before", type=int, default=60)
     parser.add_argument("--away", type=int, default=40)
     parser.add_argument("--after", type=int, default=60)
-    parser.add_argument("--models", type=Path)
+    parser.add_argument("--peers-python", metavar="PYTHON", help="has OpenCV's contrib build")
+    parser.add_argument("--models", metavar="FOLDER", help="NanoTrack's two model files")
     options = parser.parse_args()
     on_one_thread()
     cv2.setNumThreads(1)
@@ -145,8 +159,10 @@ def main() -> None:
     for graph in options.graphs.split(","):
         runs = [run(one, Tracker(graph, seed)) for one in made for seed in range(options.seeds)]
         rows.append(row(Path(graph).stem, made, runs))
-    if options.models is not None:
-        rows.append(row("NanoTrack v2", made, [run(one, nano(options.models)) for one in made]))
+    if options.peers_python:
+        with Elsewhere(options.peers_python, [options.models] if options.models else []) as elsewhere:
+            for name in {"CSRT", "NanoTrack"} & {*elsewhere.trackers}:
+                rows.append(row(name, made, [run_peer(elsewhere, name, one) for one in made]))
     print(environment() + "\n")
     head = ["", "F", "precision", "recall", "at", "absent called tracking", "back within 20 frames"]
     print(f"half {options.half}, {len(made)} sequences\n\n" + table(head, rows))
