@@ -71,7 +71,8 @@ class Scored:
         found = {
             "log_ud_box": _log(ud_px2 / side**2),
             "evidence": _mean([own[agent] - median(usual[agent]) for agent in seeing]),
-            "log_fit": _log(measures.fit),
+            # Below `full_fit` the bound says at once what the frame is worth: its memory needs no more.
+            "log_fit": _log(max(measures.fit, rule.full_fit)),
             "agreement": _agreement(step, seeing),
             "log_size": abs(math.log(side / first)),
         }
