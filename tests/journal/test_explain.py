@@ -44,7 +44,7 @@ from bayesnet_track.journal.events.sources import (
     SourceDamaged,
     SourceStalled,
 )
-from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.events.statuses import FoundAgain, StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.causes import Cause, HiddenCause
@@ -462,6 +462,11 @@ GOLDEN = [
         AlarmRaised(50, "1", 21.25, 0.05, 43, 25),
         "frame 50: e-value 21.2 ≥ 20, scores low since frame 43 → alarm: target 1 is no longer held; false "
         "in at most 5 % of videos like the 25 calibrated on",
+    ),
+    (
+        FoundAgain(50, "1", 0.82, 0.4, 0.25, 3, 0.53, 20, 31.4),
+        "frame 50: target 1, missing since frame 20, recognised 31.4 px from where it was held: 0.82 of its "
+        "usual fit ≥ 0.4, the last of 3 frames; would have stayed missing at found_fit > 0.53",
     ),
     (AlarmEnded(50, "1"), "frame 50: scores are high again → alarm for target 1 ends"),
     (

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from bayesnet_track.cli.batch.seeds import add_seeds_options, run_seeds
 from bayesnet_track.cli.commands.answer import (
     UsageError,
     complain,
@@ -16,7 +15,6 @@ from bayesnet_track.cli.commands.answer import (
 from bayesnet_track.cli.commands.start_boxes import parse_start, read_start, run_folder
 from bayesnet_track.cli.commands.viewing import begin, open_view
 from bayesnet_track.cli.following import STOPPED, Narrator, follow, users_start
-from bayesnet_track.cli.options.arguments import whole_number
 from bayesnet_track.cli.options.changes import add_set_option, set_values
 from bayesnet_track.cli.options.outside import add_outside_options
 from bayesnet_track.cli.options.plugins import add_plugins
@@ -36,11 +34,7 @@ if TYPE_CHECKING:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Track in a video, with --seeds as often as there are seeds."""
-    if options.seeds is not None:
-        return run_seeds(options, run)
-    if options.truth is not None:
-        raise UsageError("--truth is for --seeds; `score RUN --truth FILE` scores one run")
+    """Track in a video."""
     from bayesnet_track.engine.starts import has_births
     from bayesnet_track.graph.text.load import load_graph
 
@@ -131,7 +125,6 @@ def track_source(
                 overwrite=options.overwrite,
                 video=video,
                 keep_beliefs=getattr(options, "keep_beliefs", False),
-                horizon=getattr(options, "horizon", 0),
                 executor=executor_of(options),
                 sinks=[
                     *sinks,
@@ -224,14 +217,6 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
     add_video_option(run)
     run.add_argument(
         "--keep-beliefs", action="store_true", help="keep every frame's beliefs, for `smooth` (beliefs.jsonl)"
-    )
-    add_seeds_options(run)
-    run.add_argument(
-        "--horizon",
-        type=whole_number(1),
-        default=0,
-        metavar="K",
-        help="write where each target is expected 1 to K frames ahead (forecasts.jsonl)",
     )
     add_outside_options(run)
     add_rerun_option(run)

@@ -46,6 +46,11 @@ class Scored:
         rise: what the alarm's evidence has risen to, nats; 0 without an alarm.
         since: first frame of this rise; None while there is none.
         alarmed: whether the alarm was raised since then.
+        fits: log fits of its last frames while it was held.
+        low: consecutive frames in which something is seen, but nothing that is the target.
+        missing: frame since which nothing is seen that fits as the target did; None while something is.
+        again: largest `found_fit` at which each of the last consecutive frames that show it would still do.
+        place: x and y of the estimate before it was missing, px; empty while it is not.
     """
 
     smooth: Mapping[str, float] = field(default_factory=dict)
@@ -57,6 +62,11 @@ class Scored:
     rise: float = 0.0
     since: int | None = None
     alarmed: bool = False
+    fits: tuple[float, ...] = ()
+    low: int = 0
+    missing: int | None = None
+    again: tuple[float, ...] = ()
+    place: tuple[float, ...] = ()
 
     def after(self, rule: Logistic, measures: Measures, step: Step[Posterior], ud_px2: float) -> Scored:
         """With one frame more; `ud_px2` is the root's UD."""

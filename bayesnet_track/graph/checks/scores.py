@@ -39,6 +39,9 @@ def score_levels_in_order(plate: Plate) -> Iterator[GraphMessage]:
         elif low is not None and high is not None and high <= low:
             found = f"lost.uncertain_below is {high:.6g}, not above lost.score_below, {low:.6g}"
             yield plate.message(name, found, f"above {low:.6g}", key=("lost", "uncertain_below"))
+        if low is None and rule.found_fit is not None:
+            found = "lost.found_fit without lost.score_below"
+            yield plate.message(name, found, "both, or none", key=("lost", "found_fit"), on_key=True)
         if low is not None and rule.above != Lost().above:
             found = "lost.above has no effect: with score_below the score alone says when the target is lost"
             yield plate.message(name, found, "one of above, score_below", key=("lost", "above"), on_key=True)

@@ -178,6 +178,11 @@ class Lost(Model):
         default=None,
         description="probability of existence below which it counts as lost; instead of the others",
     )
+    found_fit: Annotated[Number, Field(gt=0, le=1)] | None = Field(
+        default=None,
+        description="share of the usual fit at which what is seen is the target again, once it was lost by "
+        "its score; more far away; until then the score is at most one half; default: any score will do",
+    )
     frames: FrameCount = Field(default=3, description="consecutive frames before the status changes")
 
 

@@ -22,6 +22,7 @@ from bayesnet_track.journal.events import (
     runs,
     sample_sizes,
     sources,
+    statuses,
 )
 from bayesnet_track.journal.net.net import Decision
 
@@ -39,6 +40,7 @@ Event = (
     | references.Events
     | distractors.Events
     | guarantees.Events
+    | statuses.FoundAgain
     | births.Events
     | faults.Events
     | by_hand.Events

@@ -30,12 +30,41 @@ class StatusChanged:
     hidden: HiddenCause | None = field(default=None, metadata={"left_out_when_empty": True})
 
 
+@dataclass(frozen=True)
+class FoundAgain:
+    """What is seen fits as the target did before it was lost: the score is no longer limited.
+
+    Attributes:
+        frame: frame whose numbers caused it.
+        target: target id.
+        share: likelihood of the best hypothesis as a share of what was usual while it was held.
+        level: share that was required at this distance from where it was held.
+        found_fit: share that is required at no distance.
+        frames: consecutive frames that showed it.
+        turning: largest `found_fit` with which all of them would have done so; 1 where any would.
+        since: frame since which it was missing.
+        moved_px: how far it is from where it was held last.
+    """
+
+    frame: int
+    target: str
+    share: float
+    level: float
+    found_fit: float
+    frames: int
+    turning: float
+    since: int
+    moved_px: float
+
+
 Decisions = StatusChanged
-Events = Decisions
+Events = Decisions | FoundAgain
 
 
 def describe(event: Events) -> str:
     """The sentence of an event, without its frame."""
+    if isinstance(event, FoundAgain):
+        return _recognised(event)
     lost = event.status == "lost"
     result = f"target {event.target} {'lost' if lost else 'found again'}"
     if isinstance(event.cause, ScoreCause):
@@ -89,3 +118,16 @@ def _by_score(event: StatusChanged, cause: ScoreCause) -> str:
     else:
         otherwise = f"would have stayed tracked at uncertain_below ≤ {turning}"
     return f"{found} → target {event.target} {status}; {otherwise}"
+
+
+def _recognised(event: FoundAgain) -> str:
+    share, level = distinct_texts(event.share, event.level)
+    at = round_away(event.turning, decimals(event.turning, event.found_fit), up=True)
+    otherwise = (
+        "at any found_fit" if event.turning >= 1.0 else f"would have stayed missing at found_fit > {at}"
+    )
+    return (
+        f"target {event.target}, missing since frame {event.since}, recognised {event.moved_px:.3g} px from "
+        f"where it was held: {share} of its usual fit ≥ {level}, the last of "
+        f"{plural(event.frames, 'frame')}; {otherwise}"
+    )

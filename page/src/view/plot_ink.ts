@@ -30,22 +30,17 @@ export function shade(u: uPlot, state: State): void {
   g.restore();
 }
 
-/** A band per agent; where one of them is `chosen`, the others step back. */
-export function lanes(u: uPlot, panel: Panel, frames: number[], chosen: string | null): void {
+export function lanes(u: uPlot, panel: Panel, frames: number[]): void {
   const g = u.ctx;
   const ratio = uPlot.pxRatio;
   const { left, top, width, height } = u.bbox;
   const tall = height / Math.max(1, panel.lanes!.length);
   const narrow = width / ratio < 480;
   const [ink, ground] = [colour("ink"), colour("lane")];
-  const isOneChosen = panel.lanes!.some((lane) => lane.agent === chosen);
   g.save();
   panel.lanes!.forEach((lane, index) => {
     const y = top + index * tall + 3 * ratio;
     const h = tall - 6 * ratio;
-    const isChosen = lane.agent === chosen;
-    const strength = isOneChosen && !isChosen ? 0.3 : 1;
-    g.globalAlpha = strength;
     g.fillStyle = ground;
     g.fillRect(left, y, width, h);
     g.save();
@@ -58,9 +53,9 @@ export function lanes(u: uPlot, panel: Panel, frames: number[], chosen: string |
       if (lane.on[k]) {
         const [a, b] = [x(frames[from]! - 0.5), x(frames[k]! + 0.5)];
         g.fillStyle = lane.colour;
-        g.globalAlpha = 0.3 * strength;
+        g.globalAlpha = 0.3;
         g.fillRect(a, y, b - a, h);
-        g.globalAlpha = 0.95 * strength;
+        g.globalAlpha = 0.95;
         g.beginPath();
         g.moveTo(a, y + h);
         for (let j = from; j <= k; j += 1) {
@@ -71,18 +66,12 @@ export function lanes(u: uPlot, panel: Panel, frames: number[], chosen: string |
         g.lineTo(b, y + h);
         g.fill();
         g.fillRect(a, y + h - 1.5 * ratio, b - a, 1.5 * ratio);
-        g.globalAlpha = strength;
+        g.globalAlpha = 1;
       }
       from = k + 1;
     }
     g.restore();
-    g.globalAlpha = isOneChosen && !isChosen ? 0.6 : 1;
-    if (isChosen) {
-      g.strokeStyle = ink;
-      g.lineWidth = 1.5 * ratio;
-      g.strokeRect(left, y - ratio, width, h + 2 * ratio);
-    }
-    g.font = `${isChosen ? 800 : 600} ${11.5 * ratio}px system-ui, sans-serif`;
+    g.font = `600 ${11.5 * ratio}px system-ui, sans-serif`;
     g.fillStyle = ink;
     g.textBaseline = "middle";
     g.textAlign = narrow ? "left" : "right";

@@ -1,0 +1,95 @@
+"""A target of which nothing is seen any more: what is found later has to fit as the target did before."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from statistics import median
+
+from bayesnet_track.engine.scoring.score import LEAST_LOG, Scored
+from bayesnet_track.graph.settings.adapt import Lost
+from bayesnet_track.journal.events.statuses import FoundAgain
+
+USUAL_FRAMES = 10
+"""Frames on target whose median fit counts as usual."""
+
+LEAST_FRAMES = 5
+"""Frames without which nothing is usual yet."""
+
+SAYS_NOTHING = 0.1
+"""Nats by which a frame moves the belief, below which all hypotheses fit alike, as in a black frame."""
+
+FAR_BOX = 4.0
+"""Box sides from which on distance speaks no more against it; there the fifth root of `found_fit` counts."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a frame shows of a target.
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        status: the target's before the frame.
+        score: what it is worth by itself.
+        fit: likelihood of the best hypothesis, geometric mean over the agents.
+        surprise: how far the frame moved the belief, nats.
+        x: of the estimate, px; likewise `y`.
+        side_px: root of its area.
+    """
+
+    frame: int
+    target: str
+    status: str
+    score: float
+    fit: float
+    surprise: float
+    x: float
+    y: float
+    side_px: float
+
+
+def follow_fit(scored: Scored, rule: Lost, look: Look) -> tuple[Scored, float, FoundAgain | None]:
+    """What is remembered after a frame, the most that its score may be, and how a target was found again.
+
+    A target is missing after `frames` frames with a score below `score_below`, those left out in which
+    nothing is seen at all. It is found when something fits at least `found_fit` of what was usual for
+    `frames` frames in a row, or more than that when it is away from where the target was held. What fits less
+    well, something beside it or what hides it, keeps the score at one half or below.
+    """
+    assert rule.found_fit is not None and rule.score_below is not None
+    log_fit = max(math.log(look.fit), LEAST_LOG) if look.fit > 0.0 else LEAST_LOG
+    if scored.missing is None:
+        if look.surprise < SAYS_NOTHING:
+            return replace(scored, low=0), 1.0, None
+        if look.score >= rule.score_below:
+            if look.score < (rule.uncertain_below or rule.score_below):
+                return replace(scored, low=0), 1.0, None
+            held = (*scored.fits, log_fit)[-USUAL_FRAMES:]
+            return replace(scored, low=0, fits=held, place=(look.x, look.y)), 1.0, None
+        low = scored.low + 1
+        is_lost = low >= rule.frames and len(scored.fits) >= LEAST_FRAMES
+        return replace(scored, low=low, missing=look.frame - low + 1 if is_lost else None), 1.0, None
+    usual = median(scored.fits)
+    share = math.exp(log_fit - usual)
+    moved_px = math.hypot(look.x - scored.place[0], look.y - scored.place[1])
+    away = moved_px / look.side_px
+    strict = 1.0 / (1.0 + min(away, FAR_BOX))
+    level = rule.found_fit**strict
+    if share < level:
+        return replace(scored, again=()), 0.5 * (share / level) ** min(away, 1.0), None
+    again = (*scored.again, min(share, 1.0) ** (1.0 / strict))
+    if len(again) < rule.frames:
+        return replace(scored, again=again), 1.0, None
+    found = FoundAgain(
+        look.frame,
+        look.target,
+        share,
+        level,
+        rule.found_fit,
+        rule.frames,
+        min(again),
+        scored.missing,
+        moved_px,
+    )
+    return replace(scored, missing=None, again=(), low=0), 1.0, found
