@@ -1,65 +1,35 @@
 /** A frame with every target's box, and the box that a person draws. Lengths are px of the source. */
 
-import { useSignal } from "@preact/signals";
-import { useEffect, useRef } from "preact/hooks";
-import { CURSORS, fitted, HANDLES, LEAST, moved, type Pull } from "../view/box_edit";
+import { Handles, useDrag } from "../view/box_drag";
 import type { Desk } from "./desk";
 
 export function Picture({ desk }: { desk: Desk }) {
   const { width, height, threshold } = desk.about.value!;
-  const shown = useSignal(1);
-  const plane = useRef<SVGSVGElement>(null);
-  const grip = useRef<(Pull & { from: [number, number]; isNew: boolean }) | null>(null);
   const frame = desk.frame.value;
   const drawn = desk.drawn.value;
+  const { px, handlers } = useDrag({
+    width,
+    height,
+    take: (index) => {
+      desk.playing.value = false;
+      return index < 0 ? null : desk.drawn.value;
+    },
+    add: () => 0,
+    set: (_, box) => {
+      desk.problem.value = "";
+      desk.drawn.value = box;
+    },
+  });
 
-  useEffect(() => {
-    const watch = new ResizeObserver(() => (shown.value = (plane.current?.clientWidth ?? 0) / width || 1));
-    watch.observe(plane.current!);
-    return () => watch.disconnect();
-  }, [width]);
-
-  const place = (event: PointerEvent): [number, number] => {
-    const bounds = plane.current!.getBoundingClientRect();
-    return [((event.clientX - bounds.left) / bounds.width) * width, ((event.clientY - bounds.top) / bounds.height) * height];
-  };
-  const take = (event: PointerEvent) => {
-    if (!event.isPrimary || event.button !== 0) return;
-    plane.current!.setPointerCapture(event.pointerId);
-    desk.playing.value = false;
-    const from = place(event);
-    const part = event.target instanceof Element ? event.target.closest<SVGElement>("[data-box]") : null;
-    if (part !== null && desk.drawn.value !== null) {
-      const sides = part.dataset.sides?.split(",").map(Number) as [number, number] | undefined;
-      grip.current = { from, was: desk.drawn.value, sides: sides ?? null, isNew: false };
-    } else grip.current = { from, was: [from[0], from[1], 0, 0], sides: [1, 1], isNew: true };
-  };
-  const move = (event: PointerEvent) => {
-    const held = grip.current;
-    if (held === null) return;
-    const [dx, dy] = [place(event)[0] - held.from[0], place(event)[1] - held.from[1]];
-    // A press alone draws nothing.
-    if (held.isNew && (Math.abs(dx) < LEAST || Math.abs(dy) < LEAST)) return;
-    held.isNew = false;
-    desk.problem.value = "";
-    desk.drawn.value = fitted(moved(held, dx, dy, width, height), width, height);
-  };
-  const letGo = () => (grip.current = null);
-
-  const px = (length: number) => length / shown.value;
   return (
     <section class="sheet" aria-label="Frame">
       <div class="frame" style={{ aspectRatio: `${width} / ${height}`, maxWidth: `min(100%, calc(66vh * ${width / height}))` }}>
         <img src={`picture?frame=${frame}`} data-frame={frame} alt={`Frame ${frame}`} draggable={false} />
         <svg
-          ref={plane}
+          {...handlers}
           viewBox={`0 0 ${width} ${height}`}
           role="group"
           aria-label="Drag a box around the target"
-          onPointerDown={take}
-          onPointerMove={move}
-          onPointerUp={letGo}
-          onPointerCancel={letGo}
         >
           {desk.targets.value.map((target) => {
             const box = target.boxes[frame];
@@ -97,15 +67,7 @@ export function Picture({ desk }: { desk: Desk }) {
             <g class="drawn chosen">
               <rect class="halo" x={drawn[0]} y={drawn[1]} width={drawn[2]} height={drawn[3]} stroke-width={px(5)} />
               <rect class="line" data-box="0" x={drawn[0]} y={drawn[1]} width={drawn[2]} height={drawn[3]} stroke-width={px(2.5)} />
-              {HANDLES.map(([sx, sy]) => {
-                const [cx, cy] = [drawn[0] + (drawn[2] * (sx + 1)) / 2, drawn[1] + (drawn[3] * (sy + 1)) / 2];
-                return (
-                  <g key={`${sx},${sy}`} data-box="0" data-sides={`${sx},${sy}`} style={{ cursor: `${CURSORS[`${sx},${sy}`]}-resize` }}>
-                    <circle class="reach" cx={cx} cy={cy} r={px(13)} />
-                    <circle class="handle" cx={cx} cy={cy} r={px(4.5)} stroke-width={px(1.5)} />
-                  </g>
-                );
-              })}
+              <Handles box={drawn} index={0} px={px} />
               <text x={drawn[0] + px(4)} y={drawn[1] > px(24) ? drawn[1] - px(7) : drawn[1] + px(16)} font-size={px(13)} stroke-width={px(3.5)}>
                 {drawn[0]}, {drawn[1]} · {drawn[2]} × {drawn[3]}
               </text>

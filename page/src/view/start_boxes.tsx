@@ -1,21 +1,15 @@
 /** Where to start: boxes drawn on the first frame by mouse, finger or keyboard. Lengths are px of the source. */
 
 import { useSignal } from "@preact/signals";
-import { useEffect, useRef } from "preact/hooks";
+import { useEffect } from "preact/hooks";
 import type { Asked, Control } from "../control";
-import { type Box, CURSORS, fitted, HANDLES, LEAST, moved, type Pull } from "./box_edit";
+import { Handles, useDrag } from "./box_drag";
+import { type Box, fitted, LEAST } from "./box_edit";
 import { Icon } from "./transport";
 
 interface Drawn {
   box: Box;
   plate: string;
-}
-
-/** What a finger moves: a new box, a box as a whole, or the sides of one. */
-interface Grip extends Pull {
-  index: number;
-  from: [number, number];
-  isNew: boolean;
 }
 
 export function StartBoxes({ live, about }: { live: Control; about: Asked }) {
@@ -25,9 +19,6 @@ export function StartBoxes({ live, about }: { live: Control; about: Asked }) {
   const drawn = useSignal<Drawn[]>([]);
   const chosen = useSignal(0);
   const isSent = useSignal(false);
-  const shown = useSignal(1);
-  const plane = useRef<SVGSVGElement>(null);
-  const grip = useRef<Grip | null>(null);
 
   useEffect(() => {
     let [address, gone] = ["", false];
@@ -45,12 +36,6 @@ export function StartBoxes({ live, about }: { live: Control; about: Asked }) {
     };
   }, [about.first]);
 
-  useEffect(() => {
-    const watch = new ResizeObserver(() => (shown.value = (plane.current?.clientWidth ?? 0) / width || 1));
-    watch.observe(plane.current!);
-    return () => watch.disconnect();
-  }, [width]);
-
   const set = (index: number, box: Box) => {
     live.problem.value = "";
     drawn.value = drawn.value.map((one, at) => (at === index ? { ...one, box: fitted(box, width, height) } : one));
@@ -64,16 +49,28 @@ export function StartBoxes({ live, about }: { live: Control; about: Asked }) {
     drawn.value = drawn.value.filter((_, at) => at !== index);
     chosen.value = Math.max(0, Math.min(chosen.value, drawn.value.length - 1));
   };
+  const drag = useDrag({
+    width,
+    height,
+    take: (index) => {
+      if (index < 0) return null;
+      chosen.value = index;
+      return drawn.value[index]!.box;
+    },
+    add,
+    set,
+  });
+  const { px } = drag;
   const addInMiddle = () => {
     const [w, h] = [Math.round(width / 5), Math.round(height / 4)];
     const shift = 12 * drawn.value.length;
     const index = add(fitted([Math.round((width - w) / 2) + shift, Math.round((height - h) / 2) + shift, w, h], width, height));
-    requestAnimationFrame(() => plane.current?.querySelector<SVGElement>(`[data-box="${index}"]`)?.focus());
+    requestAnimationFrame(() => drag.plane.current?.querySelector<SVGElement>(`[data-box="${index}"]`)?.focus());
   };
   const reset = () => {
     drawn.value = [];
     live.problem.value = "";
-    grip.current = null;
+    drag.letGo();
   };
   const begin = async () => {
     if (drawn.value.length === 0) {
@@ -112,50 +109,16 @@ export function StartBoxes({ live, about }: { live: Control; about: Asked }) {
     return true;
   };
 
-  const place = (event: PointerEvent): [number, number] => {
-    const bounds = plane.current!.getBoundingClientRect();
-    return [((event.clientX - bounds.left) / bounds.width) * width, ((event.clientY - bounds.top) / bounds.height) * height];
-  };
-  const take = (event: PointerEvent) => {
-    if (!event.isPrimary || event.button !== 0) return;
-    plane.current!.setPointerCapture(event.pointerId);
-    const from = place(event);
-    const part = event.target instanceof Element ? event.target.closest<SVGElement>("[data-box]") : null;
-    const index = part === null ? -1 : Number(part.dataset.box);
-    if (index >= 0) {
-      chosen.value = index;
-      const sides = part!.dataset.sides?.split(",").map(Number) as [number, number] | undefined;
-      grip.current = { index, from, was: drawn.value[index]!.box, sides: sides ?? null, isNew: false };
-    } else grip.current = { index: -1, from, was: [from[0], from[1], 0, 0], sides: [1, 1], isNew: true };
-  };
-  const move = (event: PointerEvent) => {
-    const held = grip.current;
-    if (held === null) return;
-    const [dx, dy] = [place(event)[0] - held.from[0], place(event)[1] - held.from[1]];
-    if (held.isNew && held.index < 0) {
-      // A press alone draws nothing.
-      if (Math.abs(dx) < LEAST || Math.abs(dy) < LEAST) return;
-      held.index = add([0, 0, LEAST, LEAST]);
-    }
-    set(held.index, moved(held, dx, dy, width, height));
-  };
-  const letGo = () => (grip.current = null);
-
-  const px = (length: number) => length / shown.value;
   return (
     <main class="choose">
       <section class="sheet" aria-label="First frame">
         <div class="frame" style={{ aspectRatio: `${width} / ${height}`, maxWidth: `min(100%, calc(72vh * ${width / height}))` }}>
           {picture.value !== "" && <img src={picture.value} alt="The first frame of the video" draggable={false} />}
           <svg
-            ref={plane}
+            {...drag.handlers}
             viewBox={`0 0 ${width} ${height}`}
             role="group"
             aria-label="Draw a box around each target"
-            onPointerDown={take}
-            onPointerMove={move}
-            onPointerUp={letGo}
-            onPointerCancel={letGo}
           >
             {drawn.value.map(({ box: [x, y, w, h] }, index) => {
               const isChosen = index === chosen.value;
@@ -175,16 +138,7 @@ export function StartBoxes({ live, about }: { live: Control; about: Asked }) {
                     aria-label={`Box ${index + 1}: x ${x}, y ${y}, width ${w}, height ${h}. Arrows move it, Shift and arrows change its size`}
                     onFocus={() => (chosen.value = index)}
                   />
-                  {isChosen &&
-                    HANDLES.map(([sx, sy]) => {
-                      const [cx, cy] = [x + (w * (sx + 1)) / 2, y + (h * (sy + 1)) / 2];
-                      return (
-                        <g key={`${sx},${sy}`} data-box={index} data-sides={`${sx},${sy}`} style={{ cursor: `${CURSORS[`${sx},${sy}`]}-resize` }}>
-                          <circle class="reach" cx={cx} cy={cy} r={px(13)} />
-                          <circle class="handle" cx={cx} cy={cy} r={px(4.5)} stroke-width={px(1.5)} />
-                        </g>
-                      );
-                    })}
+                  {isChosen && <Handles box={[x, y, w, h]} index={index} px={px} />}
                   <text x={x + px(4)} y={y > px(24) ? y - px(7) : y + px(16)} font-size={px(13)} stroke-width={px(3.5)}>
                     {index + 1} · {x}, {y} · {w} × {h}
                   </text>
