@@ -29,7 +29,7 @@ from bayesnet_track.sources.scenes.crowd_detector import DetectorSettings, detec
 from bayesnet_track.sources.scenes.walkers import CrowdSettings, make_crowd
 
 IMAGE = np.zeros((480, 720, 3), np.uint8)
-FRAMES = 40
+FRAMES = 20
 
 
 @pytest.fixture(scope="module")
