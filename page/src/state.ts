@@ -11,6 +11,8 @@ export type Layer = "cloud" | "regions" | "map" | "parts" | "truth" | "others";
 export class State {
   readonly frame = signal(0);
   readonly target = signal("");
+  /** The node of the net whose parameters and band are shown. */
+  readonly node = signal<string | null>(null);
   readonly playing = signal(false);
   readonly speed = signal(1);
   /** First and last frame of the timelines. */

@@ -83,16 +83,26 @@ def test_the_frame_is_saved_as_a_picture_named_after_the_run(browser, demo):
     assert bytes(head) == b"\x89PNG"
 
 
-def test_pressing_a_node_shows_its_parameters_and_hides_them_again(browser, demo):
+def test_pressing_a_node_shows_its_parameters_and_its_band_and_hides_them_again(browser, demo):
     browser.open(demo("two_squares"))
     press = (
         "[...document.querySelectorAll('.node')].find(n => n.querySelector('.name').textContent === 'motion')"
         ".dispatchEvent(new MouseEvent('click', {bubbles: true}))"
     )
+    band = "return document.querySelector('.plot-agents canvas').toDataURL()"
+    before = browser.run(band)
     browser.run(press)
     assert "coherent_px: 1" in browser.wait("return document.querySelector('.settings')?.innerText")
+    # Its band stands out in the timeline, and the others step back.
+    assert (
+        browser.wait("return document.querySelector('.plot.chosen')?.className").split()[1] == "plot-agents"
+    )
+    browser.wait(f"return (() => {{ {band} }})() !== {json.dumps(before)}")
     browser.run(press)
     browser.wait("return document.querySelector('.settings') === null")
+    browser.wait(f"return (() => {{ {band} }})() === {json.dumps(before)}")
+    browser.run(press.replace("'motion'", "'square'"))
+    assert "plot-ud" in browser.wait("return document.querySelector('.plot.chosen')?.className")
 
 
 def test_clicking_an_event_shows_its_frame_and_its_sentence(browser, demo):

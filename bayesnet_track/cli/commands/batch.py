@@ -7,6 +7,7 @@ import json
 import os
 import sys
 from contextlib import closing
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,6 +35,8 @@ TABLE = "results.csv"
 def batch(options: argparse.Namespace) -> int:
     """Track in many videos."""
     from bayesnet_track.cli.batch.places import Place, Processes
+    from bayesnet_track.cli.batch.seeds import summary_of
+    from bayesnet_track.cli.batch.spread import spread_text
     from bayesnet_track.cli.batch.table import BatchProgress, csv_text
     from bayesnet_track.cli.batch.work import FAILED
     from bayesnet_track.engine.starts import has_births
@@ -72,10 +75,15 @@ def batch(options: argparse.Namespace) -> int:
     write_atomically(out / TABLE, csv_text(done).encode("utf-8"))
     failed = sum(row["status"] == FAILED for row in done)
     parts = [f"{len(done)} of {len(jobs)} runs done", *([f"{failed} failed"] if failed else [])]
+    summary = summary_of([row for row in done if row["status"] != FAILED]) if options.seeds > 1 else {}
     if options.json:
-        say(json.dumps({"out": str(out), "runs": done, "failed": failed, "of": len(jobs)}))
+        measures = {name: asdict(one) for name, one in summary.items()}
+        told = {"out": str(out), "runs": done, "failed": failed, "of": len(jobs)}
+        say(json.dumps({**told, "summary": measures} if summary else told))
     elif not options.quiet:
         say(f"{out}: {', '.join(parts)}; see {out / TABLE}")
+        if summary:
+            say(spread_text(summary))
     if stop.signal is not None:
         return stop.exit_code
     return INCOMPLETE if failed else OK

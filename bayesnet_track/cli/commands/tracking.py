@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from bayesnet_track.cli.batch.seeds import add_seeds_options, run_seeds
 from bayesnet_track.cli.commands.answer import (
     UsageError,
     complain,
@@ -34,7 +35,11 @@ if TYPE_CHECKING:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Track in a video."""
+    """Track in a video, with --seeds as often as there are seeds."""
+    if options.seeds is not None:
+        return run_seeds(options, run)
+    if options.truth is not None:
+        raise UsageError("--truth is for --seeds; `score RUN --truth FILE` scores one run")
     from bayesnet_track.engine.starts import has_births
     from bayesnet_track.graph.text.load import load_graph
 
@@ -218,6 +223,7 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
     run.add_argument(
         "--keep-beliefs", action="store_true", help="keep every frame's beliefs, for `smooth` (beliefs.jsonl)"
     )
+    add_seeds_options(run)
     add_outside_options(run)
     add_rerun_option(run)
     add_window_options(run)

@@ -31,7 +31,7 @@ def diagnose(options: argparse.Namespace) -> int:
     for one in shown:
         say("\n".join(_lines(options.run, one)))
     if shown:
-        say("compare a value with several seeds (--seed) before you keep it: one run may be chance")
+        say("compare a value with several seeds (run --seeds 5) before you keep it: one run may be chance")
     else:
         say(
             "nothing stands out. That a run agrees with itself does not show that the boxes are right: "

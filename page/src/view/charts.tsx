@@ -90,12 +90,19 @@ function Plot({ state, panel, panels, hasAxis }: PlotProps) {
   });
 
   useSignalEffect(() => {
+    void state.node.value;
+    if (panel.lanes !== undefined) plot.current?.redraw(false);
+  });
+
+  useSignalEffect(() => {
     const frame = state.frame.value;
     if (plot.current !== null && head.current !== null) put(plot.current, head.current, frame);
   });
 
+  const node = state.node.value;
+  const isChosen = node !== null && panel.key === bandOf(state, node);
   return (
-    <figure class={`plot plot-${panel.key}`}>
+    <figure class={`plot plot-${panel.key}${isChosen ? " chosen" : ""}`}>
       <figcaption>
         <b title={panel.about}>{panel.name}</b>
         <small>{panel.unit}</small>
@@ -104,6 +111,13 @@ function Plot({ state, panel, panels, hasAxis }: PlotProps) {
       <div ref={place} class="canvas" role="img" aria-label={`${panel.name}: ${panel.about}`} />
     </figure>
   );
+}
+
+/** The plot with the band of a node: an agent's, or the uncertainty of the root. */
+function bandOf(state: State, name: string): string | null {
+  const plate = state.run.plates[state.track.value?.plate ?? ""];
+  const node = plate?.net.nodes.find((one) => one.name === name);
+  return node?.agent ? "agents" : name === plate?.root ? "ud" : null;
 }
 
 function put(plot: uPlot, playhead: HTMLElement, frame: number): void {
@@ -187,7 +201,7 @@ function draw(
       draw: [
         (u) => {
           if (panel.targets !== undefined) people(u, panel.targets, state);
-          if (panel.lanes !== undefined) lanes(u, panel, frames);
+          if (panel.lanes !== undefined) lanes(u, panel, frames, state.node.peek());
           if (panel.key === "ud") marks(u, panel, frames, events);
           if (panel.key === "agents") stems(u, events);
           drawn(u);

@@ -1,6 +1,5 @@
 /** The net: agents are lit while they are on, edges are as wide as the last message was strong. */
 
-import { useSignal } from "@preact/signals";
 import type { State } from "../state";
 import type { NetNode } from "../data/types";
 import { agentsOf } from "../data/totals";
@@ -23,7 +22,7 @@ export function Net({ state }: { state: State }) {
   const strength = (name: string) => track.value(`nodes/${name}/strength`, row);
   const held = state.run.heldIn(track.id, state.frame.value);
   const hand = handOf(state);
-  const chosen = useSignal<string | null>(null);
+  const chosen = state.node;
   const settings = plate?.settings ?? {};
   const told = agents.map((name) => `${name} ${track.isActive(name, row) ? "on" : "off"}`).join(", ");
   return (
@@ -81,7 +80,7 @@ export function Net({ state }: { state: State }) {
       </svg>
       <p class="hint">
         Filled: on. Edges as wide as the message is strong, in nats.
-        {hand === null && Object.keys(settings).length > 0 && " Press a node for its parameters."}
+        {hand === null && Object.keys(settings).length > 0 && " Press a node for its parameters and its band."}
         {hand !== null && <b> Press an agent to switch it by hand.</b>}
         {hand === null && state.live?.isOn.value && !state.following.value && " To switch agents, go to the newest frame."}
       </p>

@@ -30,17 +30,22 @@ export function shade(u: uPlot, state: State): void {
   g.restore();
 }
 
-export function lanes(u: uPlot, panel: Panel, frames: number[]): void {
+/** A band per agent; where one of them is `chosen`, the others step back. */
+export function lanes(u: uPlot, panel: Panel, frames: number[], chosen: string | null): void {
   const g = u.ctx;
   const ratio = uPlot.pxRatio;
   const { left, top, width, height } = u.bbox;
   const tall = height / Math.max(1, panel.lanes!.length);
   const narrow = width / ratio < 480;
   const [ink, ground] = [colour("ink"), colour("lane")];
+  const isOneChosen = panel.lanes!.some((lane) => lane.agent === chosen);
   g.save();
   panel.lanes!.forEach((lane, index) => {
     const y = top + index * tall + 3 * ratio;
     const h = tall - 6 * ratio;
+    const isChosen = lane.agent === chosen;
+    const strength = isOneChosen && !isChosen ? 0.3 : 1;
+    g.globalAlpha = strength;
     g.fillStyle = ground;
     g.fillRect(left, y, width, h);
     g.save();
@@ -53,9 +58,9 @@ export function lanes(u: uPlot, panel: Panel, frames: number[]): void {
       if (lane.on[k]) {
         const [a, b] = [x(frames[from]! - 0.5), x(frames[k]! + 0.5)];
         g.fillStyle = lane.colour;
-        g.globalAlpha = 0.3;
+        g.globalAlpha = 0.3 * strength;
         g.fillRect(a, y, b - a, h);
-        g.globalAlpha = 0.95;
+        g.globalAlpha = 0.95 * strength;
         g.beginPath();
         g.moveTo(a, y + h);
         for (let j = from; j <= k; j += 1) {
@@ -66,12 +71,18 @@ export function lanes(u: uPlot, panel: Panel, frames: number[]): void {
         g.lineTo(b, y + h);
         g.fill();
         g.fillRect(a, y + h - 1.5 * ratio, b - a, 1.5 * ratio);
-        g.globalAlpha = 1;
+        g.globalAlpha = strength;
       }
       from = k + 1;
     }
     g.restore();
-    g.font = `600 ${11.5 * ratio}px system-ui, sans-serif`;
+    g.globalAlpha = isOneChosen && !isChosen ? 0.6 : 1;
+    if (isChosen) {
+      g.strokeStyle = ink;
+      g.lineWidth = 1.5 * ratio;
+      g.strokeRect(left, y - ratio, width, h + 2 * ratio);
+    }
+    g.font = `${isChosen ? 800 : 600} ${11.5 * ratio}px system-ui, sans-serif`;
     g.fillStyle = ink;
     g.textBaseline = "middle";
     g.textAlign = narrow ? "left" : "right";
