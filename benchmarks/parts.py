@@ -1,13 +1,14 @@
 """What do parts buy while one of them is hidden? A person of head and torso behind a counter and an awning.
 
-    python benchmarks/parts.py [--seeds 20] [--figure docs/figures/parts.png]
+    python benchmarks/parts.py [--seeds 20] [--only levels] [--figure docs/figures/parts.png]
 
 Three nets with the same motion and the same two cues, colour and pattern, in the scene `person_parts`: the
 library graph with parts; one net that sees the person's whole box, by both cues or by colour with a floor of
 0.02, its best form, so that a part is where it belongs in the estimate; two nets that know nothing of each
 other, one for the head and one for the torso. Prints the error of the hidden part's centre and of the part
 that is seen meanwhile, and in how many seeds both parts are within half of their own size of the truth in the
-last ten frames. The last two rows are parts with a `given` half and twice as wide.
+last ten frames. Then parts with a `given` half and twice as wide, and the graph of three levels, whose parts
+remember where they are, beside the same graph with parts drawn anew in each frame.
 With `--figure` it draws three frames of seed 0 instead.
 """
 
@@ -56,6 +57,15 @@ def with_parts(noise: float = 1.0) -> GraphSpec:
     for name in ("head", "torso"):
         given = written["targets"]["person"]["nodes"][name]["fuse"]["latent"]["given"]
         given["sd_px"] = {axis: noise * sd for axis, sd in given["sd_px"].items()}
+    return GraphSpec.model_validate(written)
+
+
+def with_levels(moving: bool = True) -> GraphSpec:
+    """The library graph of three levels; its parts remember where they are, or are drawn anew."""
+    written = load_graph("person_levels").spec.model_dump(exclude_none=True)
+    for name in ("torso", "head"):
+        if not moving:
+            del written["targets"]["person"]["nodes"][name]["motion"]
     return GraphSpec.model_validate(written)
 
 
@@ -147,6 +157,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--only", default="", metavar="TEXT", help="the rows whose names hold it")
     parser.add_argument("--figure", type=Path)
     options = parser.parse_args()
     on_one_thread()
@@ -154,14 +165,17 @@ def main() -> None:
         draw(options.figure)
         return
     print(environment() + "\n")
-    rows = [
-        row("with parts", with_parts(), options.seeds),
-        row("one net, the whole box", alone("person"), options.seeds),
-        row("one net, colour of the whole box", alone("person", pattern=False, floor=0.02), options.seeds),
-        row("two independent nets", alone("head", "torso"), options.seeds),
-        row("parts, `given` half as wide", with_parts(0.5), options.seeds),
-        row("parts, `given` twice as wide", with_parts(2.0), options.seeds),
-    ]
+    graphs = {
+        "with parts": with_parts(),
+        "one net, the whole box": alone("person"),
+        "one net, colour of the whole box": alone("person", pattern=False, floor=0.02),
+        "two independent nets": alone("head", "torso"),
+        "parts, `given` half as wide": with_parts(0.5),
+        "parts, `given` twice as wide": with_parts(2.0),
+        "three levels that move": with_levels(),
+        "three levels, drawn anew": with_levels(moving=False),
+    }
+    rows = [row(text, one, options.seeds) for text, one in graphs.items() if options.only in text]
     head = [
         "",
         "hidden torso, px (90 %)",

@@ -8,6 +8,7 @@ starts, and normalises by the coloured pixels only, which makes every part of a 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -29,7 +30,7 @@ from bayesnet_track.observation.cue import (
     log_logistic,
     log_size_penalty,
 )
-from bayesnet_track.observation.geometry import box_pixels, distinct_pixels
+from bayesnet_track.observation.geometry import Ints, box_pixels, crops_of, distinct_pixels
 from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.planes.color_planes import HueBins
 
@@ -93,7 +94,7 @@ class ColorHistogram:
         Alpha is half the mean distance of the four boxes that overlap it by 50 % (thesis eq. 3.3 and figure
         3.2, corrected), of those inside the frame where there are any.
         """
-        from bayesnet_track.vision.kernels.histogram_kernels import color_distances
+        from bayesnet_track.vision.kernels.histograms.histogram_kernels import color_distances
 
         boxes = np.empty((5, 4))  # the box itself, then those around it
         boxes[:] = box
@@ -134,12 +135,95 @@ class ColorHistogram:
         """A sharper likelihood."""
         return sharpen(reference, attempt, STEP)
 
+    def log_likelihood_of_each(
+        self, planes: Sequence[Planes], boxes: Floats, starts: Ints, references: Sequence[Reference]
+    ) -> Floats:
+        """`log_likelihood` of several targets at once."""
+        from bayesnet_track.vision.kernels.histograms.crowd_histogram_kernels import color_distances_of_each
+
+        p = self.parameters
+        counts, visible, nominal, firsts, places = self._count_of_each(planes, boxes, starts)
+        shares = np.array([one["shares"] for one in references])
+        distances, _ = color_distances_of_each(
+            counts, visible, nominal, firsts, shares, p.achromatic_distance
+        )
+        alphas = np.array([float(one["alpha"]) * factor_of(one) for one in references])
+        similarity = log_logistic(distances, np.repeat(alphas, np.diff(firsts)))[places]
+        sizes = np.repeat(np.array([one["size"] for one in references]), np.diff(starts), axis=0)
+        size = log_size_penalty(boxes, sizes.T, p.sd_log_area, p.sd_log_aspect)
+        return floored(similarity + size, p.floor)
+
+    def follow_each(
+        self, planes: Sequence[Planes], boxes: Floats, references: Sequence[Reference], rates: Floats
+    ) -> Sequence[Reference]:
+        """`learn` and `blend` of several targets at once."""
+        shares, alphas = self._learn_each(planes, boxes)
+        old = np.array([one["shares"] for one in references])
+        old_alphas = np.array([float(one["alpha"]) for one in references])
+        shares = rates[:, None] * shares + (1.0 - rates)[:, None] * old
+        alphas = rates * alphas + (1.0 - rates) * old_alphas
+        followed: list[Reference] = []
+        for t, (one, rate) in enumerate(zip(references, rates.tolist(), strict=True)):
+            new = {"size": boxes[t, 2:].copy(), SHARPER: np.array(1.0)}
+            followed.append(
+                {
+                    "shares": shares[t],
+                    "alpha": alphas[t : t + 1].reshape(()),
+                    "size": blend_sizes(one, new, rate),
+                    **relax(one, new, rate),
+                }
+            )
+        return followed
+
+    def _learn_each(self, planes: Sequence[Planes], boxes: Floats) -> tuple[Floats, Floats]:
+        """(T, bins + 1) shares and (T,) alphas of targets in the centre boxes (T, 4), as `learn` has them."""
+        from bayesnet_track.vision.kernels.histograms.crowd_histogram_kernels import color_distances_of_each
+
+        count, bins = len(boxes), self.parameters.bins
+        around = np.repeat(boxes[:, None], 5, axis=1)
+        around[:, 1:, :2] += HALF_OVERLAP * boxes[:, None, 2:]
+        starts = np.arange(0, 5 * count + 1, 5)
+        counts, visible, nominal, _, places = self._count_of_each(planes, around.reshape(-1, 4), starts)
+        counts, visible, nominal = counts[places], visible[places], nominal[places]
+        seen = np.maximum(visible[::5].astype(np.int64), 1)
+        shares = np.zeros((count, bins + 1))
+        shares[:, :bins] = counts[::5] / seen[:, None]
+        shares[:, bins] = 1.0 - shares[:, :bins].sum(axis=1)
+        distances, outside = color_distances_of_each(
+            counts, visible, nominal, starts, shares, self.parameters.achromatic_distance
+        )
+        alphas = np.empty(count)
+        for t, (near, beyond) in enumerate(
+            zip(distances.reshape(-1, 5)[:, 1:], outside.reshape(-1, 5)[:, 1:], strict=True)
+        ):
+            inside = beyond == 0
+            alphas[t] = 0.5 * float(near[inside if inside.any() else slice(None)].mean())
+        return shares, np.maximum(alphas, self.parameters.alpha_min)
+
+    def _count_of_each(
+        self, planes: Sequence[Planes], boxes: Floats, starts: Ints
+    ) -> tuple[NDArray[np.int32], Floats, Floats, Ints, Ints]:
+        """Coloured pixels (U, bins), pixels inside the frame, and in all, of the boxes that differ.
+
+        Then (T + 1,) where those of each target begin, and (N,) where each box is among them.
+        """
+        from bayesnet_track.vision.kernels.histograms.crowd_histogram_kernels import (
+            count_of_each,
+            distinct_of_each,
+        )
+        from bayesnet_track.vision.kernels.histograms.histogram_kernels import one_hot_rows
+
+        values, crops, regions = crops_of(planes, self._plane)
+        corners, visible, nominal, firsts, places = distinct_of_each(boxes, starts, regions)
+        counts = count_of_each(values, crops, corners, firsts, one_hot_rows(self.parameters.bins, np.uint16))
+        return counts, visible, nominal, firsts, places
+
     def _distances(self, planes: Planes, boxes: Floats, shares: Floats) -> tuple[Floats, Floats]:
         """(N,) distances to the reference's shares, 0..1, and the share of each box outside the frame.
 
         Boxes with the same pixels are compared once.
         """
-        from bayesnet_track.vision.kernels.histogram_kernels import color_distances, count_in_boxes
+        from bayesnet_track.vision.kernels.histograms.histogram_kernels import color_distances, count_in_boxes
 
         pixels, place = distinct_pixels(box_pixels(planes, boxes))
         counts = count_in_boxes(planes[self._plane], pixels.corners, self.parameters.bins)
@@ -150,7 +234,7 @@ class ColorHistogram:
 
     def _count(self, planes: Planes, boxes: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
         """(N, bins) coloured pixels, (N,) pixels inside the frame, (N,) pixels of the whole box."""
-        from bayesnet_track.vision.kernels.histogram_kernels import count_in_boxes
+        from bayesnet_track.vision.kernels.histograms.histogram_kernels import count_in_boxes
 
         pixels = box_pixels(planes, boxes)
         counts = count_in_boxes(planes[self._plane], pixels.corners, self.parameters.bins)
@@ -159,7 +243,7 @@ class ColorHistogram:
 
 def _make(parameters: ColorHistogramParameters) -> Cue:
     from bayesnet_track.numerics.kernels import box_kernels  # noqa: F401  load before the first frame
-    from bayesnet_track.vision.kernels import histogram_kernels  # noqa: F401
+    from bayesnet_track.vision.kernels.histograms import crowd_histogram_kernels  # noqa: F401
 
     return ColorHistogram(parameters)
 

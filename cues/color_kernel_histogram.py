@@ -76,7 +76,7 @@ class ColorKernelHistogram:
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """The colours of the visible part of the ellipse in `box`."""
-        from bayesnet_track.vision.kernels.kernel_histogram_kernels import kernel_shares
+        from bayesnet_track.vision.kernels.histograms.kernel_histogram_kernels import kernel_shares
 
         r = planes.region
         cells = np.ascontiguousarray(planes[self._plane])
@@ -116,7 +116,7 @@ class ColorKernelHistogram:
 
     def coefficients(self, planes: Planes, boxes: Floats, reference: Reference) -> Floats:
         """(N,) Bhattacharyya coefficient of each centre box (N, 4) with the reference, 0..1."""
-        from bayesnet_track.vision.kernels.kernel_histogram_kernels import coefficients
+        from bayesnet_track.vision.kernels.histograms.kernel_histogram_kernels import coefficients
 
         shares = reference["shares"]
         known = shares > 0
@@ -128,7 +128,7 @@ class ColorKernelHistogram:
 
 
 def _make(parameters: ColorKernelHistogramParameters) -> Cue:
-    from bayesnet_track.vision.kernels import kernel_histogram_kernels  # noqa: F401  load before the first frame
+    from bayesnet_track.vision.kernels.histograms import kernel_histogram_kernels  # noqa: F401  load first
 
     return ColorKernelHistogram(parameters)
 

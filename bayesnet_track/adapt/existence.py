@@ -13,6 +13,7 @@ and a detection that is none of the targets' is a new one with probability b / (
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -32,6 +33,9 @@ SURE = 1.0 - 1e-9
 
 START_DETECTION, START_CHANCES = 0.85, 100.0
 """What is assumed of detection before any, and for how many chances of one this counts."""
+
+START_COVERED, START_COVERED_CHANCES = 0.6, 20.0
+"""The same of targets that another one covers."""
 
 START_CLUTTER, START_FRAMES = 1.0, 5.0
 """What is assumed of false detections a frame before any, and for how many frames this counts."""
@@ -99,6 +103,9 @@ class Population:
         size_mean: (2,) of log width and log height of detections.
         size_covariance: (2, 2).
         sizes: how many detections that rests on.
+        covered_hits: detections of targets that another one covered.
+        covered_chances: how many there could have been.
+        hidden: target -> probability that it is hidden, of those that another one covered in the last look.
     """
 
     prospects: Prospects
@@ -109,10 +116,19 @@ class Population:
     size_mean: Floats = field(default_factory=lambda: np.zeros(2))
     size_covariance: Floats = field(default_factory=lambda: SIZE_SD**2 * np.eye(2))
     sizes: float = 0.0
+    covered_hits: float = START_COVERED * START_COVERED_CHANCES
+    covered_chances: float = START_COVERED_CHANCES
+    hidden: Mapping[str, float] = field(default_factory=dict)
 
     def detection(self, rule: Existence) -> float:
         """Probability that a target which nothing covers is detected."""
         return rule.detection if rule.detection is not None else min(self.hits / self.chances, 0.99)
+
+    def covered(self, rule: Existence) -> float:
+        """The same while another target covers at least half of its box."""
+        most = self.detection(rule)
+        own = rule.covered if rule.covered is not None else self.covered_hits / self.covered_chances
+        return min(own, most)
 
     def clutter_rate(self, rule: Existence) -> float:
         """False detections a frame."""
@@ -149,18 +165,25 @@ class Population:
         half = 0.5 * float(np.linalg.slogdet(spread)[1]) + math.log(2.0 * math.pi)
         return np.asarray(-0.5 * d2 - half - logs.sum(axis=1) - math.log(area_px2))
 
-    def after_look(self, false: float, hits: float, chances: float) -> Population:
-        """After a frame with so many false detections, and so many detections where there could have been."""
+    def after_look(self, false: float) -> Population:
+        """After a frame with so many false detections."""
         frames = min(self.frames + 1.0, MEMORY_FRAMES)
-        all_chances = self.chances + chances
-        fade = min(1.0, MEMORY_CHANCES / all_chances)
-        return replace(
-            self,
-            clutter=max(self.clutter + (false - self.clutter) / frames, 1e-3),
-            frames=frames,
-            hits=(self.hits + hits) * fade,
-            chances=all_chances * fade,
-        )
+        clutter = max(self.clutter + (false - self.clutter) / frames, 1e-3)
+        return replace(self, clutter=clutter, frames=frames)
+
+    def after_chances(self, cover: Floats, seen: Floats, existence: Floats) -> Population:
+        """After T targets could be detected; `cover` (T,) is how probably another one covers each."""
+        hits, chances = _faded(self.hits, self.chances, 1.0 - cover, seen, existence)
+        covered = _faded(self.covered_hits, self.covered_chances, cover, seen, existence)
+        return replace(self, hits=hits, chances=chances, covered_hits=covered[0], covered_chances=covered[1])
+
+
+def _faded(
+    hits: float, chances: float, share: Floats, seen: Floats, existence: Floats
+) -> tuple[float, float]:
+    after = chances + float(share @ existence)
+    fade = min(1.0, MEMORY_CHANCES / after)
+    return (hits + float(share @ seen)) * fade, after * fade
 
 
 @dataclass(frozen=True, eq=False)

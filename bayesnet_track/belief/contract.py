@@ -174,6 +174,15 @@ Report = Callable[[int, str], Event]
 
 
 @dataclass(frozen=True, eq=False)
+class Predicted:
+    """A Gaussian (D,), (D, D) that the belief before a frame's evidence consists of, and its weight."""
+
+    weight: float
+    mean: Floats
+    covariance: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class Step(Generic[P_co]):
     """One frame of a belief.
 
@@ -187,6 +196,8 @@ class Step(Generic[P_co]):
         find_map: () -> (D,) maximum a posteriori state, prior density included.
         degenerate: why the evidence could not be used (the posterior is the prior then), or None.
         reports: what the belief did of its own accord.
+        predicted: the belief before the evidence where that is Gaussians, those of visible modes; empty where
+            the support stands for it.
     """
 
     posterior: P_co
@@ -197,6 +208,7 @@ class Step(Generic[P_co]):
     find_map: Callable[[], Floats]
     degenerate: str | None = None
     reports: tuple[Report, ...] = ()
+    predicted: tuple[Predicted, ...] = ()
 
     @cached_property
     def map_state(self) -> Floats:

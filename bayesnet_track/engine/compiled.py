@@ -16,6 +16,7 @@ from bayesnet_track.belief.motion.box_velocity import BoxVelocityMotion
 from bayesnet_track.belief.motion.formulas import make_formula_motion
 from bayesnet_track.belief.motion.modal import Modal
 from bayesnet_track.belief.motion.models import make_motion
+from bayesnet_track.belief.motion.nested import Deviation, Nested, deviations_of
 from bayesnet_track.belief.motion.rotating import Rotating
 from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.graph import spec
@@ -195,7 +196,7 @@ def _compile_plate(
         plate=plate,
         cues=made,
         belief=make_belief(root.belief, None if own is not None else root.modes),
-        motion=make_plate_motion(root, constants) if own is None else own,
+        motion=make_plate_motion(root, constants, deviations_of(kind.nodes)) if own is None else own,
         costs_ms={agent: of[agent].cost_ms for agent in plate.agents},
         rate_max={agent: _rate_max(plate, agent, of[agent], root.learn) for agent in plate.agents},
         adaptable=frozenset(agent for agent in plate.agents if of[agent].adapts),
@@ -216,8 +217,13 @@ def _compile_plate(
     )
 
 
-def make_plate_motion(root: spec.InferenceNode, constants: Mapping[str, float]) -> MotionModel:
-    """The motion that a graph with these constants asks for, before anything of a frame influences it."""
+def make_plate_motion(
+    root: spec.InferenceNode, constants: Mapping[str, float], deviations: tuple[Deviation, ...] = ()
+) -> MotionModel:
+    """The motion that a graph with these constants asks for, before anything of a frame influences it.
+
+    `deviations` are those of latent nodes with a motion of their own.
+    """
     chosen = root.motion
     assert chosen is not None
     settings = chosen.settings
@@ -230,6 +236,8 @@ def make_plate_motion(root: spec.InferenceNode, constants: Mapping[str, float]) 
         motion = make_motion(chosen)
     if settings.sd_angle_deg > 0:
         motion = Rotating(motion, settings.sd_angle_deg)
+    if deviations:
+        motion = Nested(motion, deviations)
     if root.modes is not None:
         return _in_modes(motion, settings.sd_angle_deg, root.modes)
     return Reflecting(motion) if settings.borders == "reflect" else motion

@@ -7,8 +7,6 @@ joined. Both are functions of the target's state and the frame; time is read for
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,26 +16,22 @@ from bayesnet_track.adapt.rules import decide
 from bayesnet_track.adapt.situation import Situation, quiet_level
 from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.belief.particles.maps import find_maps
-from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.findings import Decided, Learnt, Measured, TargetResult
 from bayesnet_track.engine.frame_metrics import frame_metrics
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.learning import learn
+from bayesnet_track.engine.learning import learn_all
 from bayesnet_track.engine.modes import with_modes
 from bayesnet_track.engine.scoring.assurance import judge_alarm, judge_assurance, with_evidence, with_recent
 from bayesnet_track.engine.scoring.distractors import find_distractor
 from bayesnet_track.engine.scoring.reacquisition import Look, follow_fit
 from bayesnet_track.engine.scoring.score import Scored, most, probability, with_distractor
-from bayesnet_track.engine.starting import start_late
 from bayesnet_track.engine.state import TargetState, apply_decisions, inside_frame
 from bayesnet_track.engine.summaries import Summary, summarise
 from bayesnet_track.graph.spec import InferenceNode
-from bayesnet_track.inference.guard import changes, watch
-from bayesnet_track.inference.learn import Lesson, learning_rate, over_frames
+from bayesnet_track.inference.guard import changes
 from bayesnet_track.inference.measure import measure
 from bayesnet_track.inference.measure_rows import is_flat, is_plain, measure_rows
-from bayesnet_track.inference.part_measures import part_rates
 from bayesnet_track.journal.events.beliefs import DegenerateBelief
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed
@@ -70,9 +64,7 @@ def finish_targets(work: FrameWork, filtered: Mapping[str, Filtered]) -> dict[st
     }
     decided = {target: decide_target(work, one, measured[target]) for target, one in filtered.items()}
     started = work.charge("measure", started)
-    learnt = {
-        target: learn_target(work, one, measured[target], decided[target]) for target, one in filtered.items()
-    }
+    learnt = learn_all(work, filtered, measured, decided)
     work.charge("learn", started)
     summaries = summarise(work, filtered)
     return {
@@ -185,62 +177,6 @@ def decide_target(work: FrameWork, filtered: Filtered, measured: Measured) -> De
     return Decided(
         now, chosen, memory, quiet_level(compiled.plate, measured.net, memory, compiled.plate.root)
     )
-
-
-def learn_target(work: FrameWork, filtered: Filtered, measured: Measured, decided: Decided) -> Learnt:
-    """References move toward the estimate; agents that gave none at the start learn theirs."""
-    compiled, box = work.plate_of(filtered.target), measured.box
-    rate, rates = _learning_rates(work, filtered, measured, decided)
-    parts = measured.measures.parts
-    lesson = Lesson(
-        compiled.cues,
-        work.cache,
-        hypotheses_of(np.concatenate([box, measured.state[4:]])[None], filtered.step.posterior.fields),
-        {agent: inside_frame(parts[part].box, work.frame) for agent, part in compiled.part_of.items()},
-        work.engine.executor,
-        work.availability,
-        filtered.target,
-    )
-    learnt = learn(lesson, compiled, filtered.before, decided, rates)
-    first, still_out = start_late(lesson, decided.now, learnt.references, decided.chosen)
-    if not first and not still_out:
-        return changed(learnt, rate=rate)
-    slow = {**learnt.watched.slow, **watch(first, compiled.looks, compiled.guard).slow}
-    return replace(
-        learnt,
-        references={**learnt.references, **first},
-        watched=replace(learnt.watched, slow=slow),
-        decisions=(*learnt.decisions, *still_out),
-        rate=rate,
-    )
-
-
-def _learning_rates(
-    work: FrameWork, filtered: Filtered, measured: Measured, decided: Decided
-) -> tuple[float, Mapping[str, float]]:
-    """The share of the largest rate that the belief allows, and agent -> its rate.
-
-    The less of the target is visible the less is learnt, and nothing when half of it is hidden, since the box
-    shows what hides it.
-    """
-    compiled, measures, net = work.plate_of(filtered.target), measured.measures, measured.net
-    rule = compiled.plate.inference(compiled.plate.root).learn
-    ud_px2 = measures.ud_px2[compiled.plate.root]
-    rate = learning_rate(rule, ud_px2, measures.area_px2, decided.quiet_px2)
-    at_parts = part_rates(rule, measures.parts, partial(quiet_level, compiled.plate, net, decided.memory))
-    seen = max(1.0 - 2.0 * filtered.hidden, 0.0)
-    rate, at_parts = rate * seen, {part: own * seen for part, own in at_parts.items()}
-    held = net.status == "tracking" or (net.status == "uncertain" and measured.scored.doubt > 0)
-    held = held and measured.scored.missing is None
-    every = min(work.net.targets[filtered.target].sampled.values(), default=1)
-    # Between samples the others are less sure alone: what is learnt then would be their errors.
-    if not held or not net.active or filtered.step.degenerate is not None or work.frame.index % every:
-        rate, at_parts = 0.0, {}
-    return rate, {
-        agent: over_frames(at_parts.get(compiled.part_of.get(agent, ""), rate) * largest, every)
-        for agent, largest in compiled.rate_max.items()
-        if agent not in net.quarantined and agent not in filtered.missed
-    }
 
 
 def describe_target(

@@ -14,6 +14,7 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.scoring.assurance import e_value, said_status
 from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.engine.summaries import Summary
+from bayesnet_track.inference.predictive import p_values
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
 from bayesnet_track.observation.planes import Frame
 
@@ -38,7 +39,7 @@ def frame_metrics(
     Without a calibrated score the score is `index`.
     """
     target, stepped, measures = filtered.target, filtered.step, measured.measures
-    plate = work.plate_of(target).plate
+    plate, modes = work.plate_of(target).plate, work.plate_of(target).modes
     variances = np.maximum(summary.covariance.diagonal()[:4], 0.0)
     score, features = index(measures, plate.root), {}
     if measured.score is not None:
@@ -86,6 +87,7 @@ def frame_metrics(
             for name, part in measures.parts.items()
         },
         e_value=None if root.alarm is None else e_value(measured.scored.rise, root.alarm),
+        p_values=p_values(plate, stepped, () if modes is None else modes.hidden),
     )
 
 

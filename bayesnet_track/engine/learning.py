@@ -1,19 +1,186 @@
-"""The last part of a target's frame: its references learn, and agents do what they do by themselves."""
+"""The last part of a target's frame: its references learn, and agents do what they do by themselves.
+
+Targets whose cues learn of several targets at once (`CrowdCue`) learn together, to the same bytes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache, partial
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bayesnet_track.adapt.backoff import quarantine
-from bayesnet_track.adapt.situation import Situation
+from bayesnet_track.adapt.situation import Situation, quiet_level
+from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.engine.compiled import CompiledPlate
-from bayesnet_track.engine.findings import Decided, Learnt
-from bayesnet_track.engine.state import TargetState
-from bayesnet_track.inference.guard import guard, judge
-from bayesnet_track.inference.learn import Lesson, adapt_reference, learn_references
+from bayesnet_track.engine.filtering import Filtered
+from bayesnet_track.engine.findings import Decided, Learnt, Measured
+from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.rows.shared_planes import planes_of_each
+from bayesnet_track.engine.starting import start_late
+from bayesnet_track.engine.state import TargetState, inside_frame
+from bayesnet_track.inference.executor import Serial, is_elsewhere
+from bayesnet_track.inference.guard import guard, judge, judge_nothing, watch
+from bayesnet_track.inference.learn import (
+    Lesson,
+    adapt_reference,
+    check_references,
+    learn_references,
+    learning_rate,
+    over_frames,
+)
+from bayesnet_track.inference.part_measures import part_rates
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.self_checks import LocallyAdapted
 from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.numerics.records import changed
+from bayesnet_track.observation.cue import ANGLE, CrowdCue, Reference, context_of
+from bayesnet_track.observation.guests import FAULTS
+from bayesnet_track.observation.shared import shown
+
+Floats = NDArray[np.float64]
+Rates = tuple[float, Mapping[str, float]]
+"""The share of the largest rate that the belief allows, and agent -> its rate."""
+
+
+def learn_all(
+    work: FrameWork,
+    filtered: Mapping[str, Filtered],
+    measured: Mapping[str, Measured],
+    decided: Mapping[str, Decided],
+) -> dict[str, Learnt]:
+    """Target -> what its agents learnt."""
+    rates = {
+        target: learning_rates(work, one, measured[target], decided[target])
+        for target, one in filtered.items()
+    }
+    together = [target for target, one in filtered.items() if _learns_plainly(work, one, decided[target])]
+    moved = _follow(work, filtered, measured, {target: rates[target][1] for target in together})
+    found: dict[str, Learnt] = {}
+    for target, one in filtered.items():
+        if target in moved:
+            watched = one.before.watched
+            judged = judge_nothing(watched)
+            found[target] = Learnt(
+                moved[target], watched, judged, decided[target].chosen, 0.0, rates[target][0]
+            )
+        else:
+            found[target] = learn_target(work, one, measured[target], decided[target], rates[target])
+    return found
+
+
+def _learns_plainly(work: FrameWork, filtered: Filtered, decided: Decided) -> bool:
+    """Whether a target's references do nothing but learn, by cues that learn of many at once."""
+    return (
+        plate_learns(work.plate_of(filtered.target))
+        and not decided.chosen
+        and not work.availability.known
+        and isinstance(work.engine.executor, Serial)
+        and ANGLE not in filtered.step.posterior.fields
+        and filtered.before.references.keys() == work.plate_of(filtered.target).cues.keys()
+    )
+
+
+@lru_cache(maxsize=64)
+def plate_learns(compiled: CompiledPlate) -> bool:
+    """Whether the agents of several targets of a plate may learn in one call."""
+    return (
+        compiled.guard is None
+        and not compiled.part_of
+        and all(isinstance(cue, CrowdCue) and not is_elsewhere(cue) for cue in compiled.cues.values())
+    )
+
+
+def _follow(
+    work: FrameWork,
+    filtered: Mapping[str, Filtered],
+    measured: Mapping[str, Measured],
+    rates: Mapping[str, Mapping[str, float]],
+) -> dict[str, dict[str, Reference]]:
+    """Target -> its references after learning; without those of plates whose cues fail."""
+    moved = {target: dict(filtered[target].before.references) for target in rates}
+    plates = {work.plate_of(target).plate.name: work.plate_of(target) for target in rates}
+    for compiled in plates.values():
+        for agent, cue in compiled.cues.items():
+            own = [
+                target
+                for target, of in rates.items()
+                if work.plate_of(target) is compiled and of.get(agent, 0.0) > 0.0
+            ]
+            if not own:
+                continue
+            assert isinstance(cue, CrowdCue)
+            boxes = np.array([measured[target].box for target in own])
+            try:
+                planes = planes_of_each(work, cue.needs, boxes[:, None], context_of(cue))
+                before = [shown(moved[target][agent]) for target in own]
+                shares = np.array([rates[target][agent] for target in own])
+                after = check_references(cue.follow_each(planes, boxes.copy(), before, shares))
+            except FAULTS:
+                after = None
+            if after is None:
+                return {}
+            for target, reference in zip(own, after, strict=True):
+                moved[target][agent] = reference
+    return moved
+
+
+def learn_target(
+    work: FrameWork, filtered: Filtered, measured: Measured, decided: Decided, rates: Rates
+) -> Learnt:
+    """References move toward the estimate; agents that gave none at the start learn theirs."""
+    compiled, box, (rate, own_rates) = work.plate_of(filtered.target), measured.box, rates
+    parts = measured.measures.parts
+    lesson = Lesson(
+        compiled.cues,
+        work.cache,
+        hypotheses_of(np.concatenate([box, measured.state[4:]])[None], filtered.step.posterior.fields),
+        {agent: inside_frame(parts[part].box, work.frame) for agent, part in compiled.part_of.items()},
+        work.engine.executor,
+        work.availability,
+        filtered.target,
+    )
+    learnt = learn(lesson, compiled, filtered.before, decided, own_rates)
+    first, still_out = start_late(lesson, decided.now, learnt.references, decided.chosen)
+    if not first and not still_out:
+        return changed(learnt, rate=rate)
+    slow = {**learnt.watched.slow, **watch(first, compiled.looks, compiled.guard).slow}
+    return replace(
+        learnt,
+        references={**learnt.references, **first},
+        watched=replace(learnt.watched, slow=slow),
+        decisions=(*learnt.decisions, *still_out),
+        rate=rate,
+    )
+
+
+def learning_rates(work: FrameWork, filtered: Filtered, measured: Measured, decided: Decided) -> Rates:
+    """The share of the largest rate that the belief allows, and agent -> its rate.
+
+    The less of the target is visible the less is learnt, and nothing when half of it is hidden, since the box
+    shows what hides it.
+    """
+    compiled, measures, net = work.plate_of(filtered.target), measured.measures, measured.net
+    rule = compiled.plate.inference(compiled.plate.root).learn
+    ud_px2 = measures.ud_px2[compiled.plate.root]
+    rate = learning_rate(rule, ud_px2, measures.area_px2, decided.quiet_px2)
+    at_parts = part_rates(rule, measures.parts, partial(quiet_level, compiled.plate, net, decided.memory))
+    seen = max(1.0 - 2.0 * filtered.hidden, 0.0)
+    rate, at_parts = rate * seen, {part: own * seen for part, own in at_parts.items()}
+    held = net.status == "tracking" or (net.status == "uncertain" and measured.scored.doubt > 0)
+    held = held and measured.scored.missing is None
+    every = min(work.net.targets[filtered.target].sampled.values(), default=1)
+    # Between samples the others are less sure alone: what is learnt then would be their errors.
+    if not held or not net.active or filtered.step.degenerate is not None or work.frame.index % every:
+        rate, at_parts = 0.0, {}
+    return rate, {
+        agent: over_frames(at_parts.get(compiled.part_of.get(agent, ""), rate) * largest, every)
+        for agent, largest in compiled.rate_max.items()
+        if agent not in net.quarantined and agent not in filtered.missed
+    }
 
 
 def learn(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.composed import Influences, compose_motion
+from bayesnet_track.belief.motion.nested import deviations_of
 from bayesnet_track.engine.compiled import make_plate_motion
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.settings.motion import Moving
@@ -84,7 +85,10 @@ def prior_motion(plate: CheckedTarget, constants: dict[str, float], first_size: 
     """The motion of a plate from one frame to the next, before anything was seen."""
     root = plate.inference(plate.root)
     assert root.motion is not None
-    plain, settings = make_plate_motion(root, constants), root.motion.settings
+    plain, settings = (
+        make_plate_motion(root, constants, deviations_of(plate.spec.nodes)),
+        root.motion.settings,
+    )
     if not isinstance(settings, Moving) or settings.is_plain:
         return plain
     return compose_motion(plain, settings, Influences(1.0, first_size))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bayesnet_track.engine.attachment import Rides
 from bayesnet_track.engine.compiled import CompiledPlate, Engine, make_engine
 from bayesnet_track.engine.external_inputs import ExternalInputs, route_inputs
-from bayesnet_track.engine.filtering import Filtered, filter_target
+from bayesnet_track.engine.filtering import filter_target
 from bayesnet_track.engine.finishing import finish_targets
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.joining import join_targets
@@ -31,6 +31,7 @@ from bayesnet_track.engine.outcome import (
 )
 from bayesnet_track.engine.rows.advancing import advance_rows
 from bayesnet_track.engine.rows.finding import find_rows
+from bayesnet_track.engine.rows.particle_rows import filter_rows
 from bayesnet_track.engine.starting import start
 from bayesnet_track.engine.state import TargetState, apply_decisions
 from bayesnet_track.engine.target_execution import collect_elsewhere, start_elsewhere
@@ -79,10 +80,12 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
     # Predict and update: by each target's own agents, then together where targets are joined
     elsewhere = start_elsewhere(work, before)
     rides = Rides.of(work, state.joins)
-    filtered: dict[str, Filtered] = {}
-    for target in rides.carriers_first(name for name in before if name not in elsewhere.targets):
-        ride = rides.ride(target, before[target], filtered)
-        filtered[target] = filter_target(work, target, before[target], ride)
+    here = {name: one for name, one in before.items() if name not in elsewhere.targets}
+    filtered = filter_rows(work, {name: one for name, one in here.items() if name not in rides.carriers})
+    for target in rides.carriers_first(here):
+        if target not in filtered:
+            ride = rides.ride(target, before[target], filtered)
+            filtered[target] = filter_target(work, target, before[target], ride)
     joint = join_targets(work, state.joins, {name: filtered[name] for name in before if name in filtered})
 
     # Measure, decide, learn, describe

@@ -45,6 +45,19 @@ class Conditional:
 
 
 @dataclass(frozen=True, eq=False)
+class MeasuredAs:
+    """What the quantities that an agent measures would be of a state.
+
+    Attributes:
+        terms: quantity -> expression.
+        constants: the numbers that they use by name.
+    """
+
+    terms: Mapping[str, Term]
+    constants: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
 class CheckedTarget:
     """One plate, its tree resolved.
 
@@ -60,6 +73,7 @@ class CheckedTarget:
         factors: factor node -> its expression, in file order.
         constants: numbers that expressions use by name.
         givens: latent node -> its distribution by expressions, of those that have one.
+        measures: agent -> its measurement functions, of those that have some.
     """
 
     name: str
@@ -73,6 +87,7 @@ class CheckedTarget:
     factors: Mapping[str, Factor] = field(default_factory=dict)
     constants: Mapping[str, float] = field(default_factory=dict)
     givens: Mapping[str, Conditional] = field(default_factory=dict)
+    measures: Mapping[str, MeasuredAs] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Name and size."""

@@ -207,7 +207,11 @@ class InferenceNode(Model):
         description="at the root, default 500 particles; or at a node with `fuse: latent`, then without "
         "settings, default particles",
     )
-    motion: Motion | None = Field(default=None, description="root only, required there")
+    motion: Motion | None = Field(
+        default=None,
+        description="required at the root; or at a node with `fuse: latent`: its deviation from its place in "
+        "its parent's box is remembered, and changes by this random walk in px",
+    )
     modes: Modes | None = Field(
         default=None,
         description="root only; hidden discrete states with memory: ways to move, and whether it is seen. "
@@ -262,6 +266,12 @@ class AgentNode(Model):
     )
     learn_rate_max: Annotated[Number, Field(ge=0, le=1)] | None = Field(
         default=None, description="instead of the root's learn.rate_max; 0 keeps the first reference"
+    )
+    measures: dict[Name, Annotated[str, Field(max_length=MAX_CHARACTERS)]] = Field(
+        default={},
+        max_length=8,
+        description="of an agent that measures: quantity: its "
+        "[expression](expressions.md#measurement-functions) of the state; default, fields of the state",
     )
     on: Literal["engine", "process"] | None = Field(
         default=None,

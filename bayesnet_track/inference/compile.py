@@ -9,7 +9,7 @@ from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from bayesnet_track.graph.checked import CheckedTarget, Conditional, Factor
+from bayesnet_track.graph.checked import CheckedTarget, Conditional, Factor, MeasuredAs
 from bayesnet_track.graph.expressions.write import text_of
 from bayesnet_track.graph.settings.nodes import pool_exponents
 from bayesnet_track.graph.spec import AgentNode, Fuse, Given, Latent
@@ -32,25 +32,29 @@ class Draw:
     """Prior down: a latent node draws its own hypotheses around those of `given_from`, or in them.
 
     `written` is the distribution where expressions say it.
+    With `moves` it has a motion of its own: the root's states hold by how much it deviates from there.
     """
 
     node: str
     given_from: str
     given: Given
     written: Conditional | None = None
+    moves: bool = False
 
 
 @dataclass(frozen=True)
 class Observe:
     """An agent scores the hypotheses of the node `at` (the root or the nearest latent node above it).
 
-    With `measures` it says where the target is instead. Its log-likelihood is divided by `temperature`.
+    With `measures` it says where the target is instead, by quantities that `functions` have of a state. Its
+    log-likelihood is divided by `temperature`.
     """
 
     agent: str
     at: str
     measures: bool = False
     temperature: float = 1.0
+    functions: MeasuredAs | None = None
 
 
 @dataclass(frozen=True)
@@ -122,7 +126,10 @@ class Plan:
         from bayesnet_track.view.notebook import table
 
         planes = ", ".join(map(plane_words, self.planes)) or "none"
-        draws = [("prior down", draw.node, f"drawn from {draw.given_from}") for draw in self.draws]
+        draws = [
+            ("prior down", draw.node, f"{'carried in' if draw.moves else 'drawn from'} {draw.given_from}")
+            for draw in self.draws
+        ]
         asked = [
             (
                 "observe",
@@ -158,6 +165,7 @@ def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str
                 _hypotheses_of(target, target.parent[name]),
                 isinstance(cues[name], MeasuringCue),
                 target.agent(name).temperature,
+                target.measures.get(name),
             )
             for name in watching
         ),
@@ -206,7 +214,11 @@ def _draw(target: CheckedTarget, node: str) -> Draw:
     assert fuse is not None and fuse.latent is not None
     above = target.parent[node]
     given_from = target.root if above is None else _hypotheses_of(target, above)
-    return Draw(node, given_from, fuse.latent.given, target.givens.get(node))
+    return Draw(node, given_from, fuse.latent.given, target.givens.get(node), _moves(target, node))
+
+
+def _moves(target: CheckedTarget, node: str) -> bool:
+    return node != target.root and target.inference(node).motion is not None
 
 
 def _weigh(target: CheckedTarget, name: str, factor: Factor) -> Weigh:
@@ -240,6 +252,8 @@ def _fuse(target: CheckedTarget, node: str, messengers: frozenset[str]) -> Fusio
 
 def _own(target: CheckedTarget, node: str, latent: Latent) -> Own:
     """How the state of a latent node is held. The belief of a root is about the target, not its own state."""
+    if _moves(target, node):
+        return "one"
     belief = None if node == target.root else target.inference(node).belief
     held: Mapping[str, Own] = {"gaussian": "gaussian", "grid": "grid"}
     return latent.draw if belief is None else held.get(belief.kind, latent.draw)
@@ -267,7 +281,9 @@ def describe_plan(plan: Plan, agents: Mapping[str, AgentNode] | None = None) -> 
     """The plan as text, one step a line."""
     lines = [f"target {plan.target}"]
     lines += [f"  plane    {plane_words(plane)}" for plane in plan.planes]
-    lines += [f"  draw     {step.node} given {_describe_given(step)}" for step in plan.draws]
+    for draw in plan.draws:
+        verb, around = ("carry", "deviating from its place in") if draw.moves else ("draw ", "given")
+        lines.append(f"  {verb}    {draw.node} {around} {_describe_given(draw)}")
     for step in plan.observations:
         cue = "" if agents is None else f" ({agents[step.agent].agent.cue})"
         lines.append(f"  observe  {step.agent}{cue} at the hypotheses of {step.at}")

@@ -34,10 +34,14 @@ def measurement_message(measured: Measurement, hypotheses: Hypotheses) -> Floats
         each = (weight * np.exp(measurement_message(one, hypotheses)) for weight, one in measured.choices)
         with np.errstate(divide="ignore"):
             return np.asarray(np.minimum(np.log(measured.missed + sum(each)), 0.0))
-    values = np.stack([_field(hypotheses, name) for name in measured.fields], axis=1)
+    if measured.seen is None:
+        away = np.stack([_field(hypotheses, name) for name in measured.fields], axis=1) - measured.mean
+    else:
+        states = {**dict(zip(BOX_FIELDS, hypotheses.boxes.T, strict=True)), **hypotheses.fields}
+        away = measured.seen.less(measured.seen.function(states), measured.mean)
     root = np.linalg.cholesky(measured.covariance)
     with np.errstate(over="ignore", invalid="ignore"):
-        sds = np.linalg.solve(root, (values - measured.mean).T)
+        sds = np.linalg.solve(root, away.T)
     sds = np.nan_to_num(np.clip(sds, -FAR, FAR), nan=FAR)
     log = np.asarray(-0.5 * np.sum(sds**2, axis=0))
     return floored(log, measured.floor) if measured.floor > 0 else log

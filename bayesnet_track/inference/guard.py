@@ -64,6 +64,11 @@ class Judged:
     faults: Mapping[str, str] = field(default_factory=dict)
 
 
+def judge_nothing(watched: Watched) -> Judged:
+    """What the guard says in a frame in which nothing is compared."""
+    return Judged(held=frozenset(watched.parted))
+
+
 def judge(
     lesson: Lesson,
     watched: Watched,
@@ -80,7 +85,7 @@ def judge(
     availability = lesson.availability_for("guarding")
     learning = any(rate > 0.0 for rate in rates.values())
     if rule is None or not learning or (watched.frames + 1) % rule.every:
-        return Judged(held=frozenset(watched.parted))
+        return judge_nothing(watched)
     gaps: dict[str, tuple[float, float]] = {}
     faults: dict[str, str] = {}
     for agent, slow in watched.slow.items():

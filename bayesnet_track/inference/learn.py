@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -223,6 +223,13 @@ def _failure(error: BaseException) -> str | Missing:
     if isinstance(error, AgentUnavailable):
         return Missing(str(error))
     return f"raised {type(error).__name__} while learning: {text_of(error)}"
+
+
+def check_references(references: Sequence[Reference]) -> list[Reference] | None:
+    """What a cue learnt of several targets, each array for reading only; None where one is not finite."""
+    checked = [_check(one) for one in references]
+    usable = [one for one in checked if not isinstance(one, str)]
+    return usable if len(usable) == len(checked) else None
 
 
 def _check(reference: Reference) -> Reference | str:

@@ -28,7 +28,8 @@ from bayesnet_track.inference.observe import (
     observe,
     remember,
 )
-from bayesnet_track.inference.parts import part_boxes
+from bayesnet_track.inference.parts import deviating_boxes, part_boxes
+from bayesnet_track.inference.readings import note_undefined, read_as
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import Region, region_of_boxes
 
@@ -71,6 +72,9 @@ def evaluate(plan: Plan, observer: Observer, hypotheses: Hypotheses, prior_log: 
             if step.agent in observer.broke_off:
                 faults[step.agent] = answer if isinstance(answer, str) else answer.reason
         elif isinstance(answer, Measurement):
+            if step.functions is not None:
+                answer = read_as(answer, step.functions, observer.cache.frames)
+                note_undefined(step.agent, answer, at[step.at], observer.factors.undefined)
             answer = to_power(answer, 1.0 / step.temperature)
             measured[step.agent] = answer
             messages[step.agent] = measurement_message(answer, at[step.at])
@@ -240,7 +244,10 @@ def _draw_latent(plan: Plan, observer: Observer, hypotheses: Hypotheses) -> dict
                 observer.factors.undefined.setdefault(f"given {step.node}.{name}", one)
             continue
         around = part_boxes(step.given, above.boxes)
-        boxes = sample_noise(step.given, around, rng)
+        if step.moves:
+            boxes = deviating_boxes(step.node, around, hypotheses.fields)
+        else:
+            boxes = sample_noise(step.given, around, rng)
         at[step.node] = Hypotheses(boxes, above.fields)
     return {step.node: at[step.node] for step in plan.draws}
 

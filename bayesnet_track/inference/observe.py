@@ -131,7 +131,9 @@ def observe(question: Question, observer: Observer, step: Observe) -> Answer:
         started, part = _charge(observer, part, started), agent
         reference = shown(observer.references[agent])
         if step.measures:
-            return _check_measurement(cue.measure(planes, own, np.exp(question.prior_log), reference), own)
+            return _check_measurement(
+                cue.measure(planes, own, np.exp(question.prior_log), reference), _known(step, own)
+            )
         return _check(real_numbers(cue.log_likelihood(planes, own, reference)), len(own))
     except FAULTS as error:  # a cue is a guest's code: whatever it raises must not end the run
         return _failure(error)
@@ -163,7 +165,7 @@ def _collect(step: Observe, observer: Observer, own: Hypotheses, wait: Wait[Any]
     try:
         answer = wait()
         if step.measures:
-            return _check_measurement(answer, own)
+            return _check_measurement(answer, _known(step, own))
         return _check(real_numbers(answer), len(own))
     except FAULTS as error:
         return _failure(error)
@@ -198,7 +200,13 @@ def _charge(observer: Observer, part: str, started: float) -> float:
     return now
 
 
-def _check_measurement(measured: Any, hypotheses: Hypotheses) -> Measurement | str | None:
+def _known(step: Observe, hypotheses: Hypotheses) -> tuple[str, ...]:
+    """What an agent may measure."""
+    functions = () if step.functions is None else step.functions.terms
+    return (*BOX_FIELDS, *hypotheses.fields, *functions)
+
+
+def _check_measurement(measured: Any, known: tuple[str, ...]) -> Measurement | str | None:
     if measured is None:
         return None
     is_measurement = isinstance(measured, Measurement)
@@ -206,7 +214,6 @@ def _check_measurement(measured: Any, hypotheses: Hypotheses) -> Measurement | s
     if foreign:
         return f"returned a {foreign}, not a Measurement of real numbers or None"
     fields = tuple(measured.fields)
-    known = (*BOX_FIELDS, *hypotheses.fields)
     unknown = [str(name) for name in fields if name not in known]
     if unknown or not fields:
         return f"measured {', '.join(unknown) or 'nothing'}; the hypotheses have {', '.join(known)}"
@@ -224,18 +231,18 @@ def _check_measurement(measured: Any, hypotheses: Hypotheses) -> Measurement | s
         return "measured a covariance too small to be inverted"
     if not 0.0 <= measured.floor < 1.0:
         return f"measured with a floor of {measured.floor:.6g}, not in 0..1"
-    choices = _check_choices(measured, hypotheses)
+    choices = _check_choices(measured, known)
     if isinstance(choices, str):
         return choices
     return Measurement(fields, mean, covariance, float(measured.floor), choices)
 
 
 def _check_choices(
-    measured: Measurement, hypotheses: Hypotheses
+    measured: Measurement, known: tuple[str, ...]
 ) -> tuple[tuple[float, Measurement], ...] | str:
     checked: list[tuple[float, Measurement]] = []
     for weight, one in measured.choices:
-        own = _check_measurement(one, hypotheses)
+        own = _check_measurement(one, known)
         if isinstance(own, str):
             return own
         if own is None or own.choices or own.fields != tuple(measured.fields):

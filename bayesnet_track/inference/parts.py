@@ -9,7 +9,9 @@ part, and agents e that are all independent given the states,
 where c_0 = h, L_j is the product of the messages of node j's children, and m_j(c_j-1) the integral of
 p(c_j | c_j-1) L_j(c_j) over c_j, the message that j sends. Draws are index-aligned, c_j^i from
 p(c_j | c_j-1^i), so that hypothesis i has the weight w_i prod_j L_j(c_j^i) / m_j(c_j-1^i), where w_i is the
-root's posterior weight. A node held by one draw per hypothesis sends L_j(c_j^i) itself: every quotient is 1
+root's posterior weight. A part with a motion of its own is no draw but in the root's states: it deviates from
+its place by what their further fields hold, p(c_t | h_t, h_t-1, c_t-1), and its belief is that of the states.
+A node held by one draw per hypothesis sends L_j(c_j^i) itself: every quotient is 1
 there, and a part's draws have the root's posterior weights as they are; its own evidence is in them already.
 """
 
@@ -21,7 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Evidence
+from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
+from bayesnet_track.belief.motion.nested import field_of
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Given
 from bayesnet_track.inference.compile import Fusion, Plan
@@ -57,6 +60,17 @@ def part_boxes(given: Given, above: Floats) -> Floats:
     if matrix is None:
         return above
     boxes = above @ matrix.T
+    np.maximum(boxes[:, 2:], 1.0, out=boxes[:, 2:])
+    return boxes
+
+
+def deviating_boxes(node: str, places: Floats, fields: Mapping[str, Floats]) -> Floats:
+    """(N, 4) boxes of a node that moves, from its places (N, 4) and the deviations in fields of the state."""
+    boxes = places.copy()
+    for column, axis in enumerate(BOX_FIELDS):
+        own = fields.get(field_of(node, axis))
+        if own is not None:
+            boxes[:, column] += own
     np.maximum(boxes[:, 2:], 1.0, out=boxes[:, 2:])
     return boxes
 

@@ -92,6 +92,8 @@ class FrameMetrics(Boxed):
         modes: mode -> its probability; left out when the graph has no `modes`.
         hidden: probability that the target is hidden; None, and left out, when the graph has no hidden mode.
         e_value: evidence that the target is not held; left out when the graph has no `alarm`.
+        p_values: agent that measured -> probability of a measurement farther from its prediction than it was;
+            left out when there are none.
     """
 
     frame: int
@@ -133,6 +135,7 @@ class FrameMetrics(Boxed):
         return max(self.modes, key=self.modes.__getitem__, default="")
 
     e_value: float | None = field(default=None, metadata={"left_out_when_empty": True})
+    p_values: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})
 
     def __repr__(self) -> str:
         """What matters: who, when, how sure, where, and by whose evidence."""

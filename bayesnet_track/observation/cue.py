@@ -34,6 +34,7 @@ from bayesnet_track.observation.protocols import OWN_DETECTION as OWN_DETECTION
 from bayesnet_track.observation.protocols import AnyCue as AnyCue
 from bayesnet_track.observation.protocols import AssociatingCue as AssociatingCue
 from bayesnet_track.observation.protocols import AssociationRule as AssociationRule
+from bayesnet_track.observation.protocols import CrowdCue as CrowdCue
 from bayesnet_track.observation.protocols import Cue as Cue
 from bayesnet_track.observation.protocols import Hypotheses as Hypotheses
 from bayesnet_track.observation.protocols import LocallyAdaptable as LocallyAdaptable
@@ -136,6 +137,8 @@ class CueDeclaration:
         missing: parameters -> what they need and this computer has not (a library's part, a file), in words,
             or None; `validate` asks it. Without it nothing is needed.
         files: parameters -> paths of the files that it reads, such as a network's; runs record their SHA-256.
+        gives: parameters -> what it measures, of one whose quantities need not be fields of the state: the
+            agent's `measures` says what they would be of a state.
         measures: True for a `MeasuringCue`: it has `measure`, and no `log_likelihood`.
         adapts: True for a `LocallyAdaptable` one: it has `adapt`.
         reads_detection: True for a `AssociatingCue`: it has `rule`.
@@ -167,6 +170,7 @@ class CueDeclaration:
     has_residuals: bool = False
     reads: Callable[[Any], tuple[str, ...]] | None = None
     files: Callable[[Any], tuple[str, ...]] | None = None
+    gives: Callable[[Any], tuple[str, ...]] | None = None
 
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and NAME.fullmatch(self.name)):

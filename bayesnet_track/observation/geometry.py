@@ -7,6 +7,7 @@ cue that mixes up the two, or truncates instead of rounding, is wrong by a pixel
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,6 +110,23 @@ def crop_of(planes: Planes, plane: Plane, region: Region) -> tuple[Array, tuple[
         return planes[plane][:0, :0], (region.x0, region.y0)
     moved = Region(inner.x0 - has.x0, inner.y0 - has.y0, inner.x1 - has.x0, inner.y1 - has.y0)
     return moved.of(planes[plane]), (inner.x0, inner.y0)
+
+
+def crops_of(planes: Sequence[Planes], plane: Plane) -> tuple[Array, Ints, Ints]:
+    """An image-like plane (rows, columns) of several targets, pixel after pixel in one array.
+
+    With it (T, 2) where the pixels of each target's crop begin and its columns, and (T, 4) x0, y0, x1, y1 of
+    the crop in the frame. Targets that have the same planes share a crop.
+    """
+    own = {id(one): one for one in planes}
+    values = [np.ascontiguousarray(one[plane]).ravel() for one in own.values()]
+    begins = dict(zip(own, np.cumsum([0, *(len(one) for one in values)]).tolist(), strict=False))
+    regions = [one.region for one in planes]
+    return (
+        values[0] if len(values) == 1 else np.concatenate(values),
+        np.array([(begins[id(one)], one.region.x1 - one.region.x0) for one in planes]),
+        np.array([(one.x0, one.y0, one.x1, one.y1) for one in regions]),
+    )
 
 
 def share_inside(boxes: Floats, frame: Frame) -> Floats:

@@ -5,7 +5,7 @@ How a cue is declared and found is in `cue`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol, runtime_checkable
 
@@ -16,6 +16,7 @@ from bayesnet_track.observation.likelihoods import Reference
 from bayesnet_track.observation.planes import Plane, Planes
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +83,27 @@ class Cue(Protocol):
         ...
 
 
+BOX = ("x", "y", "w", "h")
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What the quantities of a measurement would be of states, where they are no fields of them.
+
+    Attributes:
+        function: state field -> (N,), to (N, K) values; NaN where there is none.
+        circular: (K,) whether a quantity is an angle in radians, whose differences are taken modulo 2 pi.
+    """
+
+    function: Callable[[Mapping[str, Floats]], Floats]
+    circular: NDArray[np.bool_]
+
+    def less(self, values: Floats, expected: Floats) -> Floats:
+        """(N, K) values less what was expected; of angles the shorter way round."""
+        away = values - expected
+        return np.where(self.circular, (away + np.pi) % (2.0 * np.pi) - np.pi, away)
+
+
 @dataclass(frozen=True, eq=False)
 class Measurement:
     """A Gaussian message: where an agent found the target, instead of a score for every hypothesis.
@@ -98,6 +120,7 @@ class Measurement:
         choices: where several places may be the target's: (probability, measurement) of each, of the same
             fields and without choices of their own. What they lack of 1 is that none is. `mean` and
             `covariance` then stand for all of them.
+        seen: what they would be of a state, where `fields` are no fields of it; the engine sets it.
     """
 
     fields: tuple[str, ...]
@@ -105,6 +128,7 @@ class Measurement:
     covariance: Floats
     floor: float = 0.0
     choices: tuple[tuple[float, Measurement], ...] = ()
+    seen: Seen | None = None
 
     @property
     def missed(self) -> float:
@@ -238,6 +262,32 @@ class LocallyAdaptable(Protocol):
         they must go no further than the first, and learning takes the tuning back
         (`bayesnet_track.numerics.sharpening` does both).
         """
+        ...
+
+
+@runtime_checkable
+class CrowdCue(Protocol):
+    """A cue that scores, and learns of, several targets in one call: with the bits of one call for each.
+
+    Planes come one for each target, or the same for all; boxes of all targets below each other, those of
+    target t from `starts[t]` to before `starts[t + 1]`.
+    """
+
+    @property
+    def needs(self) -> tuple[Plane, ...]:
+        """As of a `Cue`."""
+        ...
+
+    def log_likelihood_of_each(
+        self, planes: Sequence[Planes], boxes: Floats, starts: Ints, references: Sequence[Reference]
+    ) -> Floats:
+        """(N,) `log_likelihood` of the boxes (N, 4), each by the reference of its target."""
+        ...
+
+    def follow_each(
+        self, planes: Sequence[Planes], boxes: Floats, references: Sequence[Reference], rates: Floats
+    ) -> Sequence[Reference]:
+        """Each target's reference blended at its rate (T,) with what is learnt in its box, of (T, 4)."""
         ...
 
 

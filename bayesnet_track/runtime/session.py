@@ -27,6 +27,7 @@ from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import RETRIES, Executing, make_executor
 from bayesnet_track.runtime.inputs import InputsAt, as_inputs
 from bayesnet_track.runtime.recording.beliefs import check_kept
+from bayesnet_track.runtime.recording.forecasts import Forecaster
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.manifest import finish
 from bayesnet_track.runtime.recording.record import Recorder
@@ -73,6 +74,7 @@ def track(
     overwrite: bool = False,
     video: bool | Literal["mkv", "mp4"] = False,
     keep_beliefs: bool = False,
+    horizon: int = 0,
     executor: str | Executing = "serial",
     workers: int | None = None,
     allow_plugins: Iterable[str] = (),
@@ -99,6 +101,7 @@ def track(
         overwrite: replace an earlier run in `out`, which stays as it is until the first frame is tracked.
         video: write the annotated video into `out` too: video.mkv (True, "mkv") or video.mp4 ("mp4").
         keep_beliefs: keep every frame's beliefs in `out`, for `bayesnet-track smooth`.
+        horizon: frames ahead for which forecasts of every target are written into `out`; 0 for none.
         executor: how agents are asked, which changes no result: serial, threads, processes, or what
             `make_executor` made.
         workers: threads or processes at work at a time; as many as there are processors when None.
@@ -139,6 +142,8 @@ def track(
     checked = load_graph(graph, tuple(cues))
     if keep_beliefs:
         check_kept(checked.spec)
+    if horizon < 0:
+        raise ValueError(f"horizon {horizon}: 0 frames ahead or more are needed")
     starts = _starts(box)
     read = {} if detections is None else {str(detections): file_sha256(detections)}
     external_inputs = as_inputs(inputs)
@@ -178,7 +183,7 @@ def track(
                 has_video=bool(video),
                 own_motion=motion is not None,
                 inputs=None if callable(inputs) else inputs,
-                options=options_of(engine, budget_ms, keep_beliefs, video == "mp4"),
+                options=options_of(engine, budget_ms, keep_beliefs, video == "mp4", horizon),
             )
             files = small_files(checked, recipe, getattr(opened, "truth_text", None))
             take_place: Callable[[], None] | None = None
@@ -191,6 +196,8 @@ def track(
                 directory, checked, interval_of(opened), recipe.optional, before_first=take_place
             )
             stack.enter_context(recorder)
+            if horizon:
+                recorder.look_ahead(Forecaster(engine, horizon))
             all_sinks.append(recorder)
             checkpointer = make_checkpointer(directory, engine, recorder, recipe, checkpoint_every)
             if checkpointer is not None:

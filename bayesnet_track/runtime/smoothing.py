@@ -14,9 +14,11 @@ from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.composed import compose_motion
 from bayesnet_track.belief.motion.jumps import Jumping, Search
+from bayesnet_track.belief.motion.nested import deviations_of
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.smoothing.backward import Move, smooth_particles
 from bayesnet_track.belief.smoothing.gaussian import smooth_gaussians
+from bayesnet_track.belief.smoothing.viterbi import most_probable_trajectory
 from bayesnet_track.engine.compiled import make_plate_motion
 from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.engine.summaries import CLOUD_SIZE
@@ -57,16 +59,18 @@ class SmoothedRun:
     metrics: tuple[FrameMetrics, ...]
 
 
-def smooth(run: Run, draws: int = 50, seed: int = 0) -> SmoothedRun:
+def smooth(run: Run, draws: int = 50, seed: int = 0, most_probable: bool = False) -> SmoothedRun:
     """The run with every belief given the frames before and after it.
 
     Args:
         run: a run whose beliefs were kept.
         draws: trajectories that are drawn backward of each target with particles or a grid.
         seed: of these draws.
+        most_probable: let the boxes be those of the most probable trajectory instead of the means.
 
     Raises:
-        SmoothingError: the run kept no beliefs, or has been smoothed.
+        SmoothingError: the run kept no beliefs, or has been smoothed; or nothing tells how its hypotheses
+            were drawn, which the most probable trajectory depends on.
         JournalError: beliefs.jsonl is damaged.
     """
     if run.started.smoothed:
@@ -78,16 +82,25 @@ def smooth(run: Run, draws: int = 50, seed: int = 0) -> SmoothedRun:
         )
     streams = Streams(seed)
     found: dict[tuple[str, int], Smoothed] = {}
+    best: dict[tuple[str, int], Floats] = {}
     for lifetime in _lifetimes(run):
         first = lifetime[0]
         root = root_of(run.spec.targets[run.kinds[first.target]])
+        moves = _moves(run, root, lifetime)
         smoothed = _smooth_lifetime(
-            run, root, lifetime, draws, streams.of(first.target, "", first.frame, "smooth")
+            run, root, lifetime, moves, draws, streams.of(first.target, "", first.frame, "smooth")
         )
+        if most_probable:
+            states = _most_probable(run, root, lifetime, moves)
+            best |= {(first.target, kept.frame): s for kept, s in zip(lifetime, states, strict=True)}
         found |= {(first.target, kept.frame): belief for kept, belief in zip(lifetime, smoothed, strict=True)}
     metrics = tuple(
         _described(
-            run, line, found[line.target, line.frame], streams.of(line.target, "", line.frame, "cloud")
+            run,
+            line,
+            found[line.target, line.frame],
+            streams.of(line.target, "", line.frame, "cloud"),
+            best.get((line.target, line.frame)),
         )
         if (line.target, line.frame) in found
         else line
@@ -123,16 +136,46 @@ def _lifetimes(run: Run) -> Iterator[list[KeptBelief]]:
     yield from open_lives.values()
 
 
-def _smooth_lifetime(
-    run: Run, root: spec.InferenceNode, lifetime: Sequence[KeptBelief], draws: int, rng: np.random.Generator
-) -> Sequence[Smoothed]:
+def _moves(run: Run, root: spec.InferenceNode, lifetime: Sequence[KeptBelief]) -> list[Move]:
     assert root.motion is not None
-    plain = make_plate_motion(root, run.spec.constants)
+    nodes = run.spec.targets[run.kinds[lifetime[0].target]].nodes
+    plain = make_plate_motion(root, run.spec.constants, deviations_of(nodes))
     size = run.started.width, run.started.height
-    moves = [
+    return [
         Move(_motion_into(now, plain, root.motion, size), now.time - before.time)
         for before, now in pairwise(lifetime)
     ]
+
+
+def _most_probable(
+    run: Run, root: spec.InferenceNode, lifetime: Sequence[KeptBelief], moves: Sequence[Move]
+) -> Sequence[Floats]:
+    """The states of the most probable trajectory; none for Gaussians, of which it is the means."""
+    particles = [kept.posterior for kept in lifetime if isinstance(kept.posterior, ParticleSet)]
+    if not particles:
+        return [np.empty(0)] * len(lifetime)
+    settings = spec.Particles() if root.belief is None else root.belief.settings
+    on_grid = isinstance(settings, spec.Grid)
+    jumps = any(kept.influences is not None and kept.influences.jump_share > 0 for kept in lifetime)
+    if jumps or not (
+        on_grid or (isinstance(settings, spec.Particles) and settings.proposal.kind == "bootstrap")
+    ):
+        raise SmoothingError(
+            f"{run.name}: its particles were not all drawn from the motion (relocalize, or a proposal), so "
+            "that their weights do not tell the most probable trajectory; allowed: proposal: bootstrap "
+            "without relocalize, grid, gaussian; or smooth without --map"
+        )
+    return list(most_probable_trajectory(particles, moves, on_grid))
+
+
+def _smooth_lifetime(
+    run: Run,
+    root: spec.InferenceNode,
+    lifetime: Sequence[KeptBelief],
+    moves: Sequence[Move],
+    draws: int,
+    rng: np.random.Generator,
+) -> Sequence[Smoothed]:
     beliefs = [kept.posterior for kept in lifetime]
     gaussians = [one for one in beliefs if isinstance(one, GaussianPosterior)]
     if len(gaussians) == len(beliefs):
@@ -158,7 +201,9 @@ def _motion_into(
     return confined(motion, *size)
 
 
-def _described(run: Run, line: FrameMetrics, belief: Smoothed, rng: np.random.Generator) -> FrameMetrics:
+def _described(
+    run: Run, line: FrameMetrics, belief: Smoothed, rng: np.random.Generator, state: Floats | None = None
+) -> FrameMetrics:
     """The line with what the smoothed belief says; a target's first frame, where it was given, stays."""
     if np.diagonal(belief.covariance)[:4].max() < KNOWN_PX2:
         return line
@@ -167,6 +212,9 @@ def _described(run: Run, line: FrameMetrics, belief: Smoothed, rng: np.random.Ge
     mean = belief.mean
     variances = np.clip(np.diagonal(belief.covariance)[:4], 0.0, None).copy()
     best = belief.states[int(np.argmax(belief.weights.log))] if isinstance(belief, ParticleSet) else mean
+    shown = mean
+    if state is not None and len(state):
+        best = shown = state
     ud = belief.uncertainty(best, [belief.fields.index(name) for name in root.ud_fields])
     region50, region90 = belief.region(0.5), belief.region(0.9)
     if root.localization_error is not None:
@@ -177,7 +225,7 @@ def _described(run: Run, line: FrameMetrics, belief: Smoothed, rng: np.random.Ge
     name = next(name for name, node in plate.nodes.items() if node is root)
     return replace(
         line,
-        centre_box=_floats(_inside(mean[:4], run)),
+        centre_box=_floats(_inside(shown[:4], run)),
         map=_floats(best[:4]),
         sd=_floats(np.sqrt(variances)),
         ud_px2=ud,

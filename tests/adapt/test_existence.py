@@ -64,13 +64,18 @@ def test_who_certainly_exists_is_not_lost_by_rounding():
 def test_clutter_and_detection_are_estimated():
     rng, population = np.random.default_rng(0), Population(Prospects.none(8))
     for _ in range(400):
-        population = population.after_look(rng.poisson(7.0), rng.binomial(20, 0.7), 20.0)
+        cover = np.repeat([0.0, 1.0], [20, 5])
+        seen = rng.random(25) < np.where(cover, 0.3, 0.7)
+        population = population.after_look(rng.poisson(7.0)).after_chances(cover, seen, np.ones(25))
     rule = Existence()
     # sds of the means over the last 100 frames and 2000 chances: .26 and .01
     assert population.clutter_rate(rule) == pytest.approx(7.0, abs=1.1)
     assert population.detection(rule) == pytest.approx(0.7, abs=0.05)
-    fixed = Existence(clutter=3.0, detection=0.6)
-    assert (population.clutter_rate(fixed), population.detection(fixed)) == (3.0, 0.6)
+    assert population.covered(rule) == pytest.approx(0.3, abs=0.05)
+    fixed = Existence(clutter=3.0, detection=0.6, covered=0.5)
+    found = population.clutter_rate(fixed), population.detection(fixed), population.covered(fixed)
+    assert found == (3.0, 0.6, 0.5)
+    assert population.covered(Existence(detection=0.2, covered=0.5)) == 0.2  # no surer than in the open
     assert population.new_share(Existence(clutter=0.9, births=0.1)) == pytest.approx(0.1)
 
 

@@ -65,6 +65,20 @@ def test_what_stands_out(lines, changed, frames, remedy, words):
     assert found.agent == ("filter" if remedy == "sharp" else None)
 
 
+@pytest.mark.parametrize(
+    ("usual", "rest", "remedy", "words"),
+    [
+        (0.5, 0.01, "narrow", "outside of the predicted 95 % in 10 of 39 frames, first in frame 30"),
+        (0.9, 0.9, "wide", "filter measures closer to the prediction than predicted: p-value 0.90 (median"),
+    ],
+)
+def test_measurements_that_were_not_predicted_stand_out(lines, usual, rest, remedy, words):
+    p = [usual if line.frame < 30 else rest for line in lines]
+    (found,) = find([replace(line, p_values={"filter": one}) for line, one in zip(lines, p, strict=True)])
+    assert found.remedy == remedy and found.agent == "filter" and words in found.what
+    assert not list(find([replace(line, p_values={"filter": line.frame / 40}) for line in lines]))
+
+
 @pytest.mark.parametrize("change", [{"ess": 4.0}, {"surprise": 5.0}])
 def test_what_good_runs_have_as_often_as_bad_ones_is_not_reported(lines, change):
     assert list(find([replace(line, **change) for line in lines])) == []

@@ -42,3 +42,19 @@ def test_the_whole_path(tmp_path, capsys):
     assert main(["log", out]) == 0
     assert capsys.readouterr().out.startswith("smoothed run of general")
     assert main(["verify", out]) == 0
+
+
+def test_particles_from_elsewhere_have_no_most_probable_trajectory(tmp_path, capsys):
+    import cv2
+    import numpy as np
+
+    image = np.full((56, 72, 3), 90, np.uint8)
+    image[14:26, 20:36] = np.random.default_rng(0).integers(0, 255, (12, 16, 3), np.uint8)
+    (tmp_path / "img").mkdir()
+    for n in range(3):
+        cv2.imwrite(str(tmp_path / f"img/{n}.png"), image)
+    run, jumps = str(tmp_path / "run"), "target.motion.random_walk.relocalize={share: 0.1, usual: 0.1}"
+    source = ["--source", str(tmp_path / "img"), "--init", "20,14,16,12", "--quiet", "--keep-beliefs"]
+    assert main(["run", "general", *source, "--set", jumps, "--out", run]) == 0
+    assert main(["smooth", run, "--out", str(tmp_path / "smoothed"), "--map"]) == 2
+    assert "smooth without --map" in capsys.readouterr().err

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.vision.kernels.color_kernels import hue_of_bgr
-from bayesnet_track.vision.kernels.histogram_kernels import (
+from bayesnet_track.vision.kernels.histograms.histogram_kernels import (
     color_distances,
     count_by_integral,
     count_directly,

@@ -83,7 +83,7 @@ def jpda(**changes):
 
 @pytest.fixture(scope="module")
 def graph():
-    return jpda()
+    return jpda(existence={"confirm": 0.9})
 
 
 def seen_at(boxes):
@@ -147,6 +147,9 @@ def test_a_target_that_another_covers_is_kept_through_misses(graph):
     far = {k: seen_at([[100, 100, 30, 60], [400, 100, 30, 60]][: 2 if k < 15 else 1]) for k in range(40)}
     gone = outcomes(graph, far, 22)
     assert len(kept[-1].state.targets) == 2 and len(gone[-1].state.targets) == 1
+    hidden = kept[-1].state.history.populations["target"].hidden
+    in_front, behind = (hidden[target] for target in kept[-1].state.targets)
+    assert in_front < 0.1 and behind > 0.9
 
 
 def test_a_frame_without_a_look_is_no_miss():

@@ -59,3 +59,22 @@ def test_a_difference_names_the_sequence_that_moves_it_most(frames):
     assert (label, mean, rest) == ("one − two", "+0.233", "+0.000 (a)")
     low, high = (float(part) for part in interval.split(" .. "))
     assert np.isclose(low, -0.1, atol=0.07) and np.isclose(high, 0.7, atol=0.1)
+
+
+def test_a_part_of_each_box_is_replaced_by_the_true_one(frames):
+    """A box of 20 x 5 at x = 5, the true one of 20 x 20 at 0: area and aspect are off by a factor of 4."""
+    sys.path.insert(0, str(BENCHMARKS))
+    try:
+        import real_video_errors
+    finally:
+        sys.path.remove(str(BENCHMARKS))
+    truth = np.array([[0.0, 0.0, 20.0, 20.0], [0.0, 0.0, np.nan, np.nan]])
+    boxes = np.array([[5.0, 0.0, 20.0, 5.0], [0.0, 0.0, 1.0, 1.0]])
+    parts = real_video_errors.replaced(boxes[:1], truth[:1])
+    assert parts["centre"][0].tolist() == [0.0, 0.0, 20.0, 5.0]
+    assert parts["size"][0].tolist() == [5.0, 0.0, 20.0, 20.0]
+    assert parts["area"][0].tolist() == pytest.approx([5.0, 0.0, 40.0, 10.0])
+    assert parts["aspect"][0].tolist() == pytest.approx([5.0, 0.0, 10.0, 10.0])
+    found = real_video_errors.aucs(boxes, truth)  # the frame without a target does not count
+    assert found["centre; first size"] == pytest.approx(20 / 21)
+    assert found["centre"] == pytest.approx(5 / 21)  # IoU 0.25: above 0, .05, .1, .15 and .2

@@ -16,6 +16,7 @@ from bayesnet_track.graph.text.formula import (
     formula_text,
 )
 from bayesnet_track.graph.text.formula_motion import latex_lines, lines
+from bayesnet_track.graph.text.formula_states import latent_nodes, moves
 from bayesnet_track.graph.text.load import load_graph
 
 WALK = {"random_walk": {"sd_px": {"x": 20, "y": 10}}}
@@ -234,3 +235,45 @@ def test_modes_are_said_with_how_long_they_last_and_what_follows():
         "then straight",
         "mode behind: moves so, 10 frames on average, then straight, hidden: every agent says 0.02",
     ]
+
+
+def test_parts_with_a_motion_are_a_part_of_what_the_belief_is_about():
+    plate = load_graph("person_levels").targets["person"]
+    assert [own for own, _, _ in latent_nodes(plate) if moves(plate, own)] == ["torso", "head"]
+    text = formula_text(plate)
+    before = "person_t-1, torso_t-1, head_t-1"
+    assert f"p(person_t, torso_t, head_t | {before}) = p(person_t | person_t-1) · " in text
+    assert "p(head_t | torso_t, head_t-1, torso_t-1): Gaussian around (x, y - 0.816 h)" in text
+    assert "sd x 2.5 px, y 1 px in the long run, sd x 1.5 px, y 0.6 px a frame" in text
+    assert "[∫" not in text
+
+
+def test_latex_of_modes_has_their_rates():
+    ball = load_graph("hidden_ball").targets["ball"]
+    latex = formula_latex(ball).splitlines()
+    assert r"&= \sum_{m_{t-1}} P(m_{t} \mid m_{t-1}) \int p(\mathit{ball}_{t} \mid" in latex[3]
+    assert r"&= \left[\exp\left(\Delta t \, \begin{pmatrix} -0.0167 & 0.0167 \\ 0.0667" in latex[4]
+    said = [line for line in formula_text(ball).splitlines() if line.startswith("mode ")]
+    assert [line for line in latex if line.startswith("% mode ")] == [f"% {line}" for line in said]
+
+
+def test_latex_of_modes_by_steps_has_their_probabilities():
+    after = {"seen": {"seen": 0.9, "behind": 0.1}, "behind": {"seen": 0.25, "behind": 0.75}}
+    modes = {"seen": {"next": after["seen"]}, "behind": {"hidden": {}, "next": after["behind"]}}
+    nodes = {"s": {"motion": WALK, "modes": modes}, "a": {"parent": "s", "agent": "intensity"}}
+    latex = formula_latex(check_graph({"name": "g", "targets": {"s": {"nodes": nodes}}}).targets["s"])
+    assert r"\begin{pmatrix} 0.9 & 0.1 \\ 0.25 & 0.75 \end{pmatrix}^{\Delta t}" in latex
+
+
+def test_latex_of_latent_nodes():
+    head = formula_latex(load_graph("person_parts").targets["person"])
+    assert "% p(head_t | person_t): Gaussian around (x, y - 0.39 h), 0.44 w by 0.22 h, sd x 2.5 px" in head
+    leaning = formula_latex(load_graph("person_leaning").targets["person"])
+    assert r"x(\mathit{head}_{t}) &\sim \mathrm{t}\left(x_{\mathrm{parent}},\, 2,\, 3\right) \\" in leaning
+
+
+def test_what_is_measured_stands_in_the_formula():
+    radar = load_graph("radar_ball").targets["ball"]
+    assert "radar: range = hypot(x - radar_x, y - radar_y) + noise" in formula_text(radar)
+    latex = formula_latex(radar)
+    assert r"\mathit{range}_{\mathrm{radar}} &= \mathrm{hypot}\left(x - \mathit{radar\_x}" in latex

@@ -1,10 +1,12 @@
-"""Distributions of latent nodes as a graph writes them: read with their constants, and shown in formulas."""
+"""Distributions of latent nodes and measurement functions: read with the constants that they use."""
 
 from __future__ import annotations
 
 from bayesnet_track.graph.checks.givens import is_drawn
+from bayesnet_track.graph.checks.measures import MEASURE_CHECKS
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.formula_given import latex_lines, lines
+from bayesnet_track.graph.text.load import load_graph
 
 
 def test_a_distribution_is_read_with_the_constants_that_it_uses(cues):
@@ -24,3 +26,10 @@ def test_a_distribution_is_read_with_the_constants_that_it_uses(cues):
         "lean = 2",
     ]
     assert next(latex_lines(found, "n_t")).startswith(r"x(n_t) &\sim \mathrm{Laplace}\left(")
+
+
+def test_measurement_functions_are_read_with_the_constants_that_they_use():
+    found = load_graph("radar_ball").targets["ball"].measures["radar"]
+    assert set(found.terms) == {"range", "bearing"}
+    assert found.constants == {"radar_x": 160.0, "radar_y": 480.0}
+    assert len(MEASURE_CHECKS) == 3

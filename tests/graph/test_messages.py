@@ -14,6 +14,7 @@ from bayesnet_track.graph.checks.run import check, check_graph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.messages import MAX_MESSAGES, GraphError, Positions, listed, nearest, shown
 from bayesnet_track.graph.text.read import read_graph
+from bayesnet_track.observation.cue import installed_cues
 
 TABLES = Path(__file__).parent / "messages"
 HEAD = "bayesnet: 1\nname: g\ntargets:\n  t:\n    nodes:\n"
@@ -56,6 +57,15 @@ def test_checks(text, said, cues):
     spec, at = read_graph(_nodes(text), "g.yaml")
     with pytest.raises(GraphError) as error:
         check(spec, at, cues)
+    assert _said(error) == said
+
+
+@pytest.mark.parametrize(("text", "said"), _cases("measures.txt"))
+def test_measures(text, said, cues):
+    built_in = {name: installed_cues()[name] for name in ("readings", "detection")}
+    spec, at = read_graph(_nodes(text), "g.yaml")
+    with pytest.raises(GraphError) as error:
+        check(spec, at, {**cues, **built_in})
     assert _said(error) == said
 
 

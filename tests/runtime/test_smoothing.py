@@ -118,3 +118,14 @@ def test_beliefs_go_on_where_a_run_is_resumed(particle_run, tmp_path):
     tracked("two_squares", "two_squares", tmp_path / "run", stop=5, keep_beliefs=True)
     list(resume(tmp_path / "run"))
     assert (tmp_path / "run/beliefs.jsonl").read_bytes() == particle_run.directory.beliefs.read_bytes()
+
+
+def test_the_boxes_may_be_those_of_the_most_probable_trajectory(particle_run, gaussian_run):
+    usual, best = smooth(particle_run, 20), smooth(particle_run, 20, most_probable=True)
+    kept = {line.frame: line for line in best.metrics}
+    for belief in list(read_beliefs(particle_run.directory.beliefs))[1:]:
+        line = kept[belief.frame]
+        assert np.abs(belief.posterior.states[:, :4] - line.map).max(axis=1).min() < 1e-6
+        assert line.map == line.centre_box
+    assert [line.sd for line in best.metrics] == [line.sd for line in usual.metrics]
+    assert smooth(gaussian_run, most_probable=True) == smooth(gaussian_run)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.vision.kernels.kernel_histogram_kernels import coefficients, kernel_shares
+from bayesnet_track.vision.kernels.histograms.kernel_histogram_kernels import coefficients, kernel_shares
 
 BINS = 5
 LEFT, TOP = 4, 3

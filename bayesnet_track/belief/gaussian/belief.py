@@ -11,7 +11,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Evaluate, Evidence, MotionModel, Report, Step, Stream
+from bayesnet_track.belief.contract import Evaluate, Evidence, MotionModel, Predicted, Report, Step, Stream
 from bayesnet_track.belief.gaussian.predict import predict, require_linear
 from bayesnet_track.belief.gaussian.update import (
     Asked,
@@ -117,6 +117,8 @@ class GaussianFilter:
         # Predict
         mean, covariance = predict(prior.mean, prior.covariance, motion, dt, self.settings)
 
+        predicted = (Predicted(1.0, mean, covariance),)
+
         # Evaluate
         asked = ask(mean, covariance, motion, self.settings, stream("samples"))
         hypotheses = hypotheses_of(asked.states, prior.fields)
@@ -130,8 +132,9 @@ class GaussianFilter:
         except DegenerateWeights as fault:
             posterior = _posterior(mean, covariance, prior.fields, len(asked.states))
             return replace(_step(posterior, -np.inf, asked, asked.beta, evidence), degenerate=str(fault))
-        after = take(mean, covariance, prior.fields, evidence.gaussians, self.settings.gate)
-        return _step(
+        by_points = self.settings.filter == "unscented"
+        after = take(mean, covariance, prior.fields, evidence.gaussians, self.settings.gate, by_points)
+        stepped = _step(
             _posterior(after.mean, after.covariance, prior.fields, len(asked.states)),
             log_evidence + after.log_evidence,
             asked,
@@ -139,6 +142,7 @@ class GaussianFilter:
             evidence,
             tuple(partial(report_gated, one, self.settings.gate, len(after.used)) for one in after.gated),
         )
+        return replace(stepped, predicted=predicted)
 
     def _size(self, width: int) -> int:
         if self.settings.likelihood == "sigma_points":

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Evaluate, Evidence, MotionModel, Report, Step, Stream
+from bayesnet_track.belief.contract import Evaluate, Evidence, MotionModel, Predicted, Report, Step, Stream
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior, report_gated
 from bayesnet_track.belief.gaussian.mixture import ModalPosterior, mix
 from bayesnet_track.belief.gaussian.predict import predict, require_linear
@@ -102,7 +102,13 @@ class ModalFilter:
             held = together.weights.times(evidence.log_likelihood)[0]
         except DegenerateWeights:
             held = together.weights
-        return _step(posterior, total, together, held, evidence, reports)
+        visible = tuple(
+            Predicted(0.0 if hidden else float(share), part.mean, part.covariance)
+            for part, share, hidden in zip(
+                predicted.parts, predicted.mode_probabilities, self.modes.hidden, strict=True
+            )
+        )
+        return replace(_step(posterior, total, together, held, evidence, reports), predicted=visible)
 
     def _predict(self, part: GaussianPosterior, motion: MotionModel, dt: float) -> GaussianPosterior:
         mean, covariance = predict(part.mean, part.covariance, motion, dt, self.settings)
@@ -117,7 +123,7 @@ class ModalFilter:
             mean, covariance, log_evidence = update(part.mean, part.covariance, asked, sampled)
         except DegenerateWeights:
             return part, -np.inf
-        after = take(mean, covariance, part.fields, used, 1.0)
+        after = take(mean, covariance, part.fields, used, 1.0, self.settings.filter == "unscented")
         held = replace(part, mean=_held(after.mean), covariance=after.covariance)
         return held, log_evidence + after.log_evidence
 
@@ -132,7 +138,15 @@ class ModalFilter:
         ):
             if hidden or share <= 0.0:
                 continue
-            taken = take(part.mean, part.covariance, part.fields, evidence.gaussians, self.settings.gate)
+            is_unscented = self.settings.filter == "unscented"
+            taken = take(
+                part.mean,
+                part.covariance,
+                part.fields,
+                evidence.gaussians,
+                self.settings.gate,
+                is_unscented,
+            )
             used |= taken.used
             for one in taken.gated:
                 if one.agent not in nearest or one.d2 < nearest[one.agent].d2:

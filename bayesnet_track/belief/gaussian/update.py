@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.bounds import Confined
+from bayesnet_track.belief.motion.functions import derivative, extended_update, unscented_update
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.gaussian import (
+    Updated,
     chi_square_cdf,
     chi_square_quantile,
     innovation_likelihood,
@@ -25,6 +27,9 @@ from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 
 Floats = NDArray[np.float64]
+
+FAR = 1e100
+"""Where a quantity has no value, it is so far from what was measured."""
 
 WORST = 1e-100
 """The least likelihood of a sigma point, as a share of the best: a parabola has no place for zero."""
@@ -182,6 +187,7 @@ def take(
     fields: tuple[str, ...],
     measured: Mapping[str, Measurement],
     gate: float,
+    is_unscented: bool = False,
 ) -> Taken:
     """Kalman updates by what agents measured, one after the other, as exact as all at once.
 
@@ -189,7 +195,8 @@ def take(
     3.9 b: no object near the prediction, so that only the prediction stands). Every d^2 is taken against the
     belief before any of them, so that their order decides nothing. One with choices gives the mean and the
     covariance of the mixture of its updates; it is never left out, because its choices were gated when they
-    were made.
+    were made. Quantities that are functions of the state are taken by their derivative at the mean, or at
+    sigma points where `is_unscented`; without a value there they are not used.
     """
     used: dict[str, Measurement] = {}
     gated: list[Gated] = []
@@ -197,9 +204,15 @@ def take(
         if one.choices:
             used[agent] = one
             continue
-        observe = _observe(one, fields)
-        expected = symmetric(observe @ covariance @ observe.T + one.covariance)
-        d2, _ = innovation_likelihood(one.mean - observe @ mean, expected, one.covariance)
+        if one.seen is not None:
+            seen = update_seen(mean, covariance, fields, one, is_unscented)
+            if seen is None:
+                continue
+            d2 = seen.d2
+        else:
+            observe = _observe(one, fields)
+            expected = symmetric(observe @ covariance @ observe.T + one.covariance)
+            d2, _ = innovation_likelihood(one.mean - observe @ mean, expected, one.covariance)
         degrees = len(one.fields)
         limit = chi_square_quantile(gate, degrees)
         if d2 > limit:
@@ -212,11 +225,52 @@ def take(
             mean, covariance, log_own = _mix(mean, covariance, fields, one)
             log_evidence += log_own
             continue
-        observe = _observe(one, fields)
-        after = linear_update(mean, covariance, one.mean - observe @ mean, observe, one.covariance)
+        if one.seen is None:
+            observe = _observe(one, fields)
+            after = linear_update(mean, covariance, one.mean - observe @ mean, observe, one.covariance)
+        else:
+            by_function = update_seen(mean, covariance, fields, one, is_unscented)
+            if by_function is None:
+                continue
+            after = by_function
         mean, covariance = after.mean, after.covariance
         log_evidence += after.log_likelihood
     return Taken(mean, covariance, log_evidence, used, tuple(gated))
+
+
+def update_seen(
+    mean: Floats, covariance: Floats, fields: tuple[str, ...], one: Measurement, is_unscented: bool
+) -> Updated | None:
+    """The update by quantities z = h(x) + N(0, R); None where h has no value near the mean.
+
+    By h's derivative at the mean, or at sigma points +-sqrt(max(K, 3)) sds away, K the covariance's rank.
+    Angles are taken as the shorter way from that of the mean.
+    """
+    assert one.seen is not None
+    seen = one.seen
+
+    def of(states: Floats) -> Floats:
+        return seen.function(dict(zip(fields, states.T, strict=True)))
+
+    centre = of(mean[None])[0]
+    if not np.isfinite(centre).all():
+        return None
+    measured = centre + seen.less(one.mean, centre)
+
+    def unwrapped(states: Floats) -> Floats:
+        return np.asarray(centre + seen.less(of(states), centre))
+
+    try:
+        if not np.isfinite(derivative(unwrapped, mean)).all():
+            return None
+        if is_unscented:
+            kappa = max(3.0 - root(covariance).shape[1], 0.0)
+            after = unscented_update(mean, covariance, measured, one.covariance, unwrapped, kappa)
+        else:
+            after = extended_update(mean, covariance, measured, one.covariance, unwrapped)
+    except np.linalg.LinAlgError:
+        return None
+    return after if np.isfinite(after.mean).all() and np.isfinite(after.covariance).all() else None
 
 
 def _mix(
@@ -245,7 +299,11 @@ def log_message(one: Measurement, hypotheses: Hypotheses, fields: tuple[str, ...
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(one.missed + sum(each)))
     states = np.column_stack([hypotheses.boxes, *(hypotheses.fields[name] for name in fields[4:])])
-    away = states @ _observe(one, fields).T - one.mean
+    if one.seen is None:
+        away = states @ _observe(one, fields).T - one.mean
+    else:
+        values = one.seen.function(dict(zip(fields, states.T, strict=True)))
+        away = np.nan_to_num(one.seen.less(values, one.mean), nan=FAR, posinf=FAR, neginf=-FAR)
     return np.asarray(-0.5 * np.einsum("nk,nk->n", away, np.linalg.solve(one.covariance, away.T).T))
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Evaluate, Evidence, MotionModel, Report, Step, Stream
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice
-from bayesnet_track.belief.grid.evidence import ask_again, log_gaussian
+from bayesnet_track.belief.grid.evidence import ask_again, log_gaussian, log_measured
 from bayesnet_track.belief.grid.motion import predict_grid, scale_sd
 from bayesnet_track.belief.grid.reset import (
     Verdict,
@@ -181,10 +181,18 @@ class _Asked:
         Raises:
             DegenerateWeights: nothing positive and finite is left.
         """
-        fast = {n: m for n, m in evidence.gaussians.items() if not set(m.fields) <= set(BOX_FIELDS)}
+        fast = {
+            n: m
+            for n, m in evidence.gaussians.items()
+            if m.seen is None and not set(m.fields) <= set(BOX_FIELDS)
+        }
         if fast and evidence.sampled is not None:
             slow = sum(
-                (log_gaussian(m, self._fields(m)) for n, m in evidence.gaussians.items() if n not in fast),
+                (
+                    log_measured(m, self.states, self.belief.fields)
+                    for n, m in evidence.gaussians.items()
+                    if n not in fast
+                ),
                 evidence.sampled,
             )
             belief = self._measure(list(fast.values()))
@@ -232,9 +240,6 @@ class _Asked:
             degenerate=degenerate,
             reports=() if report is None else (report,),
         )
-
-    def _fields(self, measured: Measurement) -> list[Floats]:
-        return [self.states[:, self.belief.fields.index(name)] for name in measured.fields]
 
     def _measure(self, measured: list[Measurement]) -> GridBelief:
         """The belief, not normalised, with the cells' velocities weighed by what was measured of them."""

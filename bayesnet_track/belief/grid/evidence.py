@@ -17,7 +17,18 @@ Floats = NDArray[np.float64]
 
 def log_gaussian(measured: Measurement, values: list[Floats]) -> Floats:
     """Log-likelihood of a Gaussian message at the values of its fields, mixed with its floor."""
-    away = np.stack(values, axis=-1) - measured.mean
+    return _log_away(measured, np.stack(values, axis=-1) - measured.mean)
+
+
+def log_measured(measured: Measurement, states: Floats, fields: tuple[str, ...]) -> Floats:
+    """(N,) the same of states (N, D), by their fields or by functions of them."""
+    if measured.seen is None:
+        return log_gaussian(measured, [states[:, fields.index(name)] for name in measured.fields])
+    values = measured.seen.function(dict(zip(fields, states.T, strict=True)))
+    return _log_away(measured, np.nan_to_num(measured.seen.less(values, measured.mean), nan=1e100))
+
+
+def _log_away(measured: Measurement, away: Floats) -> Floats:
     distance2 = np.einsum("...k,kl,...l->...", away, np.linalg.inv(measured.covariance), away)
     likelihood = measured.floor + (1.0 - measured.floor) * np.exp(-0.5 * distance2)
     return np.asarray(np.log(likelihood + 1e-300))  # finite far out, as products of masses need it
@@ -42,7 +53,7 @@ def ask_again(
     sampled = again.log_likelihood if again.sampled is None else again.sampled
     total = sampled
     for one in first.gaussians.values():
-        total = total + log_gaussian(one, [states[:, fields.index(name)] for name in one.fields])
+        total = total + log_measured(one, states, fields)
     return replace(
         again, log_likelihood=total, gaussians=first.gaussians, sampled=sampled, measured=first.measured
     )

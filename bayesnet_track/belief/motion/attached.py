@@ -64,7 +64,7 @@ class Attached:
         count = int(carried.sum())
         noise = rng.standard_normal((count, 2)) * (self.sd_px * np.sqrt(dt))
         moved[carried, :2] = old[carried, :2] + self.displacement + noise
-        if moved.shape[1] >= 6:
+        if self._kinematic >= 6:
             moved[carried, 4:6] = self.displacement / dt
         moved[carried, 6 : self._kinematic] = 0.0
         return with_column(moved, carried)
@@ -102,7 +102,7 @@ class Attached:
         """The states without the last field, those carried so that `motion` takes them with the carrier."""
         seeded = states[:, :-1].copy()
         carried = states[:, -1] > 0
-        if seeded.shape[1] >= 6:
+        if self._kinematic >= 6:
             seeded[carried, 4:6] = self.displacement / dt
             seeded[carried, 6 : self._kinematic] = 0.0
         else:
@@ -111,8 +111,8 @@ class Attached:
 
     @property
     def _kinematic(self) -> int:
-        """Columns of a state up to its last derivative: an angle stays what it is."""
-        return len(self.motion.fields) - (ANGLE in self.motion.fields)
+        """Columns of a state up to its last derivative: an angle and deviations stay what they are."""
+        return sum(name != ANGLE and "." not in name for name in self.motion.fields)
 
     def _draw_carried(
         self, before: NDArray[np.bool_], dt: float, rng: np.random.Generator

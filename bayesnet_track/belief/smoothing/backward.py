@@ -54,10 +54,10 @@ def smooth_particles(
     """
     if len(moves) != len(filtered) - 1:
         raise ValueError(f"{len(filtered)} beliefs need {len(filtered) - 1} moves, not {len(moves)}")
-    last = _heaviest(filtered[-1])
+    last = heaviest(filtered[-1])
     smoothed, drawn = [last], last.states[_draw(last.weights.weights, draws, rng)]
     for belief, move in zip(reversed(filtered[:-1]), reversed(moves), strict=True):
-        kept = _heaviest(belief)
+        kept = heaviest(belief)
         with np.errstate(over="ignore"):  # of states that are out of reach
             log = kept.weights.log + move.motion.log_density(drawn, kept.states, move.dt)
         top = log.max(axis=1)
@@ -76,7 +76,7 @@ def smooth_particles(
     return smoothed[::-1]
 
 
-def _heaviest(belief: ParticleSet) -> ParticleSet:
+def heaviest(belief: ParticleSet) -> ParticleSet:
     """The belief without its lightest hypotheses."""
     weights = belief.weights.weights
     order = np.argsort(weights)

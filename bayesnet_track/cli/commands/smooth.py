@@ -24,7 +24,7 @@ def smooth(options: argparse.Namespace) -> int:
         complain(f"bayesnet-track smooth: {error}")
         return BAD_SOURCE
     try:
-        smoothed = smooth_run(run, options.draws, options.seed)
+        smoothed = smooth_run(run, options.draws, options.seed, options.map)
     except SmoothingError as error:
         raise UsageError(str(error)) from error
     write_smoothed(run, smoothed, Path(options.out), options.overwrite)
@@ -53,5 +53,10 @@ def add_smooth(commands: argparse._SubParsersAction[Any]) -> None:
     )
     smooth.add_argument(
         "--seed", type=whole_number(0), default=0, metavar="N", help="seed of these draws (default 0)"
+    )
+    smooth.add_argument(
+        "--map",
+        action="store_true",
+        help="let the boxes be those of the most probable trajectory, instead of the mean of each frame",
     )
     smooth.add_argument("--overwrite", action="store_true", help="replace an earlier run in --out")

@@ -16,6 +16,7 @@ from bayesnet_track.cli.commands.answer import (
 from bayesnet_track.cli.commands.start_boxes import parse_start, read_start, run_folder
 from bayesnet_track.cli.commands.viewing import begin, open_view
 from bayesnet_track.cli.following import STOPPED, Narrator, follow, users_start
+from bayesnet_track.cli.options.arguments import whole_number
 from bayesnet_track.cli.options.changes import add_set_option, set_values
 from bayesnet_track.cli.options.outside import add_outside_options
 from bayesnet_track.cli.options.plugins import add_plugins
@@ -130,6 +131,7 @@ def track_source(
                 overwrite=options.overwrite,
                 video=video,
                 keep_beliefs=getattr(options, "keep_beliefs", False),
+                horizon=getattr(options, "horizon", 0),
                 executor=executor_of(options),
                 sinks=[
                     *sinks,
@@ -224,6 +226,13 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
         "--keep-beliefs", action="store_true", help="keep every frame's beliefs, for `smooth` (beliefs.jsonl)"
     )
     add_seeds_options(run)
+    run.add_argument(
+        "--horizon",
+        type=whole_number(1),
+        default=0,
+        metavar="K",
+        help="write where each target is expected 1 to K frames ahead (forecasts.jsonl)",
+    )
     add_outside_options(run)
     add_rerun_option(run)
     add_window_options(run)

@@ -11,6 +11,8 @@ from bayesnet_track.journal.metrics import FrameMetrics
 
 FEW_FRAMES = 10
 """Below so many frames of a target nothing is said of it."""
+FEW_P_VALUES = 30
+"""Below so many measurements of an agent nothing is said of how well they were predicted."""
 FEWEST = 3
 """A belief that rests on fewer hypotheses, in half of the frames, is a point."""
 
@@ -108,6 +110,28 @@ def _contradiction(lines: Lines) -> Iterator[Finding]:
             yield Finding(lines[0].target, what, "sharp", agent)
 
 
+def _predicted(lines: Lines) -> Iterator[Finding]:
+    """p-values are uniform where measurements are as the motion and the agent's error say."""
+    for agent in dict.fromkeys(agent for line in lines for agent in line.p_values):
+        own = [line for line in lines if agent in line.p_values]
+        if len(own) < FEW_P_VALUES:
+            continue
+        far = [line for line in own if line.p_values[agent] < 0.05]
+        usual = median(line.p_values[agent] for line in own)
+        if len(far) > 0.15 * len(own):
+            what = (
+                f"{agent} measures outside of the predicted 95 % in {len(far)} of {len(own)} frames, first "
+                f"in frame {far[0].frame} (expected 5 %; above 15 %)"
+            )
+            yield Finding(lines[0].target, what, "narrow", agent, far[0].frame)
+        elif usual > 0.8:
+            what = (
+                f"{agent} measures closer to the prediction than predicted: p-value {usual:.2f} (median; "
+                "above 0.8, expected 0.5)"
+            )
+            yield Finding(lines[0].target, what, "wide", agent)
+
+
 def _lost(lines: Lines) -> Iterator[Finding]:
     lost = [line for line in lines if line.status == "lost"]
     if not lost:
@@ -145,5 +169,6 @@ CHECKS: Sequence[Callable[[Lines], Iterator[Finding]]] = (
     _effective,
     _unforeseen,
     _contradiction,
+    _predicted,
     _learning,
 )

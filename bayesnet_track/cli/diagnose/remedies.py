@@ -151,6 +151,21 @@ REMEDIES: Mapping[str, Remedy] = MappingProxyType(
             "0.02",
             "wider regions; `fit GRAPH --what localization_error` finds the value from your videos",
         ),
+        "narrow": Remedy(
+            "an agent measures far from where the target was predicted",
+            "log RUN --why N",
+            "ROOT.motion.MOTION.sd_px",
+            "{x: 4, y: 4}",
+            "more motion is expected; `fit GRAPH --motion` finds the value from boxes",
+        ),
+        "wide": Remedy(
+            "an agent measures closer to the prediction than its error and the motion let expect",
+            "log RUN --why N",
+            "ROOT.motion.MOTION.sd_px",
+            "{x: 0.5, y: 0.5}",
+            "less motion is expected, so that errors of agents move the box less; `fit GRAPH --motion` finds "
+            "the value from boxes",
+        ),
         "slow": Remedy(
             "it takes too long per frame",
             "report RUN",

@@ -17,7 +17,7 @@ _CACHE = """
 import pickle, sys
 from pathlib import Path
 from bayesnet_track.numerics.kernels import resampling_kernels
-from bayesnet_track.vision.kernels import histogram_kernels
+from bayesnet_track.vision.kernels.histograms import histogram_kernels
 from bayesnet_track.vision.shape import shape_snake
 folders = []  # Numba keeps one for each folder of sources
 for module in (resampling_kernels, histogram_kernels, shape_snake):

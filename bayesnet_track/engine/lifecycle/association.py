@@ -117,7 +117,8 @@ def _divide(
     covariance = np.array([expected[target][1] for target in names]).reshape(-1, 4, 4)
     existence = [one.existence for one in targets.values()]
     before = np.array([1.0 if one is None else one for one in existence])
-    done = divide(rule, work.cache.frames, Crowd(mean, covariance, before, log_looks), population, found)
+    all_of = Crowd(mean, covariance, before, names, log_looks)
+    done = divide(rule, work.cache.frames, all_of, population, found)
     seen = Found(np.empty((0, 4)), np.empty(0)) if found is None else found
     whose: list[str | None] = [None] * len(seen.boxes)
     given = {}

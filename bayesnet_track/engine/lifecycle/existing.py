@@ -8,7 +8,7 @@ given is up to their beliefs; prospects are Gaussian beliefs that move as the pl
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from bayesnet_track.adapt.assign import assign_pairs
 from bayesnet_track.adapt.association import NOBODY
 from bayesnet_track.adapt.existence import Expected, Pairs, Population, Prospects, Shared, share
+from bayesnet_track.adapt.hiding import detection_of, expect_hidden, learn_hidden, share_hidden
 from bayesnet_track.engine.lifecycle.detecting import Found
 from bayesnet_track.engine.lifecycle.prospects import (
     CrowdRule,
@@ -46,12 +47,14 @@ class Crowd:
         mean: (T, 4) boxes as they are expected.
         covariance: (T, 4, 4).
         existence: (T,) probability that each exists, as of the last frame.
+        names: of the targets.
         log_looks: row, boxes (M, 4) -> (M,) log-likelihood by what the target looks like.
     """
 
     mean: Floats
     covariance: Floats
     existence: Floats
+    names: Sequence[str]
     log_looks: Callable[[int, Floats], Floats] | None = None
 
 
@@ -110,11 +113,13 @@ def divide(
     )
     area = float(frame.width * frame.height)
     cover = _cover(all_of)
-    shared = _share(rule, all_of, cover, population, found.boxes, area)
+    hidden = _expect_hidden(rule, crowd.names, cover, population)
+    most = population.detection(rule.existence)
+    shared = _share(rule, all_of, detection_of(most, cover, hidden), population, found.boxes, area)
     pairs = shared.pairs if rule.is_marginal else _assigned(shared, len(found.boxes))
     prospects = advance_prospects(rule, prospects, pairs, shared, found)
     prospects = prospects.extend(begin_prospects(rule, population, found, shared.free, frame.index))
-    population = _learn(rule, population, shared, cover[:count])
+    population = _learn(rule, population, shared, crowd.names, (cover, hidden))
     return _of_targets(
         pairs, shared, count, replace(population, prospects=prune(rule, population, prospects))
     )
@@ -129,12 +134,10 @@ def _cover(crowd: Crowd) -> Floats:
 
 
 def _share(
-    rule: CrowdRule, crowd: Crowd, cover: Floats, population: Population, boxes: Floats, area_px2: float
+    rule: CrowdRule, crowd: Crowd, detection: Floats, population: Population, boxes: Floats, area_px2: float
 ) -> Shared:
-    """Whose the detections (N, 4) are, of targets and prospects."""
+    """Whose the detections (N, 4) are, of targets and prospects that are detected so surely (T,)."""
     settings = rule.existence
-    most = population.detection(settings)
-    detection = most + cover * (min(settings.covered, most) - most)
     rate = population.clutter_rate(settings) + settings.births
     log_nobody = population.log_density(boxes, area_px2) + math.log(rate)
     pairs = gate(rule.association, crowd.mean, crowd.covariance, boxes)
@@ -182,13 +185,33 @@ def _assigned(shared: Shared, found: int) -> Pairs:
     return Pairs(rows, owner[rows].astype(np.int64), np.ones(len(rows)))
 
 
-def _learn(rule: CrowdRule, population: Population, shared: Shared, cover: Floats) -> Population:
-    """The estimates after the look; `cover` (T,) is that of the targets alone."""
-    count = len(cover)
-    in_the_open = 1.0 - np.minimum(cover, 1.0)
+def _expect_hidden(rule: CrowdRule, names: Sequence[str], cover: Floats, population: Population) -> Floats:
+    """(T,) how probable it is that each target and prospect is hidden, if another covers it."""
+    share = share_hidden(population.detection(rule.existence), population.covered(rule.existence))
+    before = np.full(len(cover), share)
+    if population.hidden:
+        known = population.hidden
+        before[: len(names)] = [known.get(name, share) for name in names]
+    return expect_hidden(before, cover, share)
+
+
+def _learn(
+    rule: CrowdRule,
+    population: Population,
+    shared: Shared,
+    names: Sequence[str],
+    covers: tuple[Floats, Floats],
+) -> Population:
+    """The estimates after the look; `covers` are how probably each is covered, and hidden if it is."""
+    count = len(names)
+    cover, hidden = (one[:count] for one in covers)
+    seen, existence = shared.seen[:count], shared.existence[:count]
     false = float(shared.free.sum()) * (1.0 - population.new_share(rule.existence))
-    hits = float(in_the_open @ shared.seen[:count])
-    return population.after_look(false, hits, float(in_the_open @ shared.existence[:count]))
+    rows = np.flatnonzero(cover > 0.0)
+    given = np.minimum(seen[rows] / np.maximum(existence[rows], 1e-300), 1.0)
+    after = learn_hidden(hidden[rows], given, population.detection(rule.existence))
+    now = {names[row]: value for row, value in zip(rows.tolist(), after.tolist(), strict=True)}
+    return replace(population.after_look(false).after_chances(cover, seen, existence), hidden=now)
 
 
 def _of_targets(pairs: Pairs, shared: Shared, count: int, population: Population) -> Division:

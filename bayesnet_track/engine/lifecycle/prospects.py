@@ -66,7 +66,7 @@ def first_population(rule: CrowdRule, found: Found, frame: int) -> Population:
     """That of a first frame, in which free detections were `found`."""
     population = Population(Prospects.none(len(rule.motion.fields))).with_sizes(found.boxes)
     free = np.ones(len(found.boxes))
-    population = population.after_look(float(free.sum()) * (1.0 - population.new_share(rule.existence)), 0, 0)
+    population = population.after_look(float(free.sum()) * (1.0 - population.new_share(rule.existence)))
     return replace(population, prospects=begin_prospects(rule, population, found, free, frame))
 
 

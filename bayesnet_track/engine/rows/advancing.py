@@ -181,6 +181,7 @@ def divide_rows(
         np.ascontiguousarray(mean[:, :4]),
         np.ascontiguousarray(covariance[:, :4, :4]),
         rows.columns.existence,
+        rows.ids,
     )
     done = divide(rule.crowd, work.cache.frames, crowd, population, found)
     started = work.charge("life", started)

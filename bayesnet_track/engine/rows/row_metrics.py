@@ -15,6 +15,7 @@ from bayesnet_track.engine.rows.columns import GIVEN, Rows
 from bayesnet_track.engine.summaries import CLOUD_SIZE
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.kernels.row_columns import AREA, FIT, UD
+from bayesnet_track.numerics.predictive import p_after
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.planes import Frame
 
@@ -139,7 +140,17 @@ class RowMetrics(Sequence[FrameMetrics]):
             cloud=tuple(map(tuple, cloud)),
             silent=() if now.given[row] == GIVEN else (rule.agent,),
             existence=None if rule.crowd is None else float(now.existence[row]),
+            p_values=self._p_values(row),
         )
+
+    def _p_values(self, row: int) -> dict[str, float]:
+        """How well the row's detection was predicted; nothing of one that several targets share."""
+        rule, now = self.rows.rule, self.rows.columns
+        if rule.crowd is not None or now.given[row] != GIVEN:
+            return {}
+        box = now.own[row, :4]
+        noise = np.diag(rule.association.variances(box) * rule.temperature)
+        return {rule.agent: p_after(box, noise, now.mean[row, :4], now.covariance[row, :4, :4])}
 
     @overload
     def __getitem__(self, at: int) -> FrameMetrics: ...

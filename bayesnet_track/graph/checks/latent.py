@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from bayesnet_track.graph.checks.plates import Plate
-from bayesnet_track.graph.spec import InferenceNode, Noise
+from bayesnet_track.graph.settings.motion import Moving
+from bayesnet_track.graph.spec import InferenceNode, Latent, Noise, PixelSd
 from bayesnet_track.graph.text.messages import GraphMessage
 
 
@@ -14,7 +15,7 @@ def beliefs_have_a_state(plate: Plate) -> Iterator[GraphMessage]:
     for name, node in plate.inference.items():
         if node.parent is None or node.belief is None:
             continue
-        if _is_latent(node):
+        if has_a_state(node):
             yield from _without_settings(plate, name, node)
             continue
         where = f"at the root, {plate.roots[0]}" if plate.roots else "at the root"
@@ -46,6 +47,75 @@ def parts_have_a_whole(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, found, "a node below the root", key=where, on_key=True)
 
 
+def latent_nodes_move(plate: Plate) -> Iterator[GraphMessage]:
+    """A latent node's motion is a random walk in px, by at most the noise of `given`.
+
+    Its deviations are fields of the root's states: these are particles drawn from the motion, without modes.
+    """
+    moving = [name for name, node in plate.inference.items() if node.parent is not None and node.motion]
+    for name in moving:
+        node = plate.inference[name]
+        if node.motion is None or node.fuse is None or node.fuse.latent is None:
+            continue
+        if node.motion.random_walk is None:
+            found = f"{node.motion.kind} at a latent node, whose motion is that of a deviation"
+            yield plate.message(name, found, ["random_walk"], key=("motion", node.motion.kind), on_key=True)
+            continue
+        yield from _walk_in_px(plate, name, node.motion.random_walk, node.fuse.latent)
+        if node.belief is not None and node.belief.particles is None:
+            found = f"motion beside belief: {node.belief.kind}, which is made anew in each frame"
+            yield plate.message(name, found, "belief: particles, or none", key=("motion",), on_key=True)
+    for root in plate.roots[:1] if moving else ():
+        yield from _states_hold_deviations(plate, root, moving[0])
+
+
+def _walk_in_px(plate: Plate, name: str, walk: Moving, latent: Latent) -> Iterator[GraphMessage]:
+    here = ("motion", "random_walk")
+    usual = type(walk)()
+    for setting in sorted(walk.model_fields_set - {"sd_px"}):
+        if getattr(walk, setting) == getattr(usual, setting):
+            continue
+        found = f"{setting} in the motion of a latent node"
+        yield plate.message(name, found, ["sd_px"], key=(*here, setting), on_key=True)
+    given = latent.given
+    if given.written:
+        found = "given by expressions, and a deviation that moves is Gaussian in px"
+        yield plate.message(name, found, "sd_px, or no motion", key=("fuse", "latent", "given"))
+        return
+    further = [*_beyond_position(Noise(sd_box=given.sd_box, sd_log=given.sd_log))]
+    further += ["heavy_tail"] if given.heavy_tail is not None else []
+    if further:
+        found = f"given has {', '.join(further)}, and a deviation that moves is Gaussian in px"
+        yield plate.message(name, found, "sd_px alone, or no motion", key=("fuse", "latent", "given"))
+    if latent.draw == "kernel":
+        key = ("fuse", "latent", "draw")
+        found = "draw beside motion: what moves is not drawn anew"
+        yield plate.message(name, found, "no draw, or no motion", key=key, on_key=True)
+    for axis in PixelSd.model_fields:
+        own, limit = getattr(walk.sd_px, axis), getattr(given.sd_px, axis)
+        if (own > 0) != (limit > 0) or own > limit:
+            found = f"sd_px.{axis} is {own:g} a frame, and given's is {limit:g} in the long run"
+            allowed = f"above 0 and at most {limit:g}" if limit > 0 else f"no {axis}, or noise of it in given"
+            key = (*here, "sd_px", *((axis,) if axis in walk.sd_px.model_fields_set else ()))
+            yield plate.message(name, found, allowed, key=key)
+
+
+def _states_hold_deviations(plate: Plate, root: str, first: str) -> Iterator[GraphMessage]:
+    node, moves = plate.inference[root], f"{first!r} has a motion"
+    if node.modes is not None:
+        yield plate.message(
+            root, f"modes, and {moves} of its own", "one of them", key=("modes",), on_key=True
+        )
+    if node.belief is not None and node.belief.particles is None:
+        found = f"belief: {node.belief.kind}, and {moves} of its own"
+        yield plate.message(root, found, "belief: particles", key=("belief", node.belief.kind), on_key=True)
+    elif node.belief is not None and node.belief.settings.proposal.kind != "bootstrap":
+        kind = node.belief.settings.proposal.kind
+        found = f"proposal: {kind}, and {moves} of its own"
+        key = ("belief", "particles", "proposal")
+        yield plate.message(root, found, "proposal: bootstrap", key=key, on_key=True)
+
+
 def latent_grids_hold_positions(plate: Plate) -> Iterator[GraphMessage]:
     """A latent node's grid has cells for x and y only, and one noise for all of them."""
     for name, node in plate.inference.items():
@@ -74,7 +144,8 @@ def latent_grids_hold_positions(plate: Plate) -> Iterator[GraphMessage]:
                 yield plate.message(name, found, allowed, key=("belief",))
 
 
-def _is_latent(node: InferenceNode) -> bool:
+def has_a_state(node: InferenceNode) -> bool:
+    """Whether it has a state of its own."""
     return node.fuse is not None and node.fuse.latent is not None
 
 

@@ -18,9 +18,9 @@ _DETECTOR = ("relocalize", "by", "detector")
 
 
 def _moving(plate: Plate) -> Iterator[tuple[str, Path, Moving]]:
-    """Node, key and settings of every motion but those by expressions."""
+    """Node, key and settings of every motion of a root but those by expressions."""
     for name, node in plate.inference.items():
-        if node.motion is not None and isinstance(node.motion.settings, Moving):
+        if node.parent is None and node.motion is not None and isinstance(node.motion.settings, Moving):
             yield name, ("motion", node.motion.kind), node.motion.settings
 
 

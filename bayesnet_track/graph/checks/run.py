@@ -18,6 +18,7 @@ from bayesnet_track.graph.checks.formulas import FORMULA_JOIN_CHECKS
 from bayesnet_track.graph.checks.givens import GIVEN_CHECKS, read_givens
 from bayesnet_track.graph.checks.joins import JOIN_CHECKS
 from bayesnet_track.graph.checks.lifecycle import LIFE_CHECKS
+from bayesnet_track.graph.checks.measures import MEASURE_CHECKS, read_measures
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.checks.trees import TREE_CHECKS
 from bayesnet_track.graph.checks.values import RULE_CHECKS, VALUE_CHECKS
@@ -40,6 +41,7 @@ CHECKS_OF_A_SOUND_TREE = (
     evidence_counts_once,
     *FACTOR_CHECKS,
     *GIVEN_CHECKS,
+    *MEASURE_CHECKS,
 )
 
 
@@ -136,4 +138,5 @@ def _resolve(plate: Plate) -> CheckedTarget:
         factors=read_factors(plate),
         constants=plate.constants,
         givens=read_givens(plate),
+        measures=read_measures(plate),
     )

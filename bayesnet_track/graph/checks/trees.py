@@ -6,7 +6,9 @@ from collections.abc import Iterator
 
 from bayesnet_track.graph.checks.latent import (
     beliefs_have_a_state,
+    has_a_state,
     latent_grids_hold_positions,
+    latent_nodes_move,
     parts_have_a_whole,
 )
 from bayesnet_track.graph.checks.plates import Check, Plate
@@ -97,11 +99,12 @@ def fusion_is_chosen(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def root_keys_at_the_root(plate: Plate) -> Iterator[GraphMessage]:
-    """Motion, estimate, learning and loss belong to the root."""
+    """Motion, estimate, learning and loss belong to the root; a latent node may have a motion of its own."""
     for name, node in plate.inference.items():
         for key in ROOT_ONLY if node.parent is not None else ():
-            if getattr(node, key) is not None:
+            if getattr(node, key) is not None and not (key == "motion" and has_a_state(node)):
                 where = f"only at the root, {plate.roots[0]}" if plate.roots else "only at the root"
+                where += ", or with fuse: latent" if key == "motion" else ""
                 yield plate.message(name, f"key {key!r} below the root", where, key=(key,), on_key=True)
 
 
@@ -125,5 +128,6 @@ TREE_CHECKS: tuple[Check, ...] = (
     beliefs_have_a_state,
     latent_grids_hold_positions,
     parts_have_a_whole,
+    latent_nodes_move,
     root_moves,
 )

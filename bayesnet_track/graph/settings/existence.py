@@ -25,8 +25,9 @@ class Existence(Model):
         default=None,
         description="probability that a target which nothing covers is detected; default: estimated",
     )
-    covered: Inner = Field(
-        default=0.4, description="the same while another target covers at least half of its box"
+    covered: Inner | None = Field(
+        default=None,
+        description="the same while another target covers at least half of its box; default: estimated",
     )
     survival: Annotated[Number, Field(gt=0, le=1)] = Field(
         default=0.995, description="probability that a target is still there one frame interval later"

@@ -17,6 +17,41 @@ def lines(target: CheckedTarget, describe: Callable[[Motion], str]) -> list[str]
     return [f"mode {name}: {', '.join(_said(modes, name, describe))}" for name in modes]
 
 
+def latex_lines(target: CheckedTarget, now: str, before: str) -> list[str]:
+    """The joint prediction of state and mode, and how modes follow, as rows of `align*`; none without modes.
+
+    `now` and `before` are the root's state in this frame and the last. Rows and columns of the matrix are in
+    the order of the graph.
+    """
+    modes = target.inference(target.root).modes
+    if modes is None:
+        return []
+    kernel = rf"p({now} \mid {before}, m_{{t}}) \, p({before}, m_{{t-1}} \mid e_{{1:t-1}})"
+    predicted = rf"p({now}, m_{{t}} \mid e_{{1:t-1}})"
+    chain = r"P(m_{t} \mid m_{t-1})"
+    rows = r" \\ ".join(" & ".join(f"{value:.3g}" for value in row) for row in _matrix(modes))
+    matrix = rf"\begin{{pmatrix}} {rows} \end{{pmatrix}}"
+    by_steps = next(iter(modes.values())).next is not None
+    power = rf"{matrix}^{{\Delta t}}" if by_steps else rf"\exp\left(\Delta t \, {matrix}\right)"
+    return [
+        rf"{predicted} &= \sum_{{m_{{t-1}}}} {chain} \int {kernel} \, d{before}",
+        rf"{chain} &= \left[{power}\right]_{{m_{{t-1}}, m_{{t}}}}",
+    ]
+
+
+def _matrix(modes: Mapping[str, Mode]) -> list[list[float]]:
+    """Transition probabilities of one frame interval, or rates, of each mode (rows) to each (columns)."""
+    rows = []
+    for name, mode in modes.items():
+        if mode.next is not None:
+            rows.append([mode.next.get(other, 0.0) for other in modes])
+            continue
+        follow = mode.then or dict.fromkeys((other for other in modes if other != name), 1.0)
+        rate, total = 1.0 / (mode.mean_frames or 1.0), sum(follow.values())
+        rows.append([-rate if other == name else rate * follow.get(other, 0.0) / total for other in modes])
+    return rows
+
+
 def _said(modes: Mapping[str, Mode], name: str, describe: Callable[[Motion], str]) -> list[str]:
     mode = modes[name]
     said = ["moves so" if mode.motion is None else describe(mode.motion)]

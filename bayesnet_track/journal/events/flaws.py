@@ -78,6 +78,7 @@ def describe(event: Events) -> str:
             then = {
                 "sd": "these have no such noise",
                 "given": "these have the value of the node above",
+                "measures": "these are impossible",
             }.get(event.part.partition(" ")[0], "it stays as it is for these")
             return f"{event.part} of target {event.target} has no value for {of} (such as 0 / 0) → {then}"
         case FlawEnded():

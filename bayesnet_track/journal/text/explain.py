@@ -102,6 +102,10 @@ def _account(events: Sequence[Event], line: FrameMetrics) -> str:
     if line.features:
         shown = (f"{name} {value:.2f}" for name, value in sorted(line.features.items()))
         rows.append(f"  score of   {', '.join(shown)}")
+    for agent, p in line.p_values.items():
+        rows.append(
+            f"  predicted  {agent}: {100 * p:.3g} % of such measurements lie farther from the prediction"
+        )
     if line.e_value is not None:
         rows.append(f"  e-value    {line.e_value:.3g} that the target is not held")
     mine = [event for event in events if getattr(event, "target", None) == line.target]

@@ -6,10 +6,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.numerics.kernels.pair_kernels import find_group
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+
+
+@compiled
+def order_by(keys: Ints, count: int) -> tuple[Ints, Ints]:
+    """Places (E,) in the order of their keys, numbers below `count`, and where each key begins (count + 1,).
+
+    Places of one key keep their order.
+    """
+    starts = np.zeros(count + 1, np.int64)
+    for e in range(keys.shape[0]):
+        starts[keys[e] + 1] += 1
+    for k in range(count):
+        starts[k + 1] += starts[k]
+    order, next_of = np.empty(keys.shape[0], np.int64), starts.copy()
+    for e in range(keys.shape[0]):
+        order[next_of[keys[e]]] = e
+        next_of[keys[e]] += 1
+    return order, starts
 
 
 @compiled
@@ -20,32 +39,16 @@ def group_pairs(rows: Ints, columns: Ints, count: int, found: int) -> tuple[Ints
     """
     parents = np.arange(count + found)
     for p in range(rows.shape[0]):
-        ends = np.array([rows[p], count + columns[p]])
-        for k in range(2):
-            one = ends[k]
-            while parents[one] != one:
-                parents[one] = parents[parents[one]]
-                one = parents[one]
-            ends[k] = one
-        parents[ends[1]] = ends[0]
-    group_of, sizes = np.full(count + found, -1), np.zeros(rows.shape[0] + 1, np.int64)
-    own = np.empty(rows.shape[0], np.int64)
+        parents[find_group(parents, count + columns[p])] = find_group(parents, rows[p])
+    group_of, own = np.full(count + found, -1), np.empty(rows.shape[0], np.int64)
     groups = 0
     for p in range(rows.shape[0]):
-        one = rows[p]
-        while parents[one] != one:
-            one = parents[one]
+        one = find_group(parents, rows[p])
         if group_of[one] < 0:
             group_of[one] = groups
             groups += 1
         own[p] = group_of[one]
-        sizes[own[p] + 1] += 1
-    starts = np.cumsum(sizes[: groups + 1])
-    order, next_of = np.empty(rows.shape[0], np.int64), starts.copy()
-    for p in range(rows.shape[0]):
-        order[next_of[own[p]]] = p
-        next_of[own[p]] += 1
-    return order, starts
+    return order_by(own, groups)
 
 
 @compiled
@@ -56,8 +59,7 @@ def sum_over_sets(outer: Ints, inner: Ints, weights: Floats, most_outer: int, mo
     """
     sets = 1 << most_inner
     ahead, behind = np.zeros((most_outer + 1, sets)), np.ones((most_outer + 1, sets))
-    by_outer = np.argsort(outer, kind="mergesort")
-    starts = np.searchsorted(outer[by_outer], np.arange(most_outer + 1))
+    by_outer, starts = order_by(outer, most_outer)
     ahead[0, 0] = 1.0
     for k in range(most_outer):
         for taken in range(sets):
@@ -95,9 +97,8 @@ def propagate(rows: Ints, columns: Ints, weights: Floats, sweeps: int, tolerance
     because a difference would lose them beside a large one.
     """
     edges = weights.shape[0]
-    by_row, by_column = np.argsort(rows, kind="mergesort"), np.argsort(columns, kind="mergesort")
-    row_starts = np.searchsorted(rows[by_row], np.arange(rows.max() + 2))
-    column_starts = np.searchsorted(columns[by_column], np.arange(columns.max() + 2))
+    by_row, row_starts = order_by(rows, rows.max() + 1)
+    by_column, column_starts = order_by(columns, columns.max() + 1)
     to_rows, to_columns = np.ones(edges), np.zeros(edges)
     for _ in range(sweeps):
         for at in range(edges):
@@ -152,6 +153,7 @@ def weigh_pairs(
             marginals[pairs[0]] = weights[pairs[0]] / (1.0 + weights[pairs[0]])
             continue
         own_rows, own_columns = np.empty(pairs.shape[0], np.int64), np.empty(pairs.shape[0], np.int64)
+        own = np.empty(pairs.shape[0])
         row_count, column_count = 0, 0
         for k in range(pairs.shape[0]):
             t, n = rows[pairs[k]], count + columns[pairs[k]]
@@ -161,14 +163,15 @@ def weigh_pairs(
             if local[n] < 0:
                 local[n] = column_count
                 column_count += 1
-            own_rows[k], own_columns[k] = local[t], local[n]
-        own = weights[pairs]
-        if column_count <= row_count and column_count <= most:
-            own = sum_over_sets(own_rows, own_columns, own, row_count, column_count)
-        elif row_count <= most:
-            own = sum_over_sets(own_columns, own_rows, own, column_count, row_count)
+            own_rows[k], own_columns[k], own[k] = local[t], local[n], weights[pairs[k]]
+        exact = min(row_count, column_count) <= most
+        if exact:
+            if row_count < column_count:
+                own_rows, own_columns = own_columns, own_rows
+            larger, smaller = max(row_count, column_count), min(row_count, column_count)
+            own = sum_over_sets(own_rows, own_columns, own, larger, smaller)
         else:
             own = propagate(own_rows, own_columns, own, sweeps, tolerance)
-            is_exact[pairs] = False
-        marginals[pairs] = own
+        for k in range(pairs.shape[0]):
+            marginals[pairs[k]], is_exact[pairs[k]] = own[k], exact
     return marginals, is_exact

@@ -54,21 +54,29 @@ def mix_row(
     """
     size, several = mean.shape[0], boxes.shape[0]
     work, away = np.empty((3, size, size)), np.empty(4)
-    if several == 1 and missed == 0.0:
-        for k in range(4):
-            away[k] = boxes[0, k] - mean[k]
-        return correct_row(mean, covariance, away, variances[0], work)
-    means = np.empty((several + 1, size))
-    shares = np.empty(several + 1)
-    spread, own = missed * covariance, np.empty((size, size))
-    means[several], shares[several] = mean, missed
-    evidence = missed
+    means, shares = np.empty((several + 1, size)), np.empty(several + 1)
+    spread, own = np.empty((size, size)), np.empty((size, size))
+    shares[several], evidence = missed, missed
+    for i in range(size):
+        means[several, i] = mean[i]
+        for k in range(size):
+            spread[i, k] = missed * covariance[i, k]
     for n in range(several):
-        means[n], shares[n] = mean, weights[n]
-        own[:, :] = covariance
+        shares[n] = weights[n]
+        for i in range(size):
+            means[n, i] = mean[i]
+            for k in range(size):
+                own[i, k] = covariance[i, k]
         for k in range(4):
             away[k] = boxes[n, k] - mean[k]
-        evidence += weights[n] * math.exp(correct_row(means[n], own, away, variances[n], work))
+        log = correct_row(means[n], own, away, variances[n], work)
+        if several == 1 and missed == 0.0:
+            for i in range(size):
+                mean[i] = means[0, i]
+                for k in range(size):
+                    covariance[i, k] = own[i, k]
+            return log
+        evidence += weights[n] * math.exp(log)
         for i in range(size):
             for k in range(size):
                 spread[i, k] += weights[n] * own[i, k]

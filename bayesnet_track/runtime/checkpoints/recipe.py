@@ -30,7 +30,12 @@ from bayesnet_track.observation.detector import detectors_of_graphs
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.observation.masks import AnyMask, Mask, read_mask
 from bayesnet_track.runtime.checkpoints.file_names import change_texts, hide_bytes, restore_bytes
-from bayesnet_track.runtime.checkpoints.recipe_options import HAS_MANIFEST, KEEPS_BELIEFS, VIDEO_FORMAT
+from bayesnet_track.runtime.checkpoints.recipe_options import (
+    HAS_MANIFEST,
+    HORIZON,
+    KEEPS_BELIEFS,
+    VIDEO_FORMAT,
+)
 from bayesnet_track.runtime.checkpoints.versions import versions
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.sources.origin import Origin
@@ -88,7 +93,7 @@ class Recipe:
         models: files that agents and detectors read, such as networks, by their paths as the graph has them.
         options: what else was asked for, by name: `budget_ms`; `allow_plugins`, what of other packages was at
             work (to be named here allows nothing); `manifest`, that the run is finished by one;
-            `keep_beliefs`; `video`.
+            `keep_beliefs`; `horizon`; `video`.
         versions: library -> version.
         recipe: version of this format.
     """
@@ -130,6 +135,11 @@ class Recipe:
         kind = str(self.options.get(VIDEO_FORMAT, "video"))
         asked = {kind: self.has_video, "beliefs": bool(self.options.get(KEEPS_BELIEFS))}
         return tuple(name for name, is_asked in asked.items() if is_asked)
+
+    @property
+    def horizon(self) -> int:
+        """How many frames ahead targets are forecast; 0 for none."""
+        return int(self.options.get(HORIZON, 0))
 
     @property
     def budget_ms(self) -> float | None:

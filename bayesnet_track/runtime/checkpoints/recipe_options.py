@@ -8,6 +8,9 @@ from bayesnet_track.observation import plugins
 KEEPS_BELIEFS = "keep_beliefs"
 """The option by which a recipe says that beliefs are kept for smoothing."""
 
+HORIZON = "horizon"
+"""The option by which a recipe says how many frames ahead targets are forecast."""
+
 VIDEO_FORMAT = "video"
 """The option by which a recipe says that the annotated video is `mp4`; without it, it is Matroska."""
 
@@ -16,7 +19,7 @@ HAS_MANIFEST = "manifest"
 
 
 def options_of(
-    engine: Engine, budget_ms: float | None, keep_beliefs: bool, mp4: bool
+    engine: Engine, budget_ms: float | None, keep_beliefs: bool, mp4: bool, horizon: int = 0
 ) -> dict[str, bool | int | float | str]:
     """What else the recipe remembers: the budget, and what of other packages is at work."""
     options: dict[str, bool | int | float | str] = {}
@@ -24,6 +27,8 @@ def options_of(
         options["budget_ms"] = budget_ms
     if keep_beliefs:
         options[KEEPS_BELIEFS] = True
+    if horizon:
+        options[HORIZON] = horizon
     if mp4:
         options[VIDEO_FORMAT] = "mp4"
     named: set[str] = set()

@@ -42,6 +42,7 @@ from bayesnet_track.runtime.checkpoints.unchanged import (
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.inputs import InputsAt, as_inputs
+from bayesnet_track.runtime.recording.forecasts import Forecaster
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.manifest import finish, tidy
 from bayesnet_track.runtime.recording.record import Recorder
@@ -157,6 +158,10 @@ def resume(
                 None if checkpoint is None else checkpoint.written,
             )
         )
+        if recipe.horizon:
+            recorder.look_ahead(
+                Forecaster(engine, recipe.horizon), None if checkpoint is None else checkpoint.written
+            )
         if checkpoint is not None and recipe.has_video:
             with recipe.opened() as again:
                 recorder.redraw((item for item in again if isinstance(item, Frame)), checkpoint.frame)

@@ -28,6 +28,7 @@ from bayesnet_track.journal.writer import (
 )
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.recording.beliefs import BeliefWriter
+from bayesnet_track.runtime.recording.forecasts import Forecaster, ForecastWriter
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.recording.tracks import NO_IDS, CsvWriter, MotWriter
 from bayesnet_track.runtime.recording.videowriter import VideoWriter
@@ -80,6 +81,8 @@ class Recorder:
         self._before_first, self._waiting = before_first, list[Event]()
         self._files = ExitStack()
         self._video: VideoWriter | None = None
+        self._forecaster: Forecaster | None = None
+        self._forecasts: ForecastWriter | None = None
         self._kind = "mp4" if "mp4" in optional else "video"
         if before_first is None:
             self._open(after)
@@ -98,11 +101,23 @@ class Recorder:
             self._beliefs: BeliefWriter | None = None
             if "beliefs" in self._optional:
                 self._beliefs = files.enter_context(BeliefWriter(directory.beliefs, at.get("beliefs")))
+            if self._forecaster is not None:
+                self._forecasts = files.enter_context(ForecastWriter(directory.forecasts, self._forecaster))
             self._inputs: JournalWriter | None = None
             if "inputs" in at:
                 self._inputs = files.enter_context(JournalWriter(directory.inputs, at["inputs"]))
             self._files = files.pop_all()
         self._before_first = None
+
+    def look_ahead(self, forecaster: Forecaster, after: Written | None = None) -> None:
+        """Also write where targets are expected, from the first frame on or `after` what is written."""
+        self._forecaster = forecaster
+        if self._before_first is None:
+            place = None if after is None else after.positions.get("forecasts")
+            writer = ForecastWriter(
+                self._directory.forecasts, forecaster, None if place is None else place.size
+            )
+            self._forecasts = self._files.enter_context(writer)
 
     @property
     def written(self) -> Written:
@@ -149,7 +164,7 @@ class Recorder:
     def _lines(self) -> dict[str, LineFile]:
         files: dict[str, LineFile] = {"journal": self._journal, "frames": self._frames, "mot": self._mot}
         files |= {"csv": self._csv, "timings": self._timings}
-        more = {"inputs": self._inputs, "beliefs": self._beliefs}
+        more = {"inputs": self._inputs, "beliefs": self._beliefs, "forecasts": self._forecasts}
         return files | {name: file for name, file in more.items() if file is not None}
 
     def event(self, event: Event) -> None:
@@ -175,6 +190,8 @@ class Recorder:
             self._csv.write(metrics)
             if self._beliefs is not None and metrics.target in result.states:
                 self._beliefs.write(metrics.frame, metrics.target, result.states[metrics.target])
+        if self._forecasts is not None:
+            self._forecasts.write(result)
         spent = {name: round(seconds, 7) for name, seconds in result.seconds.items()}
         line = {"frame": result.frame.index, "seconds": round(result.total_seconds, 7), "parts": spent}
         self._timings.append(json.dumps(line))

@@ -15,6 +15,7 @@ FILES = {
     "journal": "journal.jsonl",
     "frames": "frames.jsonl",
     "beliefs": "beliefs.jsonl",
+    "forecasts": "forecasts.jsonl",
     "mot": "tracks.txt",
     "csv": "tracks.csv",
     "timings": "timings.jsonl",
@@ -165,6 +166,11 @@ class RunDirectory:
     def frames(self) -> Path:
         """Metrics of every frame."""
         return self.path / FILES["frames"]
+
+    @property
+    def forecasts(self) -> Path:
+        """Where targets are expected some frames ahead, where that was asked for."""
+        return self.path / FILES["forecasts"]
 
     @property
     def beliefs(self) -> Path:

@@ -53,14 +53,14 @@ def count_by_integral(binned: Bins, corners: Corners, bins: int) -> Counts:
     dtype = np.uint16 if int(pixels.max(initial=0)) < 2**16 else np.uint32
     rows, columns = binned.shape
     integral = np.empty((rows + 1, columns + 1, bins), dtype)
-    _integrate(binned, _one_hot(bins, dtype), integral)
+    integrate(binned, one_hot_rows(bins, dtype), integral)
     counts: Counts = np.empty((len(corners), bins), np.int32)
-    _gather(integral, corners, counts)
+    gather(integral, corners, counts)
     return counts
 
 
 @lru_cache(maxsize=16)
-def _one_hot(bins: int, dtype: type[np.unsignedinteger]) -> NDArray[np.unsignedinteger]:
+def one_hot_rows(bins: int, dtype: type[np.unsignedinteger]) -> NDArray[np.unsignedinteger]:
     """(256, bins) what a pixel of each bin adds to the counts; only read."""
     return np.eye(256, bins, dtype=dtype)
 
@@ -75,9 +75,10 @@ def _visit(binned: Bins, corners: Corners, counts: Counts) -> None:
 
 
 @compiled
-def _integrate(
+def integrate(
     binned: Bins, one_hot: NDArray[np.unsignedinteger], integral: NDArray[np.unsignedinteger]
 ) -> None:
+    """Fill the integral histogram (rows + 1, columns + 1, B) of `binned`; a row of `one_hot` is a bin's."""
     rows, columns = binned.shape
     bins = integral.shape[2]
     integral[0] = 0
@@ -94,7 +95,8 @@ def _integrate(
 
 
 @compiled
-def _gather(integral: NDArray[np.unsignedinteger], corners: Corners, counts: Counts) -> None:
+def gather(integral: NDArray[np.unsignedinteger], corners: Corners, counts: Counts) -> None:
+    """Fill the counts (N, B) of the boxes from an integral histogram."""
     modulus = 1 << (8 * integral.itemsize)
     for n in range(corners.shape[0]):
         x0, y0, x1, y1 = corners[n, 0], corners[n, 1], corners[n, 2], corners[n, 3]
@@ -121,13 +123,13 @@ def color_distances(
         achromatic: price of a change between colour and no colour.
     """
     hue = float(shares[:-1].sum())
-    difference, colored = _cumulative_differences(counts, np.cumsum(shares[:-1]) / (hue or 1.0))
+    difference, colored = cumulative_differences(counts, np.cumsum(shares[:-1]) / (hue or 1.0))
     difference.sort(axis=1)  # NumPy sorts many short rows faster than compiled code
-    return _price(_spread(difference), colored, visible, nominal, hue, float(shares[-1]), achromatic)
+    return price(spread(difference), colored, visible, nominal, hue, float(shares[-1]), achromatic)
 
 
 @compiled
-def _cumulative_differences(counts: Counts, cumulative: Floats) -> tuple[Floats, Floats]:
+def cumulative_differences(counts: Counts, cumulative: Floats) -> tuple[Floats, Floats]:
     """(N, B) differences of the cumulative shares, and (N,) pixels counted."""
     size, bins = counts.shape
     difference, totals = np.empty((size, bins)), np.empty(size)
@@ -145,21 +147,21 @@ def _cumulative_differences(counts: Counts, cumulative: Floats) -> tuple[Floats,
 
 
 @compiled_summing
-def _spread(ordered: Floats) -> Floats:
+def spread(ordered: Floats) -> Floats:
     """(N,) 2/B times the sum of distances from the median, of rows (N, B) in ascending order."""
     size, bins = ordered.shape
-    spread = np.empty(size)
+    found = np.empty(size)
     for n in range(size):
         low, high = ordered[n, : bins // 2], ordered[n, bins // 2 :]
         total = 0.0
         for k in range(bins // 2):
             total += high[k] - low[k]
-        spread[n] = 2.0 / bins * total
-    return spread
+        found[n] = 2.0 / bins * total
+    return found
 
 
 @compiled
-def _price(
+def price(
     circular: Floats,
     colored: Floats,
     visible: Floats,
@@ -168,6 +170,7 @@ def _price(
     gray: float,
     achromatic: float,
 ) -> tuple[Floats, Floats]:
+    """(N,) the cost of moving histograms whose hues lie `circular` (N,) apart, and the share outside."""
     distances, outside = np.empty(circular.shape[0]), np.empty(circular.shape[0])
     for n in range(circular.shape[0]):
         outside[n] = 1.0 - visible[n] / nominal[n]

@@ -1,0 +1,157 @@
+"""Deviations of latent nodes from their places in their parents' boxes, as further fields of each state."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.belief.contract import BOX_FIELDS, Ancestors, MotionModel
+from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.graph import spec
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """One coordinate in which a latent node deviates from its place: an Ornstein-Uhlenbeck process.
+
+    Attributes:
+        name: the field of the state.
+        sd: of the deviation in the long run, px, above 0.
+        step_sd: of its change in one frame interval beside the pull to 0, px, above 0 and at most `sd`.
+    """
+
+    name: str
+    sd: float
+    step_sd: float
+
+    def over(self, dt: float) -> tuple[float, float]:
+        """What is left of it after `dt` frame intervals, as a factor, and the sd of what is added.
+
+        d <- f^dt d + N(0, sd^2 (1 - f^(2 dt))) with f = sqrt(1 - step_sd^2 / sd^2): two steps of dt / 2 are
+        one of dt, and N(0, sd^2) stays what it is.
+
+        >>> [round(value, 6) for value in Deviation("head.x", 5.0, 3.0).over(1.0)]
+        [0.8, 3.0]
+        """
+        kept = (1.0 - (self.step_sd / self.sd) ** 2) ** (dt / 2.0)
+        return kept, self.sd * float(np.sqrt(1.0 - kept**2))
+
+
+def field_of(node: str, axis: str) -> str:
+    """The field of a state in which a node's deviation along an axis of its box stands."""
+    return f"{node}.{axis}"
+
+
+def deviations_of(nodes: Mapping[str, spec.Node]) -> tuple[Deviation, ...]:
+    """The deviations of latent nodes that move, in file order: coordinates in which `given` has noise."""
+    return tuple(
+        Deviation(field_of(name, axis), sd, getattr(node.motion.settings.sd_px, axis))
+        for name, node in nodes.items()
+        if isinstance(node, spec.InferenceNode) and node.parent is not None and node.motion is not None
+        if node.fuse is not None and node.fuse.latent is not None
+        for axis in BOX_FIELDS
+        if (sd := getattr(node.fuse.latent.given.sd_px, axis)) > 0
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Nested:
+    """`motion`, with last columns of the state for the deviations of latent nodes; 0 in the first frame.
+
+    The agents learn a part at its place in the start box, so it deviates from there by nothing yet. The
+    deviations move independently of the box and of each other: where a part is depends on its parent's box
+    through its place alone.
+
+    Attributes:
+        motion: how the rest moves.
+        deviations: the further columns.
+    """
+
+    motion: MotionModel
+    deviations: tuple[Deviation, ...]
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Those of the model, and the deviations."""
+        return (*self.motion.fields, *(one.name for one in self.deviations))
+
+    def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
+        """As the model, everything in its place."""
+        return _with(self.motion.start(box, size, rng), np.zeros((size, len(self.deviations))))
+
+    def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
+        """As the model, everything in its place."""
+        mean, covariance = self.motion.start_moments(box)
+        further = len(self.deviations)
+        return np.append(mean, np.zeros(further)), np.pad(covariance, (0, further))
+
+    def propagate(
+        self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
+    ) -> Floats:
+        """(N, D) states after `dt` frame intervals."""
+        own = self._own(states) if parents is None else self._own(states)[parents]
+        kept, sds = self._over(dt)
+        moved = self.motion.propagate(self._rest(states), dt, rng, parents)
+        return _with(moved, own * kept + sds * rng.standard_normal(own.shape))
+
+    def drift(self, states: Floats, dt: float) -> Floats:
+        """(N, D) states after `dt` frame intervals without noise."""
+        return _with(self.motion.drift(self._rest(states), dt), self._own(states) * self._over(dt)[0])
+
+    def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
+        """F and Q of the model; each deviation's are what is kept of it and the variance that is added."""
+        further = len(self.deviations)
+        transition, covariance = (
+            np.pad(one, (0, further)) for one in self.motion.linearise(state[:-further], dt)
+        )
+        kept, sds = self._over(dt)
+        at = np.arange(len(state) - further, len(state))
+        transition[at, at], covariance[at, at] = kept, sds**2
+        return transition, covariance
+
+    def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
+        """(M, N) that of the model, times those of the deviations, per px each."""
+        return self.transition(old, dt).log_density(new)
+
+    def transition(self, old: Floats, dt: float) -> Transition:
+        """That of the model; the deviations are the last coordinates."""
+        own = self.motion.transition(self._rest(old), dt)
+        further = len(self.deviations)
+        kept, step_sds = self._over(dt)
+        sds = np.broadcast_to(step_sds, (*own.sds.shape[:2], further))
+
+        def coordinates(states: Floats) -> tuple[Floats, Floats]:
+            points, log_jacobian = own.coordinates(self._rest(states))
+            return _with(points, self._own(states)), log_jacobian
+
+        def states_at(points: Floats, still: Floats) -> Floats:
+            assert own.states is not None
+            rest = np.ascontiguousarray(points[:, :-further])
+            return _with(own.states(rest, self._rest(still)), points[:, -further:])
+
+        return replace(
+            own,
+            coordinates=coordinates,
+            means=_with(own.means, self._own(old) * kept),
+            sds=np.concatenate([own.sds, sds], axis=2),
+            states=None if own.states is None else states_at,
+        )
+
+    def _over(self, dt: float) -> tuple[Floats, Floats]:
+        kept, sds = zip(*(one.over(dt) for one in self.deviations), strict=True)
+        return np.array(kept), np.array(sds)
+
+    def _rest(self, states: Floats) -> Floats:
+        return np.ascontiguousarray(states[:, : -len(self.deviations)])
+
+    def _own(self, states: Floats) -> Floats:
+        return states[:, -len(self.deviations) :]
+
+
+def _with(states: Floats, own: Floats) -> Floats:
+    return np.concatenate([states, own], axis=1)

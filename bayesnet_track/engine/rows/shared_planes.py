@@ -1,0 +1,37 @@
+"""The planes on which the agents of many targets look: those of the whole frame, or of a crop for each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.observation.planes import MANY, Plane, Planes, Region
+
+Floats = NDArray[np.float64]
+
+FARTHEST = 2.0**30
+"""Pixels from the frame's corner at which a box is cut."""
+
+
+def planes_of_each(work: FrameWork, needs: Iterable[Plane], boxes: Floats, grow: float = 0.0) -> list[Planes]:
+    """For each target planes that hold its boxes, of (T, N, 4), each grown by `grow` of its size per side.
+
+    The same of the whole frame for all where their crops would take as long: planes do not depend on where
+    they are cut.
+    """
+    started, frame = work.engine.clock(), work.frame
+    reach = boxes[:, :, 2:] * (0.5 + grow)
+    low = np.floor(np.clip((boxes[:, :, :2] - reach).min(axis=1) + 0.5, -FARTHEST, FARTHEST))
+    high = np.ceil(np.clip((boxes[:, :, :2] + reach).max(axis=1) + 0.5, -FARTHEST, FARTHEST))
+    regions = [Region(*corners).within(frame) for corners in np.hstack([low, high]).astype(np.int64).tolist()]
+    whole = Region(0, 0, frame.width, frame.height)
+    needs = tuple(needs)
+    if len(regions) > MANY or 2 * sum(one.area for one in regions) > whole.area:
+        found = [work.cache.planes(needs, whole)] * len(regions)
+    else:
+        found = [work.cache.planes(needs, one) for one in regions]
+    work.charge("planes", started)
+    return found

@@ -1,0 +1,56 @@
+"""Where targets are expected, as lines of ``forecasts.jsonl``: one per frame, target and frames ahead."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from bayesnet_track.engine.compiled import Engine
+from bayesnet_track.engine.forecasting import forecast
+from bayesnet_track.journal.writer import LineFile
+from bayesnet_track.runtime.results import Result
+
+DIGITS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Forecaster:
+    """Looks `horizon` frames ahead with an engine."""
+
+    engine: Engine
+    horizon: int
+
+
+class ForecastWriter(LineFile):
+    """``forecasts.jsonl``: a new file, or one that is continued."""
+
+    def __init__(self, path: Path, forecaster: Forecaster, after: int | None = None) -> None:
+        super().__init__(path, after)
+        self._forecaster = forecaster
+
+    def write(self, result: Result) -> None:
+        """Add what is expected of every target after one frame to the next flush."""
+        size = result.frame.width, result.frame.height
+        for line in result.targets:
+            if line.target not in result.states:
+                continue
+            state = result.states[line.target]
+            for one in forecast(self._forecaster.engine, state, line, self._forecaster.horizon, size):
+                self.append(
+                    json.dumps(
+                        {
+                            "frame": line.frame,
+                            "target": line.target,
+                            "ahead": one.ahead,
+                            "box": _short(one.centre_box),
+                            "sd": _short(one.sd),
+                            "region50": _short(one.region50),
+                            "region90": _short(one.region90),
+                        }
+                    )
+                )
+
+
+def _short(values: tuple[float, ...]) -> list[float]:
+    return [round(value, DIGITS) for value in values]
