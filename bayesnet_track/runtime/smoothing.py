@@ -157,15 +157,19 @@ def _most_probable(
     settings = spec.Particles() if root.belief is None else root.belief.settings
     on_grid = isinstance(settings, spec.Grid)
     jumps = any(kept.influences is not None and kept.influences.jump_share > 0 for kept in lifetime)
-    if jumps or not (
-        on_grid or (isinstance(settings, spec.Particles) and settings.proposal.kind == "bootstrap")
-    ):
+    if jumps or not (on_grid or (isinstance(settings, spec.Particles) and _is_plain(settings))):
         raise SmoothingError(
-            f"{run.name}: its particles were not all drawn from the motion (relocalize, or a proposal), so "
-            "that their weights do not tell the most probable trajectory; allowed: proposal: bootstrap "
-            "without relocalize, grid, gaussian; or smooth without --map"
+            f"{run.name}: its particles were not all drawn from the motion in every frame, so that their "
+            "weights do not tell the most probable trajectory; allowed: particles of a fixed size with "
+            "proposal: bootstrap, when: every_frame, no relocalize; grid; gaussian; or smooth without --map"
         )
     return list(most_probable_trajectory(particles, moves, on_grid))
+
+
+def _is_plain(settings: spec.Particles) -> bool:
+    """Whether every particle is drawn from the prediction, so that its weight is its likelihood."""
+    is_fixed = isinstance(settings.size, int) and settings.when == "every_frame"
+    return is_fixed and settings.proposal.kind == "bootstrap"
 
 
 def _smooth_lifetime(

@@ -53,8 +53,13 @@ def test_particles_from_elsewhere_have_no_most_probable_trajectory(tmp_path, cap
     (tmp_path / "img").mkdir()
     for n in range(3):
         cv2.imwrite(str(tmp_path / f"img/{n}.png"), image)
-    run, jumps = str(tmp_path / "run"), "target.motion.random_walk.relocalize={share: 0.1, usual: 0.1}"
+    run = str(tmp_path / "run")
     source = ["--source", str(tmp_path / "img"), "--init", "20,14,16,12", "--quiet", "--keep-beliefs"]
-    assert main(["run", "general", *source, "--set", jumps, "--out", run]) == 0
-    assert main(["smooth", run, "--out", str(tmp_path / "smoothed"), "--map"]) == 2
-    assert "smooth without --map" in capsys.readouterr().err
+    for change in (
+        "motion.random_walk.relocalize={share: 0.1, usual: 0.1}",
+        "belief.particles.when={ess_below: 0.5}",
+    ):
+        call = ["run", "general", *source, "--set", f"target.{change}", "--out", run, "--overwrite"]
+        assert main(call) == 0
+        assert main(["smooth", run, "--out", str(tmp_path / "smoothed"), "--map"]) == 2
+        assert "smooth without --map" in capsys.readouterr().err
