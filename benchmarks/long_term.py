@@ -111,7 +111,8 @@ def run_peer(elsewhere: Elsewhere, name: str, made: Made) -> tuple[Confident, li
             cv2.imwrite(str(files[-1]), image)
         found = elsewhere.find(name, files, truth[0].tolist())
     status = ["lost" if gone else "tracking" for gone in found["lost"][1:]]
-    sure = [0.0 if gone else score for gone, score in zip(found["lost"], found["scores"], strict=True)]
+    scores = found["scores"] if name == "NanoTrack" else [1.0] * len(files)
+    sure = [0.0 if gone else score for gone, score in zip(found["lost"], scores, strict=True)]
     return confident(truth, found["boxes"][1:], sure[1:]), status
 
 
@@ -161,7 +162,7 @@ def main() -> None:
         rows.append(row(Path(graph).stem, made, runs))
     if options.peers_python:
         with Elsewhere(options.peers_python, [options.models] if options.models else []) as elsewhere:
-            for name in {"CSRT", "NanoTrack"} & {*elsewhere.trackers}:
+            for name in [one for one in ("CSRT", "NanoTrack") if one in elsewhere.trackers]:
                 rows.append(row(name, made, [run_peer(elsewhere, name, one) for one in made]))
     print(environment() + "\n")
     head = ["", "F", "precision", "recall", "at", "absent called tracking", "back within 20 frames"]
