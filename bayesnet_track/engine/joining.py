@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.joins import (
-    LEVEL_HIDDEN,
     CarriedHypotheses,
     JoinMemory,
     Level,
@@ -27,7 +26,7 @@ from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.engine.attachment import Carriers, carriers_of, particles, report_carried, without_ride
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.occlusion import report_hidden
+from bayesnet_track.engine.occlusion import level_of, levels_after, report_hidden
 from bayesnet_track.graph.settings.joins import Join
 from bayesnet_track.inference.factors import log_prior_factor, log_seen
 from bayesnet_track.inference.joint import Marginal, joint_marginals
@@ -42,8 +41,6 @@ from bayesnet_track.numerics.resampling import resample
 
 Floats = NDArray[np.float64]
 
-DEEPEST = 20.0
-"""Nats below the best hypothesis at which the worst one counts at most."""
 
 ON_SIZE = 8
 """Boxes at which a target's agents are asked what they say of the one in front."""
@@ -88,14 +85,14 @@ def join_targets(work: FrameWork, memory: JoinMemory, filtered: Mapping[str, Fil
     if not work.engine.joins:
         return JointBelief(filtered, memory)
     started = work.engine.clock()
-    levels = {name: _level(memory.levels.get(name), one) for name, one in filtered.items()}
+    levels = {name: level_of(memory.levels.get(name), one) for name, one in filtered.items()}
     tree = _tree(work, memory, filtered)
     marginals, orders = _marginals(work, tree, levels, filtered)
     pairs, events = _update_pairs(work.frame.index, tree, orders)
     carriers = carriers_of(work, memory)
     steps, metrics, carried = _split_joint(carriers, marginals, pairs, filtered)
     centres = {carrier: filtered[carrier].step.posterior.mean[:2] for carrier, _ in carriers.values()}
-    levels = _levels_after(memory.levels, levels, metrics, filtered)
+    levels = levels_after(memory.levels, levels, metrics, filtered)
     after = replace(memory, pairs=pairs, levels=levels, carried=carried, centres=centres)
     after = report_hidden(work.frame.index, metrics, after, events)
     after = report_carried(work.frame.index, metrics, carriers, after, events)
@@ -270,35 +267,6 @@ def _reweight(one: Filtered, marginal: Marginal | None) -> Step[Posterior]:
         return reweight_step(step, said)  # type: ignore[arg-type]
     except DegenerateWeights:
         return step
-
-
-def _level(known: Level | None, one: Filtered) -> Level:
-    """The level with the agents that are active: as measured, else that of this very frame."""
-    if known is not None and known.active == one.plan.active:
-        return known
-    return Level(one.plan.active, *_half_way(one), 0)
-
-
-def _half_way(one: Filtered) -> tuple[float, float]:
-    """Log-likelihood half way between the best and the worst hypothesis, and that of the best."""
-    log = log_seen(one.plan.factors, one.step.evidence)
-    best = float(np.max(log))
-    return (best + max(float(np.min(log)) - best, -DEEPEST) / 2, best) if np.isfinite(best) else (0.0, 0.0)
-
-
-def _levels_after(
-    before: Mapping[str, Level],
-    levels: Mapping[str, Level],
-    metrics: Mapping[str, JoinMetrics],
-    of: Mapping[str, Filtered],
-) -> dict[str, Level]:
-    """The levels of all targets, those measured in this frame that were seen."""
-    after = dict(before)
-    for name, one in of.items():
-        hidden = metrics[name].hidden if name in metrics else 0.0
-        if hidden <= LEVEL_HIDDEN and one.step.degenerate is None:
-            after[name] = levels[name].then(one.plan.active, *_half_way(one))
-    return after
 
 
 def _metrics(
