@@ -6,7 +6,6 @@ merge keys are refused. Limits are checked while the text is read, so that a hos
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass, field
 from typing import Any
@@ -39,6 +38,7 @@ from bayesnet_track.graph.text.messages import (
     shown,
     shown_name,
 )
+from bayesnet_track.graph.text.scalars import plain_scalar
 
 MAX_BYTES = 64 * 1024
 MAX_DEPTH = 32
@@ -49,12 +49,6 @@ MAX_DIGITS = 18
 _REFUSED_CHARACTER = re.compile(
     "[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]"
 )
-_NULL = frozenset({"", "~", "null", "Null", "NULL"})
-_BOOL = {"true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}
-_INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
-_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
-_INFINITY = re.compile(r"([-+]?)\.(inf|Inf|INF)")
-_NAN = frozenset({".nan", ".NaN", ".NAN"})
 
 
 @dataclass(frozen=True)
@@ -72,25 +66,6 @@ def read_document(text: str | bytes, file: str) -> Document:
         GraphError: not UTF-8, not YAML, more than one document, or outside the limits.
     """
     return _Building(file).document(_decode(text, file))
-
-
-def plain_scalar(text: str) -> str | int | float | bool | None:
-    """The value of an unquoted scalar in the core schema of YAML 1.2.
-
-    >>> [plain_scalar(t) for t in ("on", "1:30", "010", "0x1F", "1e3", "~", "TRUE")]
-    ['on', '1:30', 10, 31, 1000.0, None, True]
-    """
-    if text in _NULL:
-        return None
-    if text in _BOOL:
-        return _BOOL[text]
-    if _INT.fullmatch(text):
-        return int(text, 10 if text[1:2] not in ("o", "x") else 0)
-    if _FLOAT.fullmatch(text):
-        return float(text)
-    if infinite := _INFINITY.fullmatch(text):
-        return -math.inf if infinite[1] == "-" else math.inf
-    return math.nan if text in _NAN else text
 
 
 def _decode(source: str | bytes, file: str) -> str:

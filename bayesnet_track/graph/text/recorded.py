@@ -11,12 +11,13 @@ from pydantic import BaseModel
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import Cues, check
 from bayesnet_track.graph.settings.base import Choice, PluginChoice
-from bayesnet_track.graph.spec import AgentNode, FactorNode, GraphSpec, InferenceNode, node_kind
+from bayesnet_track.graph.settings.net import node_kind
+from bayesnet_track.graph.spec import AgentNode, FactorNode, GraphSpec, InferenceNode
 from bayesnet_track.graph.text.document import read_document
-from bayesnet_track.graph.text.explain import shape_of
 from bayesnet_track.graph.text.messages import GraphError, Positions
 from bayesnet_track.graph.text.read import bytes_of, read_graph
 from bayesnet_track.graph.text.renamed import new_word
+from bayesnet_track.graph.text.shapes import shape_of
 from bayesnet_track.graph.text.write import plain_text
 from bayesnet_track.observation.masks import Mask
 

@@ -25,7 +25,7 @@ from bayesnet_track.graph.expressions.vocabulary import FRAME_NAMES, FUNCTIONS, 
 from bayesnet_track.graph.settings.base import Choice, Model, PluginChoice
 from bayesnet_track.graph.spec import LANGUAGE_VERSION, GraphSpec
 from bayesnet_track.graph.text.document import MAX_BYTES, MAX_DEPTH, MAX_NODES, MAX_SCALAR
-from bayesnet_track.graph.text.explain import expects, shape_of
+from bayesnet_track.graph.text.shapes import expects, shape_of
 from bayesnet_track.graph.text.write import as_plain, flow_text
 from bayesnet_track.observation.cue import CueDeclaration, installed_cues
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from bayesnet_track.graph.settings.base import Choice, PluginChoice
 from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.graph.text.document import plain_scalar
+from bayesnet_track.graph.text.scalars import plain_scalar
 
 _PLAIN_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _NODE_DEPTH = 4
