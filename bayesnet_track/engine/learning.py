@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,13 +113,13 @@ def _follow(
             ]
             if not own:
                 continue
-            assert isinstance(cue, CrowdCue)
+            follows: Any = cue
             boxes = np.array([measured[target].box for target in own])
             try:
                 planes = planes_of_each(work, cue.needs, boxes[:, None], context_of(cue))
                 before = [shown(moved[target][agent]) for target in own]
                 shares = np.array([rates[target][agent] for target in own])
-                after = check_references(cue.follow_each(planes, boxes.copy(), before, shares))
+                after = check_references(follows.follow_each(planes, boxes.copy(), before, shares))
             except FAULTS:
                 after = None
             if after is None:

@@ -57,6 +57,9 @@ def summarise(work: FrameWork, filtered: Mapping[str, Filtered]) -> dict[str, Su
         else:
             found[target] = summarise_one(work, target, one.step)
     for targets in alike.values():
+        if len(targets) == 1:  # arrays of one row take longer
+            found[targets[0]] = summarise_one(work, targets[0], filtered[targets[0]].step)
+            continue
         found |= _summarise_rows(work, targets, [filtered[target].step for target in targets])
     return found
 

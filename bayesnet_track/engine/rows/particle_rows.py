@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +85,7 @@ def plate_fits(compiled: CompiledPlate) -> bool:
     )
 
 
+@lru_cache(maxsize=256)
 def _scores_crowds(compiled: CompiledPlate, agent: str) -> bool:
     cue = compiled.cues[agent]
     return isinstance(cue, CrowdCue) and not is_elsewhere(cue)
@@ -170,8 +172,7 @@ def _score(
     starts = np.arange(0, count * size + 1, size)
     messages: dict[str, Floats] = {}
     for one in states[0].plan.observations:
-        cue = compiled.cues[one.agent]
-        assert isinstance(cue, CrowdCue)
+        cue: Any = compiled.cues[one.agent]
         try:
             planes = planes_of_each(work, cue.needs, boxes)
             started = work.engine.clock()
