@@ -10,7 +10,7 @@ import math
 import operator
 import types
 from collections.abc import Callable, Mapping
-from dataclasses import Field, fields, is_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass
 from json.encoder import encode_basestring_ascii
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
@@ -21,6 +21,9 @@ NON_FINITE: Mapping[str, float] = types.MappingProxyType(
 
 Encoder = Callable[[Any], str]
 """The JSON text of a value."""
+
+_NOTHING = object()
+"""Equal to no value."""
 
 
 class JournalError(ValueError):
@@ -59,16 +62,16 @@ def members_encoder(kind: Any, where: str) -> Callable[[Any], list[str]]:
             hints[item.name],
             f"{encode_basestring_ascii(key_of(item))}: ",
             _encoder_of(hints[item.name], f"{where}.{item.name}"),
-            bool(item.metadata.get("left_out_when_empty")),
+            _left_out(item),
         )
         for item in fields(kind)
     ]
 
     def members(value: Any) -> list[str]:
         written = []
-        for name, hint, key, encode, left_out_when_empty in parts:
+        for name, hint, key, encode, left_out in parts:
             one = getattr(value, name)
-            if left_out_when_empty and not one:
+            if one is left_out or one == left_out:
                 continue
             try:
                 written.append(key + encode(one))
@@ -79,6 +82,13 @@ def members_encoder(kind: Any, where: str) -> Callable[[Any], list[str]]:
         return written
 
     return members
+
+
+def _left_out(item: Field[Any]) -> Any:
+    """The value of a field that is not written: its default, where it is marked; else one that none has."""
+    if not item.metadata.get("left_out_when_empty"):
+        return _NOTHING
+    return item.default if item.default_factory is MISSING else item.default_factory()
 
 
 def _of_dataclass(hint: Any, where: str) -> Encoder:

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import MISSING, fields, is_dataclass, replace
 from types import UnionType
 from typing import get_args, get_origin
 
@@ -21,6 +21,7 @@ from bayesnet_track.journal.codec import (
     type_hints,
 )
 from bayesnet_track.journal.encoder import FLOAT_DIGITS
+from bayesnet_track.journal.events.endings import TargetDied
 from bayesnet_track.journal.events.runs import JOURNAL_VERSION, RunEnded, RunStarted
 from bayesnet_track.journal.events.sources import SourceDamaged
 from bayesnet_track.journal.events.statuses import StatusChanged
@@ -82,11 +83,16 @@ def test_round_trip(event):
     assert to_json(back) == line
 
 
+def left_out(item, one):
+    default = item.default if item.default_factory is MISSING else item.default_factory()
+    return item.metadata.get("left_out_when_empty") and one == default
+
+
 def plain(value):
     """What a line holds, by the values alone: for `json.dumps`."""
     if is_dataclass(value):
         given = {item: getattr(value, item.name) for item in fields(value)}
-        kept = {f: one for f, one in given.items() if one or not f.metadata.get("left_out_when_empty")}
+        kept = {f: one for f, one in given.items() if not left_out(f, one)}
         return {f.metadata.get("key", f.name): plain(one) for f, one in kept.items()}
     if isinstance(value, Mapping):
         return {key: plain(value[key]) for key in sorted(value)}
@@ -145,6 +151,12 @@ def test_the_line_of_an_activation_is_stable():
         '"cause": {"unit": "ud_px2", "level": 200.0, "value": 212.0, "frames": 3, "turning": 213.0, '
         '"ud_px2": 212.0, "scale_px2": 1.0}, "helpfulness": 0.333333333, "expected": {}}'
     )
+
+
+def test_a_probability_of_zero_is_written_and_none_is_not():
+    gone = TargetDied(3, "1", "unseen", 2, 2, False)
+    assert '"existence": 0.0' in to_json(replace(gone, existence=0.0))
+    assert "existence" not in to_json(gone)
 
 
 def test_equal_events_give_equal_lines():
