@@ -146,7 +146,8 @@ class RowMetrics(Sequence[FrameMetrics]):
     def _p_values(self, row: int) -> dict[str, float]:
         """How well the row's detection was predicted; nothing of one that several targets share."""
         rule, now = self.rows.rule, self.rows.columns
-        if rule.crowd is not None or now.given[row] != GIVEN:
+        is_shared = rule.crowd is not None and rule.crowd.is_marginal
+        if is_shared or now.given[row] != GIVEN:
             return {}
         box = now.own[row, :4]
         noise = np.diag(rule.association.variances(box) * rule.temperature)
