@@ -853,7 +853,7 @@ def test_list_names_what_is_installed(cli):
     code, out, _ = cli("list")
     assert code == 0
     assert all(name in out for name in (*graph_names(), *scene_names(), *installed_cues()))
-    assert re.search(r"^  general +Colours against", out, re.MULTILINE)
+    assert re.search(r"^  general +Colour against", out, re.MULTILINE)
     folder = re.search(r"copy its file from (.*)\):", out)[1]
     assert (Path(folder) / "general.yaml").read_text(encoding="utf-8").startswith("# A sensible default")
 

@@ -136,7 +136,7 @@ if OTHERS:
 def _names(kind):
     """Installed cues of a kind: they score, measure by the picture, or act on their own uncertainty."""
     found = (n for n, one in installed_cues().items() if isinstance(one.make(one.parameters()), kind))
-    return sorted(n for n in found if not installed_cues()[n].reads_detection)
+    return sorted(n for n in found if n != "readings" and not installed_cues()[n].reads_detection)
 
 
 @pytest.fixture(params=_names(MeasuringCue))

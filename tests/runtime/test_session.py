@@ -98,6 +98,7 @@ def test_a_run_directory_with_a_video(video, tmp_path):
         "checkpoint.previous",
         "truth.txt",
         "beliefs.jsonl",
+        "forecasts.jsonl",
         "manifest.json",
         "inputs.jsonl",
         "inputs_ahead.jsonl",
