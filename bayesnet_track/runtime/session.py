@@ -21,7 +21,8 @@ from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.detector import GIVEN
 from bayesnet_track.runtime.checkpoints.checkpoint import EVERY_S, Checkpoints
-from bayesnet_track.runtime.checkpoints.recipe import Recipe, file_sha256, make_recipe
+from bayesnet_track.runtime.checkpoints.given_files import file_sha256
+from bayesnet_track.runtime.checkpoints.recipe import Recipe, make_recipe
 from bayesnet_track.runtime.checkpoints.recipe_options import options_of
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import RETRIES, Executing, make_executor

@@ -11,7 +11,6 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from errno import EINVAL
 from functools import cache
 from os import PathLike
 from pathlib import Path
@@ -20,16 +19,14 @@ from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.engine.starts import Start
 from bayesnet_track.graph.checked import CheckedGraph
-from bayesnet_track.graph.checks.cues import plugin_parameters
 from bayesnet_track.graph.text.recorded import load_recorded
 from bayesnet_track.graph.text.write import graph_sha256
 from bayesnet_track.journal.atomic import write_atomically
-from bayesnet_track.journal.writer import read_position
-from bayesnet_track.observation.cue_files import CueFile, GivenCue, file_of
-from bayesnet_track.observation.detector import detectors_of_graphs
+from bayesnet_track.observation.cue_files import GivenCue, file_of
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.observation.masks import AnyMask, Mask, read_mask
 from bayesnet_track.runtime.checkpoints.file_names import change_texts, hide_bytes, restore_bytes
+from bayesnet_track.runtime.checkpoints.given_files import GivenFile, given_cue, given_file, model_files
 from bayesnet_track.runtime.checkpoints.recipe_options import (
     HAS_MANIFEST,
     HORIZON,
@@ -50,27 +47,6 @@ RECIPE_VERSION = 1
 
 class RecipeError(ValueError):
     """A ``run.json`` that is not there, not of this version, or does not go with what lies beside it."""
-
-
-@dataclass(frozen=True)
-class GivenFile:
-    """A file from outside: its path as given and from the root, and its content."""
-
-    path: str
-    absolute: str
-    sha256: str
-
-    @property
-    def place(self) -> Path:
-        """Where it is now: where it was, or as given where that is gone."""
-        return Path(self.absolute) if Path(self.absolute).exists() else Path(self.path)
-
-    def changes(self) -> tuple[str, ...]:
-        """What is not as it was, in words; raises OSError when it cannot be read."""
-        if not self.place.is_file():  # a device or a pipe might never end
-            raise OSError(EINVAL, "not a plain file", str(self.place))
-        now = file_sha256(self.place)
-        return () if now == self.sha256 else (f"{self.path}: {self.sha256[:12]}, now {now[:12]}",)
 
 
 @dataclass(frozen=True)
@@ -293,52 +269,19 @@ def make_recipe(
         origin=(Origin("own", "", source.description) if origin is None else origin.marked()),
         starts=tuple(Start(tuple(float(v) for v in one.box), one.plate) for one in starts),  # type: ignore[arg-type]
         seed=seed,
-        detections=None if detections is None else _given(detections),
-        inputs=None if inputs is None else _given(inputs),
+        detections=None if detections is None else given_file(detections),
+        inputs=None if inputs is None else given_file(inputs),
         has_video=has_video,
         own_motion=own_motion,
-        cue_files={name: _given_cue(file) for name, file in files.items() if file is not None},
+        cue_files={name: given_cue(file) for name, file in files.items() if file is not None},
         own_cues=tuple(name for name, file in files.items() if file is None),
         masks={
             name: GivenFile(str(mask.path), str(mask.path.absolute()), mask.sha256)
             for name, mask in sorted(graph.masks.items())
         },
-        models={path: _given(path) for path in _model_files(graph)},
+        models={path: given_file(path) for path in model_files(graph)},
         options=dict(sorted({**options, HAS_MANIFEST: True}.items())),
     )
-
-
-def _model_files(graph: CheckedGraph) -> list[str]:
-    """Files that the agents and detectors of a graph read, by their paths as it has them."""
-    found: set[str] = set()
-    cues = graph.declarations
-    for plate in graph.targets.values():
-        for agent, parameters in plate.parameters.items():
-            files = cues[plate.agent(agent).agent.cue].files
-            found |= set(() if files is None else files(parameters))
-        birth = plate.spec.birth
-        if birth is not None:
-            declaration = detectors_of_graphs([birth.detector.detector])[birth.detector.detector]
-            if declaration.files is not None:
-                found |= set(declaration.files(plugin_parameters(birth.detector, declaration.parameters)))
-    return sorted(found)
-
-
-def _given(path: str | PathLike[str]) -> GivenFile:
-    return GivenFile(str(path), str(Path(path).absolute()), file_sha256(path))
-
-
-def _given_cue(file: CueFile) -> GivenFile:
-    return GivenFile(file.path, str(Path(file.path).absolute()), file.sha256)
-
-
-def file_sha256(path: str | PathLike[str]) -> str:
-    """The SHA-256 of a file's bytes, in hexadecimal.
-
-    Raises:
-        OSError: it cannot be read.
-    """
-    return read_position(Path(path)).sha256
 
 
 def _directory(given: RunDirectory | str | PathLike[str]) -> RunDirectory:

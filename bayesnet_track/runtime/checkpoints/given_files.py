@@ -1,0 +1,70 @@
+"""Files from outside that a run reads: where they were given, and the SHA-256 of what they held."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from errno import EINVAL
+from os import PathLike
+from pathlib import Path
+
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.checks.cues import plugin_parameters
+from bayesnet_track.journal.writer import read_position
+from bayesnet_track.observation.cue_files import CueFile
+from bayesnet_track.observation.detector import detectors_of_graphs
+
+
+@dataclass(frozen=True)
+class GivenFile:
+    """A file from outside: its path as given and from the root, and its content."""
+
+    path: str
+    absolute: str
+    sha256: str
+
+    @property
+    def place(self) -> Path:
+        """Where it is now: where it was, or as given where that is gone."""
+        return Path(self.absolute) if Path(self.absolute).exists() else Path(self.path)
+
+    def changes(self) -> tuple[str, ...]:
+        """What is not as it was, in words; raises OSError when it cannot be read."""
+        if not self.place.is_file():  # a device or a pipe might never end
+            raise OSError(EINVAL, "not a plain file", str(self.place))
+        now = file_sha256(self.place)
+        return () if now == self.sha256 else (f"{self.path}: {self.sha256[:12]}, now {now[:12]}",)
+
+
+def model_files(graph: CheckedGraph) -> list[str]:
+    """Files that the agents and detectors of a graph read, by their paths as it has them."""
+    found: set[str] = set()
+    cues = graph.declarations
+    for plate in graph.targets.values():
+        for agent, parameters in plate.parameters.items():
+            files = cues[plate.agent(agent).agent.cue].files
+            found |= set(() if files is None else files(parameters))
+        birth = plate.spec.birth
+        if birth is not None:
+            declaration = detectors_of_graphs([birth.detector.detector])[birth.detector.detector]
+            if declaration.files is not None:
+                found |= set(declaration.files(plugin_parameters(birth.detector, declaration.parameters)))
+    return sorted(found)
+
+
+def given_file(path: str | PathLike[str]) -> GivenFile:
+    """A file as it is now; raises OSError when it cannot be read."""
+    return GivenFile(str(path), str(Path(path).absolute()), file_sha256(path))
+
+
+def given_cue(file: CueFile) -> GivenFile:
+    """The file of a cue, as it was read."""
+    return GivenFile(file.path, str(Path(file.path).absolute()), file.sha256)
+
+
+def file_sha256(path: str | PathLike[str]) -> str:
+    """The SHA-256 of a file's bytes, in hexadecimal.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    return read_position(Path(path)).sha256
