@@ -17,11 +17,7 @@ from bayesnet_track.adapt.assign import assign_pairs
 from bayesnet_track.adapt.association import NOBODY, Owners
 from bayesnet_track.adapt.candidates import Candidate
 from bayesnet_track.adapt.existence import Population
-from bayesnet_track.adapt.measures import Measures
-from bayesnet_track.adapt.memory import QUIET_MINIMUM
 from bayesnet_track.adapt.passes import Pass, share_by_overlap, share_in_passes
-from bayesnet_track.adapt.situation import Situation
-from bayesnet_track.adapt.status import judge_status
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.lifecycle.assigning import advance_tentative, name_owners, tentative_tracks
@@ -30,13 +26,13 @@ from bayesnet_track.engine.lifecycle.detecting import Found, look
 from bayesnet_track.engine.lifecycle.existing import Crowd, divide, gate
 from bayesnet_track.engine.lifecycle.sharing import Predict, Tracks, follow, own_detections
 from bayesnet_track.engine.outcome import Outcome, State
-from bayesnet_track.engine.rows.columns import GIVEN, GIVEN_NONE, Columns, RowRecords, Rows, RowStates
+from bayesnet_track.engine.rows.columns import GIVEN, GIVEN_NONE, RowRecords, Rows, RowStates
 from bayesnet_track.engine.rows.fitting import LinearMotion, RowRule
-from bayesnet_track.engine.rows.row_metrics import RowMeasures, RowMetrics
+from bayesnet_track.engine.rows.judging import judge_rows
+from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.state import apply_decisions
-from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.gaussian import ALONE
-from bayesnet_track.numerics.kernels.row_columns import AREA, FIT, HYPOTHESES, NATS, UD
+from bayesnet_track.numerics.kernels.row_columns import HYPOTHESES
 
 Floats = NDArray[np.float64]
 
@@ -260,77 +256,3 @@ def share_out(rule: RowRule, expected: Tracks, seen: Found) -> Owners:
 def _share_by_density(rule: RowRule, mean: Floats, covariance: Floats, boxes: Floats) -> Owners:
     pairs = gate(rule.association, mean, covariance, boxes)
     return assign_pairs(pairs.rows, pairs.columns, pairs.values, len(mean), len(boxes))
-
-
-def judge_rows(
-    work: FrameWork, rows: Rows, updated: Columns, numbers: Floats
-) -> tuple[Columns, RowMeasures, list[Decision]]:
-    """Baselines and streaks with one frame more, what was measured, and the decisions that are taken."""
-    from bayesnet_track.numerics.kernels.row_kernels import append_medians
-
-    started = work.engine.clock()
-    rule, before = rows.rule, rows.columns
-    ud, fit, area = numbers[:, UD].copy(), numbers[:, FIT], numbers[:, AREA]
-    quiet, quiet_count, medians = append_medians(
-        before.quiet, before.quiet_count, ud, ~before.is_lost, QUIET_MINIMUM
-    )
-    level, exists = rule.lost.above, rule.lost.existence_below
-    scale = {"ud_px2": np.ones(len(ud)), "ud_box": area, "ud_baseline": medians}[level.kind]
-    is_known = scale > 0.0  # not where the baseline is unknown
-    value = np.where(is_known, ud / np.where(is_known, scale, 1.0), 0.0)
-    is_wide, fits = is_known & (value > level.settings), fit >= rule.lost.fit_below
-    looks_lost, looks_found = is_wide | ~fits, fits & ~is_wide
-    lost_values, unfit_values = np.where(fits, value, np.inf), np.where(is_wide, -np.inf, fit)
-    if exists is not None:
-        value = lost_values = unfit_values = updated.existence
-        looks_lost, looks_found = value < exists, value >= exists
-    after = updated.changed(
-        nats=before.nats + numbers[:, NATS],
-        nat_frames=before.nat_frames + 1,
-        quiet=quiet,
-        quiet_count=quiet_count,
-        lost_count=np.where(looks_lost, before.lost_count + 1, 0),
-        lost_values=_append(before.lost_values, lost_values),
-        unfit_values=_append(before.unfit_values, unfit_values),
-        found_count=np.where(looks_found, before.found_count + 1, 0),
-        found_values=_append(before.found_values, value),
-    )
-    measured = RowMeasures(numbers, medians)
-    count = np.where(before.is_lost, after.found_count, after.lost_count)
-    turning = (count >= rule.lost.frames).nonzero()[0]
-    decisions: list[Decision] = []
-    for row in turning.tolist():
-        decisions += _decide_status(work, rows, rows.with_columns(after, work.frame.time), measured, row)
-    if len(turning):
-        is_lost = before.is_lost.copy()
-        is_lost[turning] = ~is_lost[turning]
-        after = after.changed(is_lost=is_lost)
-    work.charge("measure", started)
-    return after, measured, decisions
-
-
-def _append(values: Floats, new: Floats) -> Floats:
-    return np.concatenate([values[:, 1:], new[:, None]], axis=1)
-
-
-def _decide_status(
-    work: FrameWork, before: Rows, after: Rows, measured: RowMeasures, row: int
-) -> list[Decision]:
-    """The decision about a target's status, as `judge_status` takes it of one."""
-    rule, target = before.rule, before.ids[row]
-    ud, fit, area = (float(column[row]) for column in (measured.ud, measured.fit, measured.area))
-    silent = () if after.columns.given[row] == GIVEN else (rule.agent,)
-    measures = Measures({rule.root: ud}, {}, {}, {}, {}, fit, area, silent)
-    now = Situation(
-        work.frame.index,
-        target,
-        rule.compiled.plate,
-        work.net.targets[target],
-        measures,
-        rule.compiled.costs_ms,
-        rule.compiled.adaptable,
-        existence=None if rule.crowd is None else float(after.columns.existence[row]),
-    )
-    decisions: list[Decision] = []
-    judge_status(now, replace(before.memory(row), quiet=after.memory(row).quiet), decisions)
-    return decisions
