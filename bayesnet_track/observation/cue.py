@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from bayesnet_track.observation.association import AssociationRule as AssociationRule
 from bayesnet_track.observation.likelihoods import FLOOR, SD_LOG_AREA, SD_LOG_ASPECT
 from bayesnet_track.observation.likelihoods import Reference as Reference
 from bayesnet_track.observation.likelihoods import blend_arrays as blend_arrays
@@ -33,7 +34,6 @@ from bayesnet_track.observation.protocols import OBSERVED as OBSERVED
 from bayesnet_track.observation.protocols import OWN_DETECTION as OWN_DETECTION
 from bayesnet_track.observation.protocols import AnyCue as AnyCue
 from bayesnet_track.observation.protocols import AssociatingCue as AssociatingCue
-from bayesnet_track.observation.protocols import AssociationRule as AssociationRule
 from bayesnet_track.observation.protocols import CrowdCue as CrowdCue
 from bayesnet_track.observation.protocols import Cue as Cue
 from bayesnet_track.observation.protocols import Hypotheses as Hypotheses

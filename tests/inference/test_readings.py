@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import cholesky
 
-from bayesnet_track.belief.gaussian.update import log_message, take, update_seen
+from bayesnet_track.belief.gaussian.measured import log_message
+from bayesnet_track.belief.gaussian.update import take, update_seen
 from bayesnet_track.engine.compiled import make_engine
 from bayesnet_track.graph.checked import MeasuredAs
 from bayesnet_track.graph.expressions.parse import parse

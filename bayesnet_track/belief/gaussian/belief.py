@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, Evidence, MotionModel, Predicted, Report, Step, Stream
+from bayesnet_track.belief.gaussian.measured import log_message
 from bayesnet_track.belief.gaussian.predict import predict, require_linear
 from bayesnet_track.belief.gaussian.update import (
     Asked,
@@ -19,7 +20,6 @@ from bayesnet_track.belief.gaussian.update import (
     Taken,
     ask,
     fit_moments,
-    log_message,
     match_moments,
     take,
 )

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.gaussian.measured import observe_fields
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.functions import derivative, extended_update, unscented_update
 from bayesnet_track.graph import spec
@@ -24,12 +25,9 @@ from bayesnet_track.numerics.gaussian import (
     symmetric,
 )
 from bayesnet_track.numerics.log_weights import LogWeights
-from bayesnet_track.observation.cue import Hypotheses, Measurement
+from bayesnet_track.observation.cue import Measurement
 
 Floats = NDArray[np.float64]
-
-FAR = 1e100
-"""Where a quantity has no value, it is so far from what was measured."""
 
 WORST = 1e-100
 """The least likelihood of a sigma point, as a share of the best: a parabola has no place for zero."""
@@ -210,7 +208,7 @@ def take(
                 continue
             d2 = seen.d2
         else:
-            observe = _observe(one, fields)
+            observe = observe_fields(one, fields)
             expected = symmetric(observe @ covariance @ observe.T + one.covariance)
             d2, _ = innovation_likelihood(one.mean - observe @ mean, expected, one.covariance)
         degrees = len(one.fields)
@@ -226,7 +224,7 @@ def take(
             log_evidence += log_own
             continue
         if one.seen is None:
-            observe = _observe(one, fields)
+            observe = observe_fields(one, fields)
             after = linear_update(mean, covariance, one.mean - observe @ mean, observe, one.covariance)
         else:
             by_function = update_seen(mean, covariance, fields, one, is_unscented)
@@ -279,7 +277,7 @@ def _mix(
     """Mean, covariance and log-evidence of the mixture of the updates by each choice, and by none."""
     weights, means, covariances, evidence = [measured.missed], [mean], [covariance], measured.missed
     for weight, one in measured.choices:
-        observe = _observe(one, fields)
+        observe = observe_fields(one, fields)
         after = linear_update(mean, covariance, one.mean - observe @ mean, observe, one.covariance)
         weights.append(weight)
         means.append(after.mean)
@@ -290,23 +288,3 @@ def _mix(
     away = np.array(means) - centre
     spread = np.einsum("k,kij->ij", shares, np.array(covariances)) + (away * shares[:, None]).T @ away
     return centre, symmetric(spread), float(np.log(max(evidence, 1e-300)))
-
-
-def log_message(one: Measurement, hypotheses: Hypotheses, fields: tuple[str, ...]) -> Floats:
-    """(N,) -d^2 / 2 of hypotheses under a measurement."""
-    if one.choices:
-        each = (weight * np.exp(log_message(own, hypotheses, fields)) for weight, own in one.choices)
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.log(one.missed + sum(each)))
-    states = np.column_stack([hypotheses.boxes, *(hypotheses.fields[name] for name in fields[4:])])
-    if one.seen is None:
-        away = states @ _observe(one, fields).T - one.mean
-    else:
-        values = one.seen.function(dict(zip(fields, states.T, strict=True)))
-        away = np.nan_to_num(one.seen.less(values, one.mean), nan=FAR, posinf=FAR, neginf=-FAR)
-    return np.asarray(-0.5 * np.einsum("nk,nk->n", away, np.linalg.solve(one.covariance, away.T).T))
-
-
-def _observe(one: Measurement, fields: tuple[str, ...]) -> Floats:
-    """(K, D) H: the rows of the identity for the fields measured."""
-    return np.eye(len(fields))[[fields.index(name) for name in one.fields]]

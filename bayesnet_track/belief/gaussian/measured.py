@@ -1,0 +1,33 @@
+"""What a measurement says of states: which fields it observes, and how likely it makes each hypothesis."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.observation.cue import Hypotheses, Measurement
+
+Floats = NDArray[np.float64]
+
+FAR = 1e100
+"""Where a quantity has no value, it is so far from what was measured."""
+
+
+def log_message(one: Measurement, hypotheses: Hypotheses, fields: tuple[str, ...]) -> Floats:
+    """(N,) -d^2 / 2 of hypotheses under a measurement."""
+    if one.choices:
+        each = (weight * np.exp(log_message(own, hypotheses, fields)) for weight, own in one.choices)
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(one.missed + sum(each)))
+    states = np.column_stack([hypotheses.boxes, *(hypotheses.fields[name] for name in fields[4:])])
+    if one.seen is None:
+        away = states @ observe_fields(one, fields).T - one.mean
+    else:
+        values = one.seen.function(dict(zip(fields, states.T, strict=True)))
+        away = np.nan_to_num(one.seen.less(values, one.mean), nan=FAR, posinf=FAR, neginf=-FAR)
+    return np.asarray(-0.5 * np.einsum("nk,nk->n", away, np.linalg.solve(one.covariance, away.T).T))
+
+
+def observe_fields(one: Measurement, fields: tuple[str, ...]) -> Floats:
+    """(K, D) H: the rows of the identity for the fields measured."""
+    return np.eye(len(fields))[[fields.index(name) for name in one.fields]]
