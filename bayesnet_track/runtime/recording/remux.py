@@ -52,9 +52,12 @@ def remux(path: Path) -> None:
                         made.mux(packet)
             disk.sync(file)
         disk.replace(part, path)
-    except OSError:
+    except (OSError, av.error.FFmpegError) as error:
         with suppress(OSError):
             disk.unlink(part)
+        # Closing what could not be written raises again, without the reason.
+        if isinstance(error.__context__, OSError) and not isinstance(error, OSError):
+            raise error.__context__ from None
         raise
 
 
