@@ -43,7 +43,7 @@ def test_constant_velocity_is_drawn_from_its_gaussian():
             # Squared distances of Gaussians in two dimensions are exponential; five sds of their mean.
             d2 = np.einsum("nk,nk->n", state, np.linalg.solve(covariance, state.T).T)
             assert abs(d2.mean() / 2 - 1) < 5 / np.sqrt(draws)
-            assert stats.kstest(state[:, 0], "norm", args=(0, np.sqrt(covariance[0, 0]))).pvalue > 1e-4
+            assert stats.kstest(state[:, 0] / np.sqrt(covariance[0, 0]), "norm").pvalue > 1e-4
     np.testing.assert_array_equal(drawn.boxes[:, :, 2:], np.broadcast_to(BOX[2:], (frames + 1, draws, 2)))
 
 
