@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import integrate, stats
 
 from bayesnet_track.graph.checked import Conditional
 from bayesnet_track.graph.expressions.parse import parse
@@ -73,7 +73,7 @@ def test_messages_are_the_integral(asked, fakes, draw, size, error):
     _, evidence = asked(nodes, {"a": fakes.gaussian(56, 40, 3)}, boxes, beta=log)
     cells = np.linspace(-50, 160, 40_001)
     likelihood = np.exp(-0.5 * ((cells - 56) / 3) ** 2)
-    exact = [np.trapezoid(stats.laplace(x, 4).pdf(cells) * likelihood, cells) for x in places]
+    exact = [integrate.trapezoid(stats.laplace(x, 4).pdf(cells) * likelihood, cells) for x in places]
     said = np.exp(evidence.log_likelihood).reshape(2, -1).mean(axis=1)
     np.testing.assert_allclose(said, exact, atol=error)
 
