@@ -82,6 +82,9 @@ SHORT_AND_SILENT = 0.003
 the damage fell on what declares the length.
 """
 
+LEAST_OPENED = 0.25
+"""Share of the damaged files that open at least, whatever encoder wrote the original: .28 to .92 of 200."""
+
 
 def check_damaged(original, path, seeds):
     """None crashes or hangs, and hardly any ends early and says nothing."""
@@ -96,7 +99,7 @@ def check_damaged(original, path, seeds):
         for frames, reason, damage in opened
         if reason == "end_of_source" and frames < FRAMES and not damage
     ]
-    assert len(opened) > 0.2 * len(outcomes)
+    assert len(opened) >= binom.ppf(1e-4, len(outcomes), LEAST_OPENED)
     assert any(damage for _, _, damage in opened)
     assert len(silent) <= binom.ppf(0.999, len(opened), SHORT_AND_SILENT)
     assert all(FRAMES - frames <= 2 for frames in silent)
