@@ -7,19 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 from bayesnet_track.graph.checked import CheckedTarget, Conditional, Factor, MeasuredAs
 from bayesnet_track.graph.expressions.write import text_of
+from bayesnet_track.graph.latent_forms import Form, form_of
 from bayesnet_track.graph.settings.nodes import pool_exponents
-from bayesnet_track.graph.spec import AgentNode, Fuse, Given, Latent
+from bayesnet_track.graph.spec import AgentNode, Fuse, Given
 from bayesnet_track.inference.factors import Weigh
 from bayesnet_track.inference.plane_words import plane_words
 from bayesnet_track.observation.cue import AnyCue, MeasuringCue
 from bayesnet_track.observation.planes import Plane
 
-Own = Literal["one", "kernel", "gaussian", "grid"]
-HELD: Mapping[Own, str] = {
+HELD: Mapping[Form, str] = {
     "one": "",
     "kernel": " by kernel",
     "gaussian": " as a Gaussian",
@@ -79,7 +78,7 @@ class Fusion:
     children: tuple[str, ...]
     shares: tuple[float, ...]
     given: Given | None = None
-    own: Own = "one"
+    own: Form = "one"
     factors: tuple[str, ...] = ()
     correlation: float | None = None
     written: Conditional | None = None
@@ -154,6 +153,7 @@ def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str
     messengers = _messengers(target, working)
     inference = [name for name in target.order if name in target.children and name in messengers]
     watching = [name for name in target.agents if name in working]
+    measuring = frozenset(name for name in target.agents if isinstance(cues[name], MeasuringCue))
     return Plan(
         target=target.name,
         root=target.root,
@@ -163,14 +163,14 @@ def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str
             Observe(
                 name,
                 _hypotheses_of(target, target.parent[name]),
-                isinstance(cues[name], MeasuringCue),
+                name in measuring,
                 target.agent(name).temperature,
                 target.measures.get(name),
             )
             for name in watching
         ),
         factors=tuple(_weigh(target, name, factor) for name, factor in target.factors.items()),
-        fusions=tuple(_fuse(target, name, messengers) for name in reversed(inference)),
+        fusions=tuple(_fuse(target, name, messengers, measuring) for name in reversed(inference)),
         planes=_with_inputs(plane for name in watching for plane in cues[name].needs),
         idle_planes={name: _with_inputs(cues[name].needs) for name in target.agents if name not in working},
     )
@@ -235,7 +235,7 @@ def _weigh(target: CheckedTarget, name: str, factor: Factor) -> Weigh:
     return Weigh(name, at, given_from, factor.term, factor.constants, is_prior, factor.mask)
 
 
-def _fuse(target: CheckedTarget, node: str, messengers: frozenset[str]) -> Fusion:
+def _fuse(target: CheckedTarget, node: str, messengers: frozenset[str], measuring: Container[str]) -> Fusion:
     children = tuple(child for child in target.children[node] if child in messengers)
     fuse = target.inference(node).fuse or Fuse.model_validate("product")
     factors = tuple(name for name, factor in target.factors.items() if factor.parent == node)
@@ -246,17 +246,8 @@ def _fuse(target: CheckedTarget, node: str, messengers: frozenset[str]) -> Fusio
     shares = (1.0,) * len(children)
     if fuse.latent is None:
         return Fusion(node, fuse.kind, children, shares, factors=factors)
-    given, own = fuse.latent.given, _own(target, node, fuse.latent)
+    given, own = fuse.latent.given, form_of(target, node, measuring)
     return Fusion(node, fuse.kind, children, shares, given, own, factors, written=target.givens.get(node))
-
-
-def _own(target: CheckedTarget, node: str, latent: Latent) -> Own:
-    """How the state of a latent node is held. The belief of a root is about the target, not its own state."""
-    if _moves(target, node):
-        return "one"
-    belief = None if node == target.root else target.inference(node).belief
-    held: Mapping[str, Own] = {"gaussian": "gaussian", "grid": "grid"}
-    return latent.draw if belief is None else held.get(belief.kind, latent.draw)
 
 
 def _with_inputs(planes: Iterable[Plane]) -> tuple[Plane, ...]:

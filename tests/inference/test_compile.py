@@ -61,7 +61,7 @@ def test_nested_latents(fakes):
     assert {
         fusion.node: (fusion.kind, fusion.children, fusion.given, fusion.own) for fusion in plan.fusions
     } == {
-        "face": ("latent", ("c", "d"), NOISE, "one"),
+        "face": ("latent", ("c", "d"), NOISE, "grid"),
         "pool": ("pool", ("a", "b"), None, "one"),
         "body": ("latent", ("pool", "face"), NOISE, "kernel"),
         "root": ("product", ("body", "e"), None, "one"),
@@ -119,7 +119,7 @@ def test_the_plan_as_text(fakes):
 @pytest.mark.parametrize(
     ("belief", "how", "said"),
     [
-        (None, "one", ""),
+        (None, "grid", " on a grid"),
         ("particles", "one", ""),
         ("gaussian", "gaussian", " as a Gaussian"),
         ("grid", "grid", " on a grid"),

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 NODES = {"root": {"fuse": "product"}, **dict.fromkeys("abc", "root")}
-LATENT = {"latent": {"given": {"sd_px": {"x": 6.0, "y": 6.0}}}}
+LATENT = {"latent": {"given": {"sd_px": {"x": 6.0, "y": 6.0}}, "draw": "one"}}
 
 
 def boxes_of(n, seed=0, sd=20.0):

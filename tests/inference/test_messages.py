@@ -113,7 +113,7 @@ def test_any_tree_equals_its_recursive_definition(fakes, data):
     """Against a recursion over the written tree, which shares nothing with the compiler."""
     inner = data.draw(st.integers(1, 5))
     kinds = [data.draw(st.sampled_from(FUSIONS[: 2 if k == 0 else 3])) for k in range(inner)]
-    given_ = {"latent": {"given": {"sd_px": {"x": 6.0, "y": 6.0}}}}
+    given_ = {"latent": {"given": {"sd_px": {"x": 6.0, "y": 6.0}}, "draw": "one"}}
     parents = {f"n{k}": f"n{data.draw(st.integers(0, k - 1))}" for k in range(1, inner)}
     nodes = {f"n{k}": {"fuse": given_ if kinds[k] == "latent" else kinds[k]} for k in range(inner)}
     for node, parent in parents.items():
@@ -191,7 +191,10 @@ def test_one_draw_is_unbiased(fakes, at):
     plate, _ = fakes.plate(
         {
             "root": {},
-            "c": {"parent": "root", "fuse": {"latent": {"given": {"sd_px": {"x": 6.0, "y": 6.0}}}}},
+            "c": {
+                "parent": "root",
+                "fuse": {"latent": {"given": {"sd_px": {"x": 6.0, "y": 6.0}}, "draw": "one"}},
+            },
             "a": "c",
         }
     )
@@ -214,8 +217,8 @@ def test_a_latent_within_a_latent_is_unbiased(fakes):
     outer, inner = {"sd_px": {"x": 6.0, "y": 6.0}}, {"sd_px": {"x": 3.0, "y": 3.0}}
     nodes = {
         "root": {},
-        "c": {"parent": "root", "fuse": {"latent": {"given": outer}}},
-        "d": {"parent": "c", "fuse": {"latent": {"given": inner}}},
+        "c": {"parent": "root", "fuse": {"latent": {"given": outer, "draw": "one"}}},
+        "d": {"parent": "c", "fuse": {"latent": {"given": inner, "draw": "one"}}},
         "a": "d",
         "b": "c",
     }

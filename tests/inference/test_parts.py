@@ -16,13 +16,13 @@ Z = 4.5
 
 
 def part(parent, own, x=0.0, y=0.0, w=1.0, h=1.0, sd=3.0, sd_size=0.0):
-    """A node that is a part, held in the way `own`."""
+    """A node that is a part, held in the way `own`: by a draw, a belief or, as "default", what fits."""
     given = {
         "offset_box": {"x": x, "y": y},
         "size_box": {"w": w, "h": h},
         "sd_px": {"x": sd, "y": sd, "w": sd_size, "h": sd_size},
     }
-    latent = {"given": given} | ({"draw": "kernel"} if own == "kernel" else {})
+    latent = {"given": given} | ({"draw": own} if own in ("one", "kernel") else {})
     belief = {"belief": own} if own in ("gaussian", "grid") else {}
     return {"parent": parent, "fuse": {"latent": latent}, **belief}
 
@@ -119,7 +119,8 @@ def linear_gaussian(seen):
 
 @pytest.mark.parametrize("hidden", [None, "head", "badge"])
 @pytest.mark.parametrize(
-    ("own", "size"), [("one", 20_000), ("kernel", 1_000), ("grid", 4_000), ("gaussian", 4_000)]
+    ("own", "size"),
+    [("one", 20_000), ("kernel", 1_000), ("grid", 4_000), ("gaussian", 4_000), ("default", 4_000)],
 )
 def test_whole_and_parts_have_the_exact_joint_posterior(asked, fakes, own, size, hidden):
     """A part of the whole, and a part of a part; an agent that sees nothing says the same of every place.
@@ -232,3 +233,42 @@ def test_parts_of_no_weight_fall_back_to_the_whole(asked, fakes):
     only_first = LogWeights.normalise(np.where(np.arange(30) == 0, 0.0, -np.inf))[0]
     evidence.messages["a"][0] = -np.inf
     assert part_beliefs(plan, evidence, only_first)["p"].weights is only_first
+
+
+def test_by_default_a_latent_node_sends_the_integral(asked, fakes):
+    """Against the closed form, mean over the belief; an agent tells about fifteen draws apart.
+
+    A grid has their sampling error, 1 / sqrt(15) = 0.26 nats. One draw has that of a single draw.
+    """
+    sides = 2.0 * np.arange(50)
+    boxes = np.column_stack([*(one.ravel() for one in np.meshgrid(sides, sides)), np.full((2500, 2), 20.0)])
+    beta = -0.5 * ((boxes[:, :2] - 50.0) ** 2).sum(axis=1) / 20.0**2
+    beta = LogWeights.normalise(beta)[0].log
+    nodes = {"root": {}, "n": {"parent": "root", "fuse": {"latent": {"given": {"sd_px": {"x": 6, "y": 6}}}}}}
+    sees = {"a": fakes.gaussian(44.0, 61.0, 3.0)}
+    exact = np.log(9 / 45) - 0.5 * ((boxes[:, :2] - [44.0, 61.0]) ** 2).sum(axis=1) / (3.0**2 + 6.0**2)
+    posterior = LogWeights.normalise(beta + exact)[0].weights
+    off = {}
+    for draw in (None, "one"):
+        own = {
+            **nodes["n"],
+            "fuse": {"latent": {**nodes["n"]["fuse"]["latent"], **({"draw": draw} if draw else {})}},
+        }
+        _, evidence = asked({**nodes, "n": own, "a": "n"}, sees, boxes, beta=beta)
+        off[draw] = posterior @ np.abs(evidence.log_likelihood - exact)
+    assert off[None] < 0.6 and off["one"] > 5.0, off
+
+
+def test_by_default_what_is_measured_below_a_latent_node_is_exact(asked, measuring):
+    """log N(z; h, R + Q) but for a constant, to 1e-4 nats."""
+    given = {"sd_px": {"x": 6, "y": 6}}
+    nodes = {"root": {}, "n": {"parent": "root", "fuse": {"latent": {"given": given}}}, "a": "n"}
+    boxes = np.array([50.0, 60.0, 40.0, 40.0]) + np.random.default_rng(3).standard_normal((500, 4)) * [
+        9,
+        9,
+        0,
+        0,
+    ]
+    _, evidence = asked(nodes, {"a": measuring.place(44.0, 61.0)}, boxes)
+    exact = -0.5 * ((boxes[:, :2] - [44.0, 61.0]) ** 2).sum(axis=1) / (3.0**2 + 6.0**2)
+    assert np.ptp(evidence.log_likelihood - exact) < 1e-4

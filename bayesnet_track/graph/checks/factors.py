@@ -105,7 +105,7 @@ def names_at(plate: Plate, node: str) -> tuple[str, ...]:
         fuse, belief = plate.inference[latent].fuse, plate.inference[latent].belief
         assert fuse is not None and fuse.latent is not None
         draws = belief is None or belief.particles is not None or latent == plate.roots[0]
-        has_parent = draws and fuse.latent.draw == "one"
+        has_parent = draws and fuse.latent.draw != "kernel"
         own = (*BOX, *(f"{PARENT}{field}" for field in BOX if has_parent))
     else:
         own = (*BOX, *_further(plate.inference[plate.roots[0]]))

@@ -82,7 +82,7 @@ def _walk_in_px(plate: Plate, name: str, walk: Moving, latent: Latent) -> Iterat
         found = "given by expressions, and a deviation that moves is Gaussian in px"
         yield plate.message(name, found, "sd_px, or no motion", key=("fuse", "latent", "given"))
         return
-    further = [*_beyond_position(Noise(sd_box=given.sd_box, sd_log=given.sd_log))]
+    further = [*beyond_position(Noise(sd_box=given.sd_box, sd_log=given.sd_log))]
     further += ["heavy_tail"] if given.heavy_tail is not None else []
     if further:
         found = f"given has {', '.join(further)}, and a deviation that moves is Gaussian in px"
@@ -129,13 +129,13 @@ def latent_grids_hold_positions(plate: Plate) -> Iterator[GraphMessage]:
             found = f"given has no noise in {' and '.join(still)}, and the grid has cells for both x and y"
             allowed = "sd_px with x and y, or belief: gaussian or particles"
             yield plate.message(name, found, allowed, key=("fuse", "latent", "given"))
-        further = _beyond_position(latent.given)
+        further = beyond_position(latent.given)
         if further:
             found = f"a latent node's grid has no cells for {', '.join(further)}"
             allowed = "sd_px of x and y alone, or belief: gaussian or particles"
             yield plate.message(name, found, allowed, key=("fuse", "latent", "given"))
         for above, noise in _noises_above(plate, name):
-            sized = [part for part in _beyond_position(noise) if not part.startswith("sd_box")]
+            sized = [part for part in beyond_position(noise) if not part.startswith("sd_box")]
             if sized:
                 found = (
                     f"the size changes by {', '.join(sized)} of {above!r}, and the grid has no cells for it"
@@ -149,7 +149,8 @@ def has_a_state(node: InferenceNode) -> bool:
     return node.fuse is not None and node.fuse.latent is not None
 
 
-def _beyond_position(noise: Noise) -> list[str]:
+def beyond_position(noise: Noise) -> list[str]:
+    """The noise that a grid over x and y has no cells for; `sd_box` of a motion is none of it."""
     parts = {"sd_px": ("w", "h"), "sd_box": ("x", "y"), "sd_log": ("scale", "aspect")}
     return [
         f"{part}.{field}"

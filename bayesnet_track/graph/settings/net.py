@@ -60,7 +60,7 @@ class InferenceNode(Model):
     belief: Belief | None = Field(
         default=None,
         description="at the root, default 500 particles; or at a node with `fuse: latent`, then without "
-        "settings, default particles",
+        "settings, default the best exact form [that fits](#latent)",
     )
     motion: Motion | None = Field(
         default=None,

@@ -139,11 +139,17 @@ class Latent(Model):
     of cases; it needs some 30,000. The kernel is accurate with 1000 (47 %), and then takes about 0.1 s per
     message. `grid` is the kernel by convolution over cells of x and y, in milliseconds, for `given` in px.
     `gaussian` is as accurate where the likelihood has one mode, in O(N), and sends a Gaussian message.
+
+    Without `belief` and `draw` it is `gaussian` if all agents below measure and `given` is Gaussian in px:
+    this is exact. It is `grid` if `given` is in px of x and y alone, and nothing above changes the size. It
+    is one draw per hypothesis otherwise, with a motion, and where a factor compares it with its parent.
     """
 
     given: Given = Field(description="p(own state | parent's state)")
-    draw: Literal["one", "kernel"] = Field(
-        default="one", description="one draw per hypothesis, O(N); or the row-normalised kernel, O(N^2)"
+    draw: Literal["one", "kernel"] | None = Field(
+        default=None,
+        description="one draw per hypothesis, O(N); or the row-normalised kernel, O(N^2); default: the best "
+        "exact form that fits, as said above",
     )
 
 
