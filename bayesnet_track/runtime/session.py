@@ -2,41 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import ExitStack
 from functools import partial, wraps
 from os import PathLike
-from pathlib import Path
 from typing import Literal, ParamSpec, cast
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.starts import Start, StartError, check_depth, check_starts
-from bayesnet_track.engine.step import Engine, make_engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
-from bayesnet_track.journal.atomic import write_atomically
-from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
-from bayesnet_track.observation.detector import GIVEN
 from bayesnet_track.runtime.checkpoints.checkpoint import EVERY_S, Checkpoints
 from bayesnet_track.runtime.checkpoints.given_files import file_sha256
-from bayesnet_track.runtime.checkpoints.recipe import Recipe, make_recipe
+from bayesnet_track.runtime.checkpoints.recipe import make_recipe
 from bayesnet_track.runtime.checkpoints.recipe_options import options_of
 from bayesnet_track.runtime.deadline import Deadline
-from bayesnet_track.runtime.executors import RETRIES, Executing, make_executor
+from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.inputs import InputsAt, as_inputs
+from bayesnet_track.runtime.preparation import (
+    begin,
+    make_checkpointer,
+    place_cues,
+    prepare_engine,
+    small_files,
+)
 from bayesnet_track.runtime.recording.beliefs import check_kept
 from bayesnet_track.runtime.recording.forecasts import Forecaster
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.manifest import finish
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.replace import replace_run, settle
-from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
+from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary, interval_of
 from bayesnet_track.runtime.run import run
-from bayesnet_track.sources.detection_files import file_detector
 from bayesnet_track.sources.sources import open_source
 
 CornerBox = tuple[float, float, float, float]
@@ -219,66 +220,6 @@ def track(
         )
         if recorder is not None and totals.frames:
             finish(directory, recorder.finish())
-
-
-def place_cues(
-    stack: ExitStack,
-    executing: Executing,
-    engine: Engine,
-    graph: CheckedGraph | None,
-    source: FrameSource,
-    budget_ms: float | None,
-) -> Engine:
-    """The engine with its agents where they work, until `stack` closes.
-
-    Where frames do not wait, as those of a camera or with a budget, no agent is asked again.
-
-    Raises:
-        PlacingError: an agent cannot be where it was put.
-    """
-    waits = budget_ms is None and not getattr(source, "is_live", False)
-    return stack.enter_context(executing).engine(engine, graph, RETRIES if waits else 0)
-
-
-def prepare_engine(
-    graph: CheckedGraph, seed: int, motion: MotionModel | None, detections: str | PathLike[str] | None
-) -> Engine:
-    """The engine of a run; raises as `track`."""
-    own = None if motion is None else dict.fromkeys(graph.targets, motion)
-    given = {} if detections is None else {GIVEN: file_detector(Path(detections))}
-    return make_engine(graph, seed, motion=own, detectors=given)
-
-
-def small_files(graph: CheckedGraph, recipe: Recipe, truth: str | None = None) -> dict[str, bytes]:
-    """What is asked for, as files by their key in `FILES`; `truth` is the truth.txt of a built-in scene."""
-    texts = {"graph": graph.text, "truth": truth, "recipe": recipe.text()}
-    return {key: text.encode("utf-8") for key, text in texts.items() if text is not None}
-
-
-def begin(directory: RunDirectory, files: Mapping[str, bytes]) -> None:
-    """Write down what is asked for, before anything is done; the recipe comes last: with it all is there.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
-    # What holds a journal counts as a run, which may be overwritten.
-    LineFile(directory.journal).close()
-    for key, data in files.items():
-        write_atomically(directory.path / FILES[key], data)
-
-
-def make_checkpointer(
-    directory: RunDirectory, engine: Engine, recorder: Recorder, recipe: Recipe, every_s: float
-) -> Checkpoints | None:
-    """Who makes checkpoints of a run; None where nobody does, or nothing could go on from them."""
-    if every_s <= 0 or recipe.origin.only_once is not None or opaque_agents(engine):
-        return None
-    return Checkpoints(directory, recorder, recipe.sha256, every_s)
-
-
-def opaque_agents(engine: Engine) -> tuple[str, ...]:
-    """Agents that keep something which cannot be stored."""
-    return tuple(agent for compiled in engine.plates.values() for agent in sorted(compiled.opaque))
 
 
 def _starts(box: CornerBox | Sequence[Start] | None) -> list[Start]:

@@ -42,6 +42,7 @@ from bayesnet_track.runtime.checkpoints.unchanged import (
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.inputs import InputsAt, as_inputs
+from bayesnet_track.runtime.preparation import make_checkpointer, opaque_agents, place_cues, prepare_engine
 from bayesnet_track.runtime.recording.forecasts import Forecaster
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.manifest import finish, tidy
@@ -50,7 +51,6 @@ from bayesnet_track.runtime.recording.replace import settle, settle_broken
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary, interval_of
 from bayesnet_track.runtime.run import Resumed, run
-from bayesnet_track.runtime.session import make_checkpointer, opaque_agents, place_cues, prepare_engine
 
 __all__ = ["ResumeError", "resume"]
 

@@ -1,0 +1,82 @@
+"""What a run has in common with one that goes on, before the first frame: engine, files, checkpoints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from os import PathLike
+from pathlib import Path
+
+from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.engine.step import Engine, make_engine
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.journal.atomic import write_atomically
+from bayesnet_track.journal.writer import LineFile
+from bayesnet_track.observation.detector import GIVEN
+from bayesnet_track.runtime.checkpoints.checkpoint import Checkpoints
+from bayesnet_track.runtime.checkpoints.recipe import Recipe
+from bayesnet_track.runtime.executors import RETRIES, Executing
+from bayesnet_track.runtime.recording.record import Recorder
+from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
+from bayesnet_track.runtime.results import FrameSource
+from bayesnet_track.sources.detection_files import file_detector
+
+
+def place_cues(
+    stack: ExitStack,
+    executing: Executing,
+    engine: Engine,
+    graph: CheckedGraph | None,
+    source: FrameSource,
+    budget_ms: float | None,
+) -> Engine:
+    """The engine with its agents where they work, until `stack` closes.
+
+    Where frames do not wait, as those of a camera or with a budget, no agent is asked again.
+
+    Raises:
+        PlacingError: an agent cannot be where it was put.
+    """
+    waits = budget_ms is None and not getattr(source, "is_live", False)
+    return stack.enter_context(executing).engine(engine, graph, RETRIES if waits else 0)
+
+
+def prepare_engine(
+    graph: CheckedGraph, seed: int, motion: MotionModel | None, detections: str | PathLike[str] | None
+) -> Engine:
+    """The engine of a run; raises as `track`."""
+    own = None if motion is None else dict.fromkeys(graph.targets, motion)
+    given = {} if detections is None else {GIVEN: file_detector(Path(detections))}
+    return make_engine(graph, seed, motion=own, detectors=given)
+
+
+def small_files(graph: CheckedGraph, recipe: Recipe, truth: str | None = None) -> dict[str, bytes]:
+    """What is asked for, as files by their key in `FILES`; `truth` is the truth.txt of a built-in scene."""
+    texts = {"graph": graph.text, "truth": truth, "recipe": recipe.text()}
+    return {key: text.encode("utf-8") for key, text in texts.items() if text is not None}
+
+
+def begin(directory: RunDirectory, files: Mapping[str, bytes]) -> None:
+    """Write down what is asked for, before anything is done; the recipe comes last: with it all is there.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    # What holds a journal counts as a run, which may be overwritten.
+    LineFile(directory.journal).close()
+    for key, data in files.items():
+        write_atomically(directory.path / FILES[key], data)
+
+
+def make_checkpointer(
+    directory: RunDirectory, engine: Engine, recorder: Recorder, recipe: Recipe, every_s: float
+) -> Checkpoints | None:
+    """Who makes checkpoints of a run; None where nobody does, or nothing could go on from them."""
+    if every_s <= 0 or recipe.origin.only_once is not None or opaque_agents(engine):
+        return None
+    return Checkpoints(directory, recorder, recipe.sha256, every_s)
+
+
+def opaque_agents(engine: Engine) -> tuple[str, ...]:
+    """Agents that keep something which cannot be stored."""
+    return tuple(agent for compiled in engine.plates.values() for agent in sorted(compiled.opaque))
