@@ -18,6 +18,7 @@ from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.executors import RETRIES, Executing
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
+from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameSource
 from bayesnet_track.sources.detection_files import file_detector
 
@@ -42,12 +43,24 @@ def place_cues(
 
 
 def prepare_engine(
-    graph: CheckedGraph, seed: int, motion: MotionModel | None, detections: str | PathLike[str] | None
+    graph: CheckedGraph,
+    seed: int,
+    motion: MotionModel | None,
+    detections: str | PathLike[str] | None,
+    resizing: Resizing,
 ) -> Engine:
     """The engine of a run; raises as `track`."""
     own = None if motion is None else dict.fromkeys(graph.targets, motion)
-    given = {} if detections is None else {GIVEN: file_detector(Path(detections))}
+    given = {} if detections is None else {GIVEN: resizing.detector(file_detector(Path(detections)))}
     return make_engine(graph, seed, motion=own, detectors=given)
+
+
+def resizing_of(source: FrameSource, max_side: int | None) -> Resizing:
+    """How the frames of a source are made smaller; raises ValueError where they have depth."""
+    resizing = Resizing.to(source.width, source.height, max_side)
+    if not resizing.is_none and getattr(source, "has_depth", False):
+        raise ValueError("max_side: frames with depth cannot be resized; allowed: frames of one camera")
+    return resizing
 
 
 def small_files(graph: CheckedGraph, recipe: Recipe, truth: str | None = None) -> dict[str, bytes]:

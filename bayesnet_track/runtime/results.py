@@ -66,13 +66,13 @@ class Result:
     Attributes:
         frame: the frame.
         targets: measurements, one per live target (estimate, UD, active agents, ...).
-        covariances: target id -> covariance (D, D) of its belief.
+        covariances: target id -> covariance (D, D) of its belief, in pixels of the frames tracked in.
         decisions: what was decided in this frame, working from the next on.
         seconds: seconds per agent and stage.
         total_seconds: seconds of the whole step, without decoding, writing and compiling.
         external_inputs: what came from outside, such as a person's switches.
         kinds: target id -> name of its plate, for all in `targets`.
-        states: target id -> what is known of it after the frame, its belief included.
+        states: target id -> what is known of it after the frame, its belief included; in these pixels, too.
     """
 
     frame: Frame

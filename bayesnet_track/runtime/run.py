@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Protocol
 
@@ -19,6 +19,7 @@ from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.checkpoints.versions import versions
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.inputs import InputsAt, nothing
+from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary
 from bayesnet_track.sources.frames import SourceItem
 
@@ -30,7 +31,7 @@ class RunPosition:
     """How far a run is, between two frames.
 
     Attributes:
-        frame: the last frame.
+        frame: the last frame, as the engine saw it.
         state: the engine's state after it.
         frames: frames that were tracked.
         reconfigurations: how many times an agent was switched on or off.
@@ -89,6 +90,7 @@ def run(
     deadline: Deadline | None = None,
     checkpointer: Checkpointer | None = None,
     after: Resumed | None = None,
+    max_side: int | None = None,
 ) -> Generator[Result, None, None]:
     """Track through `source`, yielding a result per frame.
 
@@ -107,6 +109,7 @@ def run(
         deadline: the time that a frame may take: what is late is told to the engine, which sheds load.
         checkpointer: told after each frame how far the run is.
         after: go on from there: `source` was read so far, and sinks know already what was before.
+        max_side: longest side of the frames that are tracked in, px; see `runtime.resizing`.
 
     The journal is closed in order also when the caller stops iterating or an error passes through.
 
@@ -116,7 +119,8 @@ def run(
     """
     check_starts(graph, starts, source.width, source.height)
     totals = summary if summary is not None else Summary()
-    engine = engine or make_engine(graph, seed)
+    resizing = Resizing.to(source.width, source.height, max_side)
+    engine = engine or make_engine(resizing.graph(graph), seed)
 
     def emit(event: Event) -> None:
         for sink in sinks:
@@ -140,21 +144,27 @@ def run(
                     emit(item)
                 continue
             began, compiled = time.perf_counter(), WATCH.seconds
+            seen = resizing.frame(item)
             if state is None:
                 has_started = True
                 # What was found wrong before the first frame comes after the journal's first line.
-                for event in (_run_started(graph, engine, source, item, seed, inputs), *totals.notices):
+                started = _run_started(graph, engine, source, item, seed, inputs)
+                if not resizing.is_none:
+                    started = replace(started, tracked=resizing.tracked)
+                for event in (started, *totals.notices):
                     emit(event)
-                outcome = start_targets(graph, engine, item, starts, external_inputs(item.index))
+                placed, given = [resizing.start(one) for one in starts], external_inputs(item.index)
+                outcome = start_targets(graph, engine, seen, placed, given)
             else:
                 given = external_inputs(item.index)
                 if deadline is not None:
                     given = (*given, *deadline.inputs_for(item.index, state.net))
                     deadline.begin()
-                outcome = step(engine, state, item, given)
+                outcome = step(engine, state, seen, given)
                 if deadline is not None:
                     deadline.end()
             before, state = state, outcome.state
+            outcome = resizing.outcome(outcome)
             spent = time.perf_counter() - began - (WATCH.seconds - compiled)
             for event in outcome.events:
                 emit(event)
@@ -169,7 +179,7 @@ def run(
             if first_done is None:
                 first_done = _at_work(), totals.frames
             if checkpointer is not None:
-                now = RunPosition(item, state, totals.frames, totals.reconfigurations, totals.lost_frames)
+                now = RunPosition(seen, state, totals.frames, totals.reconfigurations, totals.lost_frames)
                 checkpointer.reached(now)
             try:
                 yield result

@@ -27,6 +27,7 @@ from bayesnet_track.runtime.preparation import (
     make_checkpointer,
     place_cues,
     prepare_engine,
+    resizing_of,
     small_files,
 )
 from bayesnet_track.runtime.recording.beliefs import check_kept
@@ -83,6 +84,7 @@ def track(
     cues: Iterable[GivenCue] = (),
     isolate_decoder: bool = False,
     stride: int = 1,
+    max_side: int | None = None,
     sinks: Sequence[Sink] = (),
     summary: Summary | None = None,
     inputs: str | PathLike[str] | InputsAt | None = None,
@@ -113,6 +115,8 @@ def track(
             ``CUE``, which are run; path and SHA-256 of files are recorded in `out`.
         isolate_decoder: decode in a process of its own, held down by limits; `source` is a text then.
         stride: track every `stride`-th frame of a `source` that is a text; see `open_source`.
+        max_side: track in frames whose longer side is at most so many px; boxes stay in the source's pixels,
+            lengths in the graph count those of the smaller frames.
         sinks: further observers.
         summary: filled in as the run goes on.
         inputs: what comes from outside: the inputs.jsonl of an earlier run, to repeat it, or a function that
@@ -162,12 +166,12 @@ def track(
         else:
             opened = source
         check_starts(checked, starts, opened.width, opened.height)
-        engine = prepare_engine(checked, seed, motion, detections)
+        resizing = resizing_of(opened, max_side)
+        seen = resizing.graph(checked)
+        engine = prepare_engine(seen, seed, motion, detections, resizing)
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
-        engine = place_cues(
-            stack, executing, engine, None if motion is not None else checked, opened, budget_ms
-        )
+        engine = place_cues(stack, executing, engine, None if motion is not None else seen, opened, budget_ms)
         all_sinks: list[Sink] = list(sinks)
         checkpointer: Checkpoints | None = None
         recorder: Recorder | None = None
@@ -185,7 +189,7 @@ def track(
                 has_video=bool(video),
                 own_motion=motion is not None,
                 inputs=None if callable(inputs) else inputs,
-                options=options_of(engine, budget_ms, keep_beliefs, video == "mp4", horizon),
+                options=options_of(engine, budget_ms, keep_beliefs, video == "mp4", horizon, max_side),
             )
             files = small_files(checked, recipe, getattr(opened, "truth_text", None))
             take_place: Callable[[], None] | None = None
@@ -199,7 +203,7 @@ def track(
             )
             stack.enter_context(recorder)
             if horizon:
-                recorder.look_ahead(Forecaster(engine, horizon))
+                recorder.look_ahead(Forecaster(engine, horizon, resizing))
             all_sinks.append(recorder)
             checkpointer = make_checkpointer(directory, engine, recorder, recipe, checkpoint_every)
             if checkpointer is not None:
@@ -217,6 +221,7 @@ def track(
             external_inputs=external_inputs,
             deadline=None if budget_ms is None else Deadline(budget_ms, executing.processes),
             checkpointer=checkpointer,
+            max_side=max_side,
         )
         if recorder is not None and totals.frames:
             finish(directory, recorder.finish())

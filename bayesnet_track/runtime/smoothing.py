@@ -31,6 +31,7 @@ from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.runtime.recording.beliefs import KeptBelief, read_beliefs
 from bayesnet_track.runtime.recording.run_reader import Run
+from bayesnet_track.runtime.resizing import Resizing
 
 Floats = NDArray[np.float64]
 Smoothed = ParticleSet | GaussianPosterior
@@ -140,7 +141,7 @@ def _moves(run: Run, root: spec.InferenceNode, lifetime: Sequence[KeptBelief]) -
     assert root.motion is not None
     nodes = run.spec.targets[run.kinds[lifetime[0].target]].nodes
     plain = make_plate_motion(root, run.spec.constants, deviations_of(nodes))
-    size = run.started.width, run.started.height
+    size = Resizing.of(run.started).tracked
     return [
         Move(_motion_into(now, plain, root.motion, size), now.time - before.time)
         for before, now in pairwise(lifetime)
@@ -227,9 +228,11 @@ def _described(
         region50, region90 = wide.region50, wide.region90
         variances[:2] += wide.variance
     name = next(name for name, node in plate.nodes.items() if node is root)
-    return replace(
+    resizing = Resizing.of(run.started)
+    found = replace(
         line,
-        centre_box=_floats(_inside(shown[:4], run)),
+        parts={},
+        centre_box=_floats(_inside(shown[:4], resizing.tracked)),
         map=_floats(best[:4]),
         sd=_floats(np.sqrt(variances)),
         ud_px2=ud,
@@ -238,10 +241,11 @@ def _described(
         region90=_floats(region90),
         cloud=tuple(map(tuple, np.rint(belief.draw(CLOUD_SIZE, rng)).astype(np.int64).tolist())),
     )
+    return replace(resizing.metrics(found), parts=line.parts)
 
 
-def _inside(box: Floats, run: Run) -> Floats:
-    bounds = np.array([run.started.width - 1.0, run.started.height - 1.0])
+def _inside(box: Floats, size: tuple[int, int]) -> Floats:
+    bounds = np.array(size) - 1.0
     return np.concatenate([np.clip(box[:2], 0.0, bounds), np.clip(box[2:], 1.0, 2 * bounds + 2)])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from functools import partial
 from os import PathLike
 
 import numpy as np
@@ -26,6 +27,7 @@ from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.depth import Depth, RightEye
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.recording.interchange import Detections
+from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.sources.images import to_bgr
 from bayesnet_track.view.overlay import draw_targets
 
@@ -51,6 +53,8 @@ class Tracker(Boxed):
             where graphs name them.
         cues: cues of one's own that the graph may name: declarations, or paths of Python files with a
             ``CUE``, which are run.
+        max_side: track in frames whose longer side is at most so many px; boxes stay in the pixels of the
+            frames that are given, lengths in the graph count those of the smaller ones.
 
     Raises:
         GraphError: every error of the graph.
@@ -73,13 +77,18 @@ class Tracker(Boxed):
         whole_px: bool = False,
         allow_plugins: Iterable[str] = (),
         cues: Iterable[GivenCue] = (),
+        max_side: int | None = None,
     ) -> None:
         plugins.allow(allow_plugins)
         self._whole_px = whole_px
         self._graph = load_graph(graph, tuple(cues))
         plate = next(iter(self._graph.targets))
         own = None if motion is None else {plate: motion}
-        self._engine: Engine = make_engine(self._graph, seed, motion=own)
+        self._make = partial(make_engine, seed=seed, motion=own)
+        self._engine: Engine = self._make(self._graph)
+        self._max_side = max_side
+        self._resizing = Resizing.to(1, 1, max_side)
+        self._has_color = True
         self._state: State | None = None
         self._next_index = 0
         self._last: Outcome | None = None
@@ -110,10 +119,17 @@ class Tracker(Boxed):
         first = _frame(frame, 0, depth)
         starts = [] if box is None else [Start(box)]
         check_starts(self._graph, starts, first.width, first.height)
-        begun = start_targets(self._graph, self._engine, first, starts)
+        resizing = Resizing.to(first.width, first.height, self._max_side)
+        if depth is not None and not resizing.is_none:
+            raise ValueError("max_side: frames with depth cannot be resized; allowed: frames of one camera")
+        if self._graph.masks:
+            self._engine = self._make(resizing.graph(self._graph))
+        placed = [resizing.start(one) for one in starts]
+        begun = start_targets(self._graph, self._engine, resizing.frame(first), placed)
         check_started(self._graph, begun)
-        self._last = begun
-        self._state, self._next_index = self._last.state, 1
+        self._resizing, self._has_color = resizing, first.has_color
+        self._state, self._next_index = begun.state, 1
+        self._last = resizing.outcome(begun)
 
     def update(self, frame: NDArray[np.uint8], *, depth: Depth | None = None) -> tuple[bool, CornerBox]:
         """Process the next frame: (False while lost else True, the estimate as a top-left corner box).
@@ -128,9 +144,10 @@ class Tracker(Boxed):
         if self._state is None:
             raise RuntimeError("call init(frame, box) before update(frame)")
         now = _frame(frame, self._next_index, depth)
-        _check_alike(now, self._state.previous)
-        self._last = step(self._engine, self._state, now)
-        self._state, self._next_index = self._last.state, self._next_index + 1
+        _check_alike(now, (*self._resizing.source, self._has_color))
+        found = step(self._engine, self._state, self._resizing.frame(now))
+        self._state, self._next_index = found.state, self._next_index + 1
+        self._last = self._resizing.outcome(found)
         x, y, w, h = (round(v) if self._whole_px else float(v) for v in self.xywh)
         return self.status != "lost", (x, y, w, h)
 
@@ -164,10 +181,10 @@ class Tracker(Boxed):
             raise RuntimeError("call init(frame, box) first")
         if frames < 1:
             raise ValueError(f"predict({frames}): at least 1 frame ahead is needed")
-        size = self._state.previous.width, self._state.previous.height
+        size = self._resizing.tracked
         live = [line for line in self.targets if line.target in self._state.targets]
         return tuple(
-            one
+            self._resizing.estimate(one)
             for line in live
             for one in forecast(self._engine, self._state.targets[line.target], line, frames, size)
         )
@@ -254,18 +271,18 @@ def _frame(image: NDArray[np.uint8], index: int, depth: Depth | None) -> Frame:
     return Frame(index, float(index), picture, has_color, math.nan, depth)
 
 
-def _check_alike(now: Frame, before: Frame | None) -> None:
-    if before is None or (now.width, now.height, now.has_color) == (
-        before.width,
-        before.height,
-        before.has_color,
-    ):
-        return
-    raise ValueError(
-        f"frame {now.index} is {_size(now)}, the frames before it are {_size(before)}; "
-        "bring it to their size and channels, or call init again"
-    )
+Kind = tuple[int, int, bool]
+"""Width, height, and whether it has colour."""
 
 
-def _size(frame: Frame) -> str:
-    return f"{frame.width}x{frame.height} {'colour' if frame.has_color else 'gray'}"
+def _check_alike(now: Frame, before: Kind) -> None:
+    kind = now.width, now.height, now.has_color
+    if kind != before:
+        raise ValueError(
+            f"frame {now.index} is {_size(kind)}, the frames before it are {_size(before)}; "
+            "bring it to their size and channels, or call init again"
+        )
+
+
+def _size(kind: Kind) -> str:
+    return f"{kind[0]}x{kind[1]} {'colour' if kind[2] else 'gray'}"

@@ -18,6 +18,7 @@ from bayesnet_track.cli.commands.answer import (
     writing,
 )
 from bayesnet_track.cli.options.arguments import share, whole_number
+from bayesnet_track.cli.options.sources import add_size_option
 from bayesnet_track.cli.options.view import add_address_options
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def _work(options: argparse.Namespace, folder: Path) -> Session:
         for file in options.imports:
             with users_mistake():
                 session.give_new(read_annotations(Path(file), header.video))
-        runs = TrackerRuns(graph, store, session.header.seed)
+        runs = TrackerRuns(graph, store, session.header.seed, session.header.max_side)
         if options.no_view:
             session.update(runs)
         else:
@@ -112,6 +113,7 @@ def make_header(
         chosen("threshold", THRESHOLD),
         chosen("patience", PATIENCE),
         version("bayesnet-track"),
+        chosen("max_side", None),
     )
 
 
@@ -193,6 +195,7 @@ def add_annotate(commands: argparse._SubParsersAction[Any]) -> None:
         metavar="N",
         help="frames in a row that may be below (default 10)",
     )
+    add_size_option(annotate)
     annotate.add_argument("--seed", type=whole_number(0), metavar="N", help="seed of all randomness (0)")
     annotate.add_argument(
         "--format", action="append", choices=FORMATS, help="format to write (default coco); may be repeated"

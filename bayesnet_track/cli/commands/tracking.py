@@ -22,7 +22,7 @@ from bayesnet_track.cli.options.outside import add_outside_options
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.rerun import add_rerun_option
 from bayesnet_track.cli.options.runs import add_run_options
-from bayesnet_track.cli.options.sources import add_depth_options, add_window_options
+from bayesnet_track.cli.options.sources import add_depth_options, add_size_option, add_window_options
 from bayesnet_track.cli.options.video import add_video_option
 from bayesnet_track.cli.options.view import add_view_options
 
@@ -60,6 +60,7 @@ def run(options: argparse.Namespace) -> int:
             "`birth`, whose detectors find the targets"
         )
     with open_view(options) as view, _open(options) as source:
+        _say_size(options, source)
         return track_source(options, graph, source, starts, out, video=options.video, view=view)
 
 
@@ -143,8 +144,23 @@ def track_source(
                 inputs=view if inputs is None else inputs,
                 budget_ms=_budget_ms(options, source),
                 checkpoint_every=options.checkpoint_every,
+                max_side=getattr(options, "max_side", None),
             )
         return follow(options, results, summary, source.expected_frames, out, view)
+
+
+def _say_size(options: argparse.Namespace, source: Source) -> None:
+    """Which pixels are meant where, if frames are made smaller; raises UsageError where they cannot be."""
+    from bayesnet_track.runtime.preparation import resizing_of
+
+    with users_mistake():
+        resizing = resizing_of(source, options.max_side)
+    if not (resizing.is_none or options.quiet):
+        (width, height), (columns, rows) = resizing.source, resizing.tracked
+        complain(
+            f"frames of {width}x{height} px are tracked at {columns}x{rows} px: boxes are in pixels of the "
+            "source, UD and lengths in the graph in pixels of the smaller frames"
+        )
 
 
 def _opaque(graph: CheckedGraph) -> list[str]:
@@ -205,6 +221,7 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
     run.add_argument("-o", "--out", metavar="RUN", required=True, help="run directory to write")
     add_set_option(run)
     add_depth_options(run)
+    add_size_option(run)
     start = run.add_mutually_exclusive_group()
     start.add_argument(
         "--init",

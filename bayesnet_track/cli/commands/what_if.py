@@ -87,6 +87,7 @@ def _track_again(
                 seed=recipe.seed if options.seed is None else options.seed,
                 detections=None if recipe.detections is None else recipe.detections.place,
                 inputs=first.directory.inputs if first.directory.inputs.is_file() else None,
+                max_side=recipe.max_side,
                 overwrite=options.overwrite,
                 sinks=[Narrator()] if options.verbose else [],
                 summary=summary,

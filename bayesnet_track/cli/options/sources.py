@@ -26,6 +26,17 @@ def add_depth_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_size_option(parser: argparse.ArgumentParser) -> None:
+    """`--max-side`."""
+    parser.add_argument(
+        "--max-side",
+        type=whole_number(16),
+        metavar="PX",
+        help="track in smaller frames, their longer side at most PX; boxes stay in pixels of the source, "
+        "lengths in the graph count those of the smaller frames",
+    )
+
+
 def add_window_options(parser: argparse.ArgumentParser) -> None:
     """`--start`, `--end`, `--stride`, `--on-resize`, `--allow-network`, `--isolate-decoder`."""
     parser.add_argument(

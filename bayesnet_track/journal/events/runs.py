@@ -32,6 +32,8 @@ class RunStarted:
             there are none.
         smoothed: whether boxes and uncertainties are of beliefs given the whole sequence (`smooth`); left out
             when they are the filter's.
+        tracked: width and height of the frames tracked in, where they were made smaller (`max_side`); boxes
+            are in the source's pixels all the same, UD is not. Left out when they were not.
     """
 
     journal: int
@@ -48,6 +50,7 @@ class RunStarted:
     versions: Mapping[str, str] = field(default_factory=dict)
     inputs: Mapping[str, str] = field(default_factory=dict, metadata={"left_out_when_empty": True})
     smoothed: bool = field(default=False, metadata={"left_out_when_empty": True})
+    tracked: tuple[int, ...] = field(default=(), metadata={"left_out_when_empty": True})
 
 
 @dataclass(frozen=True)
@@ -103,10 +106,11 @@ def _describe_start(event: RunStarted) -> str:
     colour = "" if event.has_color else " gray"
     length = "" if event.declared_frames is None else f", {plural(event.declared_frames, 'frame')}"
     kind = "smoothed run" if event.smoothed else "run"
+    resized = " tracked at {}x{}".format(*event.tracked) if event.tracked else ""
     rate = f"{1 / event.frame_interval_s:.4g} frames per second" if event.frame_interval_s > 0 else "no rate"
     return (
         f"{kind} of {event.graph} ({event.graph_sha256[:12]}) on {event.source}: "
-        f"{event.width}x{event.height}{colour}{length}, {rate}; seed {event.seed}"
+        f"{event.width}x{event.height}{resized}{colour}{length}, {rate}; seed {event.seed}"
     )
 
 

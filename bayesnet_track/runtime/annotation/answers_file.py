@@ -30,6 +30,7 @@ class Header:
         graph: SHA-256 of the graph's text.
         graph_name: its name.
         version: of this package.
+        max_side: longest side of the frames that are tracked in, px; None for the video's own size.
     """
 
     video: Video
@@ -39,11 +40,14 @@ class Header:
     threshold: float
     patience: int
     version: str
+    max_side: int | None = None
 
 
 def write_header(path: Path, header: Header) -> None:
     """Begin a file; raises OutputError."""
     line = {"format": FORMAT, "format_version": VERSION, **asdict(header)}
+    if header.max_side is None:
+        del line["max_side"]
     _append(path, [line])
 
 
@@ -119,7 +123,7 @@ def first_difference(kept: Header, now: Header) -> str | None:
         if was != found:
             where = "frames differ (SHA-256)" if name == "pixels" else f"{name}: {found}, it was {was}"
             return f"another video: {where}"
-    for name in ("graph_name", "graph", "seed", "version"):
+    for name in ("graph_name", "graph", "seed", "max_side", "version"):
         was, found = getattr(kept, name), getattr(now, name)
         if was != found:
             return f"{name.replace('_', ' ')}: {found}, it was {was}"

@@ -70,6 +70,7 @@ class TrackerRuns:
     graph: CheckedGraph
     frames: Frames
     seed: int = 0
+    max_side: int | None = None
     _runs: dict[Key, _Run] = field(default_factory=dict)
     _live: list[Key] = field(default_factory=list)
 
@@ -86,7 +87,7 @@ class TrackerRuns:
         return run.at(abs(frame - start) - 1)
 
     def _find(self, start: int, box: Box, step: int) -> Iterator[Found]:
-        tracker = Tracker(self.graph, self.seed)
+        tracker = Tracker(self.graph, self.seed, max_side=self.max_side)
         tracker.init(self.frames.image(start), box)
         last = len(self.frames) if step > 0 else -1
         for frame in range(start + step, last, step):

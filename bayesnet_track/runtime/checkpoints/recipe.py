@@ -31,6 +31,7 @@ from bayesnet_track.runtime.checkpoints.recipe_options import (
     HAS_MANIFEST,
     HORIZON,
     KEEPS_BELIEFS,
+    MAX_SIDE,
     VIDEO_FORMAT,
 )
 from bayesnet_track.runtime.checkpoints.versions import versions
@@ -69,7 +70,7 @@ class Recipe:
         models: files that agents and detectors read, such as networks, by their paths as the graph has them.
         options: what else was asked for, by name: `budget_ms`; `allow_plugins`, what of other packages was at
             work (to be named here allows nothing); `manifest`, that the run is finished by one;
-            `keep_beliefs`; `horizon`; `video`.
+            `keep_beliefs`; `horizon`; `max_side`; `video`.
         versions: library -> version.
         recipe: version of this format.
     """
@@ -116,6 +117,12 @@ class Recipe:
     def horizon(self) -> int:
         """How many frames ahead targets are forecast; 0 for none."""
         return int(self.options.get(HORIZON, 0))
+
+    @property
+    def max_side(self) -> int | None:
+        """Longest side of the frames that are tracked in, px; None for the source's own size."""
+        side = self.options.get(MAX_SIDE)
+        return None if side is None else int(side)
 
     @property
     def budget_ms(self) -> float | None:

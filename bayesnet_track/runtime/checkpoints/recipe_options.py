@@ -11,6 +11,9 @@ KEEPS_BELIEFS = "keep_beliefs"
 HORIZON = "horizon"
 """The option by which a recipe says how many frames ahead targets are forecast."""
 
+MAX_SIDE = "max_side"
+"""The option by which a recipe says what the longest side of the frames is that are tracked in."""
+
 VIDEO_FORMAT = "video"
 """The option by which a recipe says that the annotated video is `mp4`; without it, it is Matroska."""
 
@@ -19,7 +22,12 @@ HAS_MANIFEST = "manifest"
 
 
 def options_of(
-    engine: Engine, budget_ms: float | None, keep_beliefs: bool, mp4: bool, horizon: int = 0
+    engine: Engine,
+    budget_ms: float | None,
+    keep_beliefs: bool,
+    mp4: bool,
+    horizon: int = 0,
+    max_side: int | None = None,
 ) -> dict[str, bool | int | float | str]:
     """What else the recipe remembers: the budget, and what of other packages is at work."""
     options: dict[str, bool | int | float | str] = {}
@@ -29,6 +37,8 @@ def options_of(
         options[KEEPS_BELIEFS] = True
     if horizon:
         options[HORIZON] = horizon
+    if max_side is not None:
+        options[MAX_SIDE] = max_side
     if mp4:
         options[VIDEO_FORMAT] = "mp4"
     named: set[str] = set()

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 
@@ -42,15 +43,22 @@ from bayesnet_track.runtime.checkpoints.unchanged import (
 from bayesnet_track.runtime.deadline import Deadline
 from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.inputs import InputsAt, as_inputs
-from bayesnet_track.runtime.preparation import make_checkpointer, opaque_agents, place_cues, prepare_engine
+from bayesnet_track.runtime.preparation import (
+    make_checkpointer,
+    opaque_agents,
+    place_cues,
+    prepare_engine,
+    resizing_of,
+)
 from bayesnet_track.runtime.recording.forecasts import Forecaster
 from bayesnet_track.runtime.recording.lock import lock_run
 from bayesnet_track.runtime.recording.manifest import finish, tidy
 from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.replace import settle, settle_broken
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
+from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary, interval_of
-from bayesnet_track.runtime.run import Resumed, run
+from bayesnet_track.runtime.run import Resumed, RunPosition, run
 
 __all__ = ["ResumeError", "resume"]
 
@@ -125,13 +133,13 @@ def resume(
         moves = permit_move(recipe, checkpoint, allow_other_machine, say)
         opened = stack.enter_context(recipe.opened()) if source is None else source
         detections = None if recipe.detections is None else recipe.detections.place
-        engine = prepare_engine(graph, recipe.seed, motion, detections)
+        resizing = resizing_of(opened, recipe.max_side)
+        seen = resizing.graph(graph)
+        engine = prepare_engine(seen, recipe.seed, motion, detections, resizing)
         check_depth(engine, opened)
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
         budget_ms = recipe.budget_ms
-        engine = place_cues(
-            stack, executing, engine, None if motion is not None else graph, opened, budget_ms
-        )
+        engine = place_cues(stack, executing, engine, None if motion is not None else seen, opened, budget_ms)
         asked = recipe.inputs.place if inputs is None and recipe.inputs is not None else inputs
         before = inputs_before(directory)
         external_inputs = _external_inputs(before, as_inputs(asked))
@@ -142,7 +150,8 @@ def resume(
         after: Resumed | None = None
         if checkpoint is not None:
             check_outputs(directory, checkpoint, say)
-            after = replace(_skip(opened, checkpoint, engine, totals, say), events=moves)
+            reach = partial(_reach, checkpoint, engine, resizing)
+            after = replace(_skip(opened, checkpoint.frame, reach, totals, say), events=moves)
         # From here on files are changed.
         keep_pending(directory, before, -1 if checkpoint is None else checkpoint.frame)
         _clear(directory, checkpoint)
@@ -160,7 +169,8 @@ def resume(
         )
         if recipe.horizon:
             recorder.look_ahead(
-                Forecaster(engine, recipe.horizon), None if checkpoint is None else checkpoint.written
+                Forecaster(engine, recipe.horizon, resizing),
+                None if checkpoint is None else checkpoint.written,
             )
         if checkpoint is not None and recipe.has_video:
             with recipe.opened() as again:
@@ -185,6 +195,7 @@ def resume(
             ),
             checkpointer=checkpointer,
             after=after,
+            max_side=recipe.max_side,
         )
         yield from results if after is None else _first_guarded(results, after.reached.frame.index)
         if totals.frames:
@@ -231,8 +242,12 @@ def _checkpoint(directory: RunDirectory, recipe: Recipe, say: Notice) -> Checkpo
     return checkpoint
 
 
+def _reach(checkpoint: Checkpoint, engine: Engine, resizing: Resizing, frame: Frame) -> RunPosition:
+    return checkpoint.reached(engine, resizing.frame(frame))
+
+
 def _skip(
-    source: FrameSource, checkpoint: Checkpoint, engine: Engine, summary: Summary, say: Notice
+    source: FrameSource, last: int, reach: Callable[[Frame], RunPosition], summary: Summary, say: Notice
 ) -> Resumed:
     """Read the source up to the checkpoint's frame, and take up the state after it.
 
@@ -243,12 +258,12 @@ def _skip(
     for item in items:
         if not isinstance(item, Frame):
             summary.notices.append(item)
-        elif item.index == checkpoint.frame:
+        elif item.index == last:
             say(f"it goes on after frame {item.index}")
-            return Resumed(checkpoint.reached(engine, item), items)
-        elif item.index > checkpoint.frame:
+            return Resumed(reach(item), items)
+        elif item.index > last:
             break
-    raise ResumeError(f"the source has no frame {checkpoint.frame} any more, after which the run was")
+    raise ResumeError(f"the source has no frame {last} any more, after which the run was")
 
 
 def _external_inputs(before: Mapping[int, Sequence[Input]], later: InputsAt) -> InputsAt:

@@ -9,6 +9,7 @@ from pathlib import Path
 from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.forecasting import forecast
 from bayesnet_track.journal.writer import LineFile
+from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import Result
 
 DIGITS = 3
@@ -20,6 +21,7 @@ class Forecaster:
 
     engine: Engine
     horizon: int
+    resizing: Resizing
 
 
 class ForecastWriter(LineFile):
@@ -31,12 +33,13 @@ class ForecastWriter(LineFile):
 
     def write(self, result: Result) -> None:
         """Add what is expected of every target after one frame to the next flush."""
-        size = result.frame.width, result.frame.height
+        forecaster, resizing = self._forecaster, self._forecaster.resizing
         for line in result.targets:
             if line.target not in result.states:
                 continue
             state = result.states[line.target]
-            for one in forecast(self._forecaster.engine, state, line, self._forecaster.horizon, size):
+            for seen in forecast(forecaster.engine, state, line, forecaster.horizon, resizing.tracked):
+                one = resizing.estimate(seen)
                 self.append(
                     json.dumps(
                         {

@@ -1,6 +1,7 @@
 """Answers are on the disk at once, and a session that is gone on with gives the same bytes."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -122,6 +123,8 @@ def test_another_video_is_refused_and_another_version_is_told(tmp_path):
     newer = Header(VIDEO, "general", "0" * 64, 0, 0.5, 1, "2.0")
     assert open_session(tmp_path, newer)[1] == "version: 2.0, it was 1.0"
     assert first_difference(HEADER, HEADER) is None
+    smaller = replace(HEADER, max_side=160)
+    assert first_difference(HEADER, smaller) == "max side: 160, it was None"
     other = Header(Video("x", 30, 320, 240, 0.04, "abd"), *list(vars(HEADER).values())[1:])
     assert "frames differ" in first_difference(HEADER, other)
 

@@ -1,0 +1,203 @@
+"""Track in smaller frames than the source has: the one place where pixels of one become those of the other.
+
+The engine sees the smaller frames. Whoever uses it (a run, a `Tracker`) gives and gets boxes in the pixels of
+the source. What is compared with a length or an area of the graph, such as UD, stays in the pixels of the
+smaller frame, as do beliefs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bayesnet_track.engine.forecasting import Forecast
+from bayesnet_track.engine.outcome import Outcome
+from bayesnet_track.engine.starts import Start
+from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.journal.events.births import CandidateConfirmed, TargetStarted
+from bayesnet_track.journal.events.distractors import DistractorSeen
+from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.jumps import Reappeared
+from bayesnet_track.journal.events.reidentification import Reacquired, Recognition, Returned
+from bayesnet_track.journal.events.runs import RunStarted
+from bayesnet_track.journal.events.statuses import FoundAgain
+from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
+from bayesnet_track.observation.detector import Detections
+from bayesnet_track.observation.planes import Frame
+from bayesnet_track.sources.detection_files import FileDetector
+
+Floats = NDArray[np.float64]
+Size = tuple[int, int]
+"""Width and height, px."""
+
+Estimate = TypeVar("Estimate", FrameMetrics, Forecast)
+
+
+@dataclass(frozen=True)
+class Resizing:
+    """How frames of the source become those that are tracked in, and what is found there the source's.
+
+    Attributes:
+        source: width and height of the source's frames.
+        tracked: those of the frames that the engine sees.
+    """
+
+    source: Size
+    tracked: Size
+
+    @classmethod
+    def to(cls, width: int, height: int, max_side: int | None) -> Self:
+        """Frames whose longer side is at most `max_side`; never larger ones, and the same with None.
+
+        Raises:
+            ValueError: `max_side` is less than 1.
+        """
+        if max_side is not None and max_side < 1:
+            raise ValueError(f"max_side {max_side}: at least 1 px is needed")
+        share = 1.0 if max_side is None else min(1.0, max_side / max(width, height))
+        return cls((width, height), (max(1, round(share * width)), max(1, round(share * height))))
+
+    @classmethod
+    def of(cls, started: RunStarted) -> Self:
+        """That of an earlier run."""
+        size = (started.width, started.height)
+        return cls(size, (started.tracked[0], started.tracked[1]) if started.tracked else size)
+
+    @property
+    def is_none(self) -> bool:
+        """Whether frames stay as they are."""
+        return self.source == self.tracked
+
+    def frame(self, frame: Frame) -> Frame:
+        """The frame that the engine sees: pixels are means over areas."""
+        return frame if self.is_none else replace(frame, image=_smaller(frame.image, self.tracked))
+
+    def start(self, start: Start) -> Start:
+        """The start box where the engine sees it."""
+        if self.is_none:
+            return start
+        x, y, w, h = (np.asarray(start.box, dtype=np.float64) * self._in).tolist()
+        return replace(start, box=(x, y, w, h))
+
+    def detector(self, detector: FileDetector) -> FileDetector:
+        """Given detections where the engine sees them."""
+        if self.is_none:
+            return detector
+        moved = {
+            frame: Detections(_moved(one.boxes, self._in), one.scores, one.labels)
+            for frame, one in detector.found.items()
+        }
+        return FileDetector(moved)
+
+    def graph(self, graph: CheckedGraph) -> CheckedGraph:
+        """The graph with its masks, which have the source's size, in the size that is tracked in."""
+        if self.is_none or not graph.masks:
+            return graph
+        masks = {
+            name: replace(mask, grey=_smaller(mask.grey, self.tracked)) for name, mask in graph.masks.items()
+        }
+        return replace(graph, masks=masks)
+
+    def outcome(self, outcome: Outcome) -> Outcome:
+        """What the engine found, in the source's pixels; its state, and covariances, are as they were."""
+        if self.is_none:
+            return outcome
+        metrics, events = map(self.metrics, outcome.metrics), map(self.event, outcome.events)
+        return replace(outcome, metrics=tuple(metrics), events=tuple(events))
+
+    def metrics(self, one: FrameMetrics) -> FrameMetrics:
+        """What was measured of a target, in the source's pixels."""
+        if self.is_none:
+            return one
+        return replace(
+            self.estimate(one),
+            map=self._box(one.map),
+            cloud=tuple((*map(round, self._box(box[:4])), *box[4:]) for box in one.cloud),
+            parts={name: self._part(part) for name, part in one.parts.items()},
+        )
+
+    def estimate(self, one: Estimate) -> Estimate:
+        """Box, standard deviations and regions in the source's pixels."""
+        if self.is_none:
+            return one
+        return replace(
+            one,
+            centre_box=self._box(one.centre_box),
+            sd=self._lengths(one.sd),
+            region50=self._region(one.region50),
+            region90=self._region(one.region90),
+        )
+
+    def event(self, event: Event) -> Event:
+        """An event with its places and distances in the source's pixels."""
+        if self.is_none:
+            return event
+        match event:
+            case TargetStarted():
+                return replace(event, box=self._box(event.box))
+            case Returned() | Reacquired():
+                return replace(event, box=self._box(event.box), recognition=self._known(event.recognition))
+            case CandidateConfirmed(nearest=Recognition() as near):
+                return replace(event, nearest=self._known(near))
+            case DistractorSeen():
+                return replace(event, x=self._x(event.x), y=self._y(event.y))
+            case Reappeared():
+                x, y, moved = self._x(event.x), self._y(event.y), self._distance(event.moved_px)
+                return replace(event, x=x, y=y, moved_px=moved)
+            case FoundAgain():
+                return replace(event, moved_px=self._distance(event.moved_px))
+            case _:
+                return event
+
+    @property
+    def _out(self) -> Floats:
+        """The source's pixels to one tracked in, along x, y, x, y."""
+        across, down = (a / b for a, b in zip(self.source, self.tracked, strict=True))
+        return np.array([across, down, across, down])
+
+    @property
+    def _in(self) -> Floats:
+        return 1.0 / self._out
+
+    def _box(self, box: Sequence[float]) -> tuple[float, float, float, float]:
+        x, y, w, h = _moved(box, self._out).tolist()
+        return x, y, w, h
+
+    def _lengths(self, lengths: Sequence[float]) -> tuple[float, ...]:
+        return tuple((np.asarray(lengths) * self._out).tolist())
+
+    def _region(self, region: Sequence[float]) -> tuple[float, ...]:
+        left, right, top, bottom = region
+        return (self._x(left), self._x(right), self._y(top), self._y(bottom))
+
+    def _x(self, x: float) -> float:
+        return float((x + 0.5) * self._out[0] - 0.5)
+
+    def _y(self, y: float) -> float:
+        return float((y + 0.5) * self._out[1] - 0.5)
+
+    def _distance(self, distance: float) -> float:
+        return float(distance * np.sqrt(self._out[0] * self._out[1]))
+
+    def _part(self, part: PartMetrics) -> PartMetrics:
+        return replace(part, centre_box=self._box(part.centre_box), sd=self._lengths(part.sd))
+
+    def _known(self, by: Recognition) -> Recognition:
+        return replace(by, distance_px=self._distance(by.distance_px))
+
+
+def _smaller(image: NDArray[np.uint8], size: Size) -> NDArray[np.uint8]:
+    import cv2
+
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _moved(boxes: ArrayLike, factors: Floats) -> Floats:
+    """Centre boxes (..., 4) in other pixels; the centre of pixel 0 is half a pixel from the border."""
+    given = np.asarray(boxes, dtype=np.float64)
+    shift = np.array([0.5, 0.5, 0.0, 0.0])
+    return np.asarray((given + shift) * factors - shift)
