@@ -17,8 +17,9 @@ from traces import Moment, Trace, trace
 
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import corner_from_centre
-from bayesnet_track.observation.cue import Floats, Hypotheses
+from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, region_of_boxes
 from bayesnet_track.runtime.run import Start

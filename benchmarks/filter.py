@@ -22,10 +22,11 @@ import numpy as np
 from filter_peers import Model, plain, request, run
 from measuring import environment, on_one_thread, table
 
-from bayesnet_track.belief.contract import Evidence, Floats, Step
+from bayesnet_track.belief.contract import Evidence, Step
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.particles.belief import ParticleFilter, ParticleSet
 from bayesnet_track.graph import spec
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.cue import Hypotheses
 

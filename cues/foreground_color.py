@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from bayesnet_track.numerics.arrays import Bytes, Floats
 from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.observation.cue import (
     Cue,
     CueDeclaration,
-    Floats,
     Hypotheses,
     Reference,
     SizedCueParameters,
@@ -32,7 +31,6 @@ from bayesnet_track.vision.planes.whole_frame import WholeFrame
 if TYPE_CHECKING:
     from bayesnet_track.vision.foreground import Cells
 
-Bytes = NDArray[np.uint8]
 
 STEP = 1.4
 """Factor of a local action on the gain."""

@@ -9,17 +9,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from bayesnet_track.observation.cue import (
-    CueDeclaration,
-    CueParameters,
-    Floats,
-    Hypotheses,
-    Reference,
-    floored,
-)
+from bayesnet_track.numerics.arrays import Floats, Ints
+from bayesnet_track.observation.cue import CueDeclaration, CueParameters, Hypotheses, Reference, floored
 from bayesnet_track.vision.planes.shape_planes import CONTRASTS, EdgePlane
 from bayesnet_track.vision.shape.shape_contours import COVER, contours, fields, vectors
 from bayesnet_track.vision.shape.shape_model import ShapeModel, ShapeModelError, load_model, merge
@@ -27,7 +20,6 @@ from bayesnet_track.vision.shape.shape_model import ShapeModel, ShapeModelError,
 if TYPE_CHECKING:
     from bayesnet_track.observation.planes import Plane, Planes
 
-Ints = NDArray[np.int64]
 
 GRID = 16
 """Cells per side of the grid on which shapes are compared, where no model file says otherwise."""

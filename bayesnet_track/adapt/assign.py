@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.association import NOBODY, Owners
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.numerics.gaussian import chi_square_quantile
 from bayesnet_track.observation.cue import AssociationRule
-
-Floats = NDArray[np.float64]
 
 
 def gated_gains(

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.association import NOBODY, distances, pair_up
 from bayesnet_track.graph.settings.lifecycle import Birth, Confirm
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 FOLLOW_BOX = 1.0
 """How far from where it is expected a candidate is looked for, in box sides."""

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.association import Owners
 from bayesnet_track.graph.settings.lifecycle import MergeDuplicates
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 SAME_PLACE = 0.1
 """Places this share of a box apart are one object: beliefs are widened by so much to be compared."""

@@ -20,10 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.graph.settings.existence import Existence
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.marginals import marginalise
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 NEGLIGIBLE = 1e-3
 """Detections that are a target's with less probability are left out of its update."""

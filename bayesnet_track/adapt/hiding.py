@@ -14,9 +14,8 @@ targets are detected.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 HIDDEN = 0.05
 """Probability that a hidden target is detected."""

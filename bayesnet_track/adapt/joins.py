@@ -7,13 +7,12 @@ from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.graph.settings.joins import Join, join_of
 from bayesnet_track.journal.events.joins import Joined, Parted
 from bayesnet_track.journal.net.net import Net
+from bayesnet_track.numerics.arrays import Floats
 
-Floats = NDArray[np.float64]
 Pair = tuple[str, str]
 T = TypeVar("T")
 

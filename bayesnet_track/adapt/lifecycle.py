@@ -5,17 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bayesnet_track.adapt.candidates import Candidate
 from bayesnet_track.adapt.existence import Population
 from bayesnet_track.graph.settings.lifecycle import Death
 from bayesnet_track.journal.net.target_net import Fault
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.detector import DetectorState
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

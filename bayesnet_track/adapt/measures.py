@@ -6,13 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bayesnet_track.adapt.conditions import Inside
-
-Floats = NDArray[np.float64]
-
+from bayesnet_track.numerics.arrays import Floats
 
 PartStatus = Literal["seen", "hidden", "unwatched"]
 

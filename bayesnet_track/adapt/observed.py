@@ -13,12 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Bools, Floats
 from bayesnet_track.observation.cue import OBSERVED, AssociationRule, Reference
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 LAST, GAP, COUNT = slice(0, 4), 4, 5
 FIXED = 6

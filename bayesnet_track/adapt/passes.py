@@ -6,15 +6,14 @@ from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.assign import assign_total, assign_total_pairs
 from bayesnet_track.adapt.association import NOBODY, Owners
 from bayesnet_track.adapt.observed import LAST, direction_consistency
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.observation.cue import AssociationRule
 
-Floats = NDArray[np.float64]
 Pass = Literal["first", "second", "last"]
 Ask = Callable[[Pass, Owners, Owners], Owners]
 """One pass: the targets (T,) and detections (N,) that take part -> (T,) which of these each is given."""

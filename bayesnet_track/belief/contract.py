@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.journal.events.event import Event
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 
-Floats = NDArray[np.float64]
 Ancestors = NDArray[np.intp]
 
 BOX_FIELDS = ("x", "y", "w", "h")

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.graph import spec
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import nearest_probable
-
-Floats = NDArray[np.float64]
 
 
 def estimate(chosen: spec.Estimate | None, step: Step[Posterior]) -> Floats:

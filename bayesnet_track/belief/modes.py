@@ -8,13 +8,11 @@ from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.graph.settings.modes import Hidden, Mode
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.chains import Chain
-
-Floats = NDArray[np.float64]
 
 FIELD = "mode"
 """Name of the last column of the states of particles: the number of the mode."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.joins import CarriedHypotheses, JoinMemory, PairMemory
 from bayesnet_track.belief.contract import Posterior, Step
@@ -20,8 +19,7 @@ from bayesnet_track.graph.settings.joins import Attachment
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.joint_beliefs import AttachmentChanged
 from bayesnet_track.journal.metrics import JoinMetrics
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 CARRIED, FREE = 0.5, 0.3
 """Probability above which a target is reported as carried, and at or below which no longer."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.backoff import quarantine
 from bayesnet_track.belief.contract import Evaluate, Evidence, MotionModel, Posterior, Step
@@ -26,8 +25,7 @@ from bayesnet_track.inference.hidden import Sight, evaluate_modes
 from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.metrics import JoinMetrics
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.situation import Situation
@@ -19,9 +16,8 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Reference
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.rules import decide
@@ -36,10 +35,9 @@ from bayesnet_track.journal.events.beliefs import DegenerateBelief
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed
 from bayesnet_track.journal.events.statuses import FoundAgain
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.numerics.records import changed
-
-Floats = NDArray[np.float64]
 
 
 def finish_target(work: FrameWork, filtered: Filtered) -> TargetResult:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel, Posterior
 from bayesnet_track.belief.motion.borders import confined
@@ -15,8 +14,6 @@ from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.boxed import Boxed
 from bayesnet_track.journal.metrics import FrameMetrics
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

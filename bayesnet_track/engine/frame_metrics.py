@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.engine.filtering import Filtered
@@ -16,9 +15,8 @@ from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.engine.summaries import Summary
 from bayesnet_track.inference.predictive import p_values
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame
-
-Floats = NDArray[np.float64]
 
 
 def index(measures: Measures, root: str) -> float:

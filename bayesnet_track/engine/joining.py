@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.joins import (
     CarriedHypotheses,
@@ -36,11 +35,9 @@ from bayesnet_track.inference.pair_factors import pair_factor
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.joint_beliefs import RingChanged
 from bayesnet_track.journal.metrics import JoinMetrics
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import resample
-
-Floats = NDArray[np.float64]
-
 
 ON_SIZE = 8
 """Boxes at which a target's agents are asked what they say of the one in front."""

@@ -11,7 +11,6 @@ from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.backoff import quarantine
 from bayesnet_track.adapt.situation import Situation, quiet_level
@@ -42,7 +41,6 @@ from bayesnet_track.observation.cue import ANGLE, CrowdCue, Reference, context_o
 from bayesnet_track.observation.guests import FAULTS
 from bayesnet_track.observation.shared import shown
 
-Floats = NDArray[np.float64]
 Rates = tuple[float, Mapping[str, float]]
 """The share of the largest rate that the belief allows, and agent -> its rate."""
 

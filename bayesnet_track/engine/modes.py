@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.belief.modes import Modes, mode_probabilities
 from bayesnet_track.journal.events.modes import ModeChanged
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.causes import HiddenCause
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 LEAST = 1e-12
 """Probabilities of modes are at least this: of none is it certain that the target is not in it."""

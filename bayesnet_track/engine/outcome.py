@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bayesnet_track.adapt.joins import JoinMemory, decide_joins
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.adapt.shedding import Load
@@ -22,9 +19,8 @@ from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.events.load import LateFrame, SpareTime
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Net
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

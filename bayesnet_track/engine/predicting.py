@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.backoff import next_try
 from bayesnet_track.adapt.conditions import Reading, read_level
@@ -21,6 +20,7 @@ from bayesnet_track.graph.settings.adapt import Level
 from bayesnet_track.graph.settings.motion import Relocalize
 from bayesnet_track.journal.events.births import DetectorFailed
 from bayesnet_track.journal.net.target_net import Fault
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.detector import (
     NOTHING,
     Detector,
@@ -30,8 +30,6 @@ from bayesnet_track.observation.detector import (
 )
 from bayesnet_track.observation.guests import FAULTS, said
 from bayesnet_track.observation.planes import FramePair, PlaneCache, Region
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

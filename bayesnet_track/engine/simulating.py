@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.borders import confined
@@ -14,9 +13,8 @@ from bayesnet_track.belief.motion.nested import deviations_of
 from bayesnet_track.engine.compiled import make_plate_motion
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.settings.motion import Moving
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.streams import Streams
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

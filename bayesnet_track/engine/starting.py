@@ -6,9 +6,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bayesnet_track.adapt.backoff import next_try, quarantine
 from bayesnet_track.adapt.memory import Memory, Streak
 from bayesnet_track.adapt.situation import Situation
@@ -29,10 +26,9 @@ from bayesnet_track.journal.events.faults import Quarantined, Readmitted
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Hypotheses, Reference
 from bayesnet_track.observation.planes import Frame, PlaneCache
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.engine.external_inputs import route_inputs
 from bayesnet_track.engine.frame_work import FrameWork
@@ -17,6 +16,7 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.text.messages import nearest
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 from bayesnet_track.sources.paths import SourceError
@@ -25,7 +25,6 @@ from bayesnet_track.sources.stereo_source import WAYS
 if TYPE_CHECKING:
     from bayesnet_track.engine.step import Engine
 
-Floats = NDArray[np.float64]
 
 MOST_TIMES = 10
 """How many times as wide or high as the frame a start box may be: what is near is larger than the picture."""

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.belief.contract import Posterior
@@ -16,10 +15,9 @@ from bayesnet_track.engine.scoring.score import Scored
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.guard import Watched
 from bayesnet_track.journal.net.net import Decision, Net, apply
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.planes import Frame
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bayesnet_track.engine.attachment import Rides
 from bayesnet_track.engine.compiled import CompiledPlate, Engine, make_engine
 from bayesnet_track.engine.external_inputs import ExternalInputs, route_inputs
@@ -38,6 +35,7 @@ from bayesnet_track.engine.target_execution import collect_elsewhere, start_else
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 
 __all__ = [
@@ -53,8 +51,6 @@ __all__ = [
     "start_target",
     "step",
 ]
-
-Floats = NDArray[np.float64]
 
 
 def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[Input] = ()) -> Outcome:

@@ -9,15 +9,14 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.divergence import kl
 
-Floats = NDArray[np.float64]
 Rows = list[tuple[float, ...]]
 
 CLOUD_SIZE = 48

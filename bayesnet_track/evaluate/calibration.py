@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from bayesnet_track.numerics.arrays import Floats
 
 ON_TARGET, OFF_TARGET = 0.5, 0.1
 """IoU above which a frame is on target, and below which it is off."""

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.engine.filtering import filter_target
 from bayesnet_track.engine.frame_work import FrameWork
@@ -17,10 +16,9 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
-
-Floats = NDArray[np.float64]
 
 TEMPERATURES = np.geomspace(0.25, 16.0, 25)
 """Factors by which an agent's temperature is changed."""

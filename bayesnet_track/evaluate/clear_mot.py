@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.evaluate.mot_pairs import EPSILON, FramePairs, Integers, Pairs, assign
+from bayesnet_track.evaluate.mot_pairs import EPSILON, FramePairs, Pairs, assign
+from bayesnet_track.numerics.arrays import Ints
 
 LEAST_IOU = 0.5
 KEPT = 1000.0
@@ -66,7 +67,7 @@ def clear_mot(pairs: Pairs, min_iou: float = LEAST_IOU) -> ClearMot:
     return ClearMot(tp, int(pairs.true_boxes.sum()) - tp, int(pairs.tracked_boxes.sum()) - tp, idsw, iou_sum)
 
 
-def _match(frame: FramePairs, before: Integers, min_iou: float) -> tuple[Integers, Integers]:
+def _match(frame: FramePairs, before: Ints, min_iou: float) -> tuple[Ints, Ints]:
     kept = before[frame.true][:, None] == frame.tracked[None, :]
     near = frame.iou >= min_iou - EPSILON
     rows, columns = assign(np.where(near, KEPT * kept + frame.iou, 0.0))

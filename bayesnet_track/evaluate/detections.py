@@ -6,11 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.evaluate.calibration import (
     OFF_TARGET,
@@ -21,8 +20,7 @@ from bayesnet_track.evaluate.calibration import (
     reliability,
 )
 from bayesnet_track.evaluate.calibration_data import TEMPERATURES, CalibrationData
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 SIGNS: Mapping[str, int] = {
     "log_ud_box": -1,

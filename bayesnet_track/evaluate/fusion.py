@@ -7,17 +7,16 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.engine.filtering import evaluate_at
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.starts import Start, start_targets
 from bayesnet_track.engine.step import State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 
-Floats = NDArray[np.float64]
 Residuals = Mapping[str, Floats]
 """Learned pool -> (n, 2, K) true centre less the estimate of each of its K children, in sqrt(w h) of the true
 box; NaN where a child says nothing."""

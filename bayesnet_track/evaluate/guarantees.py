@@ -12,13 +12,11 @@ from dataclasses import dataclass
 from statistics import fmean
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.engine.scoring.assurance import next_rise
 from bayesnet_track.evaluate.calibration import OFF_TARGET, ON_TARGET
 from bayesnet_track.evaluate.calibration_data import CalibrationData
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 SLACK = 1e-12
 """Rounding that is forgiven where a bound is met exactly."""

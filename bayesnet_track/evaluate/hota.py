@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.evaluate.mot_pairs import EPSILON, Floats, Integers, Pairs, assign
+from bayesnet_track.evaluate.mot_pairs import EPSILON, Pairs, assign
+from bayesnet_track.numerics.arrays import Floats, Ints
 
 ALPHAS = np.arange(0.05, 0.99, 0.05)
 """The 19 thresholds 0.05, 0.1 .. 0.95."""
@@ -24,9 +25,9 @@ class Hota:
         loca: (19,) mean overlap of the matched pairs; 1 without a match.
     """
 
-    tp: Integers
-    fn: Integers
-    fp: Integers
+    tp: Ints
+    fn: Ints
+    fp: Ints
     assa: Floats
     loca: Floats
 
@@ -70,7 +71,7 @@ def hota(pairs: Pairs) -> Hota:
     )
 
 
-def _alignment(pairs: Pairs, both_sizes: Integers) -> Floats:
+def _alignment(pairs: Pairs, both_sizes: Ints) -> Floats:
     """(targets, tracks) Jaccard alignment; in a frame a pair counts by its share of both's overlaps."""
     shared = np.zeros(both_sizes.shape)
     for frame in pairs.frames:

@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 EPSILON = float(np.finfo(np.float64).eps)
 """What an overlap may lack of a threshold: equal ones count as reaching it."""
@@ -26,8 +23,8 @@ class Tracks:
         boxes: (N, 4) corner boxes left, top, width, height in px.
     """
 
-    frames: Integers
-    ids: Integers
+    frames: Ints
+    ids: Ints
     boxes: Floats
 
     def __len__(self) -> int:
@@ -47,8 +44,8 @@ class FramePairs:
     """
 
     index: int
-    true: Integers
-    tracked: Integers
+    true: Ints
+    tracked: Ints
     iou: Floats
     distance: Floats
 
@@ -64,8 +61,8 @@ class Pairs:
     """
 
     frames: tuple[FramePairs, ...]
-    true_boxes: Integers
-    tracked_boxes: Integers
+    true_boxes: Ints
+    tracked_boxes: Ints
 
     @property
     def length(self) -> int:
@@ -88,7 +85,7 @@ def pair(truth: Tracks, tracks: Tracks) -> Pairs:
     return Pairs(tuple(frames), true_boxes, tracked_boxes)
 
 
-def assign(gains: Floats) -> tuple[Integers, Integers]:
+def assign(gains: Floats) -> tuple[Ints, Ints]:
     """Rows and columns of the one-to-one assignment with the largest sum of gains (G, K)."""
     from scipy.optimize import linear_sum_assignment  # here, because it takes long to import
 
@@ -96,12 +93,12 @@ def assign(gains: Floats) -> tuple[Integers, Integers]:
     return np.asarray(rows, dtype=np.int64), np.asarray(columns, dtype=np.int64)
 
 
-def _number(ids: Integers) -> tuple[Integers, Integers]:
+def _number(ids: Ints) -> tuple[Ints, Ints]:
     _, numbers, counts = np.unique(ids, return_inverse=True, return_counts=True)
     return numbers.astype(np.int64), counts.astype(np.int64)
 
 
-def _rows_of_frames(frames: Integers) -> dict[int, Integers]:
+def _rows_of_frames(frames: Ints) -> dict[int, Ints]:
     order = np.argsort(frames, kind="stable")
     present, starts = np.unique(frames[order], return_index=True)
     return dict(zip(present.tolist(), np.split(order, starts[1:]), strict=True)) if len(frames) else {}

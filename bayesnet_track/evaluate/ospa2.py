@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from bayesnet_track.evaluate.gospa import CUTOFF_PX, ORDER, check_metric
-from bayesnet_track.evaluate.mot_pairs import Floats, Pairs, assign
+from bayesnet_track.evaluate.mot_pairs import Pairs, assign
+from bayesnet_track.numerics.arrays import Floats
 
 
 def ospa2(pairs: Pairs, cutoff_px: float = CUTOFF_PX, order: float = ORDER) -> float:

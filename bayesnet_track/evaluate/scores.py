@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayesnet_track.evaluate.long_term import Confident, LongTerm, long_term
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-
-Floats = NDArray[np.float64]
 
 THRESHOLDS = np.linspace(0.0, 1.0, 21)
 PRECISION_PX = 20.0

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesnet_track.evaluate.gospa import CUTOFF_PX, ORDER, check_metric, unmatched_cost
-from bayesnet_track.evaluate.mot_pairs import Floats, Integers, Pairs
+from bayesnet_track.evaluate.mot_pairs import Pairs
+from bayesnet_track.numerics.arrays import Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -94,8 +95,8 @@ class _Part:
     """
 
     gains: Floats
-    true: Integers
-    tracked: Integers
+    true: Ints
+    tracked: Ints
 
 
 def _parts(pairs: Pairs, cutoff_px: float, order: float) -> Iterator[_Part]:

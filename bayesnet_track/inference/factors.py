@@ -6,18 +6,17 @@ from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
 from bayesnet_track.belief.motion.formulas import Undefined
 from bayesnet_track.graph.expressions.evaluate import log_values
 from bayesnet_track.graph.expressions.terms import Term
 from bayesnet_track.graph.expressions.vocabulary import MASK, PARENT
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.masks import Mask
 from bayesnet_track.observation.planes import FramePair
 
-Floats = NDArray[np.float64]
 Value = Floats | float
 
 ZERO_BELOW = -1e100

@@ -10,16 +10,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.graph.spec import Given
 from bayesnet_track.inference.parts import part_matrix
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.observation.cue import Hypotheses, Measurement, floored
-
-Floats = NDArray[np.float64]
 
 KNOWN = 1e-6
 """Least precision of a direction, in units of the prior's own, that counts as information."""

@@ -17,8 +17,8 @@ from bayesnet_track.graph.checked import Conditional
 from bayesnet_track.graph.expressions.evaluate import log_values, values_of
 from bayesnet_track.graph.expressions.terms import DRAWN, Call, Term, Variable
 from bayesnet_track.graph.expressions.vocabulary import PARENT
+from bayesnet_track.numerics.arrays import Floats
 
-Floats = NDArray[np.float64]
 Names = Mapping[str, Floats | float]
 
 LEAST_SIDE = 1.0

@@ -14,9 +14,9 @@ from bayesnet_track.graph.settings.modes import Hidden
 from bayesnet_track.inference.compile import Observe, Plan
 from bayesnet_track.inference.gaussian_messages import measurement_message
 from bayesnet_track.inference.messages import join_messages
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 
-Floats = NDArray[np.float64]
 Evaluate = Callable[[Hypotheses, Floats], Evidence]
 
 

@@ -35,8 +35,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesnet_track.inference.joint_members import Edge, Floats, Member, Pair
+from bayesnet_track.inference.joint_members import Edge, Member, Pair
 from bayesnet_track.inference.joint_messages import Message, Said, pair_message, together
+from bayesnet_track.numerics.arrays import Floats
 
 FARTHEST = 150.0
 """A log-likelihood further below the best counts as so far below it: their ratio has to stay a number."""

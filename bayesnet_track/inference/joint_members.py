@@ -7,11 +7,10 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights
 
-Floats = NDArray[np.float64]
 Pair = tuple[str, str]
 Hidden = tuple[float, float, float, float, int]
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.inference.joint_members import Edge, Factor, Floats, Hidden, Member, Pair
+from bayesnet_track.inference.joint_members import Edge, Factor, Hidden, Member, Pair
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights
 
 LEAST_LOG = -700.0

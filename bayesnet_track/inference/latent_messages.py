@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.motion.noise import box_coordinates, log_noise_density, noisy
 from bayesnet_track.graph.spec import Noise
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Hypotheses
-
-Floats = NDArray[np.float64]
 
 CELLS_PER_SD = 4.0
 MAX_CELLS = 1 << 21

@@ -24,10 +24,10 @@ from bayesnet_track.inference.executor import (
     each_at_once,
     is_elsewhere,
 )
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import (
     ANGLE,
     AnyCue,
-    Floats,
     Hypotheses,
     LocallyAdaptable,
     Reference,

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.conditions import Inside
 from bayesnet_track.adapt.measures import Measures, PartMeasure
@@ -16,12 +15,11 @@ from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.messages import without
 from bayesnet_track.inference.part_measures import measure_parts
 from bayesnet_track.inference.parts import PartBelief, part_beliefs, part_of_agents
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.disc import weighted_mass_in_disc
 from bayesnet_track.numerics.divergence import select, uncertainty_deviation
 from bayesnet_track.numerics.tilts import divergences, tilt
 from bayesnet_track.observation.cue import Hypotheses
-
-Floats = NDArray[np.float64]
 
 
 def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: float) -> Measures:

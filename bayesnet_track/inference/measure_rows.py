@@ -11,7 +11,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.belief.contract import BOX_FIELDS, Step
@@ -19,10 +18,9 @@ from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.messages import join_plain
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.divergence import select
 from bayesnet_track.numerics.tilts import divergences, tilt
-
-Floats = NDArray[np.float64]
 
 
 @lru_cache(maxsize=64)

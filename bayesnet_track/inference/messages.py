@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.motion.formulas import Undefined
@@ -30,12 +29,12 @@ from bayesnet_track.inference.observe import (
 )
 from bayesnet_track.inference.parts import deviating_boxes, part_boxes
 from bayesnet_track.inference.readings import note_undefined, read_as
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import Region, region_of_boxes
 
 __all__ = ["Joined", "Observer", "evaluate", "join_messages", "join_plain", "without"]
 
-Floats = NDArray[np.float64]
 
 Integral = Callable[[Noise, Hypotheses, Hypotheses, Floats, Floats], Floats]
 INTEGRALS: Mapping[str, Integral] = {

@@ -10,7 +10,6 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Stream
 from bayesnet_track.inference.availability import Missing, TargetAvailability
@@ -24,12 +23,12 @@ from bayesnet_track.inference.executor import (
     is_elsewhere,
 )
 from bayesnet_track.inference.factors import Factors
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import AnyCue, Hypotheses, Measurement, Reference
 from bayesnet_track.observation.guests import FAULTS, foreign_part, real_numbers, said
 from bayesnet_track.observation.planes import PlaneCache, Region
 from bayesnet_track.observation.shared import shown
 
-Floats = NDArray[np.float64]
 Clock = Callable[[], float]
 Answer = Floats | Measurement | str | Missing | None
 """(N,) log-likelihood, a measurement, None for nothing seen, what is wrong with it, or why it is missing."""

@@ -6,16 +6,14 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.graph.expressions.evaluate import log_values
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.graph.expressions.terms import Term
 from bayesnet_track.graph.settings.joins import Join
 from bayesnet_track.inference.joint_members import Factor
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame
-
-Floats = NDArray[np.float64]
 
 
 def pair_factor(rule: Join, constants: Mapping[str, float], frame: Frame) -> Factor | None:

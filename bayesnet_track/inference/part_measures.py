@@ -6,12 +6,13 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from bayesnet_track.adapt.measures import Floats, PartMeasure, PartStatus
+from bayesnet_track.adapt.measures import PartMeasure, PartStatus
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Learn, Lost
 from bayesnet_track.inference.learn import learning_rate
 from bayesnet_track.inference.parts import PartBelief, part_of_agents
+from bayesnet_track.numerics.arrays import Floats
 
 
 def measure_parts(

@@ -21,7 +21,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
 from bayesnet_track.belief.motion.nested import field_of
@@ -29,9 +28,8 @@ from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Given
 from bayesnet_track.inference.compile import Fusion, Plan
 from bayesnet_track.inference.given import usual_boxes
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
-
-Floats = NDArray[np.float64]
 
 
 def part_matrix(given: Given) -> Floats | None:

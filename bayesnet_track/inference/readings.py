@@ -6,17 +6,15 @@ from collections.abc import Mapping, MutableMapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.motion.formulas import Undefined
 from bayesnet_track.graph.checked import MeasuredAs
 from bayesnet_track.graph.expressions.evaluate import values_of
 from bayesnet_track.graph.expressions.terms import Call, Variable
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.observation.protocols import BOX, Seen
-
-Floats = NDArray[np.float64]
 
 
 def read_as(measured: Measurement, functions: MeasuredAs, frames: FramePair) -> Measurement:

@@ -8,9 +8,9 @@ use the **top-left corner**: ``(x, y, w, h)`` covers the columns x .. x + w - 1.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 
 def centre_from_corner(corner: ArrayLike) -> Floats:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
+
 Rows = tuple[tuple[float, ...], ...]
 
 

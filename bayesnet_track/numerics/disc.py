@@ -6,9 +6,8 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 _REACH = 9.0
 """Sds at which a Gaussian is taken to end: 2e-19 of its mass lies further out."""

@@ -8,9 +8,8 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 REACH = 7.0
 """Sds at which the kernel of Gaussian noise ends: 3e-12 of its mass lies further out."""

@@ -19,11 +19,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
+from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 
 MOST_EXACT = 7
 """A connected group is summed exactly when it has at most so many targets, or so many detections."""

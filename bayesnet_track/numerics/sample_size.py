@@ -11,9 +11,8 @@ import math
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 NEGLIGIBLE = 1e-5
 """A bin counts when it holds at least this share of a hypothesis' average weight."""

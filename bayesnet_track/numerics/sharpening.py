@@ -7,12 +7,10 @@ stands in its reference, so that it is bounded over all episodes of uncertainty,
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[Any]
+from bayesnet_track.numerics.arrays import Array
 
 SHARPER = "sharper"
 """Name, in a reference, of the factor () on the cue's width or exponent; 1 as learnt."""

@@ -6,9 +6,8 @@ One call on a matrix costs a fraction of many calls on its rows, which are short
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 
 def tilt(prior_log: Floats, log_likelihoods: Floats) -> Floats:

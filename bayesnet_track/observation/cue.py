@@ -15,10 +15,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from bayesnet_track.numerics.arrays import Floats as Floats
 from bayesnet_track.observation.association import AssociationRule as AssociationRule
 from bayesnet_track.observation.likelihoods import FLOOR, SD_LOG_AREA, SD_LOG_ASPECT
 from bayesnet_track.observation.likelihoods import Reference as Reference
@@ -46,8 +45,6 @@ from bayesnet_track.observation.protocols import context_of as context_of
 from bayesnet_track.observation.protocols import rule_of as rule_of
 
 ENTRY_POINT_GROUP = "bayesnet_track.cues"
-
-Floats = NDArray[np.float64]
 
 
 class NoParameters(BaseModel):

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.guests import real_numbers
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.observation.plugins import installed
 
 ENTRY_POINT_GROUP = "bayesnet_track.detectors"
 
-Floats = NDArray[np.float64]
 DetectorState = Mapping[str, NDArray[Any]]
 """What a detector remembers between frames: arrays by name, so that it can be stored; maybe none."""
 

@@ -11,12 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayesnet_track.observation.planes import Array, Frame, Plane, Planes, Region
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from bayesnet_track.numerics.arrays import Array, Floats, Ints
+from bayesnet_track.observation.planes import Frame, Plane, Planes, Region
 
 FEW_REPEATED = 0.8
 """Share of boxes that differ above which it costs more to pick them than to do all."""

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
+
 Reference = Mapping[str, NDArray[Any]]
 """What a cue remembers of its target, as arrays by name, so that it can be stored and compared."""
 

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.image_size import PictureError, is_cut_off, read_checked
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,15 +10,14 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from threading import Lock
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.depth import Depth
 from bayesnet_track.observation.shared import read_only
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,12 +12,10 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.observation.association import AssociationRule
 from bayesnet_track.observation.likelihoods import Reference
 from bayesnet_track.observation.planes import Plane, Planes
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,12 +15,11 @@ from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.journal.text.wording import plural
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.sources.frames import EndReason, SourceItem
 from bayesnet_track.view.overlay import draw_targets
-
-Floats = NDArray[np.float64]
 
 
 class FrameSource(Protocol):

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
@@ -28,12 +27,12 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.reidentification import Returned
 from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.runtime.recording.beliefs import KeptBelief, read_beliefs
 from bayesnet_track.runtime.recording.run_reader import Run
 from bayesnet_track.runtime.resizing import Resizing
 
-Floats = NDArray[np.float64]
 Smoothed = ParticleSet | GaussianPosterior
 
 KNOWN_PX2 = 1e-6

@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.detector import NOTHING, Detections, DetectorState
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.sources.mot_lines import parse_mot, read_text
 
-Floats = NDArray[np.float64]
 Found = tuple[Floats, float, str]
 """A corner box (4,) in px, its score, its label."""
 

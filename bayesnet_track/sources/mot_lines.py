@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from bayesnet_track.numerics.arrays import Floats, Ints
 
 COLUMNS = "frame,id,left,top,width,height,confidence,..."
 LEAST, MOST = 6, 10
@@ -31,9 +30,9 @@ class MotLines:
     """
 
     name: str
-    numbers: Integers
-    frames: Integers
-    ids: Integers
+    numbers: Ints
+    frames: Ints
+    ids: Ints
     boxes: Floats
     rest: Floats
 

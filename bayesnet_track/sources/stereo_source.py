@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Image
 from bayesnet_track.observation.depth import Depth, PointMap, RightEye
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.sources.depth_files import read_points
@@ -31,7 +32,6 @@ from bayesnet_track.vision.stereo.stereo import RectifiedPair, Rectifier, read_c
 if TYPE_CHECKING:
     pass
 
-Image = NDArray[np.uint8]
 Completed = tuple[Image, Depth]
 Completer = Callable[[int, Picture | None, Image], Completed]
 """(frame, the second eye's picture, the first eye's pixels) -> the frame's own pixels and its depth."""

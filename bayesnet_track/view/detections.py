@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Image
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.detector import Detections
-
-Image = NDArray[np.uint8]
 
 
 def draw_detections(image: Image, detections: Detections) -> Image:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.graph.checked import CheckedTarget
+from bayesnet_track.numerics.arrays import Image
 from bayesnet_track.view.graph_layout import (
     ADVANCE,
     MARGIN,
@@ -21,8 +22,6 @@ from bayesnet_track.view.graph_layout import (
     with_factors,
 )
 from bayesnet_track.view.svg import document, element, text_of
-
-Image = NDArray[np.uint8]
 
 FONT = "ui-monospace, SFMono-Regular, Menlo, Consolas, 'DejaVu Sans Mono', monospace"
 INK, SOFT, PALE = "#1f2933", "#7b8794", "#cbd2d9"

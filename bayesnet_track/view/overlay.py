@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.numerics.arrays import Image
 from bayesnet_track.numerics.boxes import corner_from_centre
 
-Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
 STATUS_COLOUR: dict[str, Colour] = {

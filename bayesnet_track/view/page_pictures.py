@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from itertools import chain, islice
 
 import numpy as np
-from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
+from bayesnet_track.numerics.arrays import Image
 
 QUALITY = 55
 FULL_QUALITY = 85

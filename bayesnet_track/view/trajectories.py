@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats, Image
 from bayesnet_track.numerics.boxes import corner_from_centre
-
-Image = NDArray[np.uint8]
-Floats = NDArray[np.float64]
 
 PATH, LAST, FIRST = (255, 215, 120), (60, 200, 250), (110, 230, 90)
 MOST_PATHS, MOST_BOXES = 200, 12

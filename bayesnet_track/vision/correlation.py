@@ -13,8 +13,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
+from bayesnet_track.numerics.arrays import Floats, Singles
+
 Spectra = NDArray[np.complex64]
 
 

@@ -13,11 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Bytes, Floats, Ints
 from bayesnet_track.numerics.distributions import flatten, gaussian_taps, nearest_probable
-
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
-Ints = NDArray[np.int64]
 
 UNSEEN = -12.0
 """Log-likelihoods below this are raised to it: a patch that fits nowhere says nothing."""

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
+from bayesnet_track.numerics.arrays import Bytes, Floats
+
 Embed = Callable[[Bytes], Floats]
 """(n, height, width, 3) uint8 BGR crops -> (n, D) vectors."""
 

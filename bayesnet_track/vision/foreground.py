@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Bytes, Floats
 from bayesnet_track.observation.planes import Frame, region_of_boxes
 from bayesnet_track.vision.kernels.foreground_kernels import (
     box_and_ring_means,
@@ -15,8 +16,6 @@ from bayesnet_track.vision.kernels.foreground_kernels import (
     integral_of_cells,
 )
 
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 TOP = 255
 """Level of a colour that is surely the target's."""
 UNSEEN = 0.0005

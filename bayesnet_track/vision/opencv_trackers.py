@@ -8,13 +8,10 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats, Image
 from bayesnet_track.observation.planes import Region, region_of_boxes
 from bayesnet_track.vision.point_tracking import GRAY, correlations, cut, mix_channels
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 FILES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"Nano": ("backbone", "neckhead"), "Vit": ("net",), "DaSiamRPN": ("model", "kernel_cls1", "kernel_r1")}

@@ -11,10 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.observation.planes import Array, Region
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from bayesnet_track.numerics.arrays import Array, Floats, Image
+from bayesnet_track.observation.planes import Region
 
 COARSEST = 4
 """Pixels of the frame per pixel of the coarsest of the three pyramid levels."""

@@ -9,7 +9,6 @@ from functools import partial
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, Evidence, MotionModel, Predicted, Report, Step, Stream
 from bayesnet_track.belief.gaussian.measured import log_message
@@ -27,12 +26,11 @@ from bayesnet_track.belief.states import WeightedStates, hypotheses_of
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.beliefs import MeasurementGated
 from bayesnet_track.journal.events.event import Event
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.disc import gaussian_mass_in_disc
 from bayesnet_track.numerics.gaussian import root
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.observation.cue import Hypotheses
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

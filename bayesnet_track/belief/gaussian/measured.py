@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Hypotheses, Measurement
-
-Floats = NDArray[np.float64]
 
 FAR = 1e100
 """Where a quantity has no value, it is so far from what was measured."""

@@ -8,12 +8,10 @@ from functools import cached_property
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import symmetric
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

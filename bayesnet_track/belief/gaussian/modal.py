@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, Evidence, MotionModel, Predicted, Report, Step, Stream
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior, report_gated
@@ -29,10 +28,9 @@ from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.modal import Modal
 from bayesnet_track.belief.states import WeightedStates, hypotheses_of
 from bayesnet_track.graph import spec
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.observation.cue import Measurement
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

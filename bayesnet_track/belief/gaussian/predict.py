@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.borders import Reflecting
@@ -12,9 +11,8 @@ from bayesnet_track.belief.motion.functions import FunctionMotion
 from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian
 from bayesnet_track.belief.motion.rotating import Rotating
 from bayesnet_track.graph import spec
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import root, sigma_points, symmetric
-
-Floats = NDArray[np.float64]
 
 
 def predict(

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.measured import observe_fields
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.functions import derivative, extended_update, unscented_update
 from bayesnet_track.graph import spec
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import (
     Updated,
     chi_square_cdf,
@@ -26,8 +26,6 @@ from bayesnet_track.numerics.gaussian import (
 )
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Measurement
-
-Floats = NDArray[np.float64]
 
 WORST = 1e-100
 """The least likelihood of a sigma point, as a share of the best: a parabola has no place for zero."""

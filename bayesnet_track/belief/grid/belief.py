@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Evaluate, Evidence, MotionModel, Report, Step, Stream
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice
@@ -28,12 +27,10 @@ from bayesnet_track.belief.grid.window import limits_of
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.states import WeightedStates, hypotheses_of
 from bayesnet_track.graph import spec
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.distributions import flatten, spreading_matrix
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.observation.cue import Hypotheses, Measurement
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.resampling import resample
-
-Floats = NDArray[np.float64]
 
 SCALE, VY, VX, Y, X = range(5)
 """Axes of the cells' array. An axis that is not used has one cell."""

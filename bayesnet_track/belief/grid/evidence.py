@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, Evidence
 from bayesnet_track.belief.states import hypotheses_of
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Measurement
-
-Floats = NDArray[np.float64]
 
 
 def log_gaussian(measured: Measurement, values: list[Floats]) -> Floats:

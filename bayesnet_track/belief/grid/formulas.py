@@ -11,15 +11,12 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.grid.cells import GridBelief
 from bayesnet_track.belief.grid.window import NEGLIGIBLE, Patch, limits_of, within
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.distributions import gaussian_taps, spreading_matrix
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def predict_by_function(prior: GridBelief, motion: MotionModel, dt: float, window: int) -> GridBelief:

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.grid.window import Limits, Patch, find_kept
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import SUBCELL, gaussian_taps
-
-Floats = NDArray[np.float64]
 
 REACH = 7.0
 """Sds at which noise ends: 3e-12 of its mass lies further out."""

@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice, X, Y
@@ -21,9 +20,8 @@ from bayesnet_track.belief.grid.gaps import Leap, leapt
 from bayesnet_track.belief.grid.window import Limits, Patch, limits_of, stack_patches, within
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.formulas import FormulaMotion
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import gaussian_taps, spreading_matrix
-
-Floats = NDArray[np.float64]
 
 FEW = 96
 """Cells by which a window may grow on the way to the next frame, however small it is."""

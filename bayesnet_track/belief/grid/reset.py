@@ -10,17 +10,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evidence, Report
 from bayesnet_track.belief.grid.cells import GridBelief
 from bayesnet_track.belief.grid.window import Limits
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.beliefs import BeliefReset
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.distributions import false_reset_level, feasibility
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 COARSE = 4096
 """Most places on the image at which its mean likelihood is taken."""

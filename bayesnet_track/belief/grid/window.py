@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.grid.cells import Lattice
 from bayesnet_track.belief.motion.bounds import Confined
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 NEGLIGIBLE = 1e-13
 """Outer rows and columns with less than this share of the heaviest one's mass are dropped."""

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.particles.particle_set import ParticleSet
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import ANGLE
-
-Floats = NDArray[np.float64]
 
 FIELD = "carried"
 """Name of the state's last column: 1 while it is carried, else 0."""

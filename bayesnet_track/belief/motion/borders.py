@@ -7,14 +7,12 @@ from itertools import product
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.motion.wrapped import Wrapped
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 ALONG = (("x", "vx", "ax"), ("y", "vy", "ay"))
 """The fields that turn round where a box bounces off a border, for each axis."""

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.belief.contract import Ancestors, Floats
+from bayesnet_track.belief.contract import Ancestors
 from bayesnet_track.belief.motion.wrapped import Wrapped
+from bayesnet_track.numerics.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)

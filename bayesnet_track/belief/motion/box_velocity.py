@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Ancestors
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.graph.settings.motion import BoxVelocity, PixelSd
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 
 @dataclass(frozen=True)

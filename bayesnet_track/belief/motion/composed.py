@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.borders import Reflecting
 from bayesnet_track.belief.motion.inflation import inflate_noise
@@ -16,8 +13,7 @@ from bayesnet_track.belief.motion.nested import Nested
 from bayesnet_track.belief.motion.rotating import Rotating
 from bayesnet_track.belief.motion.shifted import CameraShift, ShiftedMotion, revert_size
 from bayesnet_track.graph.settings.motion import Moving
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,12 +6,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.belief.motion.noise import Transition
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 
 def complete(motions: tuple[MotionModel, ...]) -> tuple[MotionModel, ...]:

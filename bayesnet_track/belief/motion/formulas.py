@@ -15,8 +15,7 @@ from bayesnet_track.graph.expressions.evaluate import values_of
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.graph.expressions.terms import Term, names_in
 from bayesnet_track.graph.settings.motion import ByExpressions
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 
 @dataclass(frozen=True)

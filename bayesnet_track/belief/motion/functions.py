@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Ancestors
 from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import (
     Updated,
     innovation_likelihood,
@@ -19,7 +19,6 @@ from bayesnet_track.numerics.gaussian import (
     symmetric,
 )
 
-Floats = NDArray[np.float64]
 Drift = Callable[[Floats, float], Floats]
 """(N, D) states and dt in frame intervals -> (N, D) states after it, without noise."""
 

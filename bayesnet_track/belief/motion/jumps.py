@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.belief.motion.bounds import Confined
@@ -16,10 +15,9 @@ from bayesnet_track.belief.particles.fitted import flatten
 from bayesnet_track.belief.particles.particle_set import Inputs
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.journal.events.jumps import Reappeared
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import systematic
-
-Floats = NDArray[np.float64]
 
 FLAT = 100.0
 """Sds of the Gaussian that stands for uniform in a `Transition`, in sides of the frame: flat to 1e-4."""

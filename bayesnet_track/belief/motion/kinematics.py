@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from bayesnet_track.belief.contract import Ancestors
+from bayesnet_track.numerics.arrays import Floats
 
-Floats = NDArray[np.float64]
 Rows = tuple[tuple[float, ...], ...]
 
 FEW = 700

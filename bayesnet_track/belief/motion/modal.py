@@ -13,9 +13,8 @@ from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.belief.modes import FIELD, Modes
 from bayesnet_track.belief.motion.forgetting import complete
 from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.chains import Chain
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,6 +39,7 @@ from bayesnet_track.belief.motion.noise import (
     sample_noise,
 )
 from bayesnet_track.graph import spec
+from bayesnet_track.numerics.arrays import Floats
 
 __all__ = [
     "KinematicMotion",
@@ -49,7 +50,6 @@ __all__ = [
     "sample_noise",
 ]
 
-Floats = NDArray[np.float64]
 
 DERIVATIVES = (("vx", "vy"), ("ax", "ay"))
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Ancestors
 from bayesnet_track.belief.motion.kinematics import step_rows
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.noise import add_noise, noisy
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 
 def propagate_rows(

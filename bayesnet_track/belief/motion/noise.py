@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.graph.spec import Noise
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.density import log_gaussians
 
-Floats = NDArray[np.float64]
 Coordinates = Callable[[Floats], tuple[Floats, Floats]]
 States = Callable[[Floats, Floats], Floats]
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import ANGLE
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

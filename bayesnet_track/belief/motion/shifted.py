@@ -6,15 +6,13 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Ancestors
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.motion.wrapped import Wrapped
 from bayesnet_track.graph.settings.motion import SizeReversion
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 
 class Shift(Protocol):

@@ -14,8 +14,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.belief.contract import Ancestors
 from bayesnet_track.belief.motion.jumps import Jumping, draw_jumps, jumping_of, report_reappeared
 from bayesnet_track.belief.particles.mode_draws import DrawnModes, draw_modes
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
@@ -24,11 +24,9 @@ from bayesnet_track.belief.particles.size_decision import SizeDecision, begin_wi
 from bayesnet_track.belief.particles.weighted_sample import FrameSample, WeightedSample, concatenate
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.graph import spec
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import resample
-
-Floats = NDArray[np.float64]
-Ancestors = NDArray[np.intp]
 
 
 def start_size(settings: spec.Particles) -> int:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Evidence
+from bayesnet_track.belief.contract import Ancestors, Evidence
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.particles.adaptive_size import evaluate_sample, move
 from bayesnet_track.belief.particles.fitted import flatten
@@ -28,13 +27,11 @@ from bayesnet_track.graph.settings.proposals import (
     LikelihoodMixture,
     PriorEditing,
 )
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import weighted_moments
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.resampling import systematic
 from bayesnet_track.observation.cue import Hypotheses
-
-Floats = NDArray[np.float64]
-Ancestors = NDArray[np.intp]
 
 LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
 """Steps of Roberts' R2 sequence: as even as a grid, for any number of places."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evaluate, MotionModel, Report, Step, Stream
 from bayesnet_track.belief.particles.adaptive_size import start_size
@@ -15,9 +14,8 @@ from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet, we
 from bayesnet_track.belief.particles.sample_size import SizeMemory
 from bayesnet_track.belief.particles.weighted_sample import WeightedSample, prior_of
 from bayesnet_track.graph import spec
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
-
-Floats = NDArray[np.float64]
 
 __all__ = ["Inputs", "ParticleFilter", "ParticleSet", "weighted_quantiles"]
 

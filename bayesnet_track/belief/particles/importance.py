@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evidence, Report
 from bayesnet_track.belief.particles.adaptive_size import (
@@ -37,11 +36,9 @@ from bayesnet_track.graph.settings.proposals import (
     SecondPassProposal,
 )
 from bayesnet_track.journal.events.sample_sizes import SecondPass
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
-
-Floats = NDArray[np.float64]
-
 
 Draw = Callable[[Inputs], FrameSample]
 """Draws the hypotheses of a frame."""

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.belief.contract import Ancestors
 from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.density import mixture_log_density
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.resampling import systematic
-
-Floats = NDArray[np.float64]
-Ancestors = NDArray[np.intp]
 
 _BLOCK = 2**20
 """Pairs of a point and a component summed in one go: bounds the memory."""

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.jumps import modal_of
 from bayesnet_track.belief.motion.modal import Modal
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.density import mixture_argmax
 from bayesnet_track.numerics.log_weights import LogWeights
 
-Floats = NDArray[np.float64]
 Before = tuple[Floats, LogWeights]
 """The belief before the motion: (K, D) states and their weights, normalised or not."""
 

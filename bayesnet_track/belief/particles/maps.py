@@ -6,14 +6,12 @@ from collections.abc import Hashable, Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Step
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.particles.belief import FindMap
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 
 def find_maps(steps: Iterable[Step[Any]]) -> None:

@@ -12,8 +12,7 @@ from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.jumps import Jumping, modal_of
 from bayesnet_track.belief.motion.modal import Modal, draw
 from bayesnet_track.belief.particles.particle_set import Inputs
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 EVENLY = 0.2
 """Share of the hypotheses that draw their mode evenly among those that can follow: weights are at most

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.particles.fitted import (
     EFFECTIVE,
@@ -23,11 +23,9 @@ from bayesnet_track.belief.particles.fitted import (
 from bayesnet_track.belief.particles.particle_set import Inputs
 from bayesnet_track.belief.particles.weighted_sample import WeightedSample, concatenate, prior_of
 from bayesnet_track.graph.settings.proposals import SecondPassProposal
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.resampling import systematic
-
-Floats = NDArray[np.float64]
-Ancestors = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,12 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.graph.settings.particles import AdaptiveSize, BinnedSize, NormalSize
 from bayesnet_track.numerics import sample_size
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 LEAST_EFFECTIVE = 10.0
 """A sample of fewer effective hypotheses cannot measure its own variance, and is no reason to save any."""

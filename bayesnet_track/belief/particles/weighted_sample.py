@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evidence, Report
 from bayesnet_track.belief.particles.sample_size import SizeMemory
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Hypotheses
-
-Floats = NDArray[np.float64]
 
 ROUNDING = 1e-12
 

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.particles.particle_set import ParticleSet
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights
-
-Floats = NDArray[np.float64]
 
 NEGLIGIBLE = 1e-3
 """Weight that the lightest hypotheses of a frame may hold together before they are left out."""

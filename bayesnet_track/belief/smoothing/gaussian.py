@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
@@ -14,9 +13,8 @@ from bayesnet_track.belief.gaussian.predict import predict, unscented_cross
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.smoothing.backward import Move
 from bayesnet_track.graph import spec
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import symmetric
-
-Floats = NDArray[np.float64]
 
 
 def smooth_gaussians(

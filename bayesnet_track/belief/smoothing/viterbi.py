@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.smoothing.backward import Move, heaviest
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 
 def most_probable_trajectory(

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.cli.commands.answer import (
     INCOMPLETE,
@@ -18,11 +17,11 @@ from bayesnet_track.cli.commands.answer import (
     users_mistake,
     writing,
 )
+from bayesnet_track.numerics.arrays import Floats
 
 if TYPE_CHECKING:
     from bayesnet_track.vision.shape.shape_model import ShapeModel
 
-Floats = NDArray[np.float64]
 
 SHOWN = 5
 """How many of the examples that are left out are named."""

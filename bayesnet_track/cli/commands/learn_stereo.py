@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from bayesnet_track.cli.commands.answer import INCOMPLETE, OK, UsageError, complain, say, users_mistake
 from bayesnet_track.cli.commands.detect import read_parameters
+from bayesnet_track.numerics.arrays import Floats
 
 if TYPE_CHECKING:
     from bayesnet_track.sources.frames import Source
 
-Floats = NDArray[np.float64]
 
 ESTIMATED = ("sd_depth_m", "sd_spread_m", "sd_height_m", "sd_log_shape", "sd_valid")
 """Parameters of the stereo cue that are estimated, in the order of its features."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.assign import assign, gated_gains
 from bayesnet_track.adapt.association import NOBODY, Owners
@@ -26,9 +25,8 @@ from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import OBSERVED, OWN_DETECTION, AssociationRule, Hypotheses
-
-Floats = NDArray[np.float64]
 
 TENTATIVE = ""
 """Stands for any tentative track where it is said whose a detection is."""

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.association import NOBODY
 from bayesnet_track.adapt.existence import Population
@@ -27,8 +26,7 @@ from bayesnet_track.engine.lifecycle.prospects import CrowdRule
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Gaussian
 from bayesnet_track.journal.events.births import DetectorFailed
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.association import NOBODY, alike, associate
 from bayesnet_track.adapt.candidates import Candidate, feed, is_confirmed, keep_best
@@ -26,8 +25,7 @@ from bayesnet_track.engine.lifecycle.sharing import start_tentative
 from bayesnet_track.engine.starting import restart
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.events.reidentification import Reacquired
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 
 def give_birth(now: Births, found: Found, owners: tuple[str | None, ...] | None) -> None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.association import alike
 from bayesnet_track.adapt.candidates import Candidate, is_refusal_notable
@@ -23,10 +22,9 @@ from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.settings.lifecycle import Birth, LifeRules
 from bayesnet_track.journal.events.births import BirthsRefused, CandidateConfirmed
 from bayesnet_track.journal.events.reidentification import Returned
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import OBSERVED
 from bayesnet_track.observation.planes import Frame
-
-Floats = NDArray[np.float64]
 
 TESTED = 32
 """Detections, the best, that are compared with remembered targets in a frame: bounds the time it takes."""

@@ -14,6 +14,7 @@ from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.journal.events.births import DetectorFailed
 from bayesnet_track.journal.net.target_net import Fault
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.detector import (
     Detections,
     Detector,
@@ -23,8 +24,6 @@ from bayesnet_track.observation.detector import (
 )
 from bayesnet_track.observation.guests import FAULTS, said
 from bayesnet_track.observation.planes import FramePair
-
-Floats = NDArray[np.float64]
 
 MOST_DETECTIONS = 1000
 """Detections of a frame that are looked at, the best: as many as a detector may be asked for."""

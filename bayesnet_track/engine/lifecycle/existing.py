@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.assign import assign_pairs
 from bayesnet_track.adapt.association import NOBODY
@@ -26,12 +25,10 @@ from bayesnet_track.engine.lifecycle.prospects import (
     predict_prospects,
     prune,
 )
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.gaussian import chi_square_quantile
 from bayesnet_track.observation.cue import AssociationRule
 from bayesnet_track.observation.planes import FramePair
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 COVERED = 0.5
 """A target counts as covered when another one covers this share of its box."""

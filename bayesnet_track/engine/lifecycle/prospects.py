@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.candidates import Candidate
 from bayesnet_track.adapt.existence import Pairs, Population, Prospects, Shared
@@ -18,9 +17,8 @@ from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.lifecycle.detecting import Found
 from bayesnet_track.graph.settings.existence import Existence
 from bayesnet_track.graph.spec import Gaussian
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import AssociationRule
-
-Floats = NDArray[np.float64]
 
 HOPELESS = 0.02
 """A prospect is dropped when it exists with less than this share of a new one's probability."""

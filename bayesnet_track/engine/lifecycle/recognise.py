@@ -24,15 +24,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.lifecycle import AppearanceMemory
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.graph.settings.lifecycle import Reidentify
 from bayesnet_track.journal.events.reidentification import Recognition
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap
-
-Floats = NDArray[np.float64]
 
 ELSEWHERE = 64
 """Random boxes with which a detection's likelihood is compared."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.lifecycle import AppearanceMemory
 from bayesnet_track.belief.motion.borders import confined
@@ -14,9 +13,8 @@ from bayesnet_track.engine.lifecycle.recognise import Compared, draw_elsewhere, 
 from bayesnet_track.graph.settings.lifecycle import Reidentify
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.messages import Observer, evaluate
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Hypotheses
-
-Floats = NDArray[np.float64]
 
 LEAST_LOG = -700.0
 """Log-likelihoods are cut here, so that the ratio of two of them is a number."""

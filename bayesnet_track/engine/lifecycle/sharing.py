@@ -9,15 +9,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.association import NOBODY, Owners
 from bayesnet_track.adapt.candidates import Candidate, look_again
 from bayesnet_track.adapt.observed import GAP, LAST, Layout, first_observed, observe
 from bayesnet_track.graph.settings.lifecycle import Confirm
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import AssociationRule
 
-Floats = NDArray[np.float64]
 Predict = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """Means (T, D) and covariances (T, D, D) -> those one frame later."""
 

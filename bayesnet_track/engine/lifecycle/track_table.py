@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.lifecycle import TrackHistory, TrackRecord, find_end_cause
 from bayesnet_track.engine.outcome import Outcome, State
@@ -17,9 +16,9 @@ from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision, Net
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame
 
-Floats = NDArray[np.float64]
 Ending = tuple[str, tuple[str, int, int]]
 """A target and why it ends, as `adapt.lifecycle.find_end_cause` has it."""
 

@@ -31,10 +31,9 @@ from bayesnet_track.engine.rows.fitting import LinearMotion, RowRule
 from bayesnet_track.engine.rows.judging import judge_rows
 from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.state import apply_decisions
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import ALONE
 from bayesnet_track.numerics.kernels.row_columns import HYPOTHESES
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

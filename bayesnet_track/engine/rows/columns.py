@@ -16,11 +16,8 @@ from bayesnet_track.adapt.observed import first_observed, remembered
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.engine.rows.fitting import RowRule
 from bayesnet_track.engine.state import TargetState
+from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.observation.cue import OBSERVED, OWN_DETECTION
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 NEVER_ASKED, GIVEN_NONE, GIVEN = 0, 1, 2
 """What a row's agent was given of its last frame's detections."""

@@ -28,7 +28,6 @@ from bayesnet_track.inference.executor import is_elsewhere
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.observation.cue import OBSERVED, OWN_DETECTION, AssociationRule
 
-Floats = NDArray[np.float64]
 LinearMotion = KinematicMotion | BoxVelocityMotion
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import QUIET_MINIMUM
@@ -15,9 +14,8 @@ from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.rows.columns import GIVEN, Columns, Rows
 from bayesnet_track.engine.rows.row_metrics import RowMeasures
 from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.kernels.row_columns import AREA, FIT, NATS, UD
-
-Floats = NDArray[np.float64]
 
 
 def judge_rows(

@@ -12,7 +12,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Evidence, Step
 from bayesnet_track.belief.motion.borders import confined
@@ -32,12 +31,11 @@ from bayesnet_track.inference.executor import Serial, is_elsewhere
 from bayesnet_track.inference.measure_rows import is_flat
 from bayesnet_track.inference.messages import join_plain
 from bayesnet_track.inference.observe import ROUNDING, ZERO_BELOW
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import CrowdCue, Hypotheses
 from bayesnet_track.observation.guests import FAULTS
 from bayesnet_track.observation.shared import shown
-
-Floats = NDArray[np.float64]
 
 
 def filter_rows(work: FrameWork, before: Mapping[str, TargetState]) -> dict[str, Filtered]:

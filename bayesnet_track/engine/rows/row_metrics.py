@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from bayesnet_track.engine.rows.columns import GIVEN, Rows
 from bayesnet_track.engine.summaries import CLOUD_SIZE
 from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.kernels.row_columns import AREA, FIT, UD
 from bayesnet_track.numerics.predictive import p_after
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.planes import Frame
-
-Floats = NDArray[np.float64]
 
 LEAST = np.array([0.0, 0.0, 1.0, 1.0])
 """Least centre and sides of an estimate, px (`engine.state.inside_frame`)."""

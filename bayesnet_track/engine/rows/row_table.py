@@ -8,7 +8,6 @@ from itertools import compress
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.lifecycle import TrackHistory, TrackRecord, find_end_cause
 from bayesnet_track.engine.compiled import Engine
@@ -23,9 +22,8 @@ from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision, Net
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(eq=False)

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import MANY, Plane, Planes, Region
-
-Floats = NDArray[np.float64]
 
 FARTHEST = 2.0**30
 """Pixels from the frame's corner at which a box is cut."""

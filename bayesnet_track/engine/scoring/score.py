@@ -8,15 +8,14 @@ from dataclasses import dataclass, field, replace
 from statistics import median
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.graph.spec import Localization, Logistic
 from bayesnet_track.journal.events.distractors import DistractorSeen
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.mixtures import mixture_quantiles
 
-Floats = NDArray[np.float64]
 Region = tuple[float, float, float, float]
 
 FEATURES = ("log_ud_box", "evidence", "log_fit", "agreement", "log_size")

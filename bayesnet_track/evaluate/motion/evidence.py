@@ -26,8 +26,7 @@ from bayesnet_track.belief.motion.noise import (
     is_log,
     noisy,
 )
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,7 @@ from bayesnet_track.evaluate.motion.parameters import (
     with_value,
 )
 from bayesnet_track.graph import spec
-
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 FEWEST_FRAMES = 20
 QUANTILE = 1.6448536269514722

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.compiled import compiled
-
-Floats = NDArray[np.float64]
 
 
 @compiled

@@ -8,13 +8,9 @@ all that are left; the last few are summed exactly. The result is that of exact 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats, Ints, Singles
 from bayesnet_track.numerics.compiled import compiled
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
-Ints = NDArray[np.int64]
 
 FAST_ERROR = 1e-5
 """Largest error of `add_sums`, as a share of the sum of peaks, for coordinates without rounding.

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.compiled import compiled
 
-Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 

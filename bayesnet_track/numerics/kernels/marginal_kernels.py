@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.compiled import compiled
 from bayesnet_track.numerics.kernels.pair_kernels import find_group
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 @compiled

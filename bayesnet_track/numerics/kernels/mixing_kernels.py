@@ -5,15 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.compiled import compiled
 from bayesnet_track.numerics.kernels.cholesky_kernels import root_of
 from bayesnet_track.numerics.kernels.row_kernels import correct_row
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 @compiled

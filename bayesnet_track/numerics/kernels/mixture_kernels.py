@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.compiled import compiled
-
-Floats = NDArray[np.float64]
 
 HALVINGS = 18
 """Of the bracket in which a quantile lies: 4e-6 of its width is left."""

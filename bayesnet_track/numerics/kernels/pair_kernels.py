@@ -6,13 +6,10 @@ They follow `adapt.assign` in a fixed order of arithmetic that no linear algebra
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.compiled import compiled
 from bayesnet_track.numerics.kernels.cholesky_kernels import factor
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @compiled

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.compiled import compiled
 from bayesnet_track.numerics.kernels.cholesky_kernels import factor, root_of
 from bayesnet_track.numerics.kernels.row_columns import (
@@ -23,10 +23,6 @@ from bayesnet_track.numerics.kernels.row_columns import (
     NATS,
     UD,
 )
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 @compiled

@@ -12,11 +12,10 @@ from typing import Any, Self
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Image
 from bayesnet_track.observation.planes import Frame
 
-Image = NDArray[np.uint8]
 AT_HAND = 48
 """Decoded frames that are kept in memory."""
 

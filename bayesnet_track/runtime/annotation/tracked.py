@@ -8,14 +8,11 @@ from functools import partial
 from itertools import islice
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.numerics.arrays import Image
 from bayesnet_track.runtime.annotation.answers import Box
 from bayesnet_track.runtime.tracker import Tracker
 
-Image = NDArray[np.uint8]
 Key = tuple[int, Box, int]
 """Frame and box that a run starts with, and 1 forward or -1 backward."""
 

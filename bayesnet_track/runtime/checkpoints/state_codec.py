@@ -16,7 +16,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.adapt.candidates import Candidate
 from bayesnet_track.adapt.existence import Population, Prospects
@@ -40,10 +39,9 @@ from bayesnet_track.inference.guard import Watched
 from bayesnet_track.journal.events.joins import Joined
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.journal.net.target_net import Fault, TargetNet
+from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.planes import Frame
-
-Array = NDArray[Any]
 
 CLASSES: tuple[type, ...] = (
     State,

@@ -15,12 +15,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.depth import Depth, PointMap, RightEye, StereoGeometry
 from bayesnet_track.observation.planes import Frame
-
-Array = NDArray[Any]
 
 SLOTS = 4
 """Frames that are held: the current one, the one before, and those of targets that start."""

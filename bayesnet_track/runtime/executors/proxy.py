@@ -9,8 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.observation.cue import AnyCue, Floats, Hypotheses, Measurement, Reference
-from bayesnet_track.observation.planes import Array, Frame, FramePair, Plane, Planes, Region
+from bayesnet_track.numerics.arrays import Array, Floats
+from bayesnet_track.observation.cue import AnyCue, Hypotheses, Measurement, Reference
+from bayesnet_track.observation.planes import Frame, FramePair, Plane, Planes, Region
 from bayesnet_track.runtime.executors.questions import LEARN_AND_BLEND
 
 

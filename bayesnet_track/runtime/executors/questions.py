@@ -8,12 +8,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.planes import Region
 from bayesnet_track.observation.shared import read_only
-
-Array = NDArray[Any]
 
 LEARN_AND_BLEND = "learn and blend"
 """A question for a reference: what learns, the old one, the rate, and the arguments of what learns."""

@@ -21,8 +21,9 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.journal.net.target_net import TargetNet
+from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.detector import GIVEN
-from bayesnet_track.observation.planes import Array, FramePair, Plane, PlaneCache, Planes, Region
+from bayesnet_track.observation.planes import FramePair, Plane, PlaneCache, Planes, Region
 
 
 @dataclass(frozen=True)

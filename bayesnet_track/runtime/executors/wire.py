@@ -13,13 +13,11 @@ import struct
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import Region
 from bayesnet_track.runtime.executors.questions import EncodedReference
-
-Array = NDArray[Any]
 
 HEAD = struct.Struct("=QQ")
 """Where the arrays begin, and how many bytes follow the head."""

@@ -9,9 +9,8 @@ from collections import deque
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
+from bayesnet_track.numerics.arrays import Image
 
 PER_SECOND = 20.0
 WAITING = 4

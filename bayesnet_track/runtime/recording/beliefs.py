@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
@@ -27,9 +26,8 @@ from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import GraphSpec, InferenceNode
 from bayesnet_track.journal.encoder import JournalError, short
 from bayesnet_track.journal.writer import LineFile
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights
-
-Floats = NDArray[np.float64]
 
 MOST_CELLS = 4000
 """Cells of a grid that are kept: the heaviest."""

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.sources.scenes.render import Sprite
 from bayesnet_track.sources.scenes.scene import Scene, assemble
 from bayesnet_track.sources.scenes.texture import ORANGE, flat, smooth_background
-
-Floats = NDArray[np.float64]
 
 WIDTH, HEIGHT, SIDE, NOISE_SD = 640, 480, 28.0, 4.0
 SPEEDS = (1.5, 4.0)

@@ -6,15 +6,14 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.sources.detections import format_mot
 from bayesnet_track.sources.scenes.walkers import HEIGHTS_PX, WIDTH_SHARE, Crowd
 
-Floats = NDArray[np.float64]
 Merging = Literal["none", "front", "hull"]
 
 

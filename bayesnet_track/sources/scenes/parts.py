@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.sources.scenes.render import Movie, Sprite
 from bayesnet_track.sources.scenes.scene import Scene, ScenePart, visible_share
 from bayesnet_track.sources.scenes.texture import gray_cells, shaded_cells, smooth_background
-
-Floats = NDArray[np.float64]
 
 WIDTH, HEIGHT = 360, 240
 SIZE = (52.0, 120.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesnet_track.sources.scenes.room import Room
 from bayesnet_track.sources.scenes.scene import Scene
@@ -18,8 +17,6 @@ from bayesnet_track.sources.scenes.stereo import (
     room_scene,
     room_texture,
 )
-
-Floats = NDArray[np.float64]
 
 
 def person_color_stereo(seed: int = 0, frames: int = 150) -> Scene:

@@ -10,8 +10,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from bayesnet_track.numerics.arrays import Floats, Image
 
 
 @dataclass(frozen=True, eq=False)

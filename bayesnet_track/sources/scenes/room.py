@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.depth import StereoGeometry
-
-Floats = NDArray[np.float64]
 
 FINER = 2
 """Rays per pixel and direction."""

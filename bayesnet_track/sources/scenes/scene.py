@@ -6,13 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.sources.scenes.render import Movie, Sprite
 from bayesnet_track.sources.scenes.stereo_view import StereoView
 
-Floats = NDArray[np.float64]
 CornerBox = tuple[float, float, float, float]
 
 

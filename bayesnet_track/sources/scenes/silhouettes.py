@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.sources.scenes.render import Movie, Sprite
 from bayesnet_track.sources.scenes.scene import Scene
 from bayesnet_track.sources.scenes.texture import flat, smooth_background
 
-Floats = NDArray[np.float64]
 Colour = tuple[float, float, float]
 
 WIDTH, HEIGHT = 320, 240

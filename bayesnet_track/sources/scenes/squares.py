@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.sources.scenes.render import Sprite
 from bayesnet_track.sources.scenes.scene import Scene, assemble
 from bayesnet_track.sources.scenes.texture import ORANGE, flat, gray_cells, smooth_background
 
-Floats = NDArray[np.float64]
 Point = tuple[float, float]
 
 WIDTH, HEIGHT, SIDE, NOISE_SD = 320, 240, 40.0, 4.0

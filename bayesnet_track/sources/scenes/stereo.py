@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.depth import StereoGeometry
 from bayesnet_track.sources.scenes.render import Movie, Sprite
 from bayesnet_track.sources.scenes.room import Pane, Room
 from bayesnet_track.sources.scenes.scene import Scene, assemble
 from bayesnet_track.sources.scenes.stereo_view import StereoView
 from bayesnet_track.sources.scenes.texture import gray_cells, shaded_cells
-
-Floats = NDArray[np.float64]
 
 WIDTH, HEIGHT, NOISE_SD = 320, 240, 2.0
 GEOMETRY = StereoGeometry(focal_px=300.0, baseline_m=0.2, centre_x_px=159.5, centre_y_px=99.5)

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.depth import RightEye, StereoGeometry
 from bayesnet_track.sources.scenes.render import Movie
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 ORANGE = (30.0, 135.0, 240.0)
 """BGR; hue 30 degrees, far enough from 0 and 255 that the noise is not cut off."""

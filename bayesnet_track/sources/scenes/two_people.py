@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.sources.scenes.render import Movie, Sprite, Veil
 from bayesnet_track.sources.scenes.room import Room
@@ -17,7 +17,6 @@ from bayesnet_track.sources.scenes.stereo import CAMERA_HEIGHT_M, GEOMETRY, HEIG
 from bayesnet_track.sources.scenes.stereo_view import StereoView
 from bayesnet_track.sources.scenes.texture import shaded_cells
 
-Floats = NDArray[np.float64]
 Colour = tuple[float, float, float]
 
 ROOM: Colour = (40.0, 75.0, 115.0)

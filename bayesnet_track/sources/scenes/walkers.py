@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.sources.scenes.crowd import winding
 from bayesnet_track.sources.scenes.render import Movie, Sprite
 from bayesnet_track.sources.scenes.texture import flat, smooth_background
 
-Floats = NDArray[np.float64]
 Kind = Literal["crossing", "beside"]
 
 LEAST_WIDTH, LEAST_HEIGHT = 720, 480

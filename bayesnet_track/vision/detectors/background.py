@@ -19,8 +19,6 @@ from bayesnet_track.observation.detector import (
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.vision.detectors.selection import BlobParameters, blobs, select
 
-Floats = NDArray[np.float64]
-
 EVERY = 4
 """The gain is taken from every so many pixels, across and down."""
 

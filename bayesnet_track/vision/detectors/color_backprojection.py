@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.detector import (
     NOTHING,
     Detections,
@@ -20,8 +21,6 @@ from bayesnet_track.observation.detector import (
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region, region_of_boxes
 from bayesnet_track.vision.detectors.selection import SURE, BlobParameters, blobs, select
 from bayesnet_track.vision.planes.color_planes import HueBins
-
-Floats = NDArray[np.float64]
 
 RARE = 0.002
 """A hue of so small a share of the pixels says little about whose it is."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.detector import (
     NOTHING,
@@ -23,9 +23,6 @@ from bayesnet_track.vision.detectors.selection import select
 from bayesnet_track.vision.planes.shape_planes import EdgePlane
 from bayesnet_track.vision.shape.shape_contours import COVER, contours, fields
 from bayesnet_track.vision.shape.shape_model import ShapeModel, ShapeModelError, load_model
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class ContourShapeParameters(DetectorParameters):

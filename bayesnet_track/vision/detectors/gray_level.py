@@ -10,13 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
+from bayesnet_track.numerics.arrays import Bytes
 from bayesnet_track.observation.detector import Detections, Detector, DetectorDeclaration, DetectorState
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.vision.detectors.selection import SURE, BlobParameters, blobs, select
 from bayesnet_track.vision.planes.gray_plane import gray
-
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 SD_OF_MAD = 1.4826
 """Standard deviation of a Gaussian in median absolute deviations."""

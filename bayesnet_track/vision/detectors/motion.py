@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from bayesnet_track.numerics.arrays import Bytes, Floats
 from bayesnet_track.observation.detector import (
     NOTHING,
     Detections,
@@ -19,9 +20,6 @@ from bayesnet_track.observation.detector import (
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.vision.detectors.selection import SURE, BlobParameters, regions, select
 from bayesnet_track.vision.planes.gray_plane import gray
-
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 LEAST_SIDE = 16
 """Pictures with a shorter side are too small for the pyramid of the flow."""

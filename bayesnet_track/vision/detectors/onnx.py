@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.detector import (
     Detections,
     Detector,
@@ -21,8 +22,6 @@ from bayesnet_track.observation.detector import (
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.vision.detectors.onnx_layouts import Found, LayoutError, fitting
 from bayesnet_track.vision.detectors.selection import select
-
-Floats = NDArray[np.float64]
 
 
 class OnnxParameters(DetectorParameters):

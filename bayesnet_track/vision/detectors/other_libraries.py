@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.detector import Detections, check_detections
-
-Floats = NDArray[np.float64]
 
 
 def detections_of(found: Any) -> Detections:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.detector import (
     NOTHING,
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
     from bayesnet_track.observation.planes import Frame, FramePair
 
-Floats = NDArray[np.float64]
 Evidence = NDArray[np.uint8]
 
 CANDIDATES = 1000

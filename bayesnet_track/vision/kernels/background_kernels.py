@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Singles
 from bayesnet_track.numerics.compiled import compiled
-
-Singles = NDArray[np.float32]
 
 BACKGROUND, SHADOW, FOREGROUND = 0, 64, 128
 """Evidence below `SHADOW` is background; from `FOREGROUND` on, a target, up to 255 the surer it is."""

@@ -7,10 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.compiled import compiled
 from bayesnet_track.vision.kernels.blob_words import MOST_CELLS, grow_in_words
-
-Floats = NDArray[np.float64]
 
 BLOB_COLUMNS = ("x", "y", "hue", "share")
 """A blob: its centre relative to the box's (in widths and heights), mean hue (degrees), share of the box."""

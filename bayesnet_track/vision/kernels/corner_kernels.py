@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Bytes, Floats, Ints
 from bayesnet_track.numerics.compiled import compiled
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bytes = NDArray[np.uint8]
 
 BLOCK = 2
 """The gradient matrix of a corner sums over (2 BLOCK + 1)^2 pixels."""

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats, Singles
 from bayesnet_track.numerics.compiled import compiled
 from bayesnet_track.vision.kernels.flow_kernels import FLOW_UNITS
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 
 
 @compiled

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats, Ints, Singles
 from bayesnet_track.numerics.compiled import compiled
-
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
-Ints = NDArray[np.int64]
 
 FEATURES = 5
 """Columns of the table that `blob_features` fills: share, depth, spread, width, height."""
@@ -20,7 +16,7 @@ NEAREST_M, FURTHEST_M = 0.01, 10000.0
 
 @compiled
 def blob_features(
-    points: Floats32, boxes: Floats, origin: Ints, cells: int, layer: float, features: Floats
+    points: Singles, boxes: Floats, origin: Ints, cells: int, layer: float, features: Floats
 ) -> None:
     """Fill `features` (N, 5) with what a grid of samples on each box says of its depth blob.
 

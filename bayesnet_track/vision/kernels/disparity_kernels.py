@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats, Singles
 from bayesnet_track.numerics.compiled import compiled
 
 Shorts = NDArray[np.int16]
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
 Ints32 = NDArray[np.int32]
 
 LARGEST = 2047
@@ -61,7 +60,7 @@ def correlate(
     min_correlation: float,
     min_difference: float,
     separation: int,
-    disparity: Floats32,
+    disparity: Singles,
 ) -> None:
     """Fill `disparity` (rows, columns) with the best match of each window along its row, or NaN.
 
@@ -176,7 +175,7 @@ def _score(
     right_sums: Floats,
     left_inverse: Floats,
     right_inverse: Floats,
-    scores: Floats32,
+    scores: Singles,
 ) -> None:
     """Thesis eq. 3.5 from sums over windows."""
     for i in range(scores.shape[0]):
@@ -185,7 +184,7 @@ def _score(
 
 
 @compiled
-def _best(scores: Floats32, best: Floats32, place: Ints32) -> None:
+def _best(scores: Singles, best: Singles, place: Ints32) -> None:
     """Fill `best` and `place` with each column's largest score and its row; -1 where there is none."""
     best[:] = np.float32(-2.0)
     place[:] = -1
@@ -198,7 +197,7 @@ def _best(scores: Floats32, best: Floats32, place: Ints32) -> None:
 
 
 @compiled
-def _limits(best: Floats32, min_difference: float, limit: Floats32) -> None:
+def _limits(best: Singles, min_difference: float, limit: Singles) -> None:
     """Fill `limit` with what a rival's score exceeds: (1 - min_difference) best, rounded down."""
     for i in range(best.shape[0]):
         top = float(best[i])
@@ -209,7 +208,7 @@ def _limits(best: Floats32, min_difference: float, limit: Floats32) -> None:
 
 
 @compiled
-def _count_rivals(scores: Floats32, place: Ints32, limit: Floats32, separation: int, rivals: Ints32) -> None:
+def _count_rivals(scores: Singles, place: Ints32, limit: Singles, separation: int, rivals: Ints32) -> None:
     """Fill `rivals` with the number of peaks above `limit` that are further than `separation` from `place`.
 
     Row by row, since only loops along rows become vector instructions.
@@ -226,7 +225,7 @@ def _count_rivals(scores: Floats32, place: Ints32, limit: Floats32, separation: 
 
 
 @compiled
-def _fraction(scores: Floats32, i: int, best: int) -> float:
+def _fraction(scores: Singles, i: int, best: int) -> float:
     """Where a parabola through the best score and its neighbours is highest, in steps from the best."""
     before, top, after = float(scores[best - 1, i]), float(scores[best, i]), float(scores[best + 1, i])
     bend = before - 2.0 * top + after
@@ -234,7 +233,7 @@ def _fraction(scores: Floats32, i: int, best: int) -> float:
 
 
 @compiled
-def label_regions(depth: Floats32, step: float, min_pixels: int, labels: Ints32) -> int:
+def label_regions(depth: Singles, step: float, min_pixels: int, labels: Ints32) -> int:
     """Fill `labels` with the 4-connected smooth regions of `depth`, 1, 2, ... in reading order; their number.
 
     Neighbours belong together when their depths differ by at most `step` of the smaller. Pixels that are NaN

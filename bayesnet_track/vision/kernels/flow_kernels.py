@@ -7,14 +7,9 @@ the bits of the result do not depend on where a crop starts.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Bytes, Floats, Ints, Singles
 from bayesnet_track.numerics.compiled import compiled, compiled_summing
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bytes = NDArray[np.uint8]
-Singles = NDArray[np.float32]
 
 LEVELS = 3
 """Levels of the image pyramid."""

@@ -8,12 +8,9 @@ for every direction. Votes are shared between the nearest cells.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Bytes, Singles
 from bayesnet_track.numerics.compiled import compiled
-
-Bytes = NDArray[np.uint8]
-Singles = NDArray[np.float32]
 
 CELL = 4
 """Side of a cell, px."""

@@ -11,10 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Ints, Singles
 from bayesnet_track.numerics.compiled import compiled
 
-Singles = NDArray[np.float32]
-Ints = NDArray[np.int64]
 Steps = NDArray[np.int8]
 
 MOST_GRAY = 40.0

@@ -9,12 +9,9 @@ where the integral image starts.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.compiled import compiled, compiled_summing
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 UNITS = 1024
 """Steps per pixel to which the edges of cells are rounded: 2**31 * UNITS**2 stays below 2**53."""

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Bools, Floats
 from bayesnet_track.numerics.compiled import compiled
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 @compiled
-def consensus(source: Floats, target: Floats, tolerance: float, apart: float, most: float) -> Flags:
+def consensus(source: Floats, target: Floats, tolerance: float, apart: float, most: float) -> Bools:
     """(N,) True for the points that one translation or one similarity takes to within `tolerance` px.
 
     All are tried: the translation of every point, and the similarity of every two points at least `apart` px

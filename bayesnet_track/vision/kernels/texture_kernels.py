@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Bytes, Floats
 from bayesnet_track.numerics.compiled import compiled
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Bytes = NDArray[np.uint8]
+Ints32 = NDArray[np.int32]
 
 PATTERNS = 10
 """Codes of binary patterns: 0 .. 8 brighter neighbours in one arc, 9 for more than one arc."""
@@ -67,7 +66,7 @@ def gradient_directions(gray: Bytes, noise: int, codes: Bytes) -> None:
 
 
 @compiled
-def integral_histogram(codes: Bytes, integral: Ints) -> None:
+def integral_histogram(codes: Bytes, integral: Ints32) -> None:
     """How often each code occurs above and left: `integral` (H + 1, W + 1, B), first row and column 0."""
     bins = integral.shape[2]
     row = np.zeros(bins, np.int32)
@@ -82,7 +81,7 @@ def integral_histogram(codes: Bytes, integral: Ints) -> None:
 
 
 @compiled
-def cell_shares(integral: Ints, boxes: Floats, x0: int, y0: int, cells: int, shares: Floats) -> None:
+def cell_shares(integral: Ints32, boxes: Floats, x0: int, y0: int, cells: int, shares: Floats) -> None:
     """Share of each code in the cells of boxes, of the whole cell: what lies outside the crop has none.
 
     Args:

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Array, Floats
 from bayesnet_track.observation.geometry import crop_of
-from bayesnet_track.observation.planes import Array, FramePair, Plane, Planes, Region, region_of_boxes
-
-Floats = NDArray[np.float64]
+from bayesnet_track.observation.planes import FramePair, Plane, Planes, Region, region_of_boxes
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Bytes = NDArray[np.uint8]
-Singles = NDArray[np.float32]
+from bayesnet_track.numerics.arrays import Bytes, Singles
 
 ORIENTATIONS = 8
 """Orientations of the full circle."""

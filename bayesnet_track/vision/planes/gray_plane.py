@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from bayesnet_track.observation.planes import Array, FramePair, Plane, Region
+from bayesnet_track.numerics.arrays import Array
+from bayesnet_track.observation.planes import FramePair, Plane, Region
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.observation.planes import Array, Frame, FramePair, Plane, Region
+from bayesnet_track.numerics.arrays import Array
+from bayesnet_track.observation.planes import Frame, FramePair, Plane, Region
 from bayesnet_track.vision.planes.gray_plane import gray
 
 COARSEST = 4

@@ -9,8 +9,9 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.depth import NoDepth, PointMap, Points, RightEye
-from bayesnet_track.observation.planes import Array, Frame, FramePair, Plane, Region
+from bayesnet_track.observation.planes import Frame, FramePair, Plane, Region
 from bayesnet_track.vision.planes.gray_plane import gray
 
 GRAY_STEPS = 8

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from bayesnet_track.observation.planes import Array, FramePair, Plane, Region
+from bayesnet_track.numerics.arrays import Array
+from bayesnet_track.observation.planes import FramePair, Plane, Region
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayesnet_track.observation.planes import Array
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from bayesnet_track.numerics.arrays import Array, Floats, Ints
 
 REACH = 0.25
 """How far a snake's point sees an edge, in mean sides of the box."""

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayesnet_track.observation.planes import Array, Frame, FramePair, PlaneCache, Region
+from bayesnet_track.numerics.arrays import Array, Floats
+from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.vision.planes.shape_planes import EdgePlane
 from bayesnet_track.vision.shape.shape_contours import contours, mask_box, mask_edges, vectors
-
-Floats = NDArray[np.float64]
 
 
 def mask_example(mask: Array, grid: int) -> tuple[Floats, float]:

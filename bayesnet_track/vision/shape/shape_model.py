@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from bayesnet_track.numerics.arrays import Floats
 
 KIND, VERSION = "bayesnet_track shape model", 1
 KEEP = 0.95

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.vision.siamese.networks import SEARCH, TEMPLATE, Bytes, Floats, Response
+from bayesnet_track.numerics.arrays import Bytes, Floats
+from bayesnet_track.vision.siamese.networks import SEARCH, TEMPLATE, Response
 
 TILE = 0.8
 """Distance of the crops' centres on the lattice, in sides of the square that the template shows."""

@@ -6,15 +6,9 @@ from threading import Lock
 
 import numpy as np
 
+from bayesnet_track.numerics.arrays import Bytes, Floats, Singles
 from bayesnet_track.vision.siamese.crops import Crop, context_side
-from bayesnet_track.vision.siamese.networks import (
-    SEARCH,
-    TEMPLATE,
-    Bytes,
-    Floats,
-    Networks,
-    Singles,
-)
+from bayesnet_track.vision.siamese.networks import SEARCH, TEMPLATE, Networks
 
 LEAST = 1e-4
 """Proposals of a smaller probability are left out."""

@@ -13,13 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Bytes, Floats, Singles
 from bayesnet_track.observation.capabilities import CueError
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
 
 TEMPLATE = 127
 """Side of the template's crop, px of the network."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesnet_track.vision.siamese.networks import TEMPLATE, Bytes, Floats, Networks, Response, Singles
+from bayesnet_track.numerics.arrays import Bytes, Floats, Singles
+from bayesnet_track.vision.siamese.networks import TEMPLATE, Networks, Response
 
 CELL = 4
 """Side of the cells of `plain`, px of the network."""

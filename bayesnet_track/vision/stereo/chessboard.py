@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Image
 from bayesnet_track.vision.planes.gray_plane import gray
 from bayesnet_track.vision.stereo.stereo import CalibrationError, Cameras
 
-Image = NDArray[np.uint8]
 Corners = NDArray[np.float32]
 
 LEAST_VIEWS = 3

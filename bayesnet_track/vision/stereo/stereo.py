@@ -14,12 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats, Image
 from bayesnet_track.observation.depth import StereoGeometry
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 RECTIFIED = ("focal_px", "baseline_m", "centre_x_px", "centre_y_px")
 CAMERAS = ("M1", "D1", "M2", "D2", "R", "T")

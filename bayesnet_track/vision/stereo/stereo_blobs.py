@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.depth import NoDepth
 from bayesnet_track.observation.planes import Frame, Region
 from bayesnet_track.vision.planes.stereo_planes import Correlation, Matcher, Range, all_points
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.compiled import compiled
 from bayesnet_track.numerics.kernels.box_kernels import find_distinct, pixels_of_boxes
 from bayesnet_track.vision.kernels.histograms.histogram_kernels import (
@@ -20,8 +21,6 @@ from bayesnet_track.vision.kernels.histograms.histogram_kernels import (
     spread,
 )
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Counts = NDArray[np.int32]
 Bins = NDArray[np.uint8]
 

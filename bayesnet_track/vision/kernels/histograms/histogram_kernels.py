@@ -7,9 +7,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.compiled import compiled, compiled_summing
 
-Floats = NDArray[np.float64]
 Counts = NDArray[np.int32]
 Bins = NDArray[np.uint8]
 Corners = NDArray[np.int64]

@@ -1,0 +1,17 @@
+"""The arrays that the whole package names in its annotations: what they hold, not their shape."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+Bools = NDArray[np.bool_]
+Bytes = NDArray[np.uint8]
+Floats = NDArray[np.float64]
+Image = NDArray[np.uint8]
+"""(height, width) or (height, width, channels), as OpenCV has them: rows first, BGR."""
+Ints = NDArray[np.int64]
+Singles = NDArray[np.float32]
