@@ -20,7 +20,6 @@ from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.births import CandidateConfirmed
 from bayesnet_track.journal.events.endings import TargetDied
 from bayesnet_track.journal.events.statuses import StatusChanged
-from bayesnet_track.journal.text.sentences import describe
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.checkpoints.state_codec import decode_state, encode_state
@@ -110,14 +109,13 @@ def test_births_statuses_and_ends_are_levels_of_existence(graph):
     done = outcomes(graph, says, 40)
     (born,), (died,) = events_of(done, CandidateConfirmed), events_of(done, TargetDied)
     assert 1 <= born.frame <= 6 and born.existence >= born.confirm == 0.9
-    assert "existence" in describe(born) and "is new" in describe(born)
+    assert "existence" in born.describe() and "is new" in born.describe()
     (lost,) = events_of(done, StatusChanged)
     assert 20 < lost.frame < died.frame < 35
-    assert "existence 0." in describe(lost) and "would not have been lost at existence_below ≤" in describe(
-        lost
-    )
+    assert "existence 0." in lost.describe()
+    assert "would not have been lost at existence_below ≤" in lost.describe()
     assert died.reason == "existence" and died.existence < died.end == 0.05
-    assert "would have continued at existence.end ≤" in describe(died)
+    assert "would have continued at existence.end ≤" in died.describe()
     values = [line.existence for one in done for line in one.metrics if line.existence is not None]
     assert values[5] > 0.99 and values[-1] == pytest.approx(died.existence)
     assert '"existence": ' in to_json(done[10].metrics[0])

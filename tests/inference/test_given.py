@@ -10,7 +10,7 @@ from bayesnet_track.graph.checked import Conditional
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.inference.given import draw_given, log_given, usual_boxes
 from bayesnet_track.inference.parts import nominal_boxes
-from bayesnet_track.journal.events.flaws import FlawEnded, MotionFlawed, describe
+from bayesnet_track.journal.events.flaws import FlawEnded, MotionFlawed
 
 PARENT = np.array([50.0, 40.0, 20.0, 30.0])
 
@@ -94,7 +94,7 @@ def test_it_is_written_down_when_it_begins_and_ends(fakes):
     engine, _ = fakes.engine(nodes, {"a": fakes.gaussian(50, 42, 7)})
     events = [event for outcome in fakes.play(engine, 3) for event in outcome.events if event.frame > 0]
     assert [(type(event), event.part) for event in events] == [(MotionFlawed, "given n.x")]
-    assert "these have the value of the node above" in describe(events[0])
+    assert "these have the value of the node above" in events[0].describe()
     assert FlawEnded(9, "1", "given n.x").what == "given n.x"
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import assert_never
 
 from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, round_away
 
@@ -22,6 +21,10 @@ class DegenerateBelief:
     frame: int
     target: str
     reason: str
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        return f"no hypothesis of target {self.target} can be used: {self.reason}; the prediction stays"
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,19 @@ class BeliefReset:
     region: str
     region_px2: float
     action: str
+
+    def describe(self) -> str:
+        """A belief that was reset."""
+        gamma, below = distinct_texts(self.gamma, self.below)
+        over = "the belief's bounding box" if self.region == "belief" else "the image"
+        then = (
+            f"the belief of target {self.target} starts again from the frame's likelihood"
+            if self.action == "reset"
+            else "the frame's evidence is ignored"
+        )
+        turning = round_away(self.gamma, decimals(self.gamma, self.below), up=False)
+        found = f"γ {gamma} < {below} over {over} ({self.region_px2:.0f} px²)"
+        return f"{found} → {then}; would not have happened at below ≤ {turning}"
 
 
 @dataclass(frozen=True)
@@ -75,47 +91,19 @@ class MeasurementGated:
     turning: float
     used: int
 
+    def describe(self) -> str:
+        """A measurement that is taken for another object."""
+        d2, limit = distinct_texts(self.d2, self.limit)
+        of = plural(self.degrees, "degree")
+        then = "" if self.used else "; nothing else was measured near the prediction"
+        # Rounded up, so that the gate named does let it pass.
+        digits = min(max(2, math.ceil(-math.log10(max(1.0 - self.turning, 1e-300)))), 12)
+        turning = math.ceil(self.turning * 10.0**digits) / 10.0**digits
+        gate = f"gate ≥ {turning:.12g}" if turning < 1 else "gate: 1"
+        return (
+            f"{self.node} measured d² {d2} > {limit} from the prediction (gate {self.gate:g}, {of} of "
+            f"freedom) → not used{then}; would have been used at {gate}"
+        )
+
 
 Events = DegenerateBelief | BeliefReset | MeasurementGated
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    match event:
-        case DegenerateBelief():
-            return f"no hypothesis of target {event.target} can be used: {event.reason}; the prediction stays"
-        case BeliefReset():
-            return _describe_reset(event)
-        case MeasurementGated():
-            return _describe_gated(event)
-        case _:
-            assert_never(event)
-
-
-def _describe_reset(event: BeliefReset) -> str:
-    """A belief that was reset."""
-    gamma, below = distinct_texts(event.gamma, event.below)
-    over = "the belief's bounding box" if event.region == "belief" else "the image"
-    then = (
-        f"the belief of target {event.target} starts again from the frame's likelihood"
-        if event.action == "reset"
-        else "the frame's evidence is ignored"
-    )
-    turning = round_away(event.gamma, decimals(event.gamma, event.below), up=False)
-    found = f"γ {gamma} < {below} over {over} ({event.region_px2:.0f} px²)"
-    return f"{found} → {then}; would not have happened at below ≤ {turning}"
-
-
-def _describe_gated(event: MeasurementGated) -> str:
-    """A measurement that is taken for another object."""
-    d2, limit = distinct_texts(event.d2, event.limit)
-    of = plural(event.degrees, "degree")
-    then = "" if event.used else "; nothing else was measured near the prediction"
-    # Rounded up, so that the gate named does let it pass.
-    digits = min(max(2, math.ceil(-math.log10(max(1.0 - event.turning, 1e-300)))), 12)
-    turning = math.ceil(event.turning * 10.0**digits) / 10.0**digits
-    gate = f"gate ≥ {turning:.12g}" if turning < 1 else "gate: 1"
-    return (
-        f"{event.node} measured d² {d2} > {limit} from the prediction (gate {event.gate:g}, {of} of freedom) "
-        f"→ not used{then}; would have been used at {gate}"
-    )

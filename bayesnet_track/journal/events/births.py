@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import assert_never
 
 from bayesnet_track.journal.events.reidentification import Recognition, explain_odds
 from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, round_away
@@ -26,6 +25,15 @@ class TargetStarted:
     template: str
     box: tuple[float, float, float, float]
     active: tuple[str, ...]
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        x, y, w, h = self.box
+        active = ", ".join(self.active) or "no agent"
+        return (
+            f"target {self.target} starts as {self.template}, centre {x:.4g}, {y:.4g}, "
+            f"{w:.4g} x {h:.4g} px → {active} on"
+        )
 
 
 @dataclass(frozen=True)
@@ -58,6 +66,27 @@ class CandidateConfirmed:
     existence: float | None = field(default=None, metadata={"left_out_when_empty": True})
     confirm: float | None = field(default=None, metadata={"left_out_when_empty": True})
 
+    def describe(self) -> str:
+        """`gray_level detected it in 3 of 4 runs ...  → target 3 is new`."""
+        seen = f"{self.detector} detected it in {self.seen} of {plural(self.looks, 'run')}"
+        since = f" since frame {self.first_frame}" if self.first_frame < self.frame else ""
+        exists = ""
+        if self.existence is not None and self.confirm is not None:
+            value, level = distinct_texts(self.existence, self.confirm)
+            exists = f", existence {value} ≥ {level}"
+        found = f"{seen}{since}, mean score {self.score:.2f}{exists} → target {self.target} is new"
+        near = self.nearest
+        if near is None:
+            return found
+        value, level = distinct_texts(near.probability, near.min_probability)
+        if near.probability >= near.min_probability:
+            return f"{found} (target {near.target} is taken for another detection)"
+        turning = round_away(near.probability, decimals(near.probability, near.min_probability), up=False)
+        return (
+            f"{found}: it is target {near.target} with probability {value} < {level} ({explain_odds(near)}); "
+            f"would have been target {near.target} at min_probability ≤ {turning}"
+        )
+
 
 @dataclass(frozen=True)
 class BirthsRefused:
@@ -81,6 +110,15 @@ class BirthsRefused:
     refused: int
     waiting: int
 
+    def describe(self) -> str:
+        """`20 targets of square live, the maximum → 3 new targets refused`."""
+        so_far = f", {self.refused} so far" if self.refused > self.waiting else ""
+        return (
+            f"{plural(self.live, 'target')} of {self.template} live, the maximum → "
+            f"{plural(self.waiting, 'new target')} refused{so_far}; would have started at max_targets ≥ "
+            f"{self.live + self.waiting}"
+        )
+
 
 @dataclass(frozen=True)
 class DetectorFailed:
@@ -100,68 +138,15 @@ class DetectorFailed:
     until: int | None = None
     times: int = 1
 
+    def describe(self) -> str:
+        """`motion failed: ... → paused for 10 frames, tried again in frame 14`."""
+        out = "the rest of the run"
+        if self.until is not None:
+            waits = plural(self.until - self.frame, "frame")
+            out = f"{waits} after {self.times} failures in a row" if self.times > 1 else waits
+            out += f", tried again in frame {self.until}"
+        return f"detector {self.detector} failed: {self.reason} → paused for {out}"
+
 
 Decisions = TargetStarted
 Events = Decisions | CandidateConfirmed | BirthsRefused | DetectorFailed
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    match event:
-        case TargetStarted():
-            x, y, w, h = event.box
-            active = ", ".join(event.active) or "no agent"
-            return (
-                f"target {event.target} starts as {event.template}, centre {x:.4g}, {y:.4g}, "
-                f"{w:.4g} x {h:.4g} px → {active} on"
-            )
-        case CandidateConfirmed():
-            return _describe_confirmed(event)
-        case BirthsRefused():
-            return _describe_refused(event)
-        case DetectorFailed():
-            return _describe_failed(event)
-        case _:
-            assert_never(event)
-
-
-def _describe_confirmed(event: CandidateConfirmed) -> str:
-    """`gray_level detected it in 3 of 4 runs ...  → target 3 is new`."""
-    seen = f"{event.detector} detected it in {event.seen} of {plural(event.looks, 'run')}"
-    since = f" since frame {event.first_frame}" if event.first_frame < event.frame else ""
-    exists = ""
-    if event.existence is not None and event.confirm is not None:
-        value, level = distinct_texts(event.existence, event.confirm)
-        exists = f", existence {value} ≥ {level}"
-    found = f"{seen}{since}, mean score {event.score:.2f}{exists} → target {event.target} is new"
-    near = event.nearest
-    if near is None:
-        return found
-    value, level = distinct_texts(near.probability, near.min_probability)
-    if near.probability >= near.min_probability:
-        return f"{found} (target {near.target} is taken for another detection)"
-    turning = round_away(near.probability, decimals(near.probability, near.min_probability), up=False)
-    return (
-        f"{found}: it is target {near.target} with probability {value} < {level} ({explain_odds(near)}); "
-        f"would have been target {near.target} at min_probability ≤ {turning}"
-    )
-
-
-def _describe_refused(event: BirthsRefused) -> str:
-    """`20 targets of square live, the maximum → 3 new targets refused`."""
-    so_far = f", {event.refused} so far" if event.refused > event.waiting else ""
-    return (
-        f"{plural(event.live, 'target')} of {event.template} live, the maximum → "
-        f"{plural(event.waiting, 'new target')} refused{so_far}; would have started at max_targets ≥ "
-        f"{event.live + event.waiting}"
-    )
-
-
-def _describe_failed(event: DetectorFailed) -> str:
-    """`motion failed: ... → paused for 10 frames, tried again in frame 14`."""
-    out = "the rest of the run"
-    if event.until is not None:
-        waits = plural(event.until - event.frame, "frame")
-        out = f"{waits} after {event.times} failures in a row" if event.times > 1 else waits
-        out += f", tried again in frame {event.until}"
-    return f"detector {event.detector} failed: {event.reason} → paused for {out}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import assert_never
 
 from bayesnet_track.journal.net.target_net import TargetNet
 
@@ -24,6 +23,21 @@ class Toggled:
     node: str
     on: bool
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        how = "on" if self.on else "off"
+        return f"switched by hand → {self.node} {how}; no rule switches it until it is released"
+
+    def shorten(self) -> str:
+        """The switch in a word, for a summary."""
+        return f"{'on' if self.on else 'off'} by hand"
+
+    def change(self, net: TargetNet) -> TargetNet:
+        """The net of the target after it."""
+        active = net.active | {self.node} if self.on else net.active - {self.node}
+        by_hand = {**net.by_hand, self.node: self.on}
+        return replace(net, active=active, by_hand=by_hand, shed=net.shed_without(self.node))
+
 
 @dataclass(frozen=True)
 class Released:
@@ -38,6 +52,15 @@ class Released:
     frame: int
     target: str
     node: str
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        return f"released by hand → the rules may switch {self.node} again"
+
+    def change(self, net: TargetNet) -> TargetNet:
+        """The net of the target after it."""
+        held_by_hand = {agent: on for agent, on in net.by_hand.items() if agent != self.node}
+        return replace(net, by_hand=held_by_hand)
 
 
 @dataclass(frozen=True)
@@ -56,40 +79,11 @@ class InputRefused:
     node: str
     reason: str
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        return f"the request for {self.node} is refused: {self.reason}"
+
 
 Decisions = Toggled | Released
 Switches = Toggled
 Events = Decisions | InputRefused
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    match event:
-        case Toggled():
-            how = "on" if event.on else "off"
-            return f"switched by hand → {event.node} {how}; no rule switches it until it is released"
-        case Released():
-            return f"released by hand → the rules may switch {event.node} again"
-        case InputRefused():
-            return f"the request for {event.node} is refused: {event.reason}"
-        case _:
-            assert_never(event)
-
-
-def shorten(event: Switches) -> str:
-    """The switch in a word, for a summary."""
-    return f"{'on' if event.on else 'off'} by hand"
-
-
-def change(net: TargetNet, decision: Decisions) -> TargetNet:
-    """The net of a target after a decision."""
-    match decision:
-        case Toggled():
-            active = net.active | {decision.node} if decision.on else net.active - {decision.node}
-            by_hand = {**net.by_hand, decision.node: decision.on}
-            return replace(net, active=active, by_hand=by_hand, shed=net.shed_without(decision.node))
-        case Released():
-            held_by_hand = {agent: on for agent, on in net.by_hand.items() if agent != decision.node}
-            return replace(net, by_hand=held_by_hand)
-        case _:
-            assert_never(decision)

@@ -35,16 +35,15 @@ class DistractorSeen:
     fit: float
     hold: int
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        behind, within = distinct_texts(self.behind_nats, self.within_nats)
+        turning = round_away(self.behind_nats, decimals(self.behind_nats, self.within_nats), up=False)
+        return (
+            f"look-alike at {self.x:.4g}, {self.y:.4g}, {self.away_box:.2g} box sides away, only {behind} < "
+            f"{within} nats less likely than the target → score at most 0.5 for {self.hold} frames; ignored "
+            f"with within_nats ≤ {turning}"
+        )
+
 
 Events = DistractorSeen
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    behind, within = distinct_texts(event.behind_nats, event.within_nats)
-    turning = round_away(event.behind_nats, decimals(event.behind_nats, event.within_nats), up=False)
-    return (
-        f"look-alike at {event.x:.4g}, {event.y:.4g}, {event.away_box:.2g} box sides away, only {behind} < "
-        f"{within} nats less likely than the target → score at most 0.5 for {event.hold} frames; ignored "
-        f"with within_nats ≤ {turning}"
-    )

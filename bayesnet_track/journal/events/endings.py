@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import assert_never
 
 from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, round_away
 
@@ -32,6 +31,24 @@ class TargetDied:
     existence: float | None = field(default=None, metadata={"left_out_when_empty": True})
     end: float | None = field(default=None, metadata={"left_out_when_empty": True})
 
+    def describe(self) -> str:
+        """`lost for 30 frames → target 3 ends`."""
+        kept = ", remembered" if self.remembered else ""
+        if self.existence is not None and self.end is not None:
+            value, level = distinct_texts(self.existence, self.end)
+            turning = round_away(self.existence, decimals(self.existence, self.end), up=False)
+            unseen = f" after {plural(self.frames, 'frame')} without a detection" if self.frames else ""
+            return (
+                f"existence {value} < {level}{unseen} → target {self.target} ends{kept}; "
+                f"would have continued at existence.end ≤ {turning}"
+            )
+        how = "lost" if self.reason == "lost" else "not detected"
+        key = "lost_frames" if self.reason == "lost" else "unseen_frames"
+        return (
+            f"{how} for {plural(self.frames, 'frame')} → target {self.target} ends{kept}; "
+            f"would have continued at {key} ≥ {self.frames + 1}"
+        )
+
 
 @dataclass(frozen=True)
 class DuplicateEnded:
@@ -53,48 +70,16 @@ class DuplicateEnded:
     level: float
     frames: int
 
+    def describe(self) -> str:
+        """`its belief overlaps that of target 1 ... → target 3, the younger, ends`."""
+        digits = decimals(self.overlap, self.level)
+        turning = min(1.0, float(round_away(self.overlap, digits, up=True)))
+        value = round_away(self.overlap, digits, up=False)
+        return (
+            f"its belief overlaps that of target {self.kept} by {value} ≥ {self.level:g} for "
+            f"{plural(self.frames, 'frame')} → target {self.target}, the younger, ends; would have continued "
+            f"at overlap > {turning:g} or frames > {self.frames}"
+        )
+
 
 Decisions = TargetDied | DuplicateEnded
-Events = Decisions
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    match event:
-        case TargetDied():
-            return _describe_death(event)
-        case DuplicateEnded():
-            return _describe_duplicate(event)
-        case _:
-            assert_never(event)
-
-
-def _describe_death(event: TargetDied) -> str:
-    """`lost for 30 frames → target 3 ends`."""
-    kept = ", remembered" if event.remembered else ""
-    if event.existence is not None and event.end is not None:
-        value, level = distinct_texts(event.existence, event.end)
-        turning = round_away(event.existence, decimals(event.existence, event.end), up=False)
-        unseen = f" after {plural(event.frames, 'frame')} without a detection" if event.frames else ""
-        return (
-            f"existence {value} < {level}{unseen} → target {event.target} ends{kept}; "
-            f"would have continued at existence.end ≤ {turning}"
-        )
-    how = "lost" if event.reason == "lost" else "not detected"
-    key = "lost_frames" if event.reason == "lost" else "unseen_frames"
-    return (
-        f"{how} for {plural(event.frames, 'frame')} → target {event.target} ends{kept}; "
-        f"would have continued at {key} ≥ {event.frames + 1}"
-    )
-
-
-def _describe_duplicate(event: DuplicateEnded) -> str:
-    """`its belief overlaps that of target 1 ... → target 3, the younger, ends`."""
-    digits = decimals(event.overlap, event.level)
-    turning = min(1.0, float(round_away(event.overlap, digits, up=True)))
-    value = round_away(event.overlap, digits, up=False)
-    return (
-        f"its belief overlaps that of target {event.kept} by {value} ≥ {event.level:g} for "
-        f"{plural(event.frames, 'frame')} → target {event.target}, the younger, ends; would have continued "
-        f"at overlap > {turning:g} or frames > {event.frames}"
-    )

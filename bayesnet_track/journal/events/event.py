@@ -1,8 +1,9 @@
 """Every event of the journal. The docstrings of their classes are the documentation of the file format.
 
 A line of ``journal.jsonl`` is ``{"event": <snake_case class name>, <field>: <value>, ...}``, keys in the
-order of the class. Each module of this folder has the events of one subject, their sentences, and how its
-decisions change a net. mypy names every dispatch that leaves one out.
+order of the class. Each module of this folder has the events of one subject. An event has its sentence, as
+`describe`; a decision has what it does to the net of its target, as `change`; a switch has its word for a
+summary, as `shorten`. mypy names a class of the union that lacks one.
 """
 
 from __future__ import annotations

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import assert_never
 
 from bayesnet_track.journal.net.target_net import Fault, TargetNet
 from bayesnet_track.journal.text.wording import plural
@@ -31,6 +30,31 @@ class Quarantined:
     until: int | None = None
     times: int = 1
 
+    def describe(self) -> str:
+        """`motion failed: raised ... → paused for 10 frames, tried again in frame 52`."""
+        again = "" if self.times == 1 else f", the {_ordinal(self.times)} time in a row"
+        failed = f"{self.node} failed{again}: {self.reason}"
+        if self.until is None:
+            return f"{failed} → off for the rest of the run"
+        return (
+            f"{failed} → paused for {plural(self.until - self.frame, 'frame')}, tried again in frame"
+            f" {self.until}"
+        )
+
+    def shorten(self) -> str:
+        """The switch in a word, for a summary."""
+        return "failed"
+
+    def change(self, net: TargetNet) -> TargetNet:
+        """The net of the target after it."""
+        fault = Fault(self.times, self.frame, self.until, self.node in net.active)
+        return replace(
+            net,
+            active=net.active - {self.node},
+            quarantined=net.quarantined | {self.node},
+            faults={**net.faults, self.node: fault},
+        )
+
 
 @dataclass(frozen=True)
 class Readmitted:
@@ -51,6 +75,24 @@ class Readmitted:
     on: bool
     times: int
     waited: int
+
+    def describe(self) -> str:
+        """`motion was paused for 10 frames after failing once → on again`."""
+        often = "failing" if self.times == 1 else f"failing {self.times} times in a row"
+        waited = f"{self.node} was paused for {plural(self.waited, 'frame')} after {often}"
+        return f"{waited} → {'on again' if self.on else 'may be switched on again'}"
+
+    def shorten(self) -> str:
+        """The switch in a word, for a summary."""
+        return "on again" if self.on else "let in again"
+
+    def change(self, net: TargetNet) -> TargetNet:
+        """The net of the target after it."""
+        return replace(
+            net,
+            active=net.active | {self.node} if self.on else net.active,
+            quarantined=net.quarantined - {self.node},
+        )
 
 
 @dataclass(frozen=True)
@@ -75,76 +117,15 @@ class AgentMissed:
     reason: str
     during: str = "observing"
 
+    def describe(self) -> str:
+        """`motion gave no answer: its process died → left out of this frame`."""
+        asked = "" if self.during == "observing" else f" while {self.during}"
+        return f"{self.node} gave no answer{asked}: {self.reason} → left out of this frame"
+
 
 Decisions = Quarantined | Readmitted
 Switches = Decisions
 Events = Decisions | AgentMissed
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    match event:
-        case Quarantined():
-            return _describe_quarantine(event)
-        case Readmitted():
-            return _describe_readmission(event)
-        case AgentMissed():
-            return _describe_miss(event)
-        case _:
-            assert_never(event)
-
-
-def shorten(event: Switches) -> str:
-    """The switch in a word, for a summary."""
-    if isinstance(event, Quarantined):
-        return "failed"
-    return "on again" if event.on else "let in again"
-
-
-def change(net: TargetNet, decision: Decisions) -> TargetNet:
-    """The net of a target after a decision."""
-    match decision:
-        case Quarantined():
-            fault = Fault(decision.times, decision.frame, decision.until, decision.node in net.active)
-            return replace(
-                net,
-                active=net.active - {decision.node},
-                quarantined=net.quarantined | {decision.node},
-                faults={**net.faults, decision.node: fault},
-            )
-        case Readmitted():
-            return replace(
-                net,
-                active=net.active | {decision.node} if decision.on else net.active,
-                quarantined=net.quarantined - {decision.node},
-            )
-        case _:
-            assert_never(decision)
-
-
-def _describe_quarantine(event: Quarantined) -> str:
-    """`motion failed: raised ... → paused for 10 frames, tried again in frame 52`."""
-    again = "" if event.times == 1 else f", the {_ordinal(event.times)} time in a row"
-    failed = f"{event.node} failed{again}: {event.reason}"
-    if event.until is None:
-        return f"{failed} → off for the rest of the run"
-    return (
-        f"{failed} → paused for {plural(event.until - event.frame, 'frame')}, tried again in frame"
-        f" {event.until}"
-    )
-
-
-def _describe_readmission(event: Readmitted) -> str:
-    """`motion was paused for 10 frames after failing once → on again`."""
-    often = "failing" if event.times == 1 else f"failing {event.times} times in a row"
-    waited = f"{event.node} was paused for {plural(event.waited, 'frame')} after {often}"
-    return f"{waited} → {'on again' if event.on else 'may be switched on again'}"
-
-
-def _describe_miss(event: AgentMissed) -> str:
-    """`motion gave no answer: its process died → left out of this frame`."""
-    asked = "" if event.during == "observing" else f" while {event.during}"
-    return f"{event.node} gave no answer{asked}: {event.reason} → left out of this frame"
 
 
 def _ordinal(number: int) -> str:

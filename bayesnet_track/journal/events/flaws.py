@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import assert_never
 
 
 @dataclass(frozen=True)
@@ -27,6 +26,15 @@ class FactorFlawed:
     hypotheses: int
     ignored: bool
 
+    def describe(self) -> str:
+        """A factor whose values are no densities."""
+        out = "it is left out until it is above 0 for some"
+        if not self.undefined:
+            return f"factor {self.node} of target {self.target} is 0 for all hypotheses → {out}"
+        of = f"{self.undefined} of {self.hypotheses} hypotheses"
+        then = out if self.ignored else "they count as impossible"
+        return f"factor {self.node} of target {self.target} has no value for {of} (such as 0 / 0) → {then}"
+
 
 @dataclass(frozen=True)
 class MotionFlawed:
@@ -49,6 +57,16 @@ class MotionFlawed:
     undefined: int
     hypotheses: int
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        of = f"{self.undefined} of {self.hypotheses} hypotheses"
+        then = {
+            "sd": "these have no such noise",
+            "given": "these have the value of the node above",
+            "measures": "these are impossible",
+        }.get(self.part.partition(" ")[0], "it stays as it is for these")
+        return f"{self.part} of target {self.target} has no value for {of} (such as 0 / 0) → {then}"
+
 
 @dataclass(frozen=True)
 class FlawEnded:
@@ -64,34 +82,9 @@ class FlawEnded:
     target: str
     what: str
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        return f"{self.what} of target {self.target} has a value for every hypothesis again"
+
 
 Events = FactorFlawed | MotionFlawed | FlawEnded
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    match event:
-        case FactorFlawed():
-            return _describe_factor(event)
-        case MotionFlawed():
-            of = f"{event.undefined} of {event.hypotheses} hypotheses"
-            then = {
-                "sd": "these have no such noise",
-                "given": "these have the value of the node above",
-                "measures": "these are impossible",
-            }.get(event.part.partition(" ")[0], "it stays as it is for these")
-            return f"{event.part} of target {event.target} has no value for {of} (such as 0 / 0) → {then}"
-        case FlawEnded():
-            return f"{event.what} of target {event.target} has a value for every hypothesis again"
-        case _:
-            assert_never(event)
-
-
-def _describe_factor(event: FactorFlawed) -> str:
-    """A factor whose values are no densities."""
-    out = "it is left out until it is above 0 for some"
-    if not event.undefined:
-        return f"factor {event.node} of target {event.target} is 0 for all hypotheses → {out}"
-    of = f"{event.undefined} of {event.hypotheses} hypotheses"
-    then = out if event.ignored else "they count as impossible"
-    return f"factor {event.node} of target {event.target} has no value for {of} (such as 0 / 0) → {then}"

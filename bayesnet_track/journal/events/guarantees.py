@@ -29,6 +29,20 @@ class AssuranceChanged:
     frames: int
     share: float
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        mean, above = distinct_texts(self.mean, self.above)
+        sign = ">" if self.assured else "≤"
+        found = f"mean score of {plural(self.frames, 'frame')} {mean} {sign} {above}"
+        turning = round_away(self.mean, decimals(self.mean, self.above), up=self.assured)
+        if self.assured:
+            again = f"target {self.target} may be called tracking again"
+            return f"{found} → {again}; not at guarantee.above {turning}"
+        return (
+            f"{found} → target {self.target} at most uncertain, for the guarantee of {100 * self.share:.3g} "
+            f"%; would have stayed at guarantee.above {turning}"
+        )
+
 
 @dataclass(frozen=True)
 class AlarmRaised:
@@ -51,6 +65,14 @@ class AlarmRaised:
     since: int
     videos: int
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        return (
+            f"e-value {self.e_value:.3g} ≥ {1.0 / self.share:.3g}, scores low since frame {self.since} → "
+            f"alarm: target {self.target} is no longer held; false in at most {100 * self.share:.3g} % of "
+            f"videos like the {self.videos} calibrated on"
+        )
+
 
 @dataclass(frozen=True)
 class AlarmEnded:
@@ -64,37 +86,9 @@ class AlarmEnded:
     frame: int
     target: str
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        return f"scores are high again → alarm for target {self.target} ends"
+
 
 Events = AssuranceChanged | AlarmRaised | AlarmEnded
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    if isinstance(event, AlarmEnded):
-        return f"scores are high again → alarm for target {event.target} ends"
-    if isinstance(event, AlarmRaised):
-        return _raised(event)
-    return _assurance(event)
-
-
-def _raised(event: AlarmRaised) -> str:
-    return (
-        f"e-value {event.e_value:.3g} ≥ {1.0 / event.share:.3g}, scores low since frame {event.since} → "
-        f"alarm: target {event.target} is no longer held; false in at most {100 * event.share:.3g} % of "
-        f"videos like the {event.videos} calibrated on"
-    )
-
-
-def _assurance(event: AssuranceChanged) -> str:
-    mean, above = distinct_texts(event.mean, event.above)
-    sign = ">" if event.assured else "≤"
-    found = f"mean score of {plural(event.frames, 'frame')} {mean} {sign} {above}"
-    turning = round_away(event.mean, decimals(event.mean, event.above), up=event.assured)
-    if event.assured:
-        return (
-            f"{found} → target {event.target} may be called tracking again; not at guarantee.above {turning}"
-        )
-    return (
-        f"{found} → target {event.target} at most uncertain, for the guarantee of {100 * event.share:.3g} %; "
-        f"would have stayed at guarantee.above {turning}"
-    )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import assert_never
 
 from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, round_away
 
@@ -29,6 +28,16 @@ class Joined:
     rule: int
     overlap: float
     above: float
+
+    def describe(self) -> str:
+        """`the beliefs of targets 1 and 2 overlap by 0.12 ≥ 0.05 → joined; ...`."""
+        value, level = distinct_texts(self.overlap, self.above)
+        turning = round_away(self.overlap, decimals(self.overlap, self.above), up=True)
+        kinds = " and ".join(dict.fromkeys(self.kinds))
+        return (
+            f"the beliefs of target {self.target} and target {self.other} ({kinds}) overlap by {value} "
+            f"≥ {level} → joined; would have stayed on their own at overlap > {turning}"
+        )
 
 
 @dataclass(frozen=True)
@@ -56,44 +65,20 @@ class Parted:
     turning: float
     together: int
 
+    def describe(self) -> str:
+        """`the beliefs of targets 1 and 2 overlap by 0 < 0.05 for 5 frames → parted; ...`."""
+        value, level = distinct_texts(self.overlap, self.below)
+        turning = round_away(self.turning, decimals(self.turning, self.below), up=False)
+        stay = (
+            f"overlap ≤ {turning} or apart_frames > {self.frames}"
+            if float(turning)
+            else f"apart_frames > {self.frames}"
+        )
+        return (
+            f"the beliefs of target {self.target} and target {self.other} overlap by {value} < {level} "
+            f"for {plural(self.frames, 'frame')} → parted, after {plural(self.together, 'frame')} together; "
+            f"would have stayed joined at {stay}"
+        )
+
 
 Decisions = Joined | Parted
-Events = Decisions
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    match event:
-        case Joined():
-            return _describe_joined(event)
-        case Parted():
-            return _describe_parted(event)
-        case _:
-            assert_never(event)
-
-
-def _describe_joined(event: Joined) -> str:
-    """`the beliefs of targets 1 and 2 overlap by 0.12 ≥ 0.05 → joined; ...`."""
-    value, level = distinct_texts(event.overlap, event.above)
-    turning = round_away(event.overlap, decimals(event.overlap, event.above), up=True)
-    kinds = " and ".join(dict.fromkeys(event.kinds))
-    return (
-        f"the beliefs of target {event.target} and target {event.other} ({kinds}) overlap by {value} "
-        f"≥ {level} → joined; would have stayed on their own at overlap > {turning}"
-    )
-
-
-def _describe_parted(event: Parted) -> str:
-    """`the beliefs of targets 1 and 2 overlap by 0 < 0.05 for 5 frames → parted; ...`."""
-    value, level = distinct_texts(event.overlap, event.below)
-    turning = round_away(event.turning, decimals(event.turning, event.below), up=False)
-    stay = (
-        f"overlap ≤ {turning} or apart_frames > {event.frames}"
-        if float(turning)
-        else f"apart_frames > {event.frames}"
-    )
-    return (
-        f"the beliefs of target {event.target} and target {event.other} overlap by {value} < {level} "
-        f"for {plural(event.frames, 'frame')} → parted, after {plural(event.together, 'frame')} together; "
-        f"would have stayed joined at {stay}"
-    )

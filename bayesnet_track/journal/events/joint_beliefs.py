@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import assert_never
 
 from bayesnet_track.journal.text.wording import distinct_texts, plural
 
@@ -32,6 +31,19 @@ class OcclusionChanged:
     in_front: float
     frames: int
 
+    def describe(self) -> str:
+        """`target 1 is in front (probability 0.97) and hides 0.62 > 0.5 of target 2 → ...`."""
+        value, level = distinct_texts(self.share, self.above)
+        if self.hidden:
+            return (
+                f"target {self.other} is in front with probability {self.in_front:.2f} and hides {value} "
+                f"> {level} of target {self.target} → target {self.target} hidden, does not learn"
+            )
+        return (
+            f"target {self.other} hides {value} ≤ {level} of target {self.target} "
+            f"→ target {self.target} visible again after {plural(self.frames, 'frame')}"
+        )
+
 
 @dataclass(frozen=True)
 class AttachmentChanged:
@@ -52,6 +64,18 @@ class AttachmentChanged:
     attached: bool
     probability: float
     frames: int
+
+    def describe(self) -> str:
+        """`target 2 moves as target 1 does, with probability 0.93 → carried`."""
+        if self.attached:
+            return (
+                f"target {self.target} moves as target {self.other} does with probability "
+                f"{self.probability:.2f} → carried by target {self.other}"
+            )
+        return (
+            f"target {self.target} moves as target {self.other} does with probability "
+            f"{self.probability:.2f} → no longer carried, after {plural(self.frames, 'frame')}"
+        )
 
 
 @dataclass(frozen=True)
@@ -77,57 +101,16 @@ class RingChanged:
     overlap: float
     group: tuple[str, ...]
 
+    def describe(self) -> str:
+        """`targets 1, 2, 3 are joined in a ring → the pair 1, 3 is left out`."""
+        pair = f"target {self.target} and target {self.other}"
+        if not self.left_out:
+            return f"no ring is closed by {pair} any more → their joint belief is of the tree again"
+        group = ", ".join(self.group)
+        return (
+            f"targets {group} are joined in a ring → {pair}, with an overlap of {self.overlap:.2g} the "
+            "least, are left out: each receives only the other's own belief"
+        )
+
 
 Events = OcclusionChanged | AttachmentChanged | RingChanged
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    match event:
-        case OcclusionChanged():
-            return _describe_occlusion(event)
-        case AttachmentChanged():
-            return _describe_attachment(event)
-        case RingChanged():
-            return _describe_ring(event)
-        case _:
-            assert_never(event)
-
-
-def _describe_occlusion(event: OcclusionChanged) -> str:
-    """`target 1 is in front (probability 0.97) and hides 0.62 > 0.5 of target 2 → ...`."""
-    value, level = distinct_texts(event.share, event.above)
-    if event.hidden:
-        return (
-            f"target {event.other} is in front with probability {event.in_front:.2f} and hides {value} "
-            f"> {level} of target {event.target} → target {event.target} hidden, does not learn"
-        )
-    return (
-        f"target {event.other} hides {value} ≤ {level} of target {event.target} "
-        f"→ target {event.target} visible again after {plural(event.frames, 'frame')}"
-    )
-
-
-def _describe_attachment(event: AttachmentChanged) -> str:
-    """`target 2 moves as target 1 does, with probability 0.93 → carried`."""
-    if event.attached:
-        return (
-            f"target {event.target} moves as target {event.other} does with probability "
-            f"{event.probability:.2f} → carried by target {event.other}"
-        )
-    return (
-        f"target {event.target} moves as target {event.other} does with probability "
-        f"{event.probability:.2f} → no longer carried, after {plural(event.frames, 'frame')}"
-    )
-
-
-def _describe_ring(event: RingChanged) -> str:
-    """`targets 1, 2, 3 are joined in a ring → the pair 1, 3 is left out`."""
-    pair = f"target {event.target} and target {event.other}"
-    if not event.left_out:
-        return f"no ring is closed by {pair} any more → their joint belief is of the tree again"
-    group = ", ".join(event.group)
-    return (
-        f"targets {group} are joined in a ring → {pair}, with an overlap of {event.overlap:.2g} the least, "
-        "are left out: each receives only the other's own belief"
-    )

@@ -41,19 +41,18 @@ class Reappeared:
     ud_px2: float
     above_px2: float
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        held, level = distinct_texts(self.held, self.level)
+        ud, above = distinct_texts(self.ud_px2, self.above_px2)
+        unsure = f"UD {ud} px² {'>' if self.ud_px2 > self.above_px2 else '≤'} {above}; "
+        turning = round_away(self.turning, decimals(self.turning, self.share), up=False)
+        how = "evenly" if self.by == "uniform" else f"by {self.by}"
+        return (
+            f"{unsure if self.above_px2 > 0 else ''}{self.hypotheses} hypotheses searched the whole frame, "
+            f"{how}, and hold {held} > {level} of the belief → target {self.target} reappears at "
+            f"{self.x:.4g}, {self.y:.4g}, {self.moved_px:.3g} px away; would not have at share ≤ {turning}"
+        )
+
 
 Events = Reappeared
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    held, level = distinct_texts(event.held, event.level)
-    ud, above = distinct_texts(event.ud_px2, event.above_px2)
-    unsure = f"UD {ud} px² {'>' if event.ud_px2 > event.above_px2 else '≤'} {above}; "
-    turning = round_away(event.turning, decimals(event.turning, event.share), up=False)
-    how = "evenly" if event.by == "uniform" else f"by {event.by}"
-    return (
-        f"{unsure if event.above_px2 > 0 else ''}{event.hypotheses} hypotheses searched the whole frame, "
-        f"{how}, and hold {held} > {level} of the belief → target {event.target} reappears at "
-        f"{event.x:.4g}, {event.y:.4g}, {event.moved_px:.3g} px away; would not have at share ≤ {turning}"
-    )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import assert_never
 
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.journal.text.wording import plural, round_away
@@ -39,6 +38,27 @@ class Shed:
     turning_ms: float
     index: Mapping[str, float] = field(default_factory=dict)
 
+    def describe(self) -> str:
+        """`3 of the last 10 frames were late: ... → motion off; would have stayed on at a budget ≥ ...`."""
+        late = f"{self.late} of the last {self.within} frames were late"
+        late = f"{late}, {self.spent_ms:.3g} ms > {self.budget_ms:g}"
+        others = {name: value for name, value in self.index.items() if name != self.node}
+        least = f"{self.index[self.node]:.2g} nats per ms"
+        if others:
+            second = min(others, key=lambda name: others[name])
+            least = f"{least} against {second} {others[second]:.2g}"
+        turning = round_away(self.turning_ms, max(2 - math.floor(math.log10(self.turning_ms)), 0), up=True)
+        return f"{late} → {self.node} off ({least}); would have stayed on at a budget ≥ {turning} ms"
+
+    def shorten(self) -> str:
+        """The switch in a word, for a summary."""
+        return "off for want of time"
+
+    def change(self, net: TargetNet) -> TargetNet:
+        """The net of the target after it."""
+        shed = (*net.shed_without(self.node), self.node)
+        return replace(net, active=net.active - {self.node}, shed=shed)
+
 
 @dataclass(frozen=True)
 class TakenBack:
@@ -62,6 +82,20 @@ class TakenBack:
     budget_ms: float
     frames: int
 
+    def describe(self) -> str:
+        """`50 frames took at most ... → motion on again`."""
+        time = f"{plural(self.frames, 'frame')} took at most {self.spent_ms:.3g} of {self.budget_ms:g} ms"
+        expected = f"with {self.node} {self.expected_ms:.3g} ms are expected"
+        return f"{time}, {expected} → {self.node} on again"
+
+    def shorten(self) -> str:
+        """The switch in a word, for a summary."""
+        return "on again"
+
+    def change(self, net: TargetNet) -> TargetNet:
+        """The net of the target after it."""
+        return replace(net, active=net.active | {self.node}, shed=net.shed_without(self.node))
+
 
 @dataclass(frozen=True)
 class ParticlesLimited:
@@ -82,6 +116,15 @@ class ParticlesLimited:
     before: int
     spent_ms: float
     budget_ms: float
+
+    def describe(self) -> str:
+        """`frames took ... ms, ... allowed → at most 250 hypotheses, 500 before`."""
+        most = "as many hypotheses as asked for" if self.most is None else f"at most {self.most} hypotheses"
+        return f"frames took {self.spent_ms:.3g} of {self.budget_ms:g} ms → {most}, {self.before} before"
+
+    def change(self, net: TargetNet) -> TargetNet:
+        """The net of the target after it."""
+        return replace(net, most_particles=self.most)
 
 
 @dataclass(frozen=True)
@@ -118,62 +161,3 @@ class SpareTime:
 
 Decisions = Shed | TakenBack | ParticlesLimited
 Switches = Shed | TakenBack
-Events = Decisions
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    match event:
-        case Shed():
-            return _describe_shed(event)
-        case TakenBack():
-            return _describe_taken_back(event)
-        case ParticlesLimited():
-            return _describe_limit(event)
-        case _:
-            assert_never(event)
-
-
-def shorten(event: Switches) -> str:
-    """The switch in a word, for a summary."""
-    return "off for want of time" if isinstance(event, Shed) else "on again"
-
-
-def change(net: TargetNet, decision: Decisions) -> TargetNet:
-    """The net of a target after a decision."""
-    match decision:
-        case Shed():
-            shed = (*net.shed_without(decision.node), decision.node)
-            return replace(net, active=net.active - {decision.node}, shed=shed)
-        case TakenBack():
-            return replace(net, active=net.active | {decision.node}, shed=net.shed_without(decision.node))
-        case ParticlesLimited():
-            return replace(net, most_particles=decision.most)
-        case _:
-            assert_never(decision)
-
-
-def _describe_shed(event: Shed) -> str:
-    """`3 of the last 10 frames were late: ... → motion off; would have stayed on at a budget ≥ ...`."""
-    late = f"{event.late} of the last {event.within} frames were late"
-    late = f"{late}, {event.spent_ms:.3g} ms > {event.budget_ms:g}"
-    others = {name: value for name, value in event.index.items() if name != event.node}
-    least = f"{event.index[event.node]:.2g} nats per ms"
-    if others:
-        second = min(others, key=lambda name: others[name])
-        least = f"{least} against {second} {others[second]:.2g}"
-    turning = round_away(event.turning_ms, max(2 - math.floor(math.log10(event.turning_ms)), 0), up=True)
-    return f"{late} → {event.node} off ({least}); would have stayed on at a budget ≥ {turning} ms"
-
-
-def _describe_taken_back(event: TakenBack) -> str:
-    """`50 frames took at most ... → motion on again`."""
-    time = f"{plural(event.frames, 'frame')} took at most {event.spent_ms:.3g} of {event.budget_ms:g} ms"
-    expected = f"with {event.node} {event.expected_ms:.3g} ms are expected"
-    return f"{time}, {expected} → {event.node} on again"
-
-
-def _describe_limit(event: ParticlesLimited) -> str:
-    """`frames took ... ms, ... allowed → at most 250 hypotheses, 500 before`."""
-    most = "as many hypotheses as asked for" if event.most is None else f"at most {event.most} hypotheses"
-    return f"frames took {event.spent_ms:.3g} of {event.budget_ms:g} ms → {most}, {event.before} before"

@@ -33,18 +33,17 @@ class ModeChanged:
     turning: float
     hidden: float | None = None
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        side = "higher" if self.nats >= 0 else "lower"
+        turning = round_away(self.turning, decimals(self.turning, self.nats), up=False)
+        hidden = "" if self.hidden is None else f"; hidden with probability {self.hidden:.2f}"
+        return (
+            f"the frame's evidence is {abs(self.nats):.3g} nats {side} in mode {self.mode} than in "
+            f"{self.before} → target {self.target} in mode {self.mode} with probability "
+            f"{self.probability:.2f}, predicted {self.predicted:.2g}{hidden}; would have stayed in "
+            f"{self.before} at ≤ {turning} nats"
+        )
+
 
 Events = ModeChanged
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    side = "higher" if event.nats >= 0 else "lower"
-    turning = round_away(event.turning, decimals(event.turning, event.nats), up=False)
-    hidden = "" if event.hidden is None else f"; hidden with probability {event.hidden:.2f}"
-    return (
-        f"the frame's evidence is {abs(event.nats):.3g} nats {side} in mode {event.mode} than in "
-        f"{event.before} → target {event.target} in mode {event.mode} with probability "
-        f"{event.probability:.2f}, predicted {event.predicted:.2g}{hidden}; would have stayed in "
-        f"{event.before} at ≤ {turning} nats"
-    )

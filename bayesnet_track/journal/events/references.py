@@ -33,20 +33,19 @@ class ReferenceGuarded:
     pull: float
     frames: int
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        gap, level = distinct_texts(self.own - self.slow, self.apart_nats)
+        own, slow = f"{self.own:.2f} nats by its reference", f"{self.slow:.2f} by its slow one"
+        scored = f"{self.node}: the estimate scores {own}, {slow}"
+        if not self.parted:
+            lasted = plural(self.frames, "frame")
+            return f"{scored}: {gap} ≤ {level} apart after {lasted} → learns again"
+        turning = round_away(self.own - self.slow, decimals(self.own - self.slow, self.apart_nats), up=True)
+        return (
+            f"{scored}: {gap} > {level} apart → stops learning, pulled back by {self.pull:g} a frame; "
+            f"would have learnt at apart_nats ≥ {turning}"
+        )
+
 
 Events = ReferenceGuarded
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    gap, level = distinct_texts(event.own - event.slow, event.apart_nats)
-    own, slow = f"{event.own:.2f} nats by its reference", f"{event.slow:.2f} by its slow one"
-    scored = f"{event.node}: the estimate scores {own}, {slow}"
-    if not event.parted:
-        lasted = plural(event.frames, "frame")
-        return f"{scored}: {gap} ≤ {level} apart after {lasted} → learns again"
-    turning = round_away(event.own - event.slow, decimals(event.own - event.slow, event.apart_nats), up=True)
-    return (
-        f"{scored}: {gap} > {level} apart → stops learning, pulled back by {event.pull:g} a frame; "
-        f"would have learnt at apart_nats ≥ {turning}"
-    )

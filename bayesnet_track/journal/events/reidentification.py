@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import assert_never
+from dataclasses import dataclass, replace
 
+from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.journal.text.wording import distinct_texts, plural, round_away
 
 
@@ -64,6 +64,11 @@ class Returned:
     active: tuple[str, ...]
     recognition: Recognition
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        then = f"target {self.target} is back{_at(self.box)}"
+        return _describe_recognition(self.recognition, then, "a new target")
+
 
 @dataclass(frozen=True)
 class Reacquired:
@@ -81,22 +86,17 @@ class Reacquired:
     box: tuple[float, float, float, float]
     recognition: Recognition
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        then = f"target {self.target} found again{_at(self.box)}"
+        return _describe_recognition(self.recognition, then, "left alone")
+
+    def change(self, net: TargetNet) -> TargetNet:
+        """The net of the target after it."""
+        return replace(net, status="tracking")
+
 
 Decisions = Returned | Reacquired
-Events = Decisions
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    match event:
-        case Returned():
-            then = f"target {event.target} is back{_at(event.box)}"
-            return _describe_recognition(event.recognition, then, "a new target")
-        case Reacquired():
-            then = f"target {event.target} found again{_at(event.box)}"
-            return _describe_recognition(event.recognition, then, "left alone")
-        case _:
-            assert_never(event)
 
 
 def _describe_recognition(by: Recognition, then: str, otherwise: str) -> str:

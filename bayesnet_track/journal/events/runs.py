@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import assert_never
 
 from bayesnet_track.journal.text.wording import plural
 
@@ -52,6 +51,20 @@ class RunStarted:
     smoothed: bool = field(default=False, metadata={"left_out_when_empty": True})
     tracked: tuple[int, ...] = field(default=(), metadata={"left_out_when_empty": True})
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        colour = "" if self.has_color else " gray"
+        length = "" if self.declared_frames is None else f", {plural(self.declared_frames, 'frame')}"
+        kind = "smoothed run" if self.smoothed else "run"
+        resized = " tracked at {}x{}".format(*self.tracked) if self.tracked else ""
+        rate = (
+            f"{1 / self.frame_interval_s:.4g} frames per second" if self.frame_interval_s > 0 else "no rate"
+        )
+        return (
+            f"{kind} of {self.graph} ({self.graph_sha256[:12]}) on {self.source}: "
+            f"{self.width}x{self.height}{resized}{colour}{length}, {rate}; seed {self.seed}"
+        )
+
 
 @dataclass(frozen=True)
 class RunEnded:
@@ -69,6 +82,14 @@ class RunEnded:
     complete: bool
     reason: str
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        declared = self.declared_frames
+        whole = declared is None or declared == self.frames
+        frames = plural(self.frames, "frame") if whole else f"{self.frames} of {declared} frames"
+        how = "ended" if self.complete else "ended early"
+        return f"run {how} after {frames}: {self.reason.replace('_', ' ')}"
+
 
 @dataclass(frozen=True)
 class MachineChanged:
@@ -84,39 +105,10 @@ class MachineChanged:
     frame: int
     changes: tuple[str, ...]
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        where = "the run continues on another machine or with other libraries"
+        return f"{where}: {'; '.join(self.changes)}"
+
 
 Events = RunStarted | RunEnded | MachineChanged
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    match event:
-        case RunStarted():
-            return _describe_start(event)
-        case RunEnded():
-            return _describe_end(event)
-        case MachineChanged():
-            where = "the run continues on another machine or with other libraries"
-            return f"{where}: {'; '.join(event.changes)}"
-        case _:
-            assert_never(event)
-
-
-def _describe_start(event: RunStarted) -> str:
-    colour = "" if event.has_color else " gray"
-    length = "" if event.declared_frames is None else f", {plural(event.declared_frames, 'frame')}"
-    kind = "smoothed run" if event.smoothed else "run"
-    resized = " tracked at {}x{}".format(*event.tracked) if event.tracked else ""
-    rate = f"{1 / event.frame_interval_s:.4g} frames per second" if event.frame_interval_s > 0 else "no rate"
-    return (
-        f"{kind} of {event.graph} ({event.graph_sha256[:12]}) on {event.source}: "
-        f"{event.width}x{event.height}{resized}{colour}{length}, {rate}; seed {event.seed}"
-    )
-
-
-def _describe_end(event: RunEnded) -> str:
-    declared = event.declared_frames
-    whole = declared is None or declared == event.frames
-    frames = plural(event.frames, "frame") if whole else f"{event.frames} of {declared} frames"
-    how = "ended" if event.complete else "ended early"
-    return f"run {how} after {frames}: {event.reason.replace('_', ' ')}"

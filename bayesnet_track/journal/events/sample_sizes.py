@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import assert_never
 
 from bayesnet_track.journal.text.wording import decimals, distinct_texts, plural, round_away
 
@@ -52,6 +51,15 @@ class ParticlesResized:
     level: float
     turning: float | None
 
+    def describe(self) -> str:
+        """How many hypotheses are asked for, and why."""
+        settings = f"{self.method}, {self.setting} {self.level:g}"
+        by = "this frame's evidence" if self.early else "the last frame's evidence"
+        asked = f"{_why_so_many(self)}: {by} asks for {self.need:.0f} hypotheses ({settings})"
+        held = {"max": ", held by max", "min": ", held by min", "ess": ", too few effective to reduce it"}
+        number = f"{self.particles}{held.get(self.limit, '')}, {self.before} before"
+        return f"{asked} → {number}{_not_resized(self)}"
+
 
 @dataclass(frozen=True)
 class SecondPass:
@@ -79,29 +87,19 @@ class SecondPass:
     ess_first: float
     ess: float
 
+    def describe(self) -> str:
+        """Hypotheses drawn a second time."""
+        found, level = distinct_texts(self.kl, self.above_kl)
+        how = "" if self.method == "second_pass" else f", by {self.method}"
+        turning = round_away(self.kl, decimals(self.kl, self.above_kl), up=True)
+        return (
+            f"KL(posterior, prior) {found} nats > {level} → second pass of {self.particles} hypotheses{how}, "
+            f"{self.ess_first:.0f} effective before, {self.ess:.0f} after; "
+            f"no second pass at above_kl ≥ {turning}"
+        )
+
 
 Events = ParticlesResized | SecondPass
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    match event:
-        case ParticlesResized():
-            return _describe_resized(event)
-        case SecondPass():
-            return _describe_second_pass(event)
-        case _:
-            assert_never(event)
-
-
-def _describe_resized(event: ParticlesResized) -> str:
-    """How many hypotheses are asked for, and why."""
-    settings = f"{event.method}, {event.setting} {event.level:g}"
-    by = "this frame's evidence" if event.early else "the last frame's evidence"
-    asked = f"{_why_so_many(event)}: {by} asks for {event.need:.0f} hypotheses ({settings})"
-    held = {"max": ", held by max", "min": ", held by min", "ess": ", too few effective to reduce it"}
-    number = f"{event.particles}{held.get(event.limit, '')}, {event.before} before"
-    return f"{asked} → {number}{_not_resized(event)}"
 
 
 def _why_so_many(event: ParticlesResized) -> str:
@@ -123,15 +121,3 @@ def _not_resized(event: ParticlesResized) -> str:
     up = (event.particles > event.before) == (event.setting != "threshold")
     turning = round_away(event.turning, decimals(event.turning, event.level), up)
     return f"; would have stayed near {event.before} at {event.setting} {'≥' if up else '≤'} {turning}"
-
-
-def _describe_second_pass(event: SecondPass) -> str:
-    """Hypotheses drawn a second time."""
-    found, level = distinct_texts(event.kl, event.above_kl)
-    how = "" if event.method == "second_pass" else f", by {event.method}"
-    turning = round_away(event.kl, decimals(event.kl, event.above_kl), up=True)
-    return (
-        f"KL(posterior, prior) {found} nats > {level} → second pass of {event.particles} hypotheses{how}, "
-        f"{event.ess_first:.0f} effective before, {event.ess:.0f} after; "
-        f"no second pass at above_kl ≥ {turning}"
-    )

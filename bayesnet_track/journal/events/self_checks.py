@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import assert_never
 
 from bayesnet_track.journal.net.causes import Cause
 from bayesnet_track.journal.net.target_net import TargetNet
@@ -28,6 +27,14 @@ class LocallyAdapted:
     attempt: int
     cause: Cause
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        return f"{self.node}: its own {held(self.cause, '>')} → adapted itself, attempt {self.attempt}"
+
+    def change(self, net: TargetNet) -> TargetNet:
+        """The net of the target after it."""
+        return net
+
 
 @dataclass(frozen=True)
 class SelfStopped:
@@ -47,43 +54,27 @@ class SelfStopped:
     cause: Cause
     rests_until: int
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        return (
+            f"{self.node}: its own {held(self.cause, '>')} → stopped itself; may be switched on again "
+            f"from frame {self.rests_until}; would have continued at self_check ≥ "
+            f"{show_turn(self.cause, up=True)}"
+        )
+
+    def shorten(self) -> str:
+        """The switch in a word, for a summary."""
+        return "stopped itself"
+
+    def change(self, net: TargetNet) -> TargetNet:
+        """The net of the target after it."""
+        return replace(
+            net,
+            active=net.active - {self.node},
+            rests_until={**net.rests_until, self.node: self.rests_until},
+            rest_count={**net.rest_count, self.node: net.rest_count.get(self.node, 0) + 1},
+        )
+
 
 Decisions = LocallyAdapted | SelfStopped
 Switches = SelfStopped
-Events = Decisions
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    match event:
-        case LocallyAdapted():
-            return f"{event.node}: its own {held(event.cause, '>')} → adapted itself, attempt {event.attempt}"
-        case SelfStopped():
-            return (
-                f"{event.node}: its own {held(event.cause, '>')} → stopped itself; may be switched on again "
-                f"from frame {event.rests_until}; would have continued at self_check ≥ "
-                f"{show_turn(event.cause, up=True)}"
-            )
-        case _:
-            assert_never(event)
-
-
-def shorten(event: Switches) -> str:
-    """The switch in a word, for a summary."""
-    return "stopped itself"
-
-
-def change(net: TargetNet, decision: Decisions) -> TargetNet:
-    """The net of a target after a decision."""
-    match decision:
-        case LocallyAdapted():
-            return net
-        case SelfStopped():
-            return replace(
-                net,
-                active=net.active - {decision.node},
-                rests_until={**net.rests_until, decision.node: decision.rests_until},
-                rest_count={**net.rest_count, decision.node: net.rest_count.get(decision.node, 0) + 1},
-            )
-        case _:
-            assert_never(decision)

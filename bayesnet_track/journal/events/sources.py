@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import assert_never
 
 from bayesnet_track.journal.text.wording import plural
 
@@ -19,6 +18,11 @@ class FramesMissing:
 
     frame: int
     missing: float
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        gap = plural(self.missing, "frame interval")
+        return f"{gap} missing before it; the belief is predicted over the gap"
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,11 @@ class FrameSizeChanged:
     height: int
     action: str
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        then = "the run stops" if self.action == "stop" else "they are scaled to the first frame's size"
+        return f"the frame size changes to {self.width}x{self.height}; {then}"
+
 
 @dataclass(frozen=True)
 class SourceDamaged:
@@ -50,6 +59,10 @@ class SourceDamaged:
     frame: int
     reason: str
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        return f"the source is damaged: {self.reason}"
+
 
 @dataclass(frozen=True)
 class FramesDropped:
@@ -62,6 +75,10 @@ class FramesDropped:
 
     frame: int
     dropped: int
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        return f"{plural(self.dropped, 'frame')} dropped, because newer ones had arrived"
 
 
 @dataclass(frozen=True)
@@ -80,25 +97,10 @@ class SourceStalled:
     reason: str
     attempt: int
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        silent = f"source stalled for {self.seconds:.1f} s: {self.reason}"
+        return f"{silent}; reconnecting, attempt {self.attempt}"
+
 
 Events = FramesMissing | FrameSizeChanged | SourceDamaged | FramesDropped | SourceStalled
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    match event:
-        case FramesMissing():
-            gap = plural(event.missing, "frame interval")
-            return f"{gap} missing before it; the belief is predicted over the gap"
-        case FrameSizeChanged():
-            then = "the run stops" if event.action == "stop" else "they are scaled to the first frame's size"
-            return f"the frame size changes to {event.width}x{event.height}; {then}"
-        case SourceDamaged():
-            return f"the source is damaged: {event.reason}"
-        case FramesDropped():
-            return f"{plural(event.dropped, 'frame')} dropped, because newer ones had arrived"
-        case SourceStalled():
-            silent = f"source stalled for {event.seconds:.1f} s: {event.reason}"
-            return f"{silent}; reconnecting, attempt {event.attempt}"
-        case _:
-            assert_never(event)

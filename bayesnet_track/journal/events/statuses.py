@@ -29,6 +29,28 @@ class StatusChanged:
     reason: str = ""
     hidden: HiddenCause | None = field(default=None, metadata={"left_out_when_empty": True})
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        lost = self.status == "lost"
+        result = f"target {self.target} {'lost' if lost else 'found again'}"
+        if isinstance(self.cause, ScoreCause):
+            return _by_score(self, self.cause)
+        if isinstance(self.cause, FitCause):
+            return _by_fit(self.cause, result)
+        if self.hidden is not None:
+            return _by_hiding(self.hidden, result)
+        if self.cause is None:
+            return f"{self.reason} → {result}" if self.reason else result
+        if not lost:
+            fits = f", and {self.reason}" if self.reason else ""
+            return f"{held(self.cause, '≤')}{fits} → {result}"
+        turning = show_turn(self.cause, up=True)
+        return f"{held(self.cause, '>')} → {result}; would not have been lost at lost.above ≥ {turning}"
+
+    def change(self, net: TargetNet) -> TargetNet:
+        """The net of the target after it."""
+        return replace(net, status=self.status)
+
 
 @dataclass(frozen=True)
 class FoundAgain:
@@ -56,35 +78,22 @@ class FoundAgain:
     since: int
     moved_px: float
 
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        share, level = distinct_texts(self.share, self.level)
+        at = round_away(self.turning, decimals(self.turning, self.found_fit), up=True)
+        otherwise = (
+            "at any found_fit" if self.turning >= 1.0 else f"would have stayed missing at found_fit > {at}"
+        )
+        return (
+            f"target {self.target}, missing since frame {self.since}, recognised {self.moved_px:.3g} px from "
+            f"where it was held: {share} of its usual fit ≥ {level}, the last of "
+            f"{plural(self.frames, 'frame')}; {otherwise}"
+        )
+
 
 Decisions = StatusChanged
 Events = Decisions | FoundAgain
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    if isinstance(event, FoundAgain):
-        return _recognised(event)
-    lost = event.status == "lost"
-    result = f"target {event.target} {'lost' if lost else 'found again'}"
-    if isinstance(event.cause, ScoreCause):
-        return _by_score(event, event.cause)
-    if isinstance(event.cause, FitCause):
-        return _by_fit(event.cause, result)
-    if event.hidden is not None:
-        return _by_hiding(event.hidden, result)
-    if event.cause is None:
-        return f"{event.reason} → {result}" if event.reason else result
-    if not lost:
-        fits = f", and {event.reason}" if event.reason else ""
-        return f"{held(event.cause, '≤')}{fits} → {result}"
-    turning = show_turn(event.cause, up=True)
-    return f"{held(event.cause, '>')} → {result}; would not have been lost at lost.above ≥ {turning}"
-
-
-def change(net: TargetNet, decision: Decisions) -> TargetNet:
-    """The net of a target after a decision."""
-    return replace(net, status=decision.status)
 
 
 def _by_fit(cause: FitCause, result: str) -> str:
@@ -118,16 +127,3 @@ def _by_score(event: StatusChanged, cause: ScoreCause) -> str:
     else:
         otherwise = f"would have stayed tracked at uncertain_below ≤ {turning}"
     return f"{found} → target {event.target} {status}; {otherwise}"
-
-
-def _recognised(event: FoundAgain) -> str:
-    share, level = distinct_texts(event.share, event.level)
-    at = round_away(event.turning, decimals(event.turning, event.found_fit), up=True)
-    otherwise = (
-        "at any found_fit" if event.turning >= 1.0 else f"would have stayed missing at found_fit > {at}"
-    )
-    return (
-        f"target {event.target}, missing since frame {event.since}, recognised {event.moved_px:.3g} px from "
-        f"where it was held: {share} of its usual fit ≥ {level}, the last of "
-        f"{plural(event.frames, 'frame')}; {otherwise}"
-    )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import assert_never
 
 from bayesnet_track.journal.net.causes import Cause, Concentration
 from bayesnet_track.journal.net.target_net import TargetNet
@@ -36,6 +35,27 @@ class Activated:
     helpfulness: float | None = None
     expected: Mapping[str, float] = field(default_factory=dict)
 
+    def describe(self) -> str:
+        """`... → motion on (...); would have stayed off at ...`."""
+        if self.cause is None:
+            return f"no agent was active → {self.node} on"
+        helped = "" if self.helpfulness is None else f" (helped most so far: {self.helpfulness:.2f} nats)"
+        why = _expected_most(self) if self.expected else helped
+        if isinstance(self.cause, Concentration):
+            stay = f"share ≤ {round_away(self.cause.turning, _share_digits(self.cause), up=False)}"
+            found = _describe_concentration(self.cause, sure=False)
+            return f"{found} → {self.node} on{why}; would have stayed off at {stay}"
+        stay = f"activate ≥ {show_turn(self.cause, up=True)}"
+        return f"{held(self.cause, '>')} → {self.node} on{why}; would have stayed off at {stay}"
+
+    def shorten(self) -> str:
+        """The switch in a word, for a summary."""
+        return "on"
+
+    def change(self, net: TargetNet) -> TargetNet:
+        """The net of the target after it."""
+        return replace(net, active=net.active | {self.node}, shed=net.shed_without(self.node))
+
 
 @dataclass(frozen=True)
 class Deactivated:
@@ -62,64 +82,25 @@ class Deactivated:
     index: Mapping[str, float] = field(default_factory=dict)
     sample_every: int = 0
 
+    def describe(self) -> str:
+        """`... → motion off (...); would have stayed on at ...`."""
+        return (
+            f"{_well(self.cause)} → {self.node} off{_chosen_among(self)}{_sampled(self)}; "
+            f"would have stayed on at {_not_well(self.cause)}"
+        )
+
+    def shorten(self) -> str:
+        """The switch in a word, for a summary."""
+        return "off"
+
+    def change(self, net: TargetNet) -> TargetNet:
+        """The net of the target after it."""
+        sampled = {**net.sampled, self.node: self.sample_every} if self.sample_every else net.sampled
+        return replace(net, active=net.active - {self.node}, sampled=sampled)
+
 
 Decisions = Activated | Deactivated
 Switches = Decisions
-Events = Decisions
-
-
-def describe(event: Events) -> str:
-    """The sentence of an event, without its frame."""
-    match event:
-        case Activated():
-            return _describe_on(event)
-        case Deactivated():
-            return _describe_off(event)
-        case _:
-            assert_never(event)
-
-
-def shorten(event: Switches) -> str:
-    """The switch in a word, for a summary."""
-    return "on" if isinstance(event, Activated) else "off"
-
-
-def change(net: TargetNet, decision: Decisions) -> TargetNet:
-    """The net of a target after a decision."""
-    match decision:
-        case Activated():
-            return replace(net, active=net.active | {decision.node}, shed=net.shed_without(decision.node))
-        case Deactivated():
-            sampled = (
-                {**net.sampled, decision.node: decision.sample_every}
-                if decision.sample_every
-                else net.sampled
-            )
-            return replace(net, active=net.active - {decision.node}, sampled=sampled)
-        case _:
-            assert_never(decision)
-
-
-def _describe_on(event: Activated) -> str:
-    """`... → motion on (...); would have stayed off at ...`."""
-    if event.cause is None:
-        return f"no agent was active → {event.node} on"
-    helped = "" if event.helpfulness is None else f" (helped most so far: {event.helpfulness:.2f} nats)"
-    why = _expected_most(event) if event.expected else helped
-    if isinstance(event.cause, Concentration):
-        stay = f"share ≤ {round_away(event.cause.turning, _share_digits(event.cause), up=False)}"
-        found = _describe_concentration(event.cause, sure=False)
-        return f"{found} → {event.node} on{why}; would have stayed off at {stay}"
-    stay = f"activate ≥ {show_turn(event.cause, up=True)}"
-    return f"{held(event.cause, '>')} → {event.node} on{why}; would have stayed off at {stay}"
-
-
-def _describe_off(event: Deactivated) -> str:
-    """`... → motion off (...); would have stayed on at ...`."""
-    return (
-        f"{_well(event.cause)} → {event.node} off{_chosen_among(event)}{_sampled(event)}; "
-        f"would have stayed on at {_not_well(event.cause)}"
-    )
 
 
 def _expected_most(event: Activated) -> str:

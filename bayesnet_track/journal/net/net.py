@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import assert_never
 
 from bayesnet_track.journal.events import (
     births,
@@ -40,17 +39,6 @@ Decision = (
 
 Switch = switches.Switches | self_checks.Switches | faults.Switches | by_hand.Switches | load.Switches
 """A decision that switches an agent."""
-
-Change = (
-    switches.Decisions
-    | self_checks.Decisions
-    | faults.Decisions
-    | by_hand.Decisions
-    | load.Decisions
-    | statuses.Decisions
-    | reidentification.Reacquired
-)
-"""A decision that changes the net of a target that lives, and lives on."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +71,7 @@ def apply(net: Net, decision: Decision) -> Net:
     if isinstance(decision, births.TargetStarted | reidentification.Returned):
         changed = TargetNet(decision.template, frozenset(decision.active))
     else:
-        changed = _without_vain_samples(_change(net.targets[decision.target], decision))
+        changed = _without_vain_samples(decision.change(net.targets[decision.target]))
     return replace(net, targets=MappingProxyType({**net.targets, decision.target: changed}))
 
 
@@ -117,24 +105,6 @@ def _joins_after(net: Net, decision: joins.Decisions) -> dict[tuple[str, str], j
     elif len(known_joins) == len(net.joins):
         raise KeyError(pair)
     return known_joins
-
-
-def _change(net: TargetNet, decision: Change) -> TargetNet:
-    if isinstance(decision, switches.Decisions):
-        return switches.change(net, decision)
-    if isinstance(decision, self_checks.Decisions):
-        return self_checks.change(net, decision)
-    if isinstance(decision, faults.Decisions):
-        return faults.change(net, decision)
-    if isinstance(decision, by_hand.Decisions):
-        return by_hand.change(net, decision)
-    if isinstance(decision, load.Decisions):
-        return load.change(net, decision)
-    if isinstance(decision, statuses.Decisions):
-        return statuses.change(net, decision)
-    if isinstance(decision, reidentification.Reacquired):
-        return replace(net, status="tracking")
-    assert_never(decision)
 
 
 def _without_vain_samples(net: TargetNet) -> TargetNet:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import assert_never
 
-from bayesnet_track.journal.events import by_hand, faults, load, self_checks, switches
 from bayesnet_track.journal.events.births import CandidateConfirmed, TargetStarted
 from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
 from bayesnet_track.journal.events.event import Event
@@ -65,26 +63,12 @@ def _condense(events: Iterable[Event]) -> list[str]:
     parts = []
     for node in dict.fromkeys(event.node for event in switches):
         done = [event for event in switches if event.node == node]
-        switched = ", ".join(f"{_what(event)} at {event.frame}" for event in done[:3])
+        switched = ", ".join(f"{event.shorten()} at {event.frame}" for event in done[:3])
         parts.append(f"{node} {switched}{_more(done)}")
     parts += [f"{node} adapted itself {plural(count, 'time')}" for node, count in tuned.items()]
     first, last = min(frames), max(frames)
     span = f"frame {first}" if first == last else f"frames {first} to {last}"
     return [f"{span}: {'; '.join(parts)}"]
-
-
-def _what(event: Switch) -> str:
-    if isinstance(event, switches.Switches):
-        return switches.shorten(event)
-    if isinstance(event, self_checks.Switches):
-        return self_checks.shorten(event)
-    if isinstance(event, faults.Switches):
-        return faults.shorten(event)
-    if isinstance(event, by_hand.Switches):
-        return by_hand.shorten(event)
-    if isinstance(event, load.Switches):
-        return load.shorten(event)
-    assert_never(event)
 
 
 def _more(done: Sequence[Event]) -> str:
