@@ -1,9 +1,14 @@
-"""Graphs, plans and runs as HTML for notebooks: SVG and plain tables, all text escaped, no script."""
+"""Graphs, plans and runs as HTML for notebooks: SVG and plain tables, all text escaped, no script.
+
+Only `Page` has a script, in a frame of its own that can reach nothing of the notebook.
+"""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from html import escape
 
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import check_graph
@@ -20,6 +25,31 @@ from bayesnet_track.view.svg import element, text_of
 from bayesnet_track.view.timeline import draw_timeline
 
 SHOWN_TARGETS, SHOWN_EVENTS = 3, 40
+
+
+@dataclass(frozen=True, repr=False)
+class Page:
+    """The page of a run: as the last expression of a cell, a notebook shows it.
+
+    Attributes:
+        html: the whole page, which needs nothing else; `report` writes the same to a file.
+        height: of the frame in which a notebook shows it, px.
+        title: what it is of.
+    """
+
+    html: str
+    height: int
+    title: str
+
+    def __repr__(self) -> str:
+        return f"<page of {self.title}, {len(self.html) / 1e6:.1f} MB>"
+
+    def _repr_html_(self) -> str:
+        """The page in a frame: it may run its script, and is cut off from notebook and network."""
+        return (
+            f'<iframe title="{escape(self.title)}" sandbox="allow-scripts allow-downloads" '
+            f'style="width:100%;height:{self.height}px;border:0" srcdoc="{escape(self.html)}"></iframe>'
+        )
 
 
 def graph_html(graph: CheckedGraph) -> str:

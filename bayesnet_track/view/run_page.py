@@ -58,10 +58,10 @@ def with_folder(
     yield "</body>\n</html>\n"
 
 
-def room_for_pictures(header: Mapping[str, Any], columns: Columns) -> int:
-    """Bytes that pictures may take so that the page of `one_file` stays below `LARGEST`."""
+def room_for_pictures(header: Mapping[str, Any], columns: Columns, largest: int = LARGEST) -> int:
+    """Bytes that pictures may take so that the page of `one_file` stays below `largest`."""
     rest = len(pack(header, columns)) * 4 // 3 + len(_built("run_page.js")) + len(_built("run_page.css"))
-    return max((LARGEST - rest - 100_000) * 3 // 4, LEAST_ROOM)
+    return max((largest - rest - 100_000) * 3 // 4, LEAST_ROOM)
 
 
 def is_page(place: Path) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesnet_track import Start, track
+from bayesnet_track import Start, open_run, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.journal.net.causes import FitCause
@@ -348,3 +348,24 @@ def test_everything_that_is_pressed_has_a_name(browser, demo):
         " e.labels?.[0]?.innerText.trim() || e.closest('[role=img][aria-label]'))).map(e => e.outerHTML)"
     )
     assert nameless == []
+
+
+def test_in_a_notebook_the_page_works_in_a_frame_that_reaches_nothing_of_it(browser, demo, tmp_path):
+    shown = open_run(demo("two_squares").parent).page(height=700)
+    (tmp_path / "cell.html").write_text(f"<!doctype html><body>{shown._repr_html_()}</body>", "utf-8")
+    for size in (DESKTOP, PHONE):
+        browser.size(size)
+        browser.driver.get((tmp_path / "cell.html").as_uri())
+        browser.driver.switch_to.frame(browser.driver.find_element("css selector", "iframe"))
+        browser.wait("return document.getElementById('page')?.dataset.ready")
+        browser.wait("return document.querySelector('.picture canvas')?.dataset.frame ?? null")
+        browser.run(
+            "const s = document.querySelector('.scrubber input'); s.value = 29;"
+            "s.dispatchEvent(new Event('input', {bubbles: true}))"
+        )
+        browser.wait_for_frame(29)
+        assert browser.run("return self.origin") == "null"
+        assert browser.run("return innerWidth >= document.documentElement.scrollWidth")
+        assert "copy link" not in text_of(browser, ".take")  # there is no address to link to
+        browser.driver.switch_to.default_content()
+    assert browser.complaints() == []

@@ -84,3 +84,12 @@ def test_a_run_that_has_just_begun(run):
 
 def test_cells_are_escaped():
     assert parsed(table([(HOSTILE, HOSTILE)], (HOSTILE, "b"))) == HOSTILE + "b" + HOSTILE * 2
+
+
+def test_a_page_is_shown_in_a_frame_that_is_cut_off_from_the_notebook(run):
+    page = run.page(height=500, largest=1)
+    (frame,) = ET.fromstring(f"<div>{page._repr_html_()}</div>".replace("\n", "&#10;"))
+    assert frame.tag == "iframe" and "height:500px" in frame.attrib["style"]
+    assert frame.attrib["sandbox"] == "allow-scripts allow-downloads"  # no origin: nothing of the notebook
+    assert frame.attrib["srcdoc"] == page.html and frame.attrib["title"] == run.name
+    assert repr(page) == f"<page of {run.name}, {len(page.html) / 1e6:.1f} MB>"

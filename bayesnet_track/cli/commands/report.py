@@ -12,12 +12,11 @@ from bayesnet_track.cli.commands.answer import OK, UsageError, complain, say, us
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from bayesnet_track.graph.checked import CheckedGraph
     from bayesnet_track.runtime.recording.pictures import Found
+    from bayesnet_track.runtime.recording.report_page import Data
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
 FOLDER, INDEX = "report", "index.html"
-Data = tuple[dict[str, Any], dict[str, Any]]
 
 
 def report(options: argparse.Namespace) -> int:
@@ -25,8 +24,8 @@ def report(options: argparse.Namespace) -> int:
     from bayesnet_track.journal.events.runs import RunStarted
     from bayesnet_track.journal.reader import read_events, read_metrics
     from bayesnet_track.runtime.recording.pictures import pictures_of
+    from bayesnet_track.runtime.recording.report_page import page_data, page_in_one
     from bayesnet_track.runtime.recording.rundir import RunDirectory
-    from bayesnet_track.view.page_data import read_timings, run_data
 
     directory = RunDirectory.open(options.run)
     out = _place(options, directory)
@@ -34,19 +33,11 @@ def report(options: argparse.Namespace) -> int:
     metrics = list(read_metrics(directory.frames, complain)) if directory.frames.is_file() else []
     if not events or not isinstance(events[0], RunStarted):
         raise UsageError(f"{directory.journal}: it does not begin with run_started; there is nothing to show")
-    truth = _truth(directory, options.truth)
-    data = run_data(
-        events,
-        metrics,
-        read_timings(directory.timings),
-        _graph(directory),
-        truth,
-        directory.path.resolve().name,
-    )
+    data = page_data(directory, events, metrics, _truth(directory, options.truth), complain)
     frames = [line.frame for line in metrics]
     if options.frames == "none" or not frames:
         missing = "left out by --frames none" if frames else "no frame was tracked"
-        _write_one(out, data, None, missing, 0)
+        _write(out, page_in_one(data, None, missing, 0))
     else:
         with pictures_of(directory, events[0], min(frames), max(frames)) as (found, missing):
             if missing:
@@ -54,7 +45,7 @@ def report(options: argparse.Namespace) -> int:
             if found is not None and options.frames == "full":
                 _write_folder(out, data, found)
             else:
-                _write_one(out, data, found, missing, len(set(frames)))
+                _write(out, page_in_one(data, found, missing, len(set(frames))))
     if out.resolve() == directory.report.resolve():
         _list(directory)
     say(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
@@ -103,22 +94,6 @@ def _allowed(options: argparse.Namespace, directory: RunDirectory) -> Path:
     return place
 
 
-def _graph(directory: RunDirectory) -> CheckedGraph | None:
-    """The run's graph, whose cues are not run; None, with a notice, where it cannot be read."""
-    from bayesnet_track.graph.checks.run import check, cues_named
-    from bayesnet_track.graph.text.messages import GraphError
-    from bayesnet_track.graph.text.recorded import read_recorded
-    from bayesnet_track.observation.cue import stand_ins
-    from bayesnet_track.observation.masks import AnyMask
-
-    try:
-        spec, at = read_recorded(directory.graph)
-        return check(spec, at, stand_ins(cues_named(spec)), AnyMask())
-    except (GraphError, OSError) as error:
-        complain(f"{directory.graph}: the page shows no net: {error}")
-        return None
-
-
 def _truth(directory: RunDirectory, given: str | None) -> NDArray[Any] | None:
     from bayesnet_track.evaluate.truth import read_truth
 
@@ -127,17 +102,6 @@ def _truth(directory: RunDirectory, given: str | None) -> NDArray[Any] | None:
         return None
     with users_mistake():
         return read_truth(place)
-
-
-def _write_one(out: Path, data: Data, found: Found | None, missing: str, expected: int) -> None:
-    from bayesnet_track.view.page_pictures import Pictures, gather
-    from bayesnet_track.view.run_page import one_file, room_for_pictures
-
-    pictures = Pictures((), ())
-    if found is not None:
-        wanted = {row["frame"] for row in data[0]["events"] if row["sort"] != "note"}
-        pictures = gather(found.images, expected, wanted, room_for_pictures(*data), found.annotated)
-    _write(out, one_file(*data, pictures, missing))
 
 
 def _write_folder(out: Path, data: Data, found: Found) -> None:

@@ -9,6 +9,9 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from bayesnet_track.graph.spec import AgentNode, GraphSpec
 from bayesnet_track.graph.text.read import read_graph
 from bayesnet_track.graph.text.recorded import recorded_text
@@ -22,6 +25,7 @@ from bayesnet_track.journal.reader import Notice, read_events, read_metrics
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.journal.timings import read_seconds
 from bayesnet_track.runtime.recording.interchange import Detections
+from bayesnet_track.runtime.recording.report_page import page_html
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.recording.tables import (
     AGENT_COLUMNS,
@@ -31,7 +35,7 @@ from bayesnet_track.runtime.recording.tables import (
     columns,
     track_rows,
 )
-from bayesnet_track.view.notebook import run_html
+from bayesnet_track.view.notebook import Page, run_html
 from bayesnet_track.view.timeline import draw_timeline
 
 
@@ -155,6 +159,19 @@ class Run:
     def _repr_html_(self) -> str:
         """For notebooks: figures, timelines and decisions."""
         return run_html(self)
+
+    def page(self, truth: ArrayLike | None = None, height: int = 900, largest: int = 2_000_000) -> Page:
+        """The page that `report` writes, for a notebook: frames, belief, net, and the reason for each switch.
+
+        Args:
+            truth: ground truth to show, a corner box (N, 4) a frame, as `read_truth` gives it.
+            height: of the frame in which the notebook shows it, px.
+            largest: bytes of the page, which the notebook keeps: fewer and smaller pictures of the video, the
+                smaller it is. What was measured is always there, and pictures take half a million bytes.
+        """
+        boxes = None if truth is None else np.asarray(truth, dtype=np.float64)
+        html = page_html(self.directory, self.events, self.metrics, boxes, largest)
+        return Page(html, height, self.name)
 
     def to_rows(self) -> list[Row]:
         """One row per live target and frame, with the columns of `tables.TRACK_COLUMNS`."""

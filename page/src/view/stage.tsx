@@ -114,7 +114,7 @@ function save(canvas: HTMLCanvasElement, state: State): void {
   });
 }
 
-/** The address names frame and target (`main.tsx`). */
+/** The address names frame and target (`main.tsx`); a page inside a notebook has none. */
 function CopyLink() {
   const told = useSignal("copy link");
   const copy = () => {
@@ -124,6 +124,7 @@ function CopyLink() {
       .catch(() => (told.value = "copy the address bar"))
       .finally(() => setTimeout(() => (told.value = "copy link"), 2000));
   };
+  if (location.protocol === "about:") return null;
   return (
     <button type="button" title="a link to this frame" onClick={copy}>
       {told.value}
