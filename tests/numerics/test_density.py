@@ -31,9 +31,12 @@ def test_log_gaussians_written_out():
 
 
 def fast_sums(points, peaks, means, precisions):
-    sums = np.zeros(points.shape[1])
-    add_sums(*(array.astype(np.float32, order="C") for array in (points, peaks, means, precisions)), sums)
-    return sums
+    count = points.shape[1]
+    points = np.pad(points, ((0, 0), (0, -count % 16)))
+    sums, spans = np.zeros(points.shape[1]), np.tile([0, count], (-(-len(peaks) // 16), 1))
+    singles = (array.astype(np.float32, order="C") for array in (points, peaks, means, precisions))
+    add_sums(*singles, spans, sums)
+    return sums[:count]
 
 
 def test_fast_sums_keep_their_error_at_every_distance():
@@ -95,13 +98,32 @@ def test_some_components_are_added_for_some_points(small):
     chosen, centre = np.array([3, 7, 50, 200]), np.array([1.0, -2.0, 0.5])
     some = (peaks > 0.25) & (peaks <= 0.75)
     sums = np.full(4, 5.0)
-    weight, worst = _add_some(0.25, 0.75, points, chosen, peaks, means, precisions, centre, sums)
+    spread = means.var(axis=0)
+    weight, worst = _add_some(0.25, 0.75, points, chosen, peaks, means, precisions, centre, spread, sums)
     assert weight == pytest.approx(peaks[some].sum())
     exact = sums_at(points[chosen], means[some], precisions[some], peaks[some])
     assert np.abs(sums - 5.0 - exact).max() < (FAST_ERROR + worst) * weight
     extent, away = np.abs(points[chosen] - centre).max(axis=0), np.abs(means[some] - centre)
     steepest = ((extent + away) * precisions[some]).max()
     assert worst == pytest.approx(0.61 * 2 * 2.0**-24 * 3 * steepest)
+
+
+def test_components_far_away_are_left_out_and_none_that_counts():
+    rng = np.random.default_rng(1)
+    points, means = rng.uniform(-40, 40, (90, 2)) * [1, 0.05], rng.uniform(-40, 40, (333, 2)) * [1, 0.05]
+    peaks, precisions = rng.random(333), np.exp(rng.normal(size=(333, 2)) * 0.3)
+    chosen = np.flatnonzero(rng.random(90) < 0.8)
+    sums = np.zeros(len(chosen))
+    weight, worst = _add_some(
+        0.0, 1.0, points, chosen, peaks, means, precisions, np.zeros(2), means.var(axis=0), sums
+    )
+    exact = sums_at(points[chosen], means, precisions, peaks)
+    assert np.abs(sums - exact).max() < (FAST_ERROR + worst) * weight
+    assert weight == pytest.approx(peaks.sum())
+    nobody = _add_some(
+        2.0, 3.0, points, chosen, peaks, means, precisions, np.zeros(2), means.var(axis=0), sums
+    )
+    assert nobody == (0.0, 0.0)
 
 
 def test_peaks_and_moments_of_the_components(small):

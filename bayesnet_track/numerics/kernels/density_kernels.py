@@ -1,8 +1,9 @@
 """Compiled search for the point at which a weighted mixture of Gaussians is largest.
 
 A sum over all components in double precision is dear. So a likely winner sets the value to beat; points that
-cannot reach it by an upper bound are given up; sums in single precision, of a known error, give up nearly
-all that are left; the last few are summed exactly. The result is that of exact sums everywhere.
+cannot reach it by an upper bound are given up; sums in single precision, of a known error, over the
+components that are near give up nearly all that are left; the last few are summed exactly. The result is
+that of exact sums everywhere.
 """
 
 from __future__ import annotations
@@ -23,14 +24,25 @@ _SLACK = 1e-9
 """Bounds are compared with this much room for the rounding of double precision, nats."""
 
 _BLOCK = 256
-_GROUP = 32
+_GROUP = 16
+_LANES = 16
+_CELLS = 64
+_REACH = 6.3
+"""Standard deviations beyond which a component counts nothing: exp(-6.3^2 / 2) = 2e-9 is below the error."""
 _HEAVY = 0.1
-"""Components with more than this share of the largest peak come first: they alone give up most points."""
+"""Components with more than this share of the largest peak come first: they alone give up most points.
+
+Where most are so heavy, all come at once."""
 
 
 @compiled
-def add_sums(points: Singles, peaks: Singles, means: Singles, precisions: Singles, sums: Floats) -> None:
+def add_sums(
+    points: Singles, peaks: Singles, means: Singles, precisions: Singles, spans: Ints, sums: Floats
+) -> None:
     """Add sum_n peaks_n exp(-|(point - means_n) precisions_n|^2 / 2) to `sums` (M,), see `FAST_ERROR`.
+
+    Of each group of 16 components `spans` (G, 2) has the first point that it counts for, and that after the
+    last.
 
     `points` is (K, M), C order, one row per dimension: the inner loops run over points, so that the compiler
     can use vector instructions without leave to reorder a sum. Two dimensions a turn: K is even (add a row of
@@ -42,14 +54,18 @@ def add_sums(points: Singles, peaks: Singles, means: Singles, precisions: Single
     most = np.float32(0.6)  # beyond, exp(-32 * 0.6) is below the error
     eighth = np.float32(0.125)
     for first in range(0, count, _BLOCK):
-        width = min(_BLOCK, count - first)
-        for start in range(0, peaks.shape[0], _GROUP):
-            part[:] = np.float32(0)
-            for n in range(start, min(start + _GROUP, peaks.shape[0])):
+        for group in range(spans.shape[0]):
+            low, high = max(first, spans[group, 0]), min(first + _BLOCK, spans[group, 1])
+            low, high = low // _LANES * _LANES, min((high + _LANES - 1) // _LANES * _LANES, count)
+            width = high - low
+            if width <= 0:
+                continue
+            part[:width] = np.float32(0)
+            for n in range(group * _GROUP, min((group + 1) * _GROUP, peaks.shape[0])):
                 peak = peaks[n]
-                y[:] = np.float32(0)
+                y[:width] = np.float32(0)
                 for k in range(0, size, 2):
-                    row, other = points[k, first : first + width], points[k + 1, first : first + width]
+                    row, other = points[k, low:high], points[k + 1, low:high]
                     mean, scale = means[n, k], precisions[n, k] * eighth
                     other_mean, other_scale = means[n, k + 1], precisions[n, k + 1] * eighth
                     for m in range(width):
@@ -65,7 +81,7 @@ def add_sums(points: Singles, peaks: Singles, means: Singles, precisions: Single
                     e *= e
                     part[m] += peak * e
             for m in range(width):
-                sums[first + m] += part[m]
+                sums[low + m] += part[m]
 
 
 @compiled
@@ -130,6 +146,31 @@ def _likely(log_factors: Floats, points: Floats, centre: Floats, spread: Floats)
 
 
 @compiled
+def _cell(value: float, low: float, scale: float) -> int:
+    return int(min(max((value - low) * scale, 0.0), _CELLS - 1.0))
+
+
+@compiled
+def _in_cells(values: Floats) -> tuple[Ints, Ints, float, float]:
+    """The order of values (N,) by cells of equal width; where each cell begins; what `_cell` needs."""
+    low, high = values[0], values[0]
+    for value in values:
+        low, high = min(low, value), max(high, value)
+    scale = _CELLS / (high - low) if high - low > 1e-300 else 0.0
+    starts, order = np.zeros(_CELLS + 1, np.int64), np.empty(values.shape[0], np.int64)
+    for value in values:
+        starts[_cell(value, low, scale) + 1] += 1
+    for cell in range(_CELLS):
+        starts[cell + 1] += starts[cell]
+    after = starts.copy()
+    for n in range(values.shape[0]):
+        cell = _cell(values[n], low, scale)
+        order[after[cell]] = n
+        after[cell] += 1
+    return order, starts, low, scale
+
+
+@compiled
 def _add_some(
     least: float,
     most: float,
@@ -139,34 +180,52 @@ def _add_some(
     means: Floats,
     precisions: Floats,
     centre: Floats,
+    spread: Floats,
     sums: Floats,
 ) -> tuple[float, float]:
     """Add the components with least < peak <= most to the sums of the `chosen` points.
 
     Returns their sum of peaks, and the largest error of `sums` by rounding coordinates, as a share of it.
     """
-    size = points.shape[1]
+    size, axis = points.shape[1], 0
     even = size + size % 2
     some = np.flatnonzero((peaks > least) & (peaks <= most))
-    rows = np.zeros((even, chosen.shape[0]), np.float32)
+    rows = np.zeros((even, (chosen.shape[0] + _LANES - 1) // _LANES * _LANES), np.float32)
     mus, scales = np.zeros((some.shape[0], even), np.float32), np.ones((some.shape[0], even), np.float32)
     heights, weight, steepest = np.empty(some.shape[0], np.float32), 0.0, 0.0
+    for k in range(size):  # along which they are farthest apart, in standard deviations
+        if spread[k] * precisions[0, k] ** 2 > spread[axis] * precisions[0, axis] ** 2:
+            axis = k
+    places, starts, low, scale = _in_cells(points[chosen, axis])
+    if some.shape[0] == 0:
+        return 0.0, 0.0
+    some = some[_in_cells(means[some, axis])[0]]
     extent = np.zeros(size)
     for k in range(size):
         row = rows[k]
         for m in range(chosen.shape[0]):
-            away = points[chosen[m], k] - centre[k]
+            away = points[chosen[places[m]], k] - centre[k]
             row[m] = away
             extent[k] = max(extent[k], abs(away))
-    for i in range(some.shape[0]):
-        n = some[i]
-        heights[i] = peaks[n]
-        weight += peaks[n]
-        for k in range(size):
-            away = means[n, k] - centre[k]
-            mus[i, k], scales[i, k] = away, precisions[n, k]
-            steepest = max(steepest, (extent[k] + abs(away)) * precisions[n, k])
-    add_sums(rows, heights, mus, scales, sums)
+    spans = np.empty(((some.shape[0] + _GROUP - 1) // _GROUP, 2), np.int64)
+    for group in range(spans.shape[0]):
+        first, last = np.inf, -np.inf
+        for i in range(group * _GROUP, min((group + 1) * _GROUP, some.shape[0])):
+            n = some[i]
+            heights[i] = peaks[n]
+            weight += peaks[n]
+            reach = _REACH / precisions[n, axis]
+            first, last = min(first, means[n, axis] - reach), max(last, means[n, axis] + reach)
+            for k in range(size):
+                away = means[n, k] - centre[k]
+                mus[i, k], scales[i, k] = away, precisions[n, k]
+                steepest = max(steepest, (extent[k] + abs(away)) * precisions[n, k])
+        spans[group, 0] = starts[_cell(first, low, scale)]
+        spans[group, 1] = starts[_cell(last, low, scale) + 1]
+    found = np.zeros(rows.shape[1])
+    add_sums(rows, heights, mus, scales, spans, found)
+    for m in range(chosen.shape[0]):
+        sums[places[m]] += found[m]
     # A coordinate, its mean and their difference are rounded to 2^-24; the slope of exp(-a^2 / 2) is < .61.
     return weight, 0.61 * 2.0 * 2.0**-24 * size * steepest
 
@@ -187,16 +246,20 @@ def likeliest(
     chosen = np.flatnonzero(log_factors + np.log(total) >= beat - _SLACK)
     sums = np.zeros(chosen.shape[0])
     rest, rounding = total, 0.0
-    for least, most in ((_HEAVY, 1.0), (FAST_ERROR / peaks.shape[0], _HEAVY)):
+    lightest = FAST_ERROR / peaks.shape[0]
+    heavy = _HEAVY if 2 * (peaks > _HEAVY).sum() < peaks.shape[0] else lightest
+    for least, most in ((heavy, 1.0), (lightest, heavy)):
         if chosen.shape[0] < 2:
             break
-        weight, worst = _add_some(least, most, points, chosen, peaks, means, precisions, centre, sums)
+        weight, worst = _add_some(least, most, points, chosen, peaks, means, precisions, centre, spread, sums)
         rest, rounding = max(rest - weight, 0.0), max(rounding, worst)
         error = total * (FAST_ERROR + rounding)
         factors = log_factors[chosen]
         beat = max(beat, (factors + np.log(np.maximum(sums - error, 0.0))).max())
         left = factors + np.log(sums + (error + rest)) >= beat - _SLACK
         chosen, sums = chosen[left], sums[left]
+        if chosen.shape[0] == 1 and sums[0] > error:
+            return int(chosen[0])
     best, where = -np.inf, -1
     for m in chosen:
         value = log_factors[m] + np.log(exact_sum(points[m], peaks, means, precisions))
