@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from bayesnet_track.adapt.measures import Measures
@@ -91,14 +91,14 @@ class TargetResult:
 
     Attributes:
         state: its state after the frame, still with the plan that the frame began with.
-        metrics: what was measured.
+        line: makes the line of what was measured.
         decisions: in order; they take effect on the next frame.
         events: what is written down besides.
         covariance: (D, D) of its belief.
     """
 
     state: TargetState
-    metrics: FrameMetrics
+    line: Callable[[], FrameMetrics]
     decisions: tuple[Decision, ...]
     events: tuple[Event, ...]
     covariance: Floats

@@ -6,7 +6,9 @@ joined. Both are functions of the target's state and the frame; time is read for
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -26,7 +28,7 @@ from bayesnet_track.engine.scoring.distractors import find_distractor
 from bayesnet_track.engine.scoring.reacquisition import Look, follow_fit
 from bayesnet_track.engine.scoring.score import Scored, most, probability, with_distractor
 from bayesnet_track.engine.state import TargetState, apply_decisions, inside_frame
-from bayesnet_track.engine.summaries import Summary, summarise
+from bayesnet_track.engine.summaries import Summaries, covariances
 from bayesnet_track.graph.spec import InferenceNode
 from bayesnet_track.inference.guard import changes
 from bayesnet_track.inference.measure import measure
@@ -35,9 +37,11 @@ from bayesnet_track.journal.events.beliefs import DegenerateBelief
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed
 from bayesnet_track.journal.events.statuses import FoundAgain
+from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.numerics.records import changed
+from bayesnet_track.observation.planes import FramePair, PlaneCache
 
 
 def finish_target(work: FrameWork, filtered: Filtered) -> TargetResult:
@@ -64,13 +68,14 @@ def finish_targets(work: FrameWork, filtered: Mapping[str, Filtered]) -> dict[st
     started = work.charge("measure", started)
     learnt = learn_all(work, filtered, measured, decided)
     work.charge("learn", started)
-    summaries = summarise(work, filtered)
-    return {
-        target: describe_target(
-            work, one, measured[target], decided[target], learnt[target], summaries[target]
-        )
-        for target, one in filtered.items()
-    }
+    bare = replace(work, cache=PlaneCache(FramePair(work.frame, None)))  # lines may be asked for much later
+    summaries, spreads = Summaries(bare, filtered), covariances(filtered)
+    results: dict[str, TargetResult] = {}
+    for target, one in filtered.items():
+        done = measured[target], decided[target], learnt[target]
+        line = partial(_line, bare, one, done, summaries)
+        results[target] = describe_target(work, one, done, line, spreads[target])
+    return results
 
 
 def estimate_target(work: FrameWork, filtered: Filtered) -> Floats:
@@ -183,12 +188,12 @@ def decide_target(work: FrameWork, filtered: Filtered, measured: Measured) -> De
 def describe_target(
     work: FrameWork,
     filtered: Filtered,
-    measured: Measured,
-    decided: Decided,
-    learnt: Learnt,
-    summary: Summary,
+    done: tuple[Measured, Decided, Learnt],
+    line: Callable[[], FrameMetrics],
+    covariance: Floats,
 ) -> TargetResult:
     """The state for the next frame, and all that is written down of this one."""
+    measured, decided, learnt = done
     compiled, frame, target = work.plate_of(filtered.target), work.frame, filtered.target
     before, stepped, measures = filtered.before, filtered.step, measured.measures
     ud_px2 = measures.ud_px2[compiled.plate.root]
@@ -217,10 +222,16 @@ def describe_target(
         events.append(measured.distractor)
     events += measured.notices
     events += changes(frame.index, target, before.watched, learnt.watched, learnt.judged, compiled.guard)
-    metrics = frame_metrics(work, filtered, measured, decided, learnt, summary)
-    metrics = with_modes(metrics, filtered.modes, measured.score is not None)
     decisions = (*filtered.faults, *work.by_hand.get(target, ()), *learnt.decisions)
-    return TargetResult(after, metrics, decisions, tuple(events), summary.covariance)
+    return TargetResult(after, line, decisions, tuple(events), covariance)
+
+
+def _line(
+    work: FrameWork, filtered: Filtered, done: tuple[Measured, Decided, Learnt], summaries: Summaries
+) -> FrameMetrics:
+    measured, decided, learnt = done
+    line = frame_metrics(work, filtered, measured, decided, learnt, summaries[filtered.target])
+    return with_modes(line, filtered.modes, measured.score is not None)
 
 
 def _report_flaws(filtered: Filtered, frame: int, now: frozenset[str]) -> list[Event]:

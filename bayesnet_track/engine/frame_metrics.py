@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
 
@@ -17,6 +19,60 @@ from bayesnet_track.inference.predictive import p_values
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame
+
+
+class Lines(Sequence[FrameMetrics]):
+    """The lines of one frame, made when the first of them is asked for.
+
+    >>> lines = Lines([lambda: "first", lambda: "second"])
+    >>> len(lines), lines[1], lines == ("first", "second")
+    (2, 'second', True)
+    """
+
+    def __init__(self, makers: Sequence[Callable[[], FrameMetrics]]) -> None:
+        self._makers, self._count = makers, len(makers)
+        self._made: tuple[FrameMetrics, ...] | None = None
+
+    def _lines(self) -> tuple[FrameMetrics, ...]:
+        if self._made is None:
+            self._made = tuple(make() for make in self._makers)
+            self._makers = ()  # what they were made of is not needed any more
+        return self._made
+
+    @overload
+    def __getitem__(self, at: int) -> FrameMetrics: ...
+
+    @overload
+    def __getitem__(self, at: slice) -> tuple[FrameMetrics, ...]: ...
+
+    def __getitem__(self, at: int | slice) -> FrameMetrics | tuple[FrameMetrics, ...]:
+        return self._lines()[at]
+
+    def __iter__(self) -> Iterator[FrameMetrics]:
+        return iter(self._lines())
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and self._lines() == tuple(other)
+
+    def __hash__(self) -> int:
+        return hash(self._lines())
+
+    def __reduce__(self) -> tuple[type[tuple[FrameMetrics, ...]], tuple[tuple[FrameMetrics, ...]]]:
+        return tuple, (self._lines(),)
+
+
+@dataclass(frozen=True)
+class Made:
+    """Gives a line that is made already, such as one from another process."""
+
+    line: FrameMetrics
+
+    def __call__(self) -> FrameMetrics:
+        """The line."""
+        return self.line
 
 
 def index(measures: Measures, root: str) -> float:
@@ -38,7 +94,7 @@ def frame_metrics(
     """
     target, stepped, measures = filtered.target, filtered.step, measured.measures
     plate, modes = work.plate_of(target).plate, work.plate_of(target).modes
-    variances = np.maximum(summary.covariance.diagonal()[:4], 0.0)
+    variances = np.maximum(summary.variances[:4], 0.0)
     score, features = index(measures, plate.root), {}
     if measured.score is not None:
         score, features = measured.score, {**measured.scored.smooth, "most": measured.bound}

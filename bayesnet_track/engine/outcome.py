@@ -10,6 +10,7 @@ from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.adapt.shedding import Load
 from bayesnet_track.engine.external_inputs import ExternalInputs
 from bayesnet_track.engine.findings import TargetResult
+from bayesnet_track.engine.frame_metrics import Lines
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.joining import JointBelief, reach_of
 from bayesnet_track.engine.shedding import balance_load
@@ -50,7 +51,7 @@ class Outcome:
 
     Attributes:
         state: the state after it.
-        metrics: one entry per live target.
+        metrics: one entry per live target, made when they are asked for.
         events: decisions and faults, in order.
         covariances: target id -> covariance (D, D) of its belief.
         seconds: agent (or planes, belief, measure, learn) -> seconds, summed over targets.
@@ -77,7 +78,7 @@ def carry_out(
         events += [*result.events, *result.decisions]
     return Outcome(
         replace(state, net=net, targets=targets, previous=work.frame, joins=joint.memory),
-        tuple(result.metrics for result in results.values()),
+        Lines([result.line for result in results.values()]) if results else (),
         tuple(events),
         {target: result.covariance for target, result in results.items()},
         work.seconds,

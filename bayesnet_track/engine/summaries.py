@@ -1,11 +1,12 @@
 """What is written down of beliefs besides their measures: spread, regions, surprise, a cloud of hypotheses.
 
-Particles of many targets are summarised as arrays, with the bits that each target has alone.
+Particles of many targets are summarised as arrays, with the bits that each target has alone, and only when
+somebody asks for a line of metrics: no rule depends on it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,31 +32,38 @@ class Summary:
     """A belief in a few numbers.
 
     Attributes:
-        covariance: (D, D) of the states.
+        variances: (D,) of the states.
         ess: effective number of hypotheses.
         surprise: KL of the belief from its prior, nats.
         regions: of `SHARES`: x_low, x_high, y_low, y_high in px.
         cloud: rounded boxes of some hypotheses.
     """
 
-    covariance: Floats
+    variances: Floats
     ess: float
     surprise: float
     regions: Rows
     cloud: tuple[tuple[int, ...], ...]
 
 
+class Summaries:
+    """Target -> its belief in a few numbers, found for all targets when the first is asked for."""
+
+    def __init__(self, work: FrameWork, filtered: Mapping[str, Filtered]) -> None:
+        self._asked: tuple[FrameWork, Mapping[str, Filtered]] | None = work, filtered
+        self._found: dict[str, Summary] = {}
+
+    def __getitem__(self, target: str) -> Summary:
+        if self._asked is not None:
+            self._found, self._asked = summarise(*self._asked), None
+        return self._found[target]
+
+
 def summarise(work: FrameWork, filtered: Mapping[str, Filtered]) -> dict[str, Summary]:
     """Target -> its belief in a few numbers."""
-    alike: dict[Hashable, list[str]] = {}
-    found: dict[str, Summary] = {}
-    for target, one in filtered.items():
-        own = one.step.posterior
-        if isinstance(own, ParticleSet) and one.step.support is own:
-            alike.setdefault((work.net.targets[target].template, own.states.shape), []).append(target)
-        else:
-            found[target] = summarise_one(work, target, one.step)
-    for targets in alike.values():
+    alike, alone = _alike(filtered)
+    found = {target: summarise_one(work, target, filtered[target].step) for target in alone}
+    for targets in alike:
         if len(targets) == 1:  # arrays of one row take longer
             found[targets[0]] = summarise_one(work, targets[0], filtered[targets[0]].step)
             continue
@@ -63,12 +71,43 @@ def summarise(work: FrameWork, filtered: Mapping[str, Filtered]) -> dict[str, Su
     return found
 
 
+def covariances(filtered: Mapping[str, Filtered]) -> dict[str, Floats]:
+    """Target -> (D, D) covariance of its belief."""
+    alike, alone = _alike(filtered)
+    found = {target: filtered[target].step.posterior.covariance for target in alone}
+    for targets in alike:
+        found.update(zip(targets, _covariances(filtered[target].step for target in targets), strict=True))
+    return found
+
+
+def _alike(filtered: Mapping[str, Filtered]) -> tuple[list[list[str]], list[str]]:
+    """Targets of a plate whose particles make an array; then the others."""
+    alike: dict[Hashable, list[str]] = {}
+    alone: list[str] = []
+    for target, one in filtered.items():
+        own = one.step.posterior
+        if isinstance(own, ParticleSet) and one.step.support is own:
+            alike.setdefault((one.plan.root, own.fields, own.states.shape), []).append(target)
+        else:
+            alone.append(target)
+    return list(alike.values()), alone
+
+
+def _covariances(steps: Iterable[Step[Posterior]]) -> Floats:
+    """(T, D, D)."""
+    supports = [step.support for step in steps]
+    states = np.array([one.states for one in supports])
+    weights = np.array([one.weights.weights for one in supports])
+    away = states - np.matmul(weights[:, None], states)
+    return np.asarray(np.matmul((away * weights[:, :, None]).swapaxes(1, 2), away))
+
+
 def summarise_one(work: FrameWork, target: str, step: Step[Posterior]) -> Summary:
     """The belief of a target after its step in a few numbers."""
     posterior, weights = step.posterior, step.support.weights
     cloud = posterior.draw(CLOUD_SIZE, work.stream(target, work.plate_of(target).plate.root)("cloud"))
     return Summary(
-        posterior.covariance,
+        posterior.covariance.diagonal(),
         weights.ess,
         kl(weights.log, step.prior.log),
         list(map(tuple, posterior.regions(SHARES).tolist())),
@@ -84,8 +123,7 @@ def _summarise_rows(
     states = np.array([step.support.states for step in steps])
     weights = np.array([step.support.weights.weights for step in steps])
     log = np.array([step.support.weights.log for step in steps])
-    away = states - np.matmul(weights[:, None], states)
-    covariances = np.matmul((away * weights[:, :, None]).swapaxes(1, 2), away)
+    variances = np.diagonal(_covariances(steps), axis1=1, axis2=2)
     ess = _effective(log).tolist()
     surprises = [kl(step.support.weights.log, step.prior.log) for step in steps]
     regions = np.concatenate([_regions(states[:, :, axis], weights) for axis in (0, 1)], axis=2).tolist()
@@ -95,7 +133,7 @@ def _summarise_rows(
     clouds = np.rint(np.take_along_axis(states[:, :, :4], chosen[:, :, None], axis=1)).astype(np.int64)
     return {
         target: Summary(
-            covariances[t], ess[t], surprises[t], list(map(tuple, regions[t])), tuple(map(tuple, cloud))
+            variances[t], ess[t], surprises[t], list(map(tuple, regions[t])), tuple(map(tuple, cloud))
         )
         for t, (target, cloud) in enumerate(zip(targets, clouds.tolist(), strict=True))
     }

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from bayesnet_track.engine.filtering import filter_target
 from bayesnet_track.engine.findings import TargetResult
 from bayesnet_track.engine.finishing import finish_target
+from bayesnet_track.engine.frame_metrics import Made
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.state import TargetState
 
@@ -61,7 +62,8 @@ def start_elsewhere(work: FrameWork, targets: Mapping[str, TargetState]) -> Else
 def advance(work: FrameWork, target: str, before: TargetState) -> Advanced:
     """One frame of a target that depends on no other, and for which nothing came from outside."""
     own = replace(work, seconds={})
-    return Advanced(finish_target(own, filter_target(own, target, before)), own.seconds)
+    done = finish_target(own, filter_target(own, target, before))
+    return Advanced(replace(done, line=Made(done.line())), own.seconds)
 
 
 def collect_elsewhere(

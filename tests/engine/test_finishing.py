@@ -27,7 +27,7 @@ def test_both_halves_are_the_step_of_a_target_that_is_alone(fakes):
     result = finish_target(work, filter_target(work, "1", state.targets["1"]))
     whole = step(engine, state, frame)
     assert isinstance(result, TargetResult)
-    assert whole.metrics == (result.metrics,)
+    assert whole.metrics == (result.line(),)
     assert whole.events == (*result.events, *result.decisions)
     assert {"planes", "belief", "measure", "learn", "a", "b"} == set(work.seconds)
 

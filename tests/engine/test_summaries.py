@@ -1,14 +1,17 @@
 """Targets that are measured together: the same bits as each measured by itself."""
 
+import pickle
+
 import numpy as np
 import pytest
 
 from bayesnet_track.belief.particles.map import map_index
 from bayesnet_track.belief.particles.maps import find_maps
 from bayesnet_track.engine.filtering import filter_target
+from bayesnet_track.engine.frame_metrics import Lines
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.step import State, make_engine, start_target
-from bayesnet_track.engine.summaries import summarise, summarise_one
+from bayesnet_track.engine.summaries import covariances, summarise, summarise_one
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.inference.measure import measure
 from bayesnet_track.inference.measure_rows import is_flat, is_plain, measure_rows
@@ -85,9 +88,11 @@ def test_targets_measured_together_are_measured_as_alone(motion, agents):
     together = measure_rows(plate, plan, steps, [1.0, 2.0, 3.0])
     for one, step, area in zip(together, steps, (1.0, 2.0, 3.0), strict=True):
         assert_close(vars(one), vars(measure(plate, plan, step, area)))
+    spreads = covariances(found)
     for target, one in summarise(work, found).items():
         alone = summarise_one(work, target, found[target].step)
-        assert one.covariance.tobytes() == alone.covariance.tobytes()
+        assert one.variances.tobytes() == alone.variances.tobytes()
+        assert spreads[target].tobytes() == found[target].step.posterior.covariance.tobytes()
         assert (one.ess, one.surprise, one.regions, one.cloud) == (
             alone.ess,
             alone.surprise,
@@ -103,3 +108,11 @@ def test_a_weight_of_zero_counts_nothing_in_any_measure():
     steps[1].evidence.messages["gray"][::2] = -np.inf
     together = measure_rows(plate, plan, steps, [1.0] * 3)
     assert [vars(one) for one in together] == [vars(measure(plate, plan, step, 1.0)) for step in steps]
+
+
+def test_lines_are_made_when_the_first_is_asked_for_and_once():
+    asked = []
+    lines = Lines([lambda k=k: asked.append(k) or k for k in range(3)])
+    assert len(lines) == 3 and not asked
+    assert (lines[1], lines[-1], lines[:2], list(lines)) == (1, 2, (0, 1), [0, 1, 2])
+    assert asked == [0, 1, 2] and lines == (0, 1, 2) and pickle.loads(pickle.dumps(lines)) == (0, 1, 2)
