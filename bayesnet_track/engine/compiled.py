@@ -16,8 +16,7 @@ from bayesnet_track.belief.motion.box_velocity import BoxVelocityMotion
 from bayesnet_track.belief.motion.formulas import make_formula_motion
 from bayesnet_track.belief.motion.modal import Modal
 from bayesnet_track.belief.motion.models import make_motion
-from bayesnet_track.belief.motion.nested import Deviation, Nested, deviations_of
-from bayesnet_track.belief.motion.rotating import Rotating
+from bayesnet_track.belief.motion.nested import Deviation, Nested, deviations_of, turning
 from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
@@ -235,7 +234,7 @@ def make_plate_motion(
     else:
         motion = make_motion(chosen)
     if settings.sd_angle_deg > 0:
-        motion = Rotating(motion, settings.sd_angle_deg)
+        motion = turning(motion, settings.sd_angle_deg)
     if deviations:
         motion = Nested(motion, deviations)
     if root.modes is not None:
@@ -245,8 +244,8 @@ def make_plate_motion(
 
 def _in_modes(usual: MotionModel, sd_angle_deg: float, modes: Mapping[str, spec.Mode]) -> Modal:
     own = (None if mode.motion is None else make_motion(mode.motion) for mode in modes.values())
-    turning = (one if one is None or sd_angle_deg == 0.0 else Rotating(one, sd_angle_deg) for one in own)
-    return Modal(make_modes(modes), tuple(usual if one is None else one for one in turning))
+    turned = (one if one is None or sd_angle_deg == 0.0 else turning(one, sd_angle_deg) for one in own)
+    return Modal(make_modes(modes), tuple(usual if one is None else one for one in turned))
 
 
 def _finder(moving: Moving) -> Detector | None:

@@ -4,7 +4,7 @@ import numpy as np
 
 from bayesnet_track.belief.motion.composed import Influences, compose_motion
 from bayesnet_track.belief.motion.models import make_motion
-from bayesnet_track.belief.motion.rotating import Rotating
+from bayesnet_track.belief.motion.nested import Nested, turning
 from bayesnet_track.belief.motion.shifted import CameraShift
 from bayesnet_track.graph import spec
 
@@ -46,6 +46,6 @@ def test_doubt_widens_the_place_only():
 
 
 def test_a_target_that_turns_goes_on_turning():
-    turning = Rotating(make_motion(SETTINGS), 5.0)
-    found = compose_motion(turning, SETTINGS.settings, Influences(1.0, SIZE, 2.0))
-    assert isinstance(found, Rotating) and found.fields == turning.fields
+    turned = turning(make_motion(SETTINGS), 5.0)
+    found = compose_motion(turned, SETTINGS.settings, Influences(1.0, SIZE, 2.0))
+    assert isinstance(found, Nested) and found.fields == turned.fields

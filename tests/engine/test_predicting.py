@@ -9,7 +9,7 @@ import pytest
 
 from bayesnet_track.belief.motion.attached import Attached
 from bayesnet_track.belief.motion.jumps import Jumping
-from bayesnet_track.belief.motion.rotating import Rotating
+from bayesnet_track.belief.motion.nested import Nested, turning
 from bayesnet_track.belief.motion.shifted import ShiftedMotion
 from bayesnet_track.engine.predicting import MotionContext, predict_motion, start_motion_context
 from bayesnet_track.graph.text.messages import GraphError
@@ -100,13 +100,13 @@ def test_an_angle_is_beside_all_of_it(fakes):
     plain = machine_of(
         fakes, camera="compensate", size_reversion={"sd_scale": 0.3}, inflate={}, relocalize={"by": "uniform"}
     )
-    compiled = replace(plain, motion=Rotating(plain.motion, 6.0))
+    compiled = replace(plain, motion=turning(plain.motion, 6.0))
     known = start_motion_context(compiled, BOX, FramePair(views[0], None))
     motion = predict_motion(
         compiled, None, known, True, 1.0, PlaneCache(FramePair(views[1], views[0]))
     ).motion
     assert motion.fields == compiled.motion.fields
-    assert isinstance(motion, Jumping) and isinstance(motion.motion, Rotating)
+    assert isinstance(motion, Jumping) and isinstance(motion.motion, Nested)
     old = np.append(BOX, 40.0)[None]
     np.testing.assert_allclose(motion.drift(old, 1.0)[0], [*(BOX - [4, 0, 0, 0]), 40.0], atol=0.1)
 

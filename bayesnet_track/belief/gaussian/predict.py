@@ -9,7 +9,7 @@ from bayesnet_track.belief.motion.borders import Reflecting
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.functions import FunctionMotion
 from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian
-from bayesnet_track.belief.motion.rotating import Rotating
+from bayesnet_track.belief.motion.nested import Nested
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import root, sigma_points, symmetric
@@ -95,7 +95,7 @@ def require_linear(motion: MotionModel) -> None:
         ValueError: it is not linear, or its noise is not Gaussian in px.
     """
     free = motion.motion if isinstance(motion, Confined) else motion
-    free = free.motion if isinstance(free, Rotating) else free
+    free = free.motion if isinstance(free, Nested) else free
     if isinstance(free, Reflecting):
         raise ValueError("the kalman filter is of linear motion; take extended or unscented beside borders")
     if isinstance(free, KinematicMotion):

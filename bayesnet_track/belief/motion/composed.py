@@ -10,7 +10,6 @@ from bayesnet_track.belief.motion.inflation import inflate_noise
 from bayesnet_track.belief.motion.modal import Modal
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.nested import Nested
-from bayesnet_track.belief.motion.rotating import Rotating
 from bayesnet_track.belief.motion.shifted import CameraShift, ShiftedMotion, revert_size
 from bayesnet_track.graph.settings.motion import Moving
 from bayesnet_track.numerics.arrays import Floats
@@ -57,13 +56,13 @@ def compose_motion(plain: MotionModel, settings: Moving, influences: Influences)
 
 def kinematics_of(plain: MotionModel) -> KinematicMotion | None:
     """The kinematics inside a plate's motion; None of a motion of another kind."""
-    while isinstance(plain, Rotating | Nested | Reflecting):
+    while isinstance(plain, Nested | Reflecting):
         plain = plain.motion
     return plain if isinstance(plain, KinematicMotion) else None
 
 
 def _put_inside(plain: MotionModel, motion: MotionModel) -> MotionModel:
     """The plate's motion with another one in place of its kinematics."""
-    if isinstance(plain, Rotating | Nested | Reflecting):
+    if isinstance(plain, Nested | Reflecting):
         return replace(plain, motion=_put_inside(plain.motion, motion))
     return motion

@@ -1,4 +1,4 @@
-"""Deviations of latent nodes from their places in their parents' boxes, as further fields of each state."""
+"""Further fields of each state that move on their own: in-plane rotation, deviations of latent nodes."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from bayesnet_track.belief.contract import BOX_FIELDS, Ancestors, MotionModel
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.observation.cue import ANGLE
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,33 @@ class Deviation:
         return kept, self.sd * float(np.sqrt(1.0 - kept**2))
 
 
+@dataclass(frozen=True)
+class Walk:
+    """A coordinate that walks at random, with nothing that pulls it back.
+
+    Attributes:
+        name: the field of the state.
+        sd: of its change in one frame interval, above 0.
+    """
+
+    name: str
+    sd: float
+
+    def over(self, dt: float) -> tuple[float, float]:
+        """As of a `Deviation`."""
+        return 1.0, self.sd * float(np.sqrt(dt))
+
+
+def turning(motion: MotionModel, sd_deg: float) -> Nested:
+    """`motion`, with a last column of the state: by how much the target is turned since its first frame.
+
+    In degrees, clockwise in the picture. It walks on the line, not on the circle: a target that turned once
+    is at 360, so that means, variances and densities of the belief are plain ones. What looks at the target
+    sees the same at 360 as at 0. `sd_deg` is that of its step in one frame interval, above 0.
+    """
+    return Nested(motion, (Walk(ANGLE, sd_deg),))
+
+
 def field_of(node: str, axis: str) -> str:
     """The field of a state in which a node's deviation along an axis of its box stands."""
     return f"{node}.{axis}"
@@ -59,11 +87,11 @@ def deviations_of(nodes: Mapping[str, spec.Node]) -> tuple[Deviation, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Nested:
-    """`motion`, with last columns of the state for the deviations of latent nodes; 0 in the first frame.
+    """`motion`, with last columns of the state for coordinates of their own; 0 in the first frame.
 
-    The agents learn a part at its place in the start box, so it deviates from there by nothing yet. The
-    deviations move independently of the box and of each other: where a part is depends on its parent's box
-    through its place alone.
+    They move independently of the box and of each other. Of the deviations of latent nodes: the agents
+    learn a part at its place in the start box, so it deviates from there by nothing yet; where a part is
+    depends on its parent's box through its place alone.
 
     Attributes:
         motion: how the rest moves.
@@ -71,7 +99,7 @@ class Nested:
     """
 
     motion: MotionModel
-    deviations: tuple[Deviation, ...]
+    deviations: tuple[Deviation | Walk, ...]
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -113,7 +141,7 @@ class Nested:
         return transition, covariance
 
     def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
-        """(M, N) that of the model, times those of the deviations, per px each."""
+        """(M, N) that of the model, times those of the deviations, per unit of each."""
         return self.transition(old, dt).log_density(new)
 
     def transition(self, old: Floats, dt: float) -> Transition:
