@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
 
-from bayesnet_track.cli.diagnose.command import names_of
-from bayesnet_track.cli.diagnose.findings import FEW_FRAMES, find
+from bayesnet_track.cli.diagnose import command
+from bayesnet_track.cli.diagnose.command import advise, find_all, names_of
+from bayesnet_track.cli.diagnose.findings import FEW_FRAMES, Finding, find, until_lost
 from bayesnet_track.cli.diagnose.remedies import REMEDIES, remedies_table
 from bayesnet_track.cli.main import main
 from bayesnet_track.cli.parser import make_parser
 from bayesnet_track.graph.text.change import change_graph
 from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.metrics import FrameMetrics
 
 FRAMES = 40
@@ -101,6 +103,62 @@ def test_every_key_of_the_table_is_one_of_the_language(name):
     plate, agent = ("square", "color") if of == "two_squares" else ("target", "filter")
     setting = REMEDIES[name].setting(names_of(text, plate, agent))
     assert change_graph(text, [setting]).text != text, f"{setting}: that is the value that it has already"
+
+
+@dataclass(frozen=True)
+class OpenRun:
+    """What `diagnose` reads of a run directory."""
+
+    graph_text: str
+    kinds: dict[str, str]
+    metrics: list
+    events: tuple = ()
+
+    @property
+    def targets(self):
+        return tuple(self.kinds)
+
+
+def test_an_agent_that_failed_stands_out_however_short_the_run(lines):
+    failed = [Quarantined(n, "1", "filter", "raised ValueError: no", n + 10) for n in (1, 12)]
+    run = OpenRun(load_graph("general").text, {"1": "target"}, lines[:3], tuple(failed))
+    (found,) = find_all(run)
+    assert found.what == "filter failed 2 times, first in frame 1: raised ValueError: no"
+    assert not advise(run, found)["seed"]
+
+
+def test_a_target_that_detections_started_may_end_as_lost(lines):
+    left = [replace(line, status="lost") if line.frame >= 30 else line for line in lines]
+    assert until_lost(left) == lines[:30] and not until_lost([])
+    born = OpenRun(load_graph("kalman_detections").text, {"1": "target"}, left)
+    assert not list(find_all(born)) and list(find_all(replace(born, graph_text=load_graph("general").text)))
+
+
+def test_what_many_targets_have_in_common_is_printed_once(lines, monkeypatch, capsys):
+    ids = [str(n) for n in range(1, 13)]
+    gap = [replace(line, status="lost") if line.frame in (5, 6) else line for line in lines]
+    every = [replace(line, target=name) for name in ids for line in gap]
+    run = OpenRun(load_graph("kalman_detections").text, dict.fromkeys(ids, "target"), every)
+    monkeypatch.setattr("bayesnet_track.runtime.recording.run_reader.open_run", lambda *_: run)
+    assert main(["diagnose", "R"]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[:3] == [
+        "target 1: lost in 2 of 39 frames, first in frame 5",
+        "  look  bayesnet-track log R --why 5",
+        "  also  11 other targets: 2, 3, 4, 5, 6, 7, 8, 9, ...",
+    ]
+    assert len(said) == 5
+
+
+def test_a_key_is_refused_with_the_reason_and_not_because_of_a_cue_of_the_user(lines):
+    gone = Finding("1", "lost", "gone", measure="lost")
+    general = load_graph("general").text
+    own = OpenRun(general.replace("correlation_filter", "my_own_cue"), {"1": "target"}, lines)
+    assert advise(own, gone)["try"] == advise(replace(own, graph_text=general), gone)["try"] is not None
+    kalman = replace(own, graph_text=load_graph("kalman_detections").text)
+    assert advise(kalman, gone)["refused"] == "relocalize beside gaussian, which cannot jump"
+    said = "\n".join(command._lines("R", advise(kalman, gone)))
+    assert ".relocalize, but not in this graph: relocalize beside gaussian, which cannot jump" in said
 
 
 def test_names_of_a_graph():

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp
 from statistics import median
 
+from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.metrics import FrameMetrics
 
 FEW_FRAMES = 10
@@ -27,6 +28,7 @@ class Finding:
         remedy: name of the row in `remedies`; None where no key is known to help.
         agent: the agent that it is about, or None.
         frame: a frame in which to look, or None.
+        measure: what was measured; findings of several targets with the same measure are alike.
     """
 
     target: str
@@ -34,6 +36,7 @@ class Finding:
     remedy: str | None
     agent: str | None = None
     frame: int | None = None
+    measure: str = ""
 
 
 Lines = Sequence[FrameMetrics]
@@ -48,8 +51,25 @@ def find(lines: Lines, switches: int = 0) -> Iterator[Finding]:
     if len(later) < FEW_FRAMES:
         return
     for check in CHECKS:
-        yield from check(later)
+        yield from (replace(one, measure=check.__name__.strip("_")) for one in check(later))
     yield from _switching(later, switches)
+
+
+def find_failures(target: str, failures: Sequence[Quarantined]) -> Iterator[Finding]:
+    """A finding per agent of a target that failed, however short the run."""
+    for agent in dict.fromkeys(event.node for event in failures):
+        own = [event for event in failures if event.node == agent]
+        times = "once" if len(own) == 1 else f"{len(own)} times"
+        what = f"{agent} failed {times}, first in frame {own[0].frame}: {own[0].reason}"
+        yield Finding(target, what, None, agent, own[0].frame, "failed")
+
+
+def until_lost(lines: Lines) -> Lines:
+    """The lines without the last stretch in which the target is lost: a target that leaves ends so."""
+    end = len(lines)
+    while end and lines[end - 1].status == "lost":
+        end -= 1
+    return lines[:end]
 
 
 def _effective(lines: Lines) -> Iterator[Finding]:
@@ -151,7 +171,7 @@ def _learning(lines: Lines) -> Iterator[Finding]:
 def _switching(lines: Lines, switches: int) -> Iterator[Finding]:
     if switches > len(lines) // 4:
         what = f"agents are switched {switches} times in {len(lines)} frames (above once in four)"
-        yield Finding(lines[0].target, what, "flicker")
+        yield Finding(lines[0].target, what, "flicker", measure="switching")
 
 
 def _loudest(lines: Lines) -> str | None:
