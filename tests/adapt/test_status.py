@@ -58,9 +58,9 @@ def test_down_and_up_through_uncertain(statuses):
         "frame 4: score 0.1 < 0.25 for 2 frames → target 1 lost; would not have been lost at "
         "score_below ≤ 0.2",
         "frame 6: score 0.4 ≥ 0.25 for 2 frames → target 1 uncertain; would have stayed as it was at "
-        "a threshold > 0.3",
+        "a threshold > 0.3, the lowest of these scores",
         "frame 8: score 0.8 ≥ 0.6 for 2 frames → target 1 found again; would have stayed as it was at "
-        "a threshold > 0.7",
+        "a threshold > 0.7, the lowest of these scores",
     ]
 
 

@@ -63,7 +63,7 @@ def test_as_json(run, higher, capsys):
 
 def test_nothing_changed_gives_the_same_bytes(run, capsys, tmp_path):
     code, out, _ = run_command(capsys, "run", "--what-if", run, "--quiet", "--out", tmp_path / "again")
-    assert code == 0 and "they never diverge" in out
+    assert code == 0 and "their decisions never diverge" in out
     assert (tmp_path / "again" / "journal.jsonl").read_bytes() == (run / "journal.jsonl").read_bytes()
 
 

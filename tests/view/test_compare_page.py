@@ -89,7 +89,7 @@ def test_hostile_names_stay_text_and_the_policy_forbids_everything_else(few_metr
 def test_runs_that_never_part(few_metrics):
     first, _, _ = runs(few_metrics)
     page = compare_page(first, first, compare(first, first), [])
-    assert "They never diverge" in page and ">never</text>" in page and "parting first" not in page
+    assert "Their decisions never diverge" in page and ">never</text>" in page and "parting first" not in page
 
 
 def test_a_page_tells_of_so_many_partings_and_links_no_others(few_metrics, monkeypatch):

@@ -38,6 +38,8 @@ def differences(first: str, second: str) -> tuple[Difference, ...]:
     a.b: 1 → 2
     a.c: x → not written
     a.d: not written → {e: 3}
+    >>> print(*differences("a: {b: 1}\\n", "a: {b: 1, c: {}}\\n"))
+    a.c: not written → {}, all at their defaults
     """
     return tuple(_between(yaml.safe_load(first), yaml.safe_load(second), ""))
 
@@ -55,4 +57,7 @@ def _between(first: Any, second: Any, path: str) -> Iterator[Difference]:
 
 
 def _text(mapping: Mapping[Any, Any], key: Any) -> str:
-    return flow_text(mapping[key]) if key in mapping else ""
+    if key not in mapping:
+        return ""
+    # Canonical text leaves out what has its default value: of {share: 0.1} nothing may remain.
+    return flow_text(mapping[key]) if mapping[key] != {} else "{}, all at their defaults"

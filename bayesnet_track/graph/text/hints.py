@@ -39,6 +39,12 @@ def _parent(_: re.Match[str], message: GraphMessage) -> str:
     )
 
 
+def _own_cue(_: re.Match[str], message: GraphMessage) -> str:
+    """A name that is like no installed cue's is no slip of the pen."""
+    own = "a cue of your own is given as --cue-file FILE, one of another package as --allow-plugins NAME"
+    return "" if message.nearest else own
+
+
 def _opened(what: str, or_else: str = "") -> Callable[[re.Match[str], GraphMessage], str]:
     def say(found: re.Match[str], message: GraphMessage) -> str:
         line = found.groupdict().get("line") or message.line
@@ -84,6 +90,7 @@ RULES: Sequence[Rule] = (
         _always("joint probabilistic data association is associate: marginal"),
     ),
     (r"^key 'parent' is missing", _parent),
+    (r"^unknown cue '[^']+'", _own_cue),
     (
         r"^(?P<key>\w+) is (?P<value>-?[\d.]+); allowed: (?:a mapping with|one of) (?P<first>\w+)",
         _nested,

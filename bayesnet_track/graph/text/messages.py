@@ -155,8 +155,14 @@ def nearest(word: str, names: Iterable[str]) -> str:
 
     >>> nearest("activte", ["activate", "deactivate", "keep"]), nearest("x", ["size"])
     ('activate', '')
+    >>> nearest("sd_x", ["sd_y_px", "sd_x_px"])
+    'sd_x_px'
     """
     some = [name for name in names if abs(len(name) - len(word)) <= 6 and name != word][:MAX_COMPARED]
+    # `sd_x` is likelier to be `sd_x_px`, cut short, than `sd_y_px`, which has as many letters in common.
+    begun = [name for name in some if len(word) > 2 and name.startswith(word)]
+    if len(begun) == 1:
+        return begun[0]
     return "".join(get_close_matches(word[:MAX_SHOWN], some, n=1))
 
 

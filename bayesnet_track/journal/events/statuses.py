@@ -121,7 +121,8 @@ def _by_score(event: StatusChanged, cause: ScoreCause) -> str:
     turning = round_away(cause.turning, decimals(cause.turning, cause.level), up=not cause.fell)
     status = "found again" if event.status == "tracking" else event.status
     if not cause.fell:
-        otherwise = f"would have stayed as it was at a threshold > {turning}"
+        lowest = ", the lowest of these scores" if cause.frames > 1 else ""
+        otherwise = f"would have stayed as it was at a threshold > {turning}{lowest}"
     elif event.status == "lost":
         otherwise = f"would not have been lost at {cause.of or 'score'}_below ≤ {turning}"
     else:

@@ -74,7 +74,7 @@ def parting_lines(first: RunRecord, second: RunRecord, comparison: Comparison) -
     if a != b:
         numbers += f"; {'A' if a > b else 'B'} continues after frame {min(a, b)}, which is not compared"
     if not comparison.moments:
-        return [f"they never diverge: {agreed}; {numbers}"]
+        return [f"their decisions never diverge: {agreed}; {numbers}"]
     moment = comparison.moments[0]
     return [
         f"they first diverge at {place(moment, comparison)}",
