@@ -99,9 +99,8 @@ def frame_metrics(
     if measured.score is not None:
         score, features = measured.score, {**measured.scored.smooth, "most": measured.bound}
     root = plate.inference(plate.root)
-    if root.localization_error is None:
-        region50, region90 = summary.regions
-    else:
+    region50, region90 = summary.regions
+    if root.localization_error is not None:
         side = float(np.sqrt(max(measures.area_px2, 1.0)))
         wide = blur_regions(stepped.posterior, root.localization_error, score, side)
         region50, region90 = wide.region50, wide.region90

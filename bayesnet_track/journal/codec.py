@@ -170,11 +170,6 @@ def _absent(inner: tuple[Any, ...], value: Any) -> bool:
     return value is None and types.NoneType in inner
 
 
-def _member(inner: tuple[Any, ...], kind: type) -> Any:
-    """The member of a union that a value is of; the first when it is of none."""
-    return kind if kind in inner else inner[0]
-
-
 def _member_with(inner: tuple[Any, ...], value: Any) -> Any:
     """The member of a union that has the most keys of an object, in order; the first for other values."""
     if not isinstance(value, Mapping):

@@ -12,8 +12,6 @@ from bayesnet_track.graph.spec import AgentNode, InferenceNode, Level, Lost
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.view.graph_layout import MARGIN, lay_out
 
-LEGEND_ROOM = 46.0
-
 
 def plates(graph: CheckedGraph, costs_ms: Mapping[str, float]) -> dict[str, dict[str, Any]]:
     """Plate -> its root, agents, rules and picture, as plain data."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Bytes, Floats
+from bayesnet_track.vision.opencv_errors import reason_of
 
 Embed = Callable[[Bytes], Floats]
 """(n, height, width, 3) uint8 BGR crops -> (n, D) vectors."""
@@ -65,7 +65,9 @@ def network(model: str, wanted: Input) -> Embed:
     try:
         net = cv2.dnn.readNetFromONNX(model)
     except cv2.error as error:
-        raise EmbeddingError(f"{model}: OpenCV cannot read it as an ONNX model: {_reason(error)}") from error
+        raise EmbeddingError(
+            f"{model}: OpenCV cannot read it as an ONNX model: {reason_of(error)}"
+        ) from error
 
     def embed(crops: Bytes) -> Floats:
         # One by one: many networks have a fixed batch of 1, and a vector must not depend on its company.
@@ -80,7 +82,7 @@ def network(model: str, wanted: Input) -> Embed:
         except cv2.error as error:
             size = f"{wanted.width}x{wanted.height}"
             raise EmbeddingError(
-                f"{model}: does not run on a 3-channel input of {size} px: {_reason(error)}"
+                f"{model}: does not run on a 3-channel input of {size} px: {reason_of(error)}"
             ) from error
         # OpenCV cuts what is infinite, or no number, to the largest float.
         if not vector.size or not (np.abs(vector) < np.finfo(np.float32).max).all():
@@ -91,12 +93,6 @@ def network(model: str, wanted: Input) -> Embed:
 
     embed(np.zeros((1, wanted.height, wanted.width, 3), np.uint8))
     return embed
-
-
-def _reason(error: Any) -> str:
-    """OpenCV's own words without its file and line."""
-    text = str(error).split("error: ", 1)[-1].strip()
-    return " ".join(text.split())[:200]
 
 
 def crops_at(image: Bytes, boxes: Floats, width: int, height: int) -> Bytes:

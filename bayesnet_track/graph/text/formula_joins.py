@@ -5,6 +5,7 @@ from __future__ import annotations
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.graph.expressions.write import latex_of, text_of
 from bayesnet_track.graph.settings.joins import Join
+from bayesnet_track.graph.text.formula_states import escape
 
 _SHARED = "o_t: which one is in front; S_i: evidence of the pixels of box i that the other does not hide"
 
@@ -40,7 +41,7 @@ def join_latex(join: Join) -> str:
     """The same as LaTeX (amsmath's `align*`), what is said in words as comments."""
     comments = [f"% {line}" for line in join_text(join).split("\n")]
     if join.factor is not None:
-        one, other = (rf"\mathit{{{_escape(name)}}}_{{t}}" for name in _states(join))
+        one, other = (rf"\mathit{{{escape(name)}}}_{{t}}" for name in _states(join))
         each = r" \, ".join(rf"p({name} \mid e_{{1:t}})" for name in (one, other))
         return "\n".join(
             [
@@ -53,7 +54,7 @@ def join_latex(join: Join) -> str:
         )
     if not join.shares_pixels:
         return "\n".join(comments)
-    first, second = (rf"\mathit{{{_escape(name)}}}_{{t}}" for name in _states(join))
+    first, second = (rf"\mathit{{{escape(name)}}}_{{t}}" for name in _states(join))
     pixels = [rf"p(S_{k} \mid {first}, {second}, o_t)" for k in (1, 2)]
     against = rf" \, e^{{-{join.nats:g} \, c({first}, {second})}}" if join.nats else ""
     priors = r" \, ".join(rf"p({one} \mid e_{{1:t-1}})" for one in (first, second))
@@ -78,7 +79,3 @@ def _order(join: Join) -> str:
     if join.occlusion is None:
         return "1/2 each, anew in every frame"
     return f"that of the last frame with probability {join.stay:g}"
-
-
-def _escape(name: str) -> str:
-    return name.replace("_", r"\_")

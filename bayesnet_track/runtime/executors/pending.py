@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from bayesnet_track.runtime.deadline import Patience
-from bayesnet_track.runtime.executors.questions import Answer
+from bayesnet_track.runtime.executors.questions import Answer, Call
 
 
 class Pending:
     """A question on its way.
 
     Attributes:
-        asked: agent, method, frames, region and arguments.
+        asked: of whom, and what.
         patience: for how long its answer is waited for; None for as long as it takes.
         is_sent: whether a worker has it.
         until: the moment by which the answer is needed, since it was sent.
@@ -22,8 +20,8 @@ class Pending:
 
     __slots__ = ("agent", "asked", "is_sent", "lost", "outcome", "patience", "sent_at", "until")
 
-    def __init__(self, asked: tuple[Any, ...], patience: Patience | None) -> None:
-        self.agent: str = asked[0]
+    def __init__(self, asked: Call, patience: Patience | None) -> None:
+        self.agent = asked.agent
         self.asked, self.patience = asked, patience
         self.is_sent, self.sent_at = False, 0.0
         self.until: float | None = None

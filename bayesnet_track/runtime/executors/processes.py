@@ -13,11 +13,11 @@ from typing import Any
 
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.observation.cue import Making
-from bayesnet_track.observation.planes import Frame, Region
+from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.deadline import Patience
 from bayesnet_track.runtime.executors.frames import FrameStore, SharedFrame
 from bayesnet_track.runtime.executors.pending import Pending
-from bayesnet_track.runtime.executors.questions import ADVANCE, Answer, Foreign
+from bayesnet_track.runtime.executors.questions import ADVANCE, Answer, Call, Foreign
 from bayesnet_track.runtime.executors.worker_pool import AgentSpec, Slot, WorkerPool
 from bayesnet_track.runtime.executors.workers import Late, Limits, Worker, WorkerGone, WorkerLost
 
@@ -66,29 +66,15 @@ class Processes:
                 self._pool.look_after(self._frames)
             return shared
 
-    def ask(
-        self,
-        agent: str,
-        method: str,
-        frames: tuple[Any, Any] | None,
-        region: Region | None,
-        arguments: tuple[Any, ...],
-    ) -> Any:
+    def ask(self, call: Call) -> Any:
         """What the agent's cue returns; raises what it raised, by type name and text, or AgentUnavailable."""
-        return self.begin(agent, method, frames, region, arguments)()
+        return self.begin(call)()
 
-    def begin(
-        self,
-        agent: str,
-        method: str,
-        frames: tuple[Any, Any] | None,
-        region: Region | None,
-        arguments: tuple[Any, ...],
-    ) -> Callable[[], Any]:
+    def begin(self, call: Call) -> Callable[[], Any]:
         """`ask`, in two halves: what waits for the answer is returned, while the agent is at work."""
         # Whole nets that nobody waited for would have to be advanced here.
-        patience = None if method == ADVANCE else self.patience
-        pending = Pending((agent, method, frames, region, arguments), patience)
+        patience = None if call.method == ADVANCE else self.patience
+        pending = Pending(call, patience)
         with self._asking:
             if not self._forward(pending):
                 self._unsent.append(pending)
@@ -188,7 +174,7 @@ class Processes:
     def _hand_over(self, pending: Pending, slot: Slot, worker: Worker, until: float | None) -> None:
         try:
             self._pool.assign(worker, pending.agent)
-            worker.ask(*pending.asked)
+            worker.ask(pending.asked)
         except WorkerLost:
             slot.worker = None
             raise
@@ -234,7 +220,7 @@ class Processes:
 
     def _drop_answer(self, slot: Slot, worker: Worker, until: float | None) -> None:
         """Wait for an answer that is too late for its question, but due before the next."""
-        slot.asked = late = Pending((worker.busy_with,), None)
+        slot.asked = late = Pending(Call(str(worker.busy_with), "", None, None, ()), None)
         late.until = until
         self._drive(late)
         if isinstance(late.outcome, Exception):

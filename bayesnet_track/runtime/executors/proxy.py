@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bayesnet_track.numerics.arrays import Array, Floats
 from bayesnet_track.observation.cue import AnyCue, Hypotheses, Measurement, Reference
 from bayesnet_track.observation.planes import Frame, FramePair, Plane, Planes, Region
-from bayesnet_track.runtime.executors.questions import LEARN_AND_BLEND
+from bayesnet_track.runtime.executors.questions import LEARN_AND_BLEND, Call
 
 
 class Transport(Protocol):
@@ -22,15 +22,8 @@ class Transport(Protocol):
         """Bring a frame to where the agents are; what says there which one it is, and can be pickled."""
         ...
 
-    def ask(
-        self,
-        agent: str,
-        method: str,
-        frames: tuple[Any, Any] | None,
-        region: Region | None,
-        arguments: tuple[Any, ...],
-    ) -> Any:
-        """What the agent's cue returns from `method`; references are mappings of arrays.
+    def ask(self, call: Call) -> Any:
+        """What the agent's cue returns.
 
         Raises:
             AgentUnavailable: it gives no answer.
@@ -38,14 +31,7 @@ class Transport(Protocol):
         """
         ...
 
-    def begin(
-        self,
-        agent: str,
-        method: str,
-        frames: tuple[Any, Any] | None,
-        region: Region | None,
-        arguments: tuple[Any, ...],
-    ) -> Callable[[], Any]:
+    def begin(self, call: Call) -> Callable[[], Any]:
         """`ask`, whose answer what is returned waits for."""
         ...
 
@@ -88,12 +74,12 @@ class Placed:
 
     def ask(self, method: str, planes: Planes | None, *arguments: Any) -> Any:
         """A question, about a frame unless `planes` is None."""
-        return self.transport.ask(*self._question(method, planes, arguments))
+        return self.transport.ask(self._call(method, planes, arguments))
 
     def ask_ahead(self, method: str, *arguments: Any) -> Callable[[], Any]:
         """Ask what the method of that name returns, which what is returned waits for."""
         asked = self._blending(*arguments) if method == "blend" else (method, *arguments)
-        return self.transport.begin(*self._question(asked[0], asked[1], asked[2:]))
+        return self.transport.begin(self._call(asked[0], asked[1], asked[2:]))
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """As of a `Cue`."""
@@ -104,13 +90,13 @@ class Placed:
         blended: Reference = self.ask(*self._blending(old, new, rate))
         return blended
 
-    def _question(self, method: str, planes: Planes | None, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
+    def _call(self, method: str, planes: Planes | None, arguments: tuple[Any, ...]) -> Call:
         # Before the transport is busy with this question: what was learnt may have to be asked for.
         known = tuple([dict(part) if type(part) is Learnt else part for part in arguments])
         if planes is None:
-            return self.agent, method, None, None, known
+            return Call(self.agent, method, None, None, known)
         current, previous = planes[self.sent]
-        return self.agent, method, (current, previous), planes.region, known
+        return Call(self.agent, method, (current, previous), planes.region, known)
 
     def _blending(self, old: Reference, new: Reference, rate: float) -> tuple[Any, ...]:
         if isinstance(new, Learnt) and new.of is self and new.planes is not None:

@@ -13,7 +13,7 @@ from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.observation.planes import FramePair, Region
 from bayesnet_track.runtime.executors.proxy import Transport
-from bayesnet_track.runtime.executors.questions import ADVANCE
+from bayesnet_track.runtime.executors.questions import ADVANCE, Call
 from bayesnet_track.runtime.executors.target_host import TargetRequest
 
 REMEMBERED = tuple(item.name for item in fields(TargetState) if item.name != "plan")
@@ -83,12 +83,10 @@ class ProcessTargetExecutor:
     ) -> Callable[[], bytes]:
         """What waits for the answer of a worker, which is asked now."""
         known = {target: self._is_held(target, state) for target, state in own.items()}
-        question = host, ADVANCE, both, whole, (_question(net, own, known),)
-        answered = self._transport.begin(*question)
+        call = Call(host, ADVANCE, both, whole, (_question(net, own, known),))
+        answered = self._transport.begin(call)
         # A fresh worker holds no state: it says nothing, and is told all of them.
-        return lambda: (
-            answered() or self._transport.ask(host, ADVANCE, both, whole, (_question(net, own, {}),))
-        )
+        return lambda: answered() or self._transport.ask(call._replace(arguments=(_question(net, own, {}),)))
 
     def _is_held(self, target: str, state: TargetState) -> bool:
         """Whether the state is the one that the worker returned last: nobody has changed it since."""

@@ -12,7 +12,7 @@ from typing import Any
 from bayesnet_track.inference.executor import AgentUnavailable
 from bayesnet_track.runtime.executors.fork_server import ForkServer
 from bayesnet_track.runtime.executors.frames import SLOTS, SharedFrame, parts_of
-from bayesnet_track.runtime.executors.questions import Answer, EncodedReference, Sent
+from bayesnet_track.runtime.executors.questions import Answer, Call, EncodedReference, Sent
 from bayesnet_track.runtime.executors.wire import ASK, DISMISS, EMPLOY, receive, send
 from bayesnet_track.sources.child import cut
 
@@ -91,16 +91,10 @@ class Worker:
         self._send((DISMISS, agent))
         self.agents.discard(agent)
 
-    def ask(
-        self,
-        agent: str,
-        method: str,
-        frames: tuple[SharedFrame, SharedFrame | None] | None,
-        region: Any,
-        arguments: tuple[Any, ...],
-    ) -> None:
+    def ask(self, call: Call) -> None:
         """Send it a question; raises WorkerLost."""
-        question = self._sent.question(agent, method, frames, region, arguments)
+        question = self._sent.question(call)
+        agent, method, frames, region, _ = call
         is_first = (agent, method) not in self._known
         self._patience_s = (
             max(self._limits.first_s, self._limits.answer_s) if is_first else self._limits.answer_s

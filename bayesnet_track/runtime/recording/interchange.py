@@ -13,9 +13,6 @@ from numpy.typing import NDArray
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.boxes import xyxy_from_centre
 
-DATA = ("target", "class_name", "status", "ud_px2", "frame", "time_s")
-"""What `Detections.data` has for each box."""
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Detections:

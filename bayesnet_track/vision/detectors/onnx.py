@@ -22,6 +22,7 @@ from bayesnet_track.observation.detector import (
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.vision.detectors.onnx_layouts import Found, LayoutError, fitting
 from bayesnet_track.vision.detectors.selection import select
+from bayesnet_track.vision.opencv_errors import reason_of
 
 
 class OnnxParameters(DetectorParameters):
@@ -156,7 +157,7 @@ def _make(parameters: OnnxParameters) -> Detector:
     try:
         network = cv2.dnn.readNetFromONNX(str(path))
     except cv2.error as error:
-        raise DetectorError(f"{path}: OpenCV cannot read it as an ONNX model: {_reason(error)}") from error
+        raise DetectorError(f"{path}: OpenCV cannot read it as an ONNX model: {reason_of(error)}") from error
     size = f"{parameters.input_width}x{parameters.input_height}"
 
     def forward(blob: Any) -> Any:
@@ -166,18 +167,12 @@ def _make(parameters: OnnxParameters) -> Detector:
         except cv2.error as error:
             raise DetectorError(
                 f"{path}: does not run on a 3-channel input of {size} px (input_width, "
-                f"input_height: as it was exported): {_reason(error)}"
+                f"input_height: as it was exported): {reason_of(error)}"
             ) from error
 
     detector = Onnx(parameters, forward)
     detector.check()
     return detector
-
-
-def _reason(error: Exception) -> str:
-    """OpenCV's own words without its file and line."""
-    text = str(error).split("error: ", 1)[-1].strip()
-    return " ".join(text.split())[:200]
 
 
 DETECTOR = DetectorDeclaration(

@@ -16,6 +16,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Bytes, Floats, Singles
 from bayesnet_track.observation.capabilities import CueError
+from bayesnet_track.vision.opencv_errors import reason_of
 
 TEMPLATE = 127
 """Side of the template's crop, px of the network."""
@@ -118,7 +119,7 @@ def _read(key: str, path: str) -> Any:
         return cv2.dnn.readNetFromONNX(path)
     except cv2.error as error:
         raise SiameseError(
-            f"{key}: {path}: OpenCV cannot read it as an ONNX model: {_reason(error)}"
+            f"{key}: {path}: OpenCV cannot read it as an ONNX model: {reason_of(error)}"
         ) from error
 
 
@@ -132,7 +133,7 @@ def _try_out(networks: Networks, backbone: str, head: str) -> None:
     except cv2.error as error:
         size = f"a 3-channel input of {TEMPLATE}x{TEMPLATE} px"
         raise SiameseError(
-            f"backbone: {backbone}: does not run on {size}{swapped} {_reason(error)}"
+            f"backbone: {backbone}: does not run on {size}{swapped} {reason_of(error)}"
         ) from error
     try:
         found = networks.compare(template, np.full((SEARCH, SEARCH, 3), 114, np.uint8), np.ones(2))
@@ -140,12 +141,6 @@ def _try_out(networks: Networks, backbone: str, head: str) -> None:
         raise SiameseError(f"head: {head}: {error}") from error
     except cv2.error as error:
         takes = f"features of {_shape(template)} as input1 and of the search crop as input2"
-        raise SiameseError(f"head: {head}: does not run on {takes}{swapped} {_reason(error)}") from error
+        raise SiameseError(f"head: {head}: does not run on {takes}{swapped} {reason_of(error)}") from error
     if not (np.isfinite(found.probabilities).all() and (np.abs(found.sides) < 1e6).all()):
         raise SiameseError(f"head: {head}: its outputs are not finite numbers")
-
-
-def _reason(error: Exception) -> str:
-    """OpenCV's own words without its file and line."""
-    text = str(error).split("error: ", 1)[-1].strip()
-    return " ".join(text.split())[:200]

@@ -40,10 +40,10 @@ class Across:
     def send_frame(self, frame):
         return self.store.put(frame)
 
-    def ask(self, agent, method, frames, region, arguments):
+    def ask(self, call):
         assert not self.is_busy, "a question within a question"
         self.is_busy = True
-        question = self.sent.question(agent, method, frames, region, arguments)
+        question = self.sent.question(call)
         passed = pickle.dumps(question)
         self.bytes.append(len(passed))
         answer = pickle.loads(pickle.dumps(self.host.answer(pickle.loads(passed))))

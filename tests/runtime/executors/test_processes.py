@@ -29,7 +29,7 @@ def test_the_same_to_the_last_bit_though_workers_are_killed_in_every_frame(place
 
 def test_all_agents_are_asked_before_the_first_is_heard(placed, monkeypatch):
     calls, ask, answer = [], Worker.ask, Worker.answer
-    monkeypatch.setattr(Worker, "ask", lambda worker, *asked: calls.append(asked[0]) or ask(worker, *asked))
+    monkeypatch.setattr(Worker, "ask", lambda worker, call: calls.append(call.agent) or ask(worker, call))
     monkeypatch.setattr(Worker, "answer", lambda worker: calls.append("answer") or answer(worker))
     with placed.executing(TWO, "processes", workers=2) as (engine, _):
         placed.play(engine, 3, before=lambda frame: calls.clear())
