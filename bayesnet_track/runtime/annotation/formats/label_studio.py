@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ def as_label_studio(document: Document) -> bytes:
             "value": {
                 "framesCount": video.frames,
                 "duration": tidy(video.frames * video.frame_interval_s, 6),
-                "sequence": [*_sequence(own, video)],
+                "sequence": [*key_frames(own, video)],
                 "labels": [label_of(target)],
             },
         }
@@ -46,7 +46,8 @@ def as_label_studio(document: Document) -> bytes:
     return (json.dumps([task], allow_nan=False) + "\n").encode()
 
 
-def _sequence(own: Mapping[int, Mark], video: Video) -> Iterator[dict[str, Any]]:
+def key_frames(own: Mapping[int, Mark], video: Video) -> Iterator[dict[str, Any]]:
+    """The marks of a target that have a box, as key frames; one that is not enabled ends the region."""
     for frame in sorted(own):
         box = own[frame].box
         if box is None:
@@ -92,7 +93,9 @@ def read_label_studio(path: Path, video: Video) -> list[Answer]:
             place = f"{path}, result {one.get('id', number)}"
             if "framesCount" in one["value"]:
                 check_frames(one["value"]["framesCount"], video, f"{place}, framesCount")
-            answers += [*_answers(one, names[str(number)], video, place)]
+            meta = one.get("meta")
+            given = meta.get("given") if isinstance(meta, dict) else None
+            answers += [*read_key_frames(one["value"]["sequence"], names[str(number)], video, place, given)]
     except (KeyError, TypeError, AttributeError, IndexError) as error:
         raise MismatchError(
             f"{path}: no video task of Label Studio: annotations with results of type videorectangle are "
@@ -101,11 +104,18 @@ def read_label_studio(path: Path, video: Video) -> list[Answer]:
     return answers
 
 
-def _answers(result: dict[str, Any], name: str, video: Video, place: str) -> Iterator[Answer]:
-    meta = result.get("meta")
-    given = meta.get("given") if isinstance(meta, dict) else None
-    frames = sorted(result["value"]["sequence"], key=lambda one: int(one["frame"]))
-    for one in frames:
+def read_key_frames(
+    sequence: Iterable[Mapping[str, Any]],
+    name: str,
+    video: Video,
+    place: str,
+    given: Collection[int] | None = None,
+) -> Iterator[Answer]:
+    """Key frames as boxes of the target `name`, and where the target is gone.
+
+    Boxes count only in the frames `given` (from 1), if there is such a list. Raises MismatchError.
+    """
+    for one in sorted(sequence, key=lambda one: int(one["frame"])):
         frame = int(one["frame"]) - 1
         box = (
             float(one["x"]) * video.width / 100.0,
