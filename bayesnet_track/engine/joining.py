@@ -21,26 +21,21 @@ from bayesnet_track.adapt.joins import (
 )
 from bayesnet_track.belief.contract import Posterior, Step
 from bayesnet_track.belief.particles.belief import reweight_step
-from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.engine.attachment import Carriers, carriers_of, particles, report_carried, without_ride
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.occlusion import level_of, levels_after, report_hidden
+from bayesnet_track.engine.rows.on_others import logs_on
 from bayesnet_track.graph.settings.joins import Join
 from bayesnet_track.inference.factors import log_prior_factor, log_seen
 from bayesnet_track.inference.joint import Marginal, joint_marginals
 from bayesnet_track.inference.joint_members import Edge, Member, Pair
-from bayesnet_track.inference.messages import Observer, evaluate
 from bayesnet_track.inference.pair_factors import pair_factor
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.joint_beliefs import RingChanged
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
-from bayesnet_track.numerics.resampling import resample
-
-ON_SIZE = 8
-"""Boxes at which a target's agents are asked what they say of the one in front."""
 
 Steps = dict[str, Step[Posterior]]
 
@@ -139,18 +134,20 @@ def _marginals(
 ) -> tuple[dict[str, Marginal], dict[Pair, float]]:
     """The joint belief's marginals, and of each edge the probability that its first target is in front."""
     relates = any(edge.factor is not None for edge in (*tree.edges, *tree.closing))
+    neighbours = _neighbours((*tree.edges, *tree.closing))
+    on = logs_on(work, neighbours, of)
     members = {
         name: Member(
             np.ascontiguousarray(of[name].step.support.boxes),
             _prior_of(of[name]),
             log_seen(of[name].plan.factors, of[name].step.evidence),
             levels[name].log,
-            _logs_on(work, of[name], [of[other] for other in others]),
+            on[name],
             max(len(of[name].plan.observations), 1),
             levels[name].best,
             _states_of(of[name]) if relates else {},
         )
-        for name, others in _neighbours((*tree.edges, *tree.closing)).items()
+        for name in neighbours
     }
     return joint_marginals(
         members,
@@ -200,40 +197,6 @@ def _neighbours(edges: Sequence[Edge]) -> dict[str, list[str]]:
         found.setdefault(first, []).append(second)
         found.setdefault(second, []).append(first)
     return found
-
-
-def _logs_on(work: FrameWork, one: Filtered, others: Sequence[Filtered]) -> dict[str, float]:
-    """Other -> mean log-likelihood, by a target's own agents, of boxes of it that lie wholly on the other's.
-
-    Where its box is the larger one, in the middle of the other's.
-    """
-    compiled = work.plate_of(one.target)
-    stream = work.stream(one.target, "on")
-    rng = stream("places")
-    size = ON_SIZE * len(others)
-    own = one.step.support
-    states = own.states[resample("systematic", own.weights.weights, size, rng)].copy()
-    drawn = [
-        other.step.support.boxes[resample("systematic", other.step.support.weights.weights, ON_SIZE, rng)]
-        for other in others
-    ]
-    boxes = np.concatenate(drawn)
-    room = np.clip(boxes[:, 2:] - states[:, 2:4], 0.0, None)
-    states[:, :2] = boxes[:, :2] + room * (rng.random((size, 2)) - 0.5)
-    observer = Observer(
-        work.cache,
-        compiled.cues,
-        one.before.references,
-        stream,
-        work.engine.clock,
-        {},
-        availability=work.availability_of(one.target, "joining"),
-    )
-    seen = hypotheses_of(states, particles(one.step.posterior).fields)
-    plan = replace(one.plan, factors=())
-    log = evaluate(plan, observer, seen, LogWeights.uniform(size).log).log_likelihood
-    means = np.maximum(log, -1e3).reshape(len(others), ON_SIZE).mean(axis=1)
-    return {other.target: float(mean) for other, mean in zip(others, means, strict=True)}
 
 
 def _predict_order(one: PairMemory, rule: Join) -> float:

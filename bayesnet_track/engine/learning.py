@@ -114,7 +114,7 @@ def _follow(
             follows: Any = cue
             boxes = np.array([measured[target].box for target in own])
             try:
-                planes = planes_of_each(work, cue.needs, boxes[:, None], context_of(cue))
+                planes = planes_of_each(work, cue.needs, boxes, np.arange(len(own) + 1), context_of(cue))
                 before = [shown(moved[target][agent]) for target in own]
                 shares = np.array([rates[target][agent] for target in own])
                 after = check_references(follows.follow_each(planes, boxes.copy(), before, shares))

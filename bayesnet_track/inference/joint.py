@@ -147,10 +147,9 @@ def _root_tree(near: Mapping[str, Mapping[str, Edge]]) -> tuple[list[str], dict[
 def _marginal(one: Member, said: Said) -> Marginal:
     with np.errstate(divide="ignore"):
         log = one.log_likelihood + np.log(said.all)
-    weights = one.prior.weights * np.exp(one.log_likelihood - one.log_likelihood.max())
-    total = float(weights @ said.all)
+    total = float(one.seen @ said.all)
     hidden = {
-        name: float(weights @ share) / total if total > 0 else 0.0 for name, share in said.shares.items()
+        name: float(one.seen @ share) / total if total > 0 else 0.0 for name, share in said.shares.items()
     }
     return Marginal(log, hidden)
 
@@ -168,9 +167,8 @@ def _order(
     for own, other in (edge.pair, edge.pair[::-1]):
         one, message = members[own], messages[other, own]
         rest = together(one, [name for name in near[own] if name != other], own, messages)
-        weights = one.prior.weights * np.exp(one.log_likelihood - one.log_likelihood.max())
-        front = float(weights @ (rest.all * message.in_front))
-        behind = float(weights @ (rest.all * message.untouched + rest.free * message.hidden))
+        front = float(one.seen @ (rest.all * message.in_front))
+        behind = float(one.seen @ (rest.all * message.untouched + rest.free * message.hidden))
         total = front + behind
         share = front / total if total > 0 else 0.5
         found.append(share if own == edge.pair[0] else 1.0 - share)

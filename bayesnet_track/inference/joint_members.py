@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights
@@ -53,15 +54,37 @@ class Member:
         """(N,) share of each box that does not match."""
         return bad_shares(self.losses, self.agents)
 
+    @cached_property
+    def seen(self) -> Floats:
+        """(N,) prior weights times L, in units of the best hypothesis."""
+        return np.asarray(self.prior.weights * np.exp(self.log_likelihood - self.log_likelihood.max()))
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """Log of the sum of prior weights times L, in units of a perfect match."""
+        return LogWeights.normalise(self.prior.log - self.losses)[1]
+
+    @cached_property
+    def by_place(self) -> NDArray[np.intp]:
+        """(N,) order along the axis on which the hypotheses spread most."""
+        centres = self.boxes[:, :2]
+        axis = int(np.argmax(centres.max(axis=0) - centres.min(axis=0)))
+        return np.argsort(centres[:, axis], kind="stable")
+
     def hidden_by(self, other: str) -> Hidden:
         """Shares that do not match: what stands for hidden pixels, W, the worst's and the best's; agents."""
-        worst, best = float(self.losses.max()), float(self.losses.min())
-        occluder = min(max(self._perfect - self.on.get(other, self._perfect), best), worst)
-        losses = np.array([max(self._perfect - self.level, 0.0), occluder, worst, best])
-        level, occluder, worst, best = bad_shares(losses, self.agents).tolist()
-        return level, occluder, worst, best, self.agents
+        level, worst, best, shares = self._hidden
+        return level, shares.get(other, best), worst, best, self.agents
 
-    @property
+    @cached_property
+    def _hidden(self) -> tuple[float, float, float, dict[str, float]]:
+        worst, best = float(self.losses.max()), float(self.losses.min())
+        occluders = [min(max(self._perfect - log, best), worst) for log in self.on.values()]
+        losses = np.array([max(self._perfect - self.level, 0.0), worst, best, *occluders])
+        level, worst, best, *found = bad_shares(losses, self.agents).tolist()
+        return level, worst, best, dict(zip(self.on, found, strict=True))
+
+    @cached_property
     def _perfect(self) -> float:
         return max(self.top, float(self.log_likelihood.max()))
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from bayesnet_track.inference.joint_members import Edge, Factor, Hidden, Member, Pair
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.log_weights import LogWeights
 
 LEAST_LOG = -700.0
 """Densities of pairs are numbers up to e^700."""
@@ -74,12 +73,11 @@ def pair_message(
     from bayesnet_track.numerics.kernels.joint_kernels import pair_sums
 
     prior = speaker.prior.weights
-    belief = prior * np.exp(speaker.log_likelihood - speaker.log_likelihood.max()) * said.all
+    belief = speaker.seen * said.all
     shares = 0.5 * (prior + belief / belief.sum())
-    partners = draw_partners(speaker.boxes, shares, len(hearer.boxes), edge.pairings, rng)
-    _, evidence = LogWeights.normalise(speaker.prior.log - speaker.losses)
+    partners = draw_partners(speaker.by_place, shares, len(hearer.boxes), edge.pairings, rng)
     with np.errstate(divide="ignore"):
-        log_importance = speaker.prior.log - np.log(shares) - evidence
+        log_importance = speaker.prior.log - np.log(shares) - speaker.log_evidence
     if edge.factor is not None:
         weight = np.exp(log_importance - speaker.losses) * said.all
         return _related(hearer.states, speaker.states, edge.factor, partners, weight)
@@ -104,18 +102,15 @@ def pair_message(
 
 
 def draw_partners(
-    boxes: Floats, shares: Floats, size: int, pairings: int, rng: np.random.Generator
+    by_place: NDArray[np.intp], shares: Floats, size: int, pairings: int, rng: np.random.Generator
 ) -> NDArray[np.intp]:
-    """(pairings, size) indices of hypotheses (M, 4), each column one from every stratum of the `shares` (M,).
+    """(pairings, size) indices of M hypotheses, each column one from every stratum of the `shares` (M,).
 
-    The strata cut the hypotheses, sorted along the axis on which they spread most, into parts of equal share.
+    The strata cut the hypotheses in the order `by_place` into parts of equal share.
     """
-    axis = int(np.argmax(boxes[:, :2].max(axis=0) - boxes[:, :2].min(axis=0)))
-    by_place = np.argsort(boxes[:, axis], kind="stable")
-    bounds = np.cumsum(shares[by_place])
-    total = pairings * size
-    points = (np.arange(total) + rng.random(total)) * (bounds[-1] / total)
-    chosen = by_place[np.minimum(np.searchsorted(bounds, points, side="right"), len(shares) - 1)]
+    from bayesnet_track.numerics.kernels.joint_kernels import pick_in_strata
+
+    chosen = pick_in_strata(by_place, np.cumsum(shares[by_place]), rng.random(pairings * size))
     return np.asarray(rng.permuted(chosen.reshape(pairings, size), axis=1))
 
 

@@ -118,7 +118,9 @@ def test_planes_hold_the_boxes_of_each_target(side):
     work = FrameWork(engine, state.net, PlaneCache(FramePair(frame(1), None)))
     boxes = np.array([[[*at, side, side], [at[0] + 3, at[1], side, side]] for at in PLACES])
     needs = engine.plates["thing"].cues["color"].needs
-    for planes, own in zip(planes_of_each(work, needs, boxes, 0.5), boxes, strict=True):
+    starts = np.arange(0, 2 * len(boxes) + 1, 2)
+    found = planes_of_each(work, needs, boxes.reshape(-1, 4), starts, 0.5)
+    for planes, own in zip(found, boxes, strict=True):
         assert planes.region.contains(region_of_boxes(own, 0.5).within(work.frame))
         assert planes[needs[0]].shape == (
             planes.region.y1 - planes.region.y0,

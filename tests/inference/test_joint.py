@@ -294,9 +294,9 @@ def test_no_pixel_counts_for_two_joined_targets(places, sides, fronts):
 
 def test_partners_are_drawn_in_proportion_and_one_from_each_stratum():
     rng = np.random.default_rng(8)
-    boxes = member(rng, 50.0).boxes
-    shares = rng.dirichlet(np.ones(len(boxes)))
-    drawn = draw_partners(boxes, shares, 500, 4, rng)
+    one = member(rng, 50.0)
+    boxes, shares = one.boxes, rng.dirichlet(np.ones(len(one.boxes)))
+    drawn = draw_partners(one.by_place, shares, 500, 4, rng)
     counts = np.bincount(drawn.ravel(), minlength=len(boxes))
     assert np.abs(counts - 2000 * shares).max() < 2  # systematic: within one draw at either end of a share
     assert np.all(np.diff(np.sort(boxes[drawn, 0].mean(axis=1))) >= 0)

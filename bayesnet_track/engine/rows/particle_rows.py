@@ -31,7 +31,7 @@ from bayesnet_track.inference.executor import Serial, is_elsewhere
 from bayesnet_track.inference.measure_rows import is_flat
 from bayesnet_track.inference.messages import join_plain
 from bayesnet_track.inference.observe import ROUNDING, ZERO_BELOW
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import CrowdCue, Hypotheses
 from bayesnet_track.observation.guests import FAULTS
@@ -40,22 +40,13 @@ from bayesnet_track.observation.shared import shown
 
 def filter_rows(work: FrameWork, before: Mapping[str, TargetState]) -> dict[str, Filtered]:
     """Those of the targets that fit, predicted and weighed by what their active agents see."""
-    if work.availability.known or not isinstance(work.engine.executor, Serial):
-        return {}
     alike: dict[Hashable, dict[str, TargetState]] = {}
     for target, state in before.items():
         live, compiled = work.net.targets[target], work.plate_of(target)
         if not plate_fits(compiled) or live.most_particles is not None:
             continue
         own = with_agents(compiled, state, live.looking(work.frame.index))
-        if (
-            own.plan.factors
-            or not own.plan.observations
-            or not all(
-                _scores_crowds(compiled, one.agent) and one.agent in own.references
-                for one in own.plan.observations
-            )
-        ):
+        if own.plan.factors or not asks_together(work, compiled, own):
             continue
         key = (live.template, own.plan.active, own.time, particles(own.belief).states.shape)
         alike.setdefault(key, {})[target] = own
@@ -95,9 +86,12 @@ def _filter(work: FrameWork, before: Mapping[str, TargetState]) -> dict[str, Fil
     states = list(before.values())
     compiled, plan = work.plate_of(next(iter(before))), states[0].plan
     moved, dt = _move(work, compiled, before)
-    messages = _score(work, compiled, states, moved)
-    if messages is None:
+    count, size = moved.shape[:2]
+    boxes = np.ascontiguousarray(moved[:, :, :4]).reshape(-1, 4)
+    answers = ask_together(work, compiled, states, boxes, np.arange(0, count * size + 1, size))
+    if answers is None:
         return {}
+    messages = {agent: answer.reshape(count, size) for agent, answer in answers.items()}
     total = join_plain(plan, messages, moved.shape[:2])[plan.root]
     prior = LogWeights.uniform(moved.shape[1])
     log = prior.log + total
@@ -161,22 +155,35 @@ def _move(
     return moved, dt
 
 
-def _score(
-    work: FrameWork, compiled: CompiledPlate, states: Sequence[TargetState], moved: Floats
+def asks_together(work: FrameWork, compiled: CompiledPlate, state: TargetState) -> bool:
+    """Whether a target's active agents, one at least, score hypotheses of several targets at once."""
+    plan = state.plan
+    return (
+        not work.availability.known
+        and isinstance(work.engine.executor, Serial)
+        and len(plan.observations) > 0
+        and all(
+            _scores_crowds(compiled, one.agent) and one.agent in state.references for one in plan.observations
+        )
+    )
+
+
+def ask_together(
+    work: FrameWork, compiled: CompiledPlate, states: Sequence[TargetState], boxes: Floats, starts: Ints
 ) -> dict[str, Floats] | None:
-    """Agent -> (T, N) its log-likelihoods; None where one fails, or says something that cannot be used."""
-    count, size = moved.shape[:2]
-    boxes = np.ascontiguousarray(moved[:, :, :4])
-    starts = np.arange(0, count * size + 1, size)
+    """Agent -> (N,) its log-likelihoods; None where one fails, or says something that cannot be used.
+
+    Those of target t are `starts[t]` to `starts[t + 1] - 1` of the boxes (N, 4). All have the same agents.
+    """
     messages: dict[str, Floats] = {}
     for one in states[0].plan.observations:
         cue: Any = compiled.cues[one.agent]
         try:
-            planes = planes_of_each(work, cue.needs, boxes)
+            planes = planes_of_each(work, cue.needs, boxes, starts)
             started = work.engine.clock()
             references = [shown(state.references[one.agent]) for state in states]
-            said = cue.log_likelihood_of_each(planes, boxes.reshape(-1, 4).copy(), starts, references)
-            said = np.asarray(said, dtype=np.float64).reshape(count, size)
+            said = cue.log_likelihood_of_each(planes, boxes.copy(), starts, references)
+            said = np.asarray(said, dtype=np.float64).reshape(len(boxes))
         except FAULTS:
             return None
         work.charge(one.agent, started)

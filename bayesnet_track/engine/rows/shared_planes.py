@@ -7,23 +7,28 @@ from collections.abc import Iterable
 import numpy as np
 
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.observation.planes import MANY, Plane, Planes, Region
 
 FARTHEST = 2.0**30
 """Pixels from the frame's corner at which a box is cut."""
 
 
-def planes_of_each(work: FrameWork, needs: Iterable[Plane], boxes: Floats, grow: float = 0.0) -> list[Planes]:
-    """For each target planes that hold its boxes, of (T, N, 4), each grown by `grow` of its size per side.
+def planes_of_each(
+    work: FrameWork, needs: Iterable[Plane], boxes: Floats, starts: Ints, grow: float = 0.0
+) -> list[Planes]:
+    """For each target planes that hold its boxes, each grown by `grow` of its size per side.
+
+    Those of target t are `starts[t]` to `starts[t + 1] - 1` of the boxes (N, 4), one at least.
 
     The same of the whole frame for all where their crops would take as long: planes do not depend on where
     they are cut.
     """
     started, frame = work.engine.clock(), work.frame
-    reach = boxes[:, :, 2:] * (0.5 + grow)
-    low = np.floor(np.clip((boxes[:, :, :2] - reach).min(axis=1) + 0.5, -FARTHEST, FARTHEST))
-    high = np.ceil(np.clip((boxes[:, :, :2] + reach).max(axis=1) + 0.5, -FARTHEST, FARTHEST))
+    reach, firsts = boxes[:, 2:] * (0.5 + grow), starts[:-1]
+    low, high = np.minimum.reduceat(boxes[:, :2] - reach, firsts), boxes[:, :2] + reach
+    low = np.floor(np.clip(low + 0.5, -FARTHEST, FARTHEST))
+    high = np.ceil(np.clip(np.maximum.reduceat(high, firsts) + 0.5, -FARTHEST, FARTHEST))
     regions = [Region(*corners).within(frame) for corners in np.hstack([low, high]).astype(np.int64).tolist()]
     whole = Region(0, 0, frame.width, frame.height)
     needs = tuple(needs)

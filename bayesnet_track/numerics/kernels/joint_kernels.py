@@ -30,6 +30,22 @@ def behind(
 
 
 @compiled
+def pick_in_strata(order: Indices, bounds: Floats, shifts: Floats) -> Indices:
+    """(R,) of the indices in `order` (M,), with cumulative shares `bounds` (M,): one from each of R strata.
+
+    `shifts` (R,), from 0 to 1, say where in its stratum each is.
+    """
+    chosen = np.empty(shifts.shape[0], np.intp)
+    width, last, at = bounds[-1] / shifts.shape[0], order.shape[0] - 1, 0
+    for k in range(shifts.shape[0]):
+        point = (k + shifts[k]) * width
+        while at < last and bounds[at] <= point:
+            at += 1
+        chosen[k] = order[at]
+    return chosen
+
+
+@compiled
 def pair_sums(
     boxes: Floats,
     losses: Floats,
@@ -70,24 +86,27 @@ def pair_sums(
     """
     rounds, size = partners.shape
     sums = np.zeros((4, size))
+    weights, all_seen = np.empty(others.shape[0]), np.empty(others.shape[0])
+    for j in range(others.shape[0]):
+        weights[j] = np.exp(log_importance[j])
+        all_seen[j] = weights[j] * (free[j] + taken[j]) * np.exp(-other_losses[j])
     for r in range(rounds):
         for i in range(size):
             j = partners[r, i]
-            weight = np.exp(log_importance[j])
+            weight, seen = weights[j], all_seen[j]
             across = min(boxes[i, 0] + boxes[i, 2] / 2, others[j, 0] + others[j, 2] / 2) - max(
                 boxes[i, 0] - boxes[i, 2] / 2, others[j, 0] - others[j, 2] / 2
             )
             down = min(boxes[i, 1] + boxes[i, 3] / 2, others[j, 1] + others[j, 3] / 2) - max(
                 boxes[i, 1] - boxes[i, 3] / 2, others[j, 1] - others[j, 3] / 2
             )
-            seen = weight * (free[j] + taken[j]) * np.exp(-other_losses[j])
             if across <= 0 or down <= 0:
                 sums[0, i] += in_front * seen
                 sums[1, i] += (1.0 - in_front) * seen
                 continue
             own = min(across * down / (boxes[i, 2] * boxes[i, 3]), 1.0)
             share = min(across * down / (others[j, 2] * others[j, 3]), 1.0)
-            penalty = np.exp(-nats * max(own, share))
+            penalty = np.exp(-nats * max(own, share)) if nats != 0.0 else 1.0
             if in_front > 0:
                 loss = behind(other_bad[j], share, *other_hidden)
                 sums[0, i] += in_front * penalty * weight * free[j] * np.exp(-loss)
