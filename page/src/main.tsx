@@ -54,12 +54,17 @@ function annotate(root: HTMLElement): void {
   void desk.listen();
 }
 
-/** `#frame=120&target=2` leads to a frame of a target. */
+/** `#frame=120&target=2` leads to a frame of a target; without a target, to the first one that is there. */
 function fromAddress(state: State): void {
   const asked = new URLSearchParams(location.hash.slice(1));
   const [frame, target] = [asked.get("frame"), asked.get("target")];
   if (target !== null && state.run.tracks.has(target)) state.target.value = target;
-  if (frame !== null && Number.isFinite(Number(frame))) state.go(Number(frame));
+  if (frame === null || !Number.isFinite(Number(frame))) return;
+  state.go(Number(frame));
+  if (target === null && (state.track.value?.rowOf(state.frame.value) ?? -1) < 0) {
+    const there = [...state.run.tracks].find(([, track]) => track.rowOf(state.frame.value) >= 0);
+    if (there !== undefined) state.target.value = there[0];
+  }
 }
 
 function toAddress(state: State): void {

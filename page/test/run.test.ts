@@ -6,6 +6,7 @@ import { RunData } from "../src/data/run";
 import { costs, sum, totals } from "../src/data/totals";
 import type { EventRow, FrameLine, Header } from "../src/data/types";
 import { State } from "../src/state";
+import { drawnOf } from "../src/view/panels";
 
 const header = {
   run: { graph: "g", source: "s", frame_interval_s: 0.04, width: 64, height: 48 },
@@ -97,4 +98,14 @@ test("stepping through events, and following a run that goes on", () => {
   run.changed();
   assert.equal(state.frame.value, 22);
   assert.deepEqual(state.stretch.value, [0, 22]);
+});
+
+test("of many targets the longest are drawn, and the chosen one, in their order", () => {
+  const run = new RunData(header);
+  [2, 5, 1, 4].forEach((length, index) => {
+    for (let frame = 0; frame < length; frame += 1) run.append(line(frame, { target: String(index + 1) }));
+  });
+  const all = [...run.tracks.values()];
+  assert.deepEqual(drawnOf(all, all[2]!, 3), [all[1], all[2], all[3]]);
+  assert.deepEqual(drawnOf(all, all[0]!, 4), all);
 });

@@ -51,12 +51,21 @@ export function panelsOf(run: RunData, track: Track): Panel[] {
 
 const MOST_TARGETS = 60;
 
+/** Those that are drawn of many, in their order: the chosen one, and those that live longest. */
+export function drawnOf(all: Track[], chosen: Track, most: number): Track[] {
+  if (all.length <= most) return all;
+  const others = all.filter((one) => one !== chosen).sort((a, b) => b.length - a.length);
+  const drawn = new Set([chosen, ...others.slice(0, most - 1)]);
+  return all.filter((one) => drawn.has(one));
+}
+
 function everyone(run: RunData, track: Track): Panel {
-  const all = [...run.tracks.values()].slice(0, MOST_TARGETS);
+  const all = drawnOf([...run.tracks.values()], track, MOST_TARGETS);
+  const some = all.length < run.tracks.size ? `; the ${all.length} longest of ${run.tracks.size}` : "";
   const about = "A row per target, from its first to its last frame. Tall and red: lost; amber: uncertain. Click one to choose it.";
   const targets = all.map((one) => ({ track: one, chosen: one === track }));
   const height = 8 + all.length * (all.length > 16 ? 9 : 14);
-  return { key: "targets", name: "All targets", unit: "status, and switches of agents", about, height, lines: [], range: [0, 1], targets };
+  return { key: "targets", name: "All targets", unit: `status, and switches of agents${some}`, about, height, lines: [], range: [0, 1], targets };
 }
 
 /** A level in px², frame by frame. */
