@@ -23,7 +23,7 @@ ENDINGS = {
 
 
 def say_end(options: argparse.Namespace, out: Path, summary: Summary) -> None:
-    """Warnings, then how the run went: a sentence, with --json an object, with --quiet nothing.
+    """Warnings, failures, then how the run went: a sentence, with --json an object, with --quiet nothing.
 
     Of `what-if` the object is the comparison.
     """
@@ -35,6 +35,8 @@ def say_end(options: argparse.Namespace, out: Path, summary: Summary) -> None:
         complain(
             f"... and {len(summary.notices) - SHOWN_NOTICES} more; `bayesnet-track log {out}` lists them all"
         )
+    for failure in list(summary.failures.values())[:SHOWN_NOTICES]:
+        complain(explain(failure))
     if getattr(options, "json", False):
         if options.command in ("run", "resume"):
             say(json.dumps(as_object(out, summary)))
@@ -68,7 +70,8 @@ def as_sentence(summary: Summary) -> str:
         parts[0] += f" ({', '.join(times)})"
     parts.append(_count(summary.reconfigurations, "reconfiguration"))
     if summary.lost_frames:
-        parts.append(f"lost in {_count(summary.lost_frames, 'frame')}")
+        whom = "" if summary.most_targets < 2 else f"at least one of up to {summary.most_targets} targets "
+        parts.append(f"{whom}lost in {_count(summary.lost_frames, 'frame')}")
     if not summary.complete:
         parts.append(ENDINGS[summary.reason])
     return ", ".join(parts)

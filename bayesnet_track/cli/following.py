@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 STOPPED = 130
 """Exit code of a run that a person stopped."""
+MOST_NAMED = 3
+"""Of more lost targets than this the progress line gives the number only."""
 
 
 @contextmanager
@@ -112,7 +114,8 @@ def _show(progress: Progress, summary: Summary, result: Result) -> None:
     if not lost and any(metrics.status == "uncertain" for metrics in result.targets):
         status = "uncertain"
     if lost and len(result.targets) > 1:
-        status = f"lost: {', '.join(lost)} of {len(result.targets)}"
+        whom = ", ".join(lost) if len(lost) <= MOST_NAMED else str(len(lost))
+        status = f"lost: {whom} of {len(result.targets)}"
     ud_px2 = max((metrics.ud_px2 for metrics in result.targets), default=0.0)
     # As if no time passed while kernels are compiled: the rate is that of frames.
     now = time.monotonic() - WATCH.seconds

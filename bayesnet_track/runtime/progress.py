@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TextIO
 
 TERMINAL_EVERY_S = 0.1
@@ -31,6 +31,16 @@ class Progress:
 
     def update(self, now: float, done: int, active: Sequence[str], ud_px2: float, status: str) -> None:
         """Tell that `done` frames are ready at time `now` (seconds, any origin); shows it when it is due."""
+        finite = round(ud_px2, 1) if abs(ud_px2) < float("inf") else None
+        self.advance(
+            now,
+            done,
+            f"{', '.join(active) or 'none'} | UD {ud_px2:.0f} px² | {status}",
+            {"active": list(active), "ud_px2": finite, "status": status},
+        )
+
+    def advance(self, now: float, done: int, text: str, values: Mapping[str, object]) -> None:
+        """Tell it with `text` behind the rate, or with `values` in the JSON object."""
         if self._shown_at is None:
             self._shown_at = now
         self._recent.append((now, done))
@@ -39,7 +49,7 @@ class Progress:
             self._recent.popleft()
         while len(self._recent) > 2 and self._recent[1][0] <= now - RATE_WINDOW_S:
             self._recent.popleft()
-        self._last = self._line(done, active, ud_px2, status)
+        self._last = self._line(done, text, values)
         if now - self._shown_at >= self._every:
             self._shown_at = now
             self._show()
@@ -59,7 +69,7 @@ class Progress:
         (began, first), (ended, last) = self._recent[0], self._recent[-1]
         return (last - first) / (ended - began) if ended > began else None
 
-    def _line(self, done: int, active: Sequence[str], ud_px2: float, status: str) -> str:
+    def _line(self, done: int, text: str, values: Mapping[str, object]) -> str:
         rate = self.rate()
         left = (self._total - done) / rate if self._total is not None and rate else None
         if self._log_json:
@@ -69,16 +79,13 @@ class Progress:
                     "total": self._total,
                     "fps": None if rate is None else round(rate, 1),
                     "left_s": None if left is None else round(max(left, 0.0), 1),
-                    "active": list(active),
-                    "ud_px2": round(ud_px2, 1) if abs(ud_px2) < float("inf") else None,
-                    "status": status,
+                    **values,
                 }
             )
         of_total = "" if self._total is None else f"/{self._total}"
         speed = "-" if rate is None else f"{rate:.1f}"
         remaining = "" if left is None else f" | {_clock(max(left, 0.0))} left"
-        agents = ", ".join(active) or "none"
-        return f"frame {done}{of_total} | {speed} fps{remaining} | {agents} | UD {ud_px2:.0f} px² | {status}"
+        return f"frame {done}{of_total} | {speed} fps{remaining} | {text}"
 
     def _show(self) -> None:
         if self._redraws:

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.journal.net.net import Decision, Switch
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame
@@ -125,6 +126,8 @@ class Summary:
         frames_per_second: after the first frame, in which everything is loaded, and without compiling; 0
             where no second frame was tracked here.
         notices: what was wrong with the source.
+        most_targets: the largest number of targets in a frame that was tracked here.
+        failures: the first failure of each agent, by its node and reason, of frames that were tracked here.
     """
 
     frames: int = 0
@@ -136,6 +139,18 @@ class Summary:
     compiling_s: float = 0.0
     frames_per_second: float = 0.0
     notices: list[Event] = field(default_factory=list)
+    most_targets: int = 0
+    failures: dict[tuple[str, str], Quarantined] = field(default_factory=dict)
+
+    def add(self, result: Result) -> None:
+        """Count one more frame."""
+        self.frames += 1
+        self.reconfigurations += sum(isinstance(event, Switch) for event in result.decisions)
+        self.lost_frames += any(metrics.status == "lost" for metrics in result.targets)
+        self.most_targets = max(self.most_targets, len(result.targets))
+        for event in result.decisions:
+            if isinstance(event, Quarantined):
+                self.failures.setdefault((event.node, event.reason), event)
 
 
 def interval_of(source: FrameSource) -> float:

@@ -13,7 +13,7 @@ from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.runs import JOURNAL_VERSION, RunEnded, RunStarted
-from bayesnet_track.journal.net.net import Decision, Switch
+from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.compile_watch import WATCH
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.checkpoints.versions import versions
@@ -170,10 +170,8 @@ def run(
                 emit(event)
             if before is None:
                 check_started(graph, outcome)
-            totals.frames += 1
             result = _result(item, outcome, spent, before)
-            totals.reconfigurations += sum(isinstance(event, Switch) for event in result.decisions)
-            totals.lost_frames += any(metrics.status == "lost" for metrics in result.targets)
+            totals.add(result)
             for sink in sinks:
                 sink.frame(result)
             if first_done is None:

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from bayesnet_track.cli.ending import SHOWN_NOTICES, say_next
+from bayesnet_track.cli.ending import SHOWN_NOTICES, as_sentence, say_end, say_next
 from bayesnet_track.cli.following import follow
+from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.sources import FramesMissing
 from bayesnet_track.runtime.results import Summary
 from bayesnet_track.runtime.stop import StopRequest
@@ -52,3 +53,20 @@ def test_the_next_useful_command_is_named(capsys, tmp_path, reason, has_checkpoi
         silent = Namespace(**{"quiet": False, "log_json": False, "json": False, option: True})
         say_next(silent, tmp_path, summary)
     assert capsys.readouterr() == ("", "")
+
+
+def test_an_agent_that_failed_is_reported_at_the_end(capsys):
+    failed = Quarantined(1, "1", "glance", "raised ValueError: no", 11)
+    summary = Summary(
+        12, 1, 9, True, "end_of_source", 2.0, failures={("glance", "raised ValueError: no"): failed}
+    )
+    say_end(Namespace(command="run", quiet=False), Path("runs/a"), summary)
+    assert capsys.readouterr().err.startswith(
+        "frame 1: glance failed: raised ValueError: no → paused for 10 "
+    )
+
+
+def test_lost_frames_of_many_targets_are_those_of_any_of_them():
+    assert as_sentence(Summary(12, 0, 9, True, most_targets=1)).endswith(", lost in 9 frames")
+    many = as_sentence(Summary(12, 0, 9, True, most_targets=18))
+    assert many.endswith(", at least one of up to 18 targets lost in 9 frames")

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import sys
+import time
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -13,12 +16,14 @@ from bayesnet_track.cli.commands.answer import (
     UsageError,
     check_free,
     complain,
+    run_silently,
     say,
     users_mistake,
 )
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.sources import add_depth_options, add_window_options
 from bayesnet_track.cli.slips import add_former_name
+from bayesnet_track.numerics.compile_watch import WATCH
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -94,9 +99,11 @@ def _detect_all(
     source: Source,
     stack: ExitStack,
 ) -> int:
+    from bayesnet_track.journal.text.wording import plural
     from bayesnet_track.journal.writer import LineFile
     from bayesnet_track.observation.detector import LearningDetector
     from bayesnet_track.observation.planes import Frame, FramePair
+    from bayesnet_track.runtime.progress import Progress
     from bayesnet_track.runtime.recording.videowriter import VideoWriter
     from bayesnet_track.runtime.results import interval_of
     from bayesnet_track.sources.detections import format_frame
@@ -107,6 +114,8 @@ def _detect_all(
     video: VideoWriter | None = None
     previous: Frame | None = None
     frames = found = 0
+    # Where detections are printed, a line that is redrawn would stand among them.
+    progress = Progress(sys.stderr, source.expected_frames, sys.stderr.isatty() and options.out is not None)
     for item in source:
         if not isinstance(item, Frame):
             continue
@@ -125,7 +134,10 @@ def _detect_all(
         if video is not None:
             video.write(draw_detections(item.image, detections))
         previous, frames, found = item, frames + 1, found + len(detections)
-    complain(f"{found} detections in {frames} frames")
+        text = plural(found, "detection")
+        run_silently(partial(progress.advance, time.monotonic() - WATCH.seconds, frames, text, {}))
+    run_silently(progress.finish)
+    complain(f"{plural(found, 'detection')} in {plural(frames, 'frame')}")
     if source.end_reason != "end_of_source":
         complain(f"{source.description}: {source.end_reason.replace('_', ' ')}")
         return INCOMPLETE
