@@ -21,7 +21,7 @@ from bayesnet_track.cli.commands.answer import (
     users_mistake,
 )
 from bayesnet_track.cli.options.plugins import add_plugins
-from bayesnet_track.cli.options.sources import add_depth_options, add_window_options
+from bayesnet_track.cli.options.sources import add_depth_options, add_window_options, open_given
 from bayesnet_track.cli.slips import add_former_name
 from bayesnet_track.numerics.compile_watch import WATCH
 
@@ -78,7 +78,7 @@ def detect(options: argparse.Namespace) -> int:
     if options.learn is not None and not isinstance(detector, LearningDetector):
         raise UsageError(f"--learn: {declaration.name} cannot be shown a target")
     with ExitStack() as stack:
-        source = stack.enter_context(_open(options))
+        source = stack.enter_context(open_given(options))
         try:
             declaration.check_source(source.has_color, source.has_depth)
         except DetectorError as error:
@@ -142,27 +142,6 @@ def _detect_all(
         complain(f"{source.description}: {source.end_reason.replace('_', ' ')}")
         return INCOMPLETE
     return OK
-
-
-def _open(options: argparse.Namespace) -> Source:
-    """The source, with depth where the options name a second eye or another sensor."""
-    from bayesnet_track.sources.sources import open_source
-    from bayesnet_track.sources.stereo_source import open_stereo_source
-
-    window = (options.source, options.start, options.end, options.allow_network, options.on_resize)
-    if options.right is None and options.stereo is None and options.depth is None:
-        if options.calibration is not None:
-            raise UsageError("--calibration is of a pair: give --right, --stereo or --depth, too")
-        return open_source(*window, options.isolate_decoder, options.stride)
-    return open_stereo_source(
-        *window,
-        right=options.right,
-        depth=options.depth,
-        side_by_side=options.stereo is not None,
-        calibration=options.calibration,
-        isolate_decoder=options.isolate_decoder,
-        stride=options.stride,
-    )
 
 
 def _declaration(name: str) -> DetectorDeclaration:

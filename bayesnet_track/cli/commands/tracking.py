@@ -22,7 +22,12 @@ from bayesnet_track.cli.options.outside import add_outside_options
 from bayesnet_track.cli.options.plugins import add_plugins
 from bayesnet_track.cli.options.rerun import add_rerun_option
 from bayesnet_track.cli.options.runs import add_run_options
-from bayesnet_track.cli.options.sources import add_depth_options, add_size_option, add_window_options
+from bayesnet_track.cli.options.sources import (
+    add_depth_options,
+    add_size_option,
+    add_window_options,
+    open_given,
+)
 from bayesnet_track.cli.options.video import add_video_option
 from bayesnet_track.cli.options.view import add_view_options
 
@@ -59,31 +64,9 @@ def run(options: argparse.Namespace) -> int:
             "no start box: give --init X,Y,W,H or --init-from FILE, or --view to draw it, or a graph with "
             "`birth`, whose detectors find the targets"
         )
-    with open_view(options) as view, _open(options) as source:
+    with open_view(options) as view, open_given(options) as source:
         _say_size(options, source)
         return track_source(options, graph, source, starts, out, video=options.video, view=view)
-
-
-def _open(options: argparse.Namespace) -> Source:
-    """The source, with depth where the options name a second eye or another sensor."""
-    from bayesnet_track.sources.sources import open_source
-    from bayesnet_track.sources.stereo_source import open_stereo_source
-
-    window = (options.start, options.end, options.allow_network, options.on_resize)
-    if options.right is None and options.stereo is None and options.depth is None:
-        if options.calibration is not None:
-            raise UsageError("--calibration is of a pair: give --right, --stereo or --depth, too")
-        return open_source(options.source, *window, options.isolate_decoder, options.stride)
-    return open_stereo_source(
-        options.source,
-        *window,
-        right=options.right,
-        depth=options.depth,
-        side_by_side=options.stereo is not None,
-        calibration=options.calibration,
-        isolate_decoder=options.isolate_decoder,
-        stride=options.stride,
-    )
 
 
 def track_source(

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
+from bayesnet_track.cli.commands.answer import UsageError
 from bayesnet_track.cli.options.arguments import whole_number
+
+if TYPE_CHECKING:
+    from bayesnet_track.sources.frames import Source
 
 
 def add_depth_options(parser: argparse.ArgumentParser) -> None:
@@ -56,4 +61,25 @@ def add_window_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--allow-network", action="store_true", help="let the source be a URL")
     parser.add_argument(
         "--isolate-decoder", action="store_true", help="decode in a separate process with resource limits"
+    )
+
+
+def open_given(options: argparse.Namespace) -> Source:
+    """The source, with depth where the options name a second eye or another sensor."""
+    from bayesnet_track.sources.sources import open_source
+    from bayesnet_track.sources.stereo_source import open_stereo_source
+
+    window = (options.source, options.start, options.end, options.allow_network, options.on_resize)
+    if options.right is None and options.stereo is None and options.depth is None:
+        if options.calibration is not None:
+            raise UsageError("--calibration is of a pair: give --right, --stereo or --depth, too")
+        return open_source(*window, options.isolate_decoder, options.stride)
+    return open_stereo_source(
+        *window,
+        right=options.right,
+        depth=options.depth,
+        side_by_side=options.stereo is not None,
+        calibration=options.calibration,
+        isolate_decoder=options.isolate_decoder,
+        stride=options.stride,
     )
