@@ -1,4 +1,4 @@
-"""How large an image file says that it is, read from its header before anything is decoded.
+"""How large an image file says that it is, read from its header before it is decoded; and its pixels.
 
 A file of a megabyte may declare a billion pixels, which a decoder allocates before it finds out. What is read
 is what the decoder itself goes by; where a file may say it more than once, the largest counts. Of JPEG, PNG,
@@ -11,6 +11,10 @@ import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from struct import Struct, error, unpack_from
+
+import numpy as np
+
+from bayesnet_track.numerics.arrays import Array
 
 MAX_PIXELS = 1 << 27
 """Pixels of a picture, of a video as of an image file: 134 million."""
@@ -44,6 +48,26 @@ def read_checked(path: Path) -> bytes:
         raise PictureError(f"{path.name}: not a readable image")
     check_size(path.name, *size)
     return data
+
+
+def read_pixels(path: Path) -> tuple[bytes, Array]:
+    """The bytes of an image file, and the pixels in it as they are: (H, W) or (H, W, C).
+
+    Raises:
+        PictureError: as of `read_checked`; or it is cut off, or cannot be decoded.
+    """
+    import cv2
+
+    data = read_checked(path)
+    if is_cut_off(data):
+        raise PictureError(f"{path.name}: the image is cut off")
+    try:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as failed:
+        raise PictureError(f"{path.name}: {str(failed).strip()}") from failed
+    if image is None:
+        raise PictureError(f"{path.name}: not a readable image")
+    return data, image
 
 
 def check_size(name: str, width: int, height: int) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.image_size import PictureError, is_cut_off, read_checked
+from bayesnet_track.observation.image_size import PictureError, read_pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,15 +62,7 @@ def read_mask(path: Path) -> Mask:
 
     if path.exists() and not path.is_file():  # a pipe might never end
         raise PictureError(f"{path.name}: no plain file")
-    data = read_checked(path)
-    if is_cut_off(data):
-        raise PictureError(f"{path.name}: the image is cut off")
-    try:
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:
-        raise PictureError(f"{path.name}: {str(error).strip()}") from error
-    if image is None:
-        raise PictureError(f"{path.name}: not a readable image")
+    data, image = read_pixels(path)
     if image.dtype != np.uint8:
         raise PictureError(f"{path.name}: values of {8 * image.itemsize} bits; allowed: 8 bits")
     if image.ndim == 3 and image.shape[2] == 4:

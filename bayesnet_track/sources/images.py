@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.observation.image_size import PictureError, is_cut_off, read_checked
+from bayesnet_track.observation.image_size import PictureError, read_pixels
 from bayesnet_track.sources.paths import natural_key
 from bayesnet_track.sources.readers import Damage, Picture
 
@@ -80,17 +80,7 @@ def read_image(path: Path) -> tuple[NDArray[np.uint8], bool]:
         PictureError: it cannot be read, is too large (`image_size`), is cut off, or holds values other than
             8 or 16 bit.
     """
-    import cv2
-
-    data = read_checked(path)
-    if is_cut_off(data):
-        raise PictureError(f"{path.name}: the image is cut off")
-    try:
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:
-        raise PictureError(f"{path.name}: {str(error).strip()}") from error
-    if image is None:
-        raise PictureError(f"{path.name}: not a readable image")
+    _, image = read_pixels(path)
     try:
         return to_bgr(image)
     except PictureError as error:
