@@ -30,7 +30,7 @@ MEANINGS: Mapping[str, str] = {
     "reported_lost": "frames in which the target was reported as lost",
     "lost_when_off": "share of the frames without overlap that were reported as lost",
     "lost_when_on": "share of the frames with overlap that were reported as lost",
-    "fps": "frames per second, without decoding and writing",
+    "fps": "frames per second of tracking alone: decoding, drawing and writing left out",
     "mean_active": "agents per frame",
     "coverage50": "share of frames with the true centre in the 50 % region, in x and in y",
     "coverage90": "the same for the 90 % region",

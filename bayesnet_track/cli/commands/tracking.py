@@ -210,7 +210,8 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
         "--init",
         action="append",
         metavar="X,Y,W,H",
-        help="start box in the first frame, top-left corner, px; PLATE:X,Y,W,H names the plate; "
+        help="start box in the first frame that is read (frame N with --start N), top-left corner, px; "
+        "PLATE:X,Y,W,H names the plate; "
         "repeat it for further targets; needed unless the graph has `birth`",
     )
     start.add_argument(
