@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -56,9 +57,15 @@ def module_files() -> dict[str, Path]:
 FILES = module_files()
 
 
+@cache
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    """Every node of a module's syntax tree."""
+    return tuple(ast.walk(ast.parse(path.read_text("utf-8"))))
+
+
 def imported(path: Path) -> Iterator[str]:
     """The project's modules that a file imports, at its top or inside a function."""
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for node in nodes(path):
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == PACKAGE:
             for alias in node.names:
                 inner = f"{node.module}.{alias.name}"
@@ -71,7 +78,10 @@ def room(module: str) -> str:
     return module.split(".")[1] if "." in module else "__init__"
 
 
-GRAPH = {module: {one for one in imported(path) if one != module} for module, path in FILES.items()}
+@pytest.fixture(scope="module")
+def imports() -> dict[str, set[str]]:
+    """Module -> the modules that it imports; made by the one worker that runs these tests."""
+    return {module: {one for one in imported(path) if one != module} for module, path in FILES.items()}
 
 
 def test_every_folder_is_a_room_that_is_listed():
@@ -79,25 +89,25 @@ def test_every_folder_is_a_room_that_is_listed():
     assert len(MAY_IMPORT) <= 16 + 2
 
 
-def test_modules_import_only_what_their_room_may():
+def test_modules_import_only_what_their_room_may(imports):
     wrong = [
         f"{FILES[module].relative_to(ROOT)} imports {other}"
-        for module, others in sorted(GRAPH.items())
+        for module, others in sorted(imports.items())
         for other in sorted(others)
         if room(other) not in MAY_IMPORT[room(module)] | {room(module)}
     ]
     assert wrong == []
 
 
-def test_what_rooms_may_import_is_what_they_do_import():
+def test_what_rooms_may_import_is_what_they_do_import(imports):
     used = {name: set() for name in MAY_IMPORT}
-    for module, others in GRAPH.items():
+    for module, others in imports.items():
         used[room(module)] |= {room(other) for other in others} - {room(module)}
     assert used == MAY_IMPORT
 
 
-def test_no_modules_import_each_other_in_a_circle():
-    order = list(TopologicalSorter(GRAPH).static_order())  # raises CycleError, which names the circle
+def test_no_modules_import_each_other_in_a_circle(imports):
+    order = list(TopologicalSorter(imports).static_order())  # raises CycleError, which names the circle
     assert len(order) == len(FILES)
 
 
@@ -150,7 +160,7 @@ def test_functions_of_the_step_are_short_and_take_at_most_six_parameters(name):
         f"{module}.{node.name}: {parameters(node)} parameters, {lines(node)} lines"
         for module, path in sorted(FILES.items())
         if room(module) == name
-        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        for node in nodes(path)
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         and (parameters(node) > 6 or lines(node) > 60)
     ]
