@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 from bayesnet_track.cli.commands.annotate import add_annotate
 from bayesnet_track.cli.commands.batch import add_batch
 from bayesnet_track.cli.commands.compare import add_compare
@@ -39,8 +41,9 @@ exit codes:
   143  stopped by SIGTERM; likewise"""
 
 
+@cache
 def make_parser() -> MainParser:
-    """The parser of the whole command line."""
+    """The parser of the whole command line; one for all calls of a process."""
     parser = MainParser(
         prog="bayesnet-track",
         usage="bayesnet-track COMMAND ...",
