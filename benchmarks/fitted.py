@@ -26,7 +26,8 @@ from sequences import Sequence as Video
 from sequences import find_sequences, track
 
 from bayesnet_track import Tracker
-from bayesnet_track.cli.commands import fit_tracking, fit_videos
+from bayesnet_track.cli.fitting import tracking as fit_tracking
+from bayesnet_track.cli.fitting import videos as fit_videos
 from bayesnet_track.cli.fitting.fit import graph_text
 from bayesnet_track.evaluate.calibration_data import CalibrationData, calibration_data, with_features
 from bayesnet_track.evaluate.cue_sds import fit_sds, residuals_of, shares_inside
