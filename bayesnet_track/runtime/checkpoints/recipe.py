@@ -138,13 +138,8 @@ class Recipe:
     def text(self) -> str:
         """It as JSON."""
         plain = _codec().dump_python(self)
-        for name in (
-            "cue_files",
-            "own_cues",
-            "masks",
-            "models",
-        ):  # a recipe without them is what it was before there were any
-            if not plain[name]:
+        for name in ("cue_files", "own_cues", "masks", "models"):
+            if not plain[name]:  # as a recipe was before there were any
                 del plain[name]
         if plain["origin"]["stride"] == 1:
             del plain["origin"]["stride"]
