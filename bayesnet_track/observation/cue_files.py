@@ -21,15 +21,13 @@ from typing import Any
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.capabilities import CueError
 from bayesnet_track.observation.cue import ENTRY_POINT_GROUP, CueDeclaration, installed_cues
-from bayesnet_track.observation.guests import FAULTS, said, text_of
+from bayesnet_track.observation.guests import CUE_FILE_MODULE, FAULTS, own_text_of, text_of
 
 VARIABLE = "CUE"
 """What a cue file calls its declaration."""
 
 GivenCue = CueDeclaration | str | PathLike[str]
 """A cue of one's own: its declaration, or the path of a file that declares it."""
-
-MODULE = "bayesnet_track_cue_file_"
 
 _loaded: dict[str, CueFile] = {}
 
@@ -136,7 +134,7 @@ def _loaded_from(path: str, content: bytes) -> CueFile:
     known = _loaded.get(digest)
     if known is not None:
         return known if known.path == path else replace(known, path=path)
-    module = ModuleType(MODULE + digest[:16])
+    module = ModuleType(CUE_FILE_MODULE + digest[:16])
     module.__file__ = path
     sys.modules[module.__name__] = module
     try:
@@ -147,7 +145,8 @@ def _loaded_from(path: str, content: bytes) -> CueFile:
             raise
         lines = [at.lineno for at in traceback.extract_tb(error.__traceback__) if at.filename == path]
         where = f"{path}:{lines[-1]}" if lines else path
-        raise CueError(f"{where}: the cue file cannot be loaded: it raised {said(error)}") from error
+        raised = f"{type(error).__name__}: {own_text_of(error)}"
+        raise CueError(f"{where}: the cue file cannot be loaded: it raised {raised}") from error
     declaration = getattr(module, VARIABLE, None)
     if not isinstance(declaration, CueDeclaration):
         del sys.modules[module.__name__]

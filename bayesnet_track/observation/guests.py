@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -13,16 +14,34 @@ FAULTS = (Exception, SystemExit)
 """What is taken for a fault of who raises it; a `sys.exit` in a cue does not end the run either."""
 
 
+CUE_FILE_MODULE = "bayesnet_track_cue_file_"
+"""What the names of modules that are made from cue files begin with."""
+
+
 def text_of(error: BaseException) -> str:
-    """The text of an exception, whatever its own `__str__` does.
+    """The text of an exception, whatever its own `__str__` does, and the line of a cue file that raised it.
 
     >>> text_of(ValueError("too dark"))
     'too dark'
     """
+    return own_text_of(error) + _place_of(error)
+
+
+def own_text_of(error: BaseException) -> str:
+    """The text of an exception alone."""
     try:
         return str(error)
     except FAULTS as own:
         return f"(without a text: its __str__ raised {type(own).__name__})"
+
+
+def _place_of(error: BaseException) -> str:
+    place, at = "", error.__traceback__
+    while at is not None:
+        if str(at.tb_frame.f_globals.get("__name__")).startswith(CUE_FILE_MODULE):
+            place = f" ({PurePath(at.tb_frame.f_code.co_filename).name}:{at.tb_lineno})"
+        at = at.tb_next
+    return place
 
 
 def said(error: BaseException) -> str:

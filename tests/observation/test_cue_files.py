@@ -14,6 +14,7 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.observation import cue_files, plugins
 from bayesnet_track.observation.capabilities import CueError
 from bayesnet_track.observation.cue_files import load_cue_file, own_cues, pack, unpack
+from bayesnet_track.observation.guests import CUE_FILE_MODULE
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.runtime.executors import PlacingError, make_executor
@@ -55,7 +56,7 @@ def fresh():
     yield
     plugins.forget()
     cue_files._loaded.clear()
-    for name in [name for name in sys.modules if name.startswith(cue_files.MODULE)]:
+    for name in [name for name in sys.modules if name.startswith(CUE_FILE_MODULE)]:
         del sys.modules[name]
 
 
@@ -128,7 +129,7 @@ def test_a_file_that_is_no_cue_is_told_by_its_line(folder, capsys, case):
     assert main(["validate", "glanced.yaml", "--cue-file", "glance.py"]) == 2
     said = capsys.readouterr().err
     assert re.fullmatch(f"bayesnet-track validate: {message}\n", said), said
-    left = [name for name in sys.modules.keys() - before if name.startswith(cue_files.MODULE)]
+    left = [name for name in sys.modules.keys() - before if name.startswith(CUE_FILE_MODULE)]
     assert len(left) == (case == "built_in")
 
 
@@ -179,7 +180,7 @@ WRONG_ANSWERS = {
         "return np.full(len(hypotheses), np.nan)",
         "returned a log-likelihood of nan, not at most 0, for 50 of 50 hypotheses",
     ),
-    "raises": ("return 1 / 0", "raised ZeroDivisionError: division by zero"),
+    "raises": ("return 1 / 0", "raised ZeroDivisionError: division by zero (glance.py:13)"),
 }
 
 

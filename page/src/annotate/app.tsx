@@ -185,7 +185,7 @@ function Standing({ desk }: { desk: Desk }) {
     return busy === null ? <>Tracking …</> : <>Tracking {busy.target}: frame {busy.frame} of {about(desk).frames - 1}</>;
   }
   if (answers === 0) return <b>Drag a box around the first target, in any frame where it can be seen well.</b>;
-  if (question === undefined) return <b>No question is open.</b>;
+  if (question === undefined) return <b>No question is open. Look at the last frames of each target, then press Finish.</b>;
   return (
     <b>
       Where is {question.target} in frame {question.frame}?
