@@ -71,6 +71,14 @@ class CalibrationData:
         return len(self.iou)
 
 
+def by_video(data: Iterable[CalibrationData]) -> Mapping[str, list[CalibrationData]]:
+    """Video -> its runs."""
+    found: dict[str, list[CalibrationData]] = {}
+    for one in data:
+        found.setdefault(one.video, []).append(one)
+    return found
+
+
 def with_features(graph: CheckedGraph) -> CheckedGraph:
     """The graph, with a score where it has none, so that its frames have features."""
     written = as_plain(graph.spec)

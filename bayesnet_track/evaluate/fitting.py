@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,7 +19,7 @@ from bayesnet_track.evaluate.calibration import (
     fit_logistic,
     reliability,
 )
-from bayesnet_track.evaluate.calibration_data import TEMPERATURES, CalibrationData
+from bayesnet_track.evaluate.calibration_data import TEMPERATURES, CalibrationData, by_video
 from bayesnet_track.numerics.arrays import Floats
 
 SIGNS: Mapping[str, int] = {
@@ -64,7 +64,7 @@ def fit(data: Sequence[CalibrationData], features: Sequence[str] = USUAL_FEATURE
     Raises:
         ValueError: no frame is on target, or every frame is.
     """
-    videos = _by_video(data)
+    videos = by_video(data)
     hits = np.concatenate([one.iou > ON_TARGET for one in data])
     if not hits.any():
         raise ValueError("no frame is on target (IoU above 0.5): nothing tells what that looks like")
@@ -134,7 +134,7 @@ def leave_one_out(
     Raises:
         ValueError: fewer than two videos, or the others of one cannot be fitted.
     """
-    videos = _by_video(data)
+    videos = by_video(data)
     if len(videos) < 2:
         raise ValueError("leaving one out needs two videos or more")
     rows, scores, below = [], [], []
@@ -176,13 +176,6 @@ def _check(name: str, own: Sequence[CalibrationData], said: Floats, below: Float
         brier(said, hits),
         reliability(said, hits),
     )
-
-
-def _by_video(data: Iterable[CalibrationData]) -> dict[str, list[CalibrationData]]:
-    found: dict[str, list[CalibrationData]] = {}
-    for one in data:
-        found.setdefault(one.video, []).append(one)
-    return found
 
 
 def _weights(data: Sequence[CalibrationData], videos: Mapping[str, Sequence[CalibrationData]]) -> Floats:

@@ -7,7 +7,7 @@ new video and the calibration videos are exchangeable, and the score was fitted 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
@@ -146,14 +146,6 @@ def runs_of(data: Iterable[CalibrationData], frames: int) -> dict[str, list[Run]
     for one in data:
         means = [fmean(one.all_scores[max(0, k + 1 - frames) : k + 1]) for k in range(len(one.all_scores))]
         found.setdefault(one.video, []).append(Run(np.array(means), one.all_iou))
-    return found
-
-
-def by_video(data: Iterable[CalibrationData]) -> Mapping[str, list[CalibrationData]]:
-    """Video -> its runs."""
-    found: dict[str, list[CalibrationData]] = {}
-    for one in data:
-        found.setdefault(one.video, []).append(one)
     return found
 
 

@@ -94,7 +94,8 @@ def _write_guarantee(text: str, graph: CheckedGraph, data: Sequence[CalibrationD
 
 
 def _write_alarm(text: str, graph: CheckedGraph, data: Sequence[CalibrationData], share: float) -> str:
-    from bayesnet_track.evaluate.guarantees import by_video, total_evidence
+    from bayesnet_track.evaluate.calibration_data import by_video
+    from bayesnet_track.evaluate.guarantees import total_evidence
     from bayesnet_track.graph.text.edit import set_value
 
     name, plate = next(iter(graph.targets.items()))
