@@ -49,23 +49,36 @@ def page_state(view):
 def watched(tmp_path_factory):
     """A run in which a person pauses, switches, steps and releases."""
     out = tmp_path_factory.mktemp("watched") / "run"
-    phases = []
+    phases, waits = [], []
     with LiveView() as view:
-        ask = view.controls.ask
+        controls, ask = view.controls, view.controls.ask
+        enter = controls.to
+        controls.to = lambda phase: (waits.append(phase) if phase == "paused" else None, enter(phase))
+
+        def ask_when_it_waits(what):
+            before = len(waits)
+
+            def wait():
+                with controls.news:
+                    controls.news.wait_for(lambda: len(waits) > before)
+                ask(what)
+
+            threading.Thread(target=wait, daemon=True).start()
+
         view.shows(load_graph("two_squares"))
         for result in play(out, sinks=[view], inputs=view):
             if result.frame.index == 2:
                 ask({"do": "pause"})
                 ask({"do": "switch", "target": "1", "agent": "motion", "on": True})
                 ask({"do": "switch", "target": "1", "agent": "color", "on": False})
-                threading.Timer(0.05, ask, [{"do": "step"}]).start()
+                ask_when_it_waits({"do": "step"})
             if result.frame.index == 3:
-                threading.Timer(0.05, ask, [{"do": "go"}]).start()
+                ask_when_it_waits({"do": "go"})
             if result.frame.index == 6:
                 ask({"do": "release", "target": "1", "agent": "color"})
-            began = time.monotonic()
+            before = len(waits)
             assert not view.hold()
-            phases.append((view.controls.phase, time.monotonic() - began > 0.03))
+            phases.append((controls.phase, len(waits) > before))
         view.controls.to("ended")
         lines, status = page_state(view)
     return out, lines, status, phases
