@@ -94,6 +94,7 @@ def kalman():
         yield frame, to_rows @ mean + places, to_rows @ covariance @ to_rows.T
 
 
+@pytest.mark.slow
 def test_three_levels_have_the_posterior_of_a_kalman_filter_over_the_joint_state(fakes):
     """20,000 particles, of which some 2,000 are effective in each of 12 frames: means and sds within 10 % of
     an sd, which is 4.5 standard errors.
