@@ -51,3 +51,14 @@ def _hue(
             else:
                 turn = r - g + 4 * chroma
             hue[y, x] = ((turn * sixths[chroma] + 2048) >> 12) & 255
+
+
+@compiled
+def bins_of_hue(hue: NDArray[np.int16], bin_of_hue: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The entry of `bin_of_hue` (257,) for each hue, the last for `ACHROMATIC`."""
+    bins = np.empty(hue.shape, np.uint8)
+    for y in range(hue.shape[0]):
+        for x in range(hue.shape[1]):
+            own = hue[y, x]
+            bins[y, x] = bin_of_hue[own if own >= 0 else 256]
+    return bins

@@ -68,5 +68,7 @@ class HueBins:
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """Bins on `region`."""
+        from bayesnet_track.vision.kernels.color_kernels import bins_of_hue
+
         bin_of_hue = np.append(np.arange(256) * self.bins // 256, self.bins).astype(np.uint8)
-        return np.take(bin_of_hue, inputs[0], mode="wrap")  # hue -1 reads the last entry
+        return bins_of_hue(np.ascontiguousarray(inputs[0]), bin_of_hue)
