@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 from bayesnet_track.adapt.backoff import give_up_on_missing, readmit
 from bayesnet_track.adapt.conditions import Reading, Tested, apply_test, read_level
@@ -16,6 +17,7 @@ from bayesnet_track.adapt.information import Worth, expected_per_ms, remembered_
 from bayesnet_track.adapt.memory import Memory, Quiet, Streak
 from bayesnet_track.adapt.situation import Situation, active_below, quiet_level, read_ud, read_ud_beside_more
 from bayesnet_track.adapt.status import judge_status
+from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Adapt, Condition, Level
 from bayesnet_track.journal.events.faults import Readmitted
 from bayesnet_track.journal.events.self_checks import LocallyAdapted, SelfStopped
@@ -98,8 +100,8 @@ def _check_selves(now: Situation, memory: Memory, decisions: list[Decision]) -> 
     The last active agent does not stop itself. A streak ends when its agent gives no evidence, and while the
     target is lost: nobody can be sure of what cannot be seen, and the agents are needed when it comes back.
     """
-    if now.net.status == "lost":
-        return changed(memory, self_check={})
+    if now.net.status == "lost" or not _checks_itself(now.plate):
+        return changed(memory, self_check={}) if memory.self_check else memory
     streaks: dict[str, Streak] = {}
     active = set(now.net.active)
     quiet = quiet_level(now.plate, now.net, memory, now.plate.root)
@@ -121,6 +123,12 @@ def _check_selves(now: Situation, memory: Memory, decisions: list[Decision]) -> 
             decisions.append(LocallyAdapted(now.frame, now.target, agent, streak.count, cause))
         streaks[agent] = streak
     return changed(memory, self_check=streaks)
+
+
+@lru_cache(maxsize=64)
+def _checks_itself(plate: CheckedTarget) -> bool:
+    """Whether an agent of the plate has a self-check."""
+    return any(plate.agent(agent).self_check is not None for agent in plate.agents)
 
 
 # ------------------------------------------------------------------------------------ inference nodes

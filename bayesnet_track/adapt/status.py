@@ -13,13 +13,15 @@ from bayesnet_track.journal.net.causes import Cause, FitCause, ScoreCause
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.records import changed
 
+_USUAL = Lost()
+
 
 def judge_status(now: Situation, memory: Memory, decisions: list[Decision]) -> Memory:
     """Change the status after as many frames as the rule says; what is remembered of it.
 
     A target that probably cannot be seen, by its modes, is lost at once: their memory is in that probability.
     """
-    rule = now.plate.inference(now.plate.root).lost or Lost()
+    rule = now.plate.inference(now.plate.root).lost or _USUAL
     if now.hiding is not None and now.hiding.hidden > now.hiding.level:
         if now.net.status != "lost":
             decisions.append(StatusChanged(now.frame, now.target, "lost", hidden=now.hiding))
