@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from bayesnet_track.numerics.arrays import Ints
 from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.observation.cue import (
     Cue,
@@ -30,11 +31,10 @@ from bayesnet_track.observation.cue import (
     log_logistic,
     log_size_penalty,
 )
-from bayesnet_track.observation.geometry import Ints, box_pixels, crops_of, distinct_pixels
+from bayesnet_track.observation.geometry import HALF_OVERLAP, box_pixels, crops_of, distinct_pixels
 from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.planes.color_planes import HueBins
 
-HALF_OVERLAP = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
 STEP = 0.7
 """Factor of a local action on alpha."""
 

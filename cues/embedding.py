@@ -26,14 +26,13 @@ from bayesnet_track.observation.cue import (
     log_logistic,
     log_size_penalty,
 )
-from bayesnet_track.observation.geometry import share_inside
+from bayesnet_track.observation.geometry import HALF_OVERLAP, share_inside
 from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.planes.whole_frame import WholeFrame
 
 if TYPE_CHECKING:
     from bayesnet_track.vision.embedding import Embed
 
-HALF_OVERLAP = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
 STEP = 0.7
 """Factor of a local action on alpha."""
 

@@ -26,10 +26,10 @@ from bayesnet_track.observation.cue import (
     log_logistic,
     log_size_penalty,
 )
+from bayesnet_track.observation.geometry import HALF_OVERLAP
 from bayesnet_track.observation.planes import Plane, Planes
 from bayesnet_track.vision.planes.texture import TextureCodes
 
-HALF_OVERLAP = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
 STEP = 0.7
 """Factor of a local action on alpha."""
 

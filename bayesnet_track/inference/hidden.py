@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import Evidence
+from bayesnet_track.belief.contract import Evaluate, Evidence
 from bayesnet_track.belief.modes import FIELD, Modes
 from bayesnet_track.graph.settings.modes import Hidden
 from bayesnet_track.inference.compile import Observe, Plan
@@ -16,8 +15,6 @@ from bayesnet_track.inference.gaussian_messages import measurement_message
 from bayesnet_track.inference.messages import join_messages
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Hypotheses, Measurement
-
-Evaluate = Callable[[Hypotheses, Floats], Evidence]
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,9 @@ from bayesnet_track.observation.planes import Frame, Plane, Planes, Region
 FEW_REPEATED = 0.8
 """Share of boxes that differ above which it costs more to pick them than to do all."""
 
+HALF_OVERLAP = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
+"""Steps, in sizes of a box, to the four boxes beside it that share half of it."""
+
 
 @dataclass(frozen=True, eq=False)
 class BoxPixels:

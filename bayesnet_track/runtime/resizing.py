@@ -26,11 +26,11 @@ from bayesnet_track.journal.events.reidentification import Reacquired, Recogniti
 from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.events.statuses import FoundAgain
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.detection_files import FileDetector
 
-Floats = NDArray[np.float64]
 Size = tuple[int, int]
 """Width and height, px."""
 

@@ -20,8 +20,8 @@ from bayesnet_track.graph.text.messages import GraphMessage, Positions, nearest
 from bayesnet_track.graphs import graph_folder
 from bayesnet_track.observation.image_size import PictureError
 from bayesnet_track.observation.masks import Mask, read_mask
+from bayesnet_track.observation.protocols import BOX
 
-BOX = ("x", "y", "w", "h")
 FURTHER = {
     "constant_velocity": ("vx", "vy"),
     "damped_velocity": ("vx", "vy"),

@@ -13,8 +13,8 @@ from bayesnet_track.graph.expressions.vocabulary import FRAME_NAMES, WORDS
 from bayesnet_track.graph.settings.motion import ByExpressions
 from bayesnet_track.graph.spec import GraphSpec, InferenceNode
 from bayesnet_track.graph.text.messages import GraphMessage, Path, Positions, nearest
+from bayesnet_track.observation.protocols import BOX
 
-BOX = ("x", "y", "w", "h")
 MAY_BE_FIELDS = ("vx", "vy", "ax", "ay", "angle")
 VELOCITIES = ("vx", "vy", "ax", "ay")
 KEY: Path = ("motion", "expressions")

@@ -12,8 +12,8 @@ from bayesnet_track.graph.expressions.terms import DRAWN, Call, ExpressionError,
 from bayesnet_track.graph.expressions.vocabulary import PARENT, STATE_NAMES
 from bayesnet_track.graph.spec import Given
 from bayesnet_track.graph.text.messages import GraphMessage, Path, nearest
+from bayesnet_track.observation.protocols import BOX
 
-BOX = ("x", "y", "w", "h")
 KEY: Path = ("fuse", "latent", "given")
 OTHERS = ("sd_px", "sd_box", "sd_log", "heavy_tail", "offset_box", "size_box")
 
