@@ -147,7 +147,7 @@ def test_what_many_targets_have_in_common_is_printed_once(lines, monkeypatch, ca
         "  look  bayesnet-track log R --why 5",
         "  also  11 other targets: 2, 3, 4, 5, 6, 7, 8, 9, ...",
     ]
-    assert len(said) == 5
+    assert len(said) == 4
 
 
 def test_a_key_is_refused_with_the_reason_and_not_because_of_a_cue_of_the_user(lines):

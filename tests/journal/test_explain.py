@@ -347,7 +347,7 @@ GOLDEN = [
     ),
     (
         CandidateConfirmed(3, "2", "square", "gray_level", 0, 3, 4, 0.8214, None),
-        "frame 3: gray_level detected it in 3 of 4 runs since frame 0, mean score 0.82 → target 2 is new",
+        "frame 3: gray_level detected it in 3 of its 4 runs since frame 0, mean score 0.82 → target 2 is new",
     ),
     (
         CandidateConfirmed(3, "2", "square", "gray_level", 3, 1, 1, 0.8214, UNLIKELY),
@@ -602,6 +602,15 @@ def test_why():
 def test_why_tells_who_saw_nothing():
     explained = why([STARTED, BORN], [replace(METRICS, silent=("hue",))], 29)
     assert "  hue        on   did not see the target\n" in explained
+
+
+@pytest.mark.parametrize(
+    ("most", "limit"), [(1.0, ""), (0.5, "; limited to 0.50 by a bad fit or a look-alike")]
+)
+def test_why_tells_what_a_score_was_made_from(most, limit):
+    line = replace(METRICS, features={"log_fit": -0.25, "evidence": 1.5, "most": most})
+    said = why([STARTED, BORN], [line], 29)
+    assert f"\n  score from evidence 1.50, log_fit -0.25{limit}\n" in said
 
 
 def test_why_of_a_frame_that_is_not_there():

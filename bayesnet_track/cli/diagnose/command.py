@@ -36,13 +36,16 @@ def diagnose(options: argparse.Namespace) -> int:
     if options.json:
         say(json.dumps({"run": str(options.run), "findings": [advise(run, one) for one in found]}))
         return OK
+    tried = False
     for alike in _grouped(run, found):
-        say("\n".join(_lines(options.run, advise(run, alike[0]))))
+        advice = advise(run, alike[0])
+        tried |= advice["try"] is not None
+        say("\n".join(_lines(options.run, advice)))
         if len(alike) > 1:
             say("\n".join(_others(options.run, [one.target for one in alike[1:]])))
-    if found:
+    if tried:
         say("compare a value with several seeds (run --seeds 5) before you keep it: one run may be chance")
-    else:
+    elif not found:
         say(
             "nothing stands out. That a run agrees with itself does not show that the boxes are right: "
             f"`bayesnet-track score {options.run} --truth FILE` does"

@@ -100,8 +100,10 @@ def _account(events: Sequence[Event], line: FrameMetrics) -> str:
         f"baseline {quiet}; learning at {100 * line.learn_rate:.0f} % of the full rate",
     ]
     if line.features:
-        shown = (f"{name} {value:.2f}" for name, value in sorted(line.features.items()))
-        rows.append(f"  score of   {', '.join(shown)}")
+        shown = [f"{name} {value:.2f}" for name, value in sorted(line.features.items()) if name != "most"]
+        most = line.features.get("most", 1.0)
+        limit = f"; limited to {most:.2f} by a bad fit or a look-alike" if most < 1.0 else ""
+        rows.append(f"  score from {', '.join(shown)}{limit}")
     for agent, p in line.p_values.items():
         rows.append(
             f"  predicted  {agent}: {100 * p:.3g} % of such measurements lie farther from the prediction"
