@@ -1,7 +1,7 @@
 """How many questions annotation takes: `annotate` beside CSRT, NanoTrack and the best linear interpolation.
 
     python benchmarks/annotate.py DATA_FOLDER [--max-frames 150] [--kept FOLDER]
-                                  [--peers-python PYTHON --models FOLDER]
+                                  [--peers-python PYTHON --models FOLDER] [--only PATTERN]
 
 DATA_FOLDER is as for `real_video.py`. A simulated annotator answers with the true box ("correct" where the
 box shown has IoU >= .7 with it, "gone" where there is none), and every answer counts as a question, the first
@@ -14,13 +14,15 @@ sequences (`real_video_coin.py`) and reported on the other, and the other way ro
 - NAME asks: it asks when its own score falls below a threshold (CSRT: when it is not ok), and every k frames.
 
 PYTHON has `opencv-contrib-python-headless`; `--models` is NanoTrack's folder. What trackers found is kept in
-FOLDER, and not computed again.
+FOLDER, and not computed again. PATTERN is a regular expression such as "CSRT|annotate 0.8" for some
+methods and settings; the oracle is always there.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import astuple, dataclass, field
 from pathlib import Path
@@ -205,6 +207,7 @@ def main() -> None:
     parser.add_argument("--sequences", default="", help="names, separated by commas; default all")
     parser.add_argument("--peers-python", metavar="PYTHON", help="interpreter with OpenCV's contrib build")
     parser.add_argument("--models", type=Path, help="NanoTrack's models")
+    parser.add_argument("--only", default="", metavar="PATTERN", help="methods to measure; default all")
     parser.add_argument("--kept", type=Path, metavar="FOLDER", help="where what is found is kept")
     options = parser.parse_args()
     on_one_thread()
@@ -214,7 +217,12 @@ def main() -> None:
     elsewhere = None
     if options.peers_python:
         elsewhere = Elsewhere(options.peers_python, [str(options.models)] if options.models else [])
-    methods = methods_of(elsewhere)
+    methods = {
+        family: {
+            label: one for label, one in settings.items() if re.search(options.only, f"{family} {label}")
+        }
+        for family, settings in methods_of(elsewhere).items()
+    }
     found: list[tuple[str, str, Done]] = []
     for sequence in sequences:
         runs = {"ours": own_runs(sequence, options.graph, options.kept)}
