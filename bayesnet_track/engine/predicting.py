@@ -12,8 +12,9 @@ from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.attached import Attached
 from bayesnet_track.belief.motion.composed import Influences, compose_motion, kinematics_of
 from bayesnet_track.belief.motion.inflation import inflation_factor
-from bayesnet_track.belief.motion.jumps import Jumping, Search
+from bayesnet_track.belief.motion.jumps import Jumping
 from bayesnet_track.belief.motion.modal import Modal
+from bayesnet_track.belief.motion.places import Search
 from bayesnet_track.belief.motion.shifted import CameraShift, camera_shift
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.graph.settings.adapt import Level

@@ -12,8 +12,9 @@ from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.composed import compose_motion
-from bayesnet_track.belief.motion.jumps import Jumping, Search
+from bayesnet_track.belief.motion.jumps import Jumping
 from bayesnet_track.belief.motion.nested import deviations_of
+from bayesnet_track.belief.motion.places import Search
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.smoothing.backward import Move, smooth_particles
 from bayesnet_track.belief.smoothing.gaussian import smooth_gaussians

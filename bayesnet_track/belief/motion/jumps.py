@@ -10,6 +10,7 @@ from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.modal import Modal
 from bayesnet_track.belief.motion.noise import Transition
+from bayesnet_track.belief.motion.places import Places, Search
 from bayesnet_track.belief.motion.wrapped import Wrapped
 from bayesnet_track.belief.particles.fitted import flatten
 from bayesnet_track.belief.particles.particle_set import Inputs
@@ -17,7 +18,6 @@ from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.journal.events.jumps import Reappeared
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
-from bayesnet_track.numerics.resampling import systematic
 
 FLAT = 100.0
 """Sds of the Gaussian that stands for uniform in a `Transition`, in sides of the frame: flat to 1e-4."""
@@ -30,54 +30,6 @@ LEAST_PLACES = 8.0
 
 TELL_ABOVE = 0.5
 """Share of the belief above which it is told that hypotheses which jumped hold it."""
-
-
-@dataclass(frozen=True, eq=False)
-class Places:
-    """A mixture of uniform densities on rectangles, all inside the frame.
-
-    Attributes:
-        low: (M, 2) least x and y.
-        high: (M, 2) largest x and y.
-        shares: (M,) of the rectangles, summing to 1.
-    """
-
-    low: Floats
-    high: Floats
-    shares: Floats
-
-    def draw(self, size: int, rng: np.random.Generator) -> Floats:
-        """(size, 2) points in px, in random order: which hypothesis is sent where depends on nothing."""
-        chosen = rng.permutation(systematic(self.shares, size, rng))
-        return np.asarray(self.low[chosen] + rng.random((size, 2)) * (self.high - self.low)[chosen])
-
-    def density(self, points: Floats) -> Floats:
-        """(N,) per px^2 at points (N, 2)."""
-        inside = (points[:, None] >= self.low) & (points[:, None] < self.high)
-        return np.asarray(inside.all(axis=2) @ (self.shares / np.prod(self.high - self.low, axis=1)))
-
-
-@dataclass(frozen=True, eq=False)
-class Search:
-    """How reappearing is looked for in one frame.
-
-    Attributes:
-        hypotheses: share of the hypotheses that look.
-        by: uniform, agents, or the detector's name.
-        probes: boxes that the net's agents are asked about; 0 for none.
-        boxes: (M, 4) where a detector sees something.
-        scores: (M,) how surely.
-        ud_px2: UD of the last frame.
-        above_px2: level above which the belief is unsure.
-    """
-
-    hypotheses: float
-    by: str
-    probes: int
-    boxes: Floats
-    scores: Floats
-    ud_px2: float
-    above_px2: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,60 @@
+"""Where a target may reappear, and how it is looked for there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.numerics.resampling import systematic
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """A mixture of uniform densities on rectangles, all inside the frame.
+
+    Attributes:
+        low: (M, 2) least x and y.
+        high: (M, 2) largest x and y.
+        shares: (M,) of the rectangles, summing to 1.
+    """
+
+    low: Floats
+    high: Floats
+    shares: Floats
+
+    def draw(self, size: int, rng: np.random.Generator) -> Floats:
+        """(size, 2) points in px, in random order: which hypothesis is sent where depends on nothing."""
+        chosen = rng.permutation(systematic(self.shares, size, rng))
+        return np.asarray(self.low[chosen] + rng.random((size, 2)) * (self.high - self.low)[chosen])
+
+    def density(self, points: Floats) -> Floats:
+        """(N,) per px^2 at points (N, 2)."""
+        inside = (points[:, None] >= self.low) & (points[:, None] < self.high)
+        return np.asarray(inside.all(axis=2) @ (self.shares / np.prod(self.high - self.low, axis=1)))
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """How reappearing is looked for in one frame.
+
+    Attributes:
+        hypotheses: share of the hypotheses that look.
+        by: uniform, agents, or the detector's name.
+        probes: boxes that the net's agents are asked about; 0 for none.
+        boxes: (M, 4) where a detector sees something.
+        scores: (M,) how surely.
+        ud_px2: UD of the last frame.
+        above_px2: level above which the belief is unsure.
+    """
+
+    hypotheses: float
+    by: str
+    probes: int
+    boxes: Floats
+    scores: Floats
+    ud_px2: float
+    above_px2: float
