@@ -1,13 +1,17 @@
 """Long-term tracking on real sequences from which the target is away for a while.
 
     python benchmarks/long_term.py DATA_FOLDER [--half A] [--graphs general,FILE] [--seeds 1] [--before 60]
-                                   [--away 40] [--after 60] [--peers-python PYTHON] [--models FOLDER]
+                                   [--away 40] [--after 60] [--elsewhere 4] [--why WORDS]
+                                   [--peers-python PYTHON] [--models FOLDER]
 
 A sequence is cut after its first frames (`--before`), followed by `--away` frames of the next sequence of
 the same half, scaled to its size, in which the target is absent, and continued with up to `--after` frames.
 Printed are precision, recall and F of VOT-LT at the confidence with the largest F (docs/scores.md), the share
 of absent frames that are called tracking, and in how many sequences the box overlaps the true one by more
 than half within the first 20 frames after the return, of those in which it did at the cut. With
+`--elsewhere` the view has turned meanwhile: the target returns so many roots of its box's area away, or as
+far as the frame allows, and what leaves the frame at one side comes in at the other. With `--why` the look is
+recorded. With
 `--peers-python`, the interpreter of an environment with OpenCV's contrib build, CSRT runs beside, and
 NanoTrack v2 with `--models`. CSRT has no score: its confidence is 1 while its update succeeds, else 0.
 """
@@ -17,7 +21,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -26,6 +30,7 @@ from measuring import Image, environment, on_one_thread, table
 from numpy.typing import NDArray
 from real_video import Elsewhere
 from real_video_coin import HALVES
+from real_video_halves import note
 from sequences import Sequence, find_sequences
 
 from bayesnet_track import Tracker
@@ -44,14 +49,14 @@ class Made:
     before: int
     away: int
     after: int
+    shift: tuple[int, int] = (0, 0)
 
     @property
     def truth(self) -> NDArray[np.float64]:
         """(n, 4) true boxes, NaN while the target is away."""
         gone = np.full((self.away, 4), np.nan)
-        return np.concatenate(
-            [self.own.truth[: self.before], gone, self.own.truth[self.before :][: self.after]]
-        )
+        back = self.own.truth[self.before :][: self.after] + [*self.shift, 0, 0]
+        return np.concatenate([self.own.truth[: self.before], gone, back])
 
     def images(self) -> Iterator[Image]:
         """The frames, all of the size of the first."""
@@ -63,7 +68,19 @@ class Made:
             size = size or (image.shape[1], image.shape[0])
             if index == self.before:
                 yield from (np.asarray(cv2.resize(one, size), np.uint8) for one in others)
-            yield image
+            yield image if index < self.before else np.roll(image, self.shift, axis=(1, 0))
+
+
+def turned(made: Made, sides: float) -> Made:
+    """The same, the view having turned along the axis with more room, by `sides` of the box at most."""
+    boxes = made.own.truth[made.before :][: made.after]
+    height, width = next(made.own.images()).shape[:2]
+    low, high = boxes[:, :2].min(axis=0), (boxes[:, :2] + boxes[:, 2:]).max(axis=0)
+    room = np.concatenate([-low, np.array([width, height]) - high])
+    most = int(np.argmax(np.abs(room)))
+    far = min(abs(room[most]), sides * float(np.sqrt(np.prod(boxes[0, 2:]))))
+    step = max(int(far), 0) * (-1 if most < 2 else 1)
+    return replace(made, shift=(step, 0) if most % 2 == 0 else (0, step))
 
 
 def make(sequences: list[Sequence], before: int, away: int, after: int) -> list[Made]:
@@ -149,6 +166,9 @@ def main() -> None:
     parser.add_argument("--before", type=int, default=60)
     parser.add_argument("--away", type=int, default=40)
     parser.add_argument("--after", type=int, default=60)
+    parser.add_argument("--elsewhere", type=float, default=0.0, metavar="SIDES")
+    parser.add_argument("--why", help="what the look is for; goes into the record of looks")
+    parser.add_argument("--looks", type=Path, default=Path(__file__).with_name("real_video_looks.jsonl"))
     parser.add_argument("--peers-python", metavar="PYTHON", help="has OpenCV's contrib build")
     parser.add_argument("--models", metavar="FOLDER", help="NanoTrack's two model files")
     options = parser.parse_args()
@@ -156,6 +176,12 @@ def main() -> None:
     cv2.setNumThreads(1)
     sequences = find_sequences(options.data, list(HALVES[options.half]), None)
     made = make(sequences, options.before, options.away, options.after)
+    if options.elsewhere:
+        made = [turned(one, options.elsewhere) for one in made]
+    if options.why:
+        lengths = f"{options.before}, {options.away}, {options.after}"
+        what = {"half": options.half, "graphs": options.graphs, "seeds": f"{range(options.seeds)}"}
+        note(options.looks, **what, frames=f"long_term.py {lengths}, {options.elsewhere:g}", why=options.why)
     rows = []
     for graph in options.graphs.split(","):
         runs = [run(one, Tracker(graph, seed)) for one in made for seed in range(options.seeds)]

@@ -46,6 +46,12 @@ class Measured:
     distractor: DistractorSeen | None = None
     notices: tuple[Event, ...] = ()
 
+    @property
+    def held(self) -> Floats | None:
+        """(4,) the box, while it more probably holds the target than not."""
+        is_held = self.net.status == "tracking" and (self.score is None or self.score >= 0.5)
+        return self.box if is_held else None
+
 
 @dataclass(frozen=True, eq=False)
 class Decided:

@@ -204,7 +204,7 @@ def describe_target(
         before.plan,
         frame.time,
         learnt.watched,
-        filtered.predicted.after(ud_px2, measures.area_px2, decided.quiet_px2),
+        filtered.predicted.after(ud_px2, measures.area_px2, decided.quiet_px2, measured.held),
         measured.scored,
         frozenset({*filtered.flaws, *filtered.undefined}),
         before.existence,

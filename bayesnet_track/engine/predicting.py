@@ -14,7 +14,7 @@ from bayesnet_track.belief.motion.composed import Influences, compose_motion, ki
 from bayesnet_track.belief.motion.inflation import inflation_factor
 from bayesnet_track.belief.motion.jumps import Jumping
 from bayesnet_track.belief.motion.modal import Modal
-from bayesnet_track.belief.motion.places import Search
+from bayesnet_track.belief.motion.places import Search, Within
 from bayesnet_track.belief.motion.shifted import CameraShift, camera_shift
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.graph.settings.adapt import Level
@@ -45,6 +45,8 @@ class MotionContext:
         finder: what the detector remembers that looks for it; None when there is none, or it knows no target.
         fault: its last failure.
         influences: what the motion into the last frame depended on; None at the start.
+        held: (4,) the last centre box that more probably held it than not, None before any.
+        away: frame intervals since then.
     """
 
     size: Floats
@@ -54,6 +56,8 @@ class MotionContext:
     finder: DetectorState | None = None
     fault: Fault | None = None
     influences: Influences | None = None
+    held: Floats | None = None
+    away: float = 0.0
 
     def reading(self, level: Level) -> Reading | None:
         """UD in a level's unit; None while that is unknown."""
@@ -74,11 +78,14 @@ class PredictedMotion:
     motion_context: MotionContext | None = None
     events: tuple[DetectorFailed, ...] = ()
 
-    def after(self, ud_px2: float, area_px2: float, quiet_px2: float | None) -> MotionContext | None:
-        """The motion context after the frame, of which these were measured."""
+    def after(
+        self, ud_px2: float, area_px2: float, quiet_px2: float | None, held: Floats | None = None
+    ) -> MotionContext | None:
+        """The motion context after the frame, of which these were measured; `held` (4,) as in `Measured`."""
         if self.motion_context is None:
             return None
-        return replace(self.motion_context, ud_px2=ud_px2, area_px2=area_px2, quiet_px2=quiet_px2)
+        after = replace(self.motion_context, ud_px2=ud_px2, area_px2=area_px2, quiet_px2=quiet_px2)
+        return after if held is None else replace(after, held=held, away=0.0)
 
 
 def start_motion_context(compiled: CompiledPlate, box: Floats, frames: FramePair) -> MotionContext | None:
@@ -126,7 +133,7 @@ def predict_motion(
     camera = _follow_camera(cache, dt) if settings.camera is not None else None
     influences = Influences(dt, known.size, inflation, camera)
     motion = compose_motion(compiled.motion, settings, influences)
-    found = PredictedMotion(motion, replace(known, influences=influences))
+    found = PredictedMotion(motion, replace(known, influences=influences, away=known.away + dt))
     if settings.relocalize is not None:
         found = _relocalize(compiled.finder, settings.relocalize, found, is_lost, dt, cache)
     if isinstance(given, Attached):
@@ -154,7 +161,7 @@ def _relocalize(
     known, frame = usual.motion_context, cache.frames.current
     assert known is not None
     now = known.reading(settings.above)
-    unsure = is_lost or (now is not None and now.above)
+    unsure = is_lost or (settings.grow_box is None and now is not None and now.above)
     per_frame = max(settings.share, settings.usual) if unsure else settings.usual
     if per_frame == 0.0 or min(frame.width, frame.height) < 3:
         return usual
@@ -177,10 +184,14 @@ def _relocalize(
         boxes=found.boxes,
         scores=found.scores,
         ud_px2=known.ud_px2,
-        above_px2=0.0 if now is None else now.level * now.scale_px2,
+        above_px2=0.0 if now is None or settings.grow_box is not None else now.level * now.scale_px2,
     )
     share = 1.0 - (1.0 - per_frame) ** dt
-    jumping = Jumping(usual.motion, share, frame.width, frame.height, search)
+    within = None
+    if settings.grow_box is not None and known.held is not None:
+        half_px = settings.grow_box * known.away * float(np.sqrt(known.held[2] * known.held[3]))
+        within = Within.around(known.held, half_px, frame.width, frame.height)
+    jumping = Jumping(usual.motion, share, frame.width, frame.height, search, within)
     assert known.influences is not None
     influences = replace(known.influences, jump_share=share)
     return PredictedMotion(jumping, replace(known, finder=state, fault=fault, influences=influences), events)

@@ -9,7 +9,7 @@ from scipy import integrate, stats
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.jumps import Jumping
-from bayesnet_track.belief.motion.places import Places, Search
+from bayesnet_track.belief.motion.places import Places, Search, Within
 from bayesnet_track.belief.particles.belief import ParticleFilter, ParticleSet
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.events.jumps import Reappeared
@@ -26,14 +26,16 @@ SEARCHES = {
     "uniform": Search(0.3, "uniform", 0, *NONE, 900.0, 100.0),
     "agents": Search(0.3, "agents", 60, *NONE, 900.0, 100.0),
     "boxes": Search(0.3, "color_backprojection", 0, *AT_BOX, 900.0, 100.0),
+    "few": Search(0.3, "agents", 16, *NONE, 900.0, 100.0),
 }
+PART = Within(np.array([20.0, 0.0]), np.array([110.0, 60.0]), np.array([10.0, 6.0]), 60.0)
 
 
 @pytest.fixture
 def jumping(motion_of):
-    def make(share=0.2, search="uniform", kind="random_walk", **settings):
+    def make(share=0.2, search="uniform", kind="random_walk", within=None, **settings):
         walk = motion_of(kind, **(settings or {"sd_px": {"x": 3.0, "y": 2.0}}))
-        return Jumping(walk, share, WIDTH, HEIGHT, SEARCHES[search])
+        return Jumping(walk, share, WIDTH, HEIGHT, SEARCHES[search], within)
 
     return make
 
@@ -120,20 +122,32 @@ def one_step(motion, stream, weights=None, size=200):
     return belief.step(prior, Confined(motion, WIDTH, HEIGHT), 1.0, near, stream)
 
 
+@pytest.mark.parametrize("within", [None, PART], ids=["anywhere", "part"])
 @pytest.mark.parametrize("search", sorted(SEARCHES))
-def test_the_evidence_is_unbiased(jumping, stream_of, search):
-    motion = jumping(0.05, search)
+def test_the_evidence_is_unbiased(jumping, stream_of, search, within):
+    motion = jumping(0.05, search, within=within)
+    low, high = ([0, 0], [120, 90]) if within is None else (within.low, within.high)
     weights = LogWeights.normalise(np.linspace(0.0, 2.0, 200))[0]
     steps = [one_step(motion, stream_of(seed, 1), weights) for seed in range(300)]
     found = np.exp([step.log_evidence for step in steps])
-    # The frame's mean, and the walk's: far from TRUE, only the outliers' share.
-    exact = 0.05 * mean_of_near(0, 120, 0, 90) + 0.95 * 1e-4
+    # The mean of what is searched, and the walk's: far from TRUE, only the outliers' share.
+    exact = 0.05 * mean_of_near(low[0], high[0], low[1], high[1]) + 0.95 * 1e-4
     assert abs(found.mean() - exact) < 4 * found.std(ddof=1) / np.sqrt(300)
     # The posterior's mean is that by enumeration, as a ratio of two sums: the target is where it is.
     shares = [step.posterior.mass_within(TRUE, 3 * R)[0] for step in steps]
     masses = np.exp([step.log_evidence for step in steps]) * shares
-    inside = 0.05 / AREA * (2 * np.pi * R**2 * (1 - np.exp(-4.5)) + 1e-4 * np.pi * (3 * R) ** 2)
+    area = np.prod(np.subtract(high, low))
+    inside = 0.05 / area * (2 * np.pi * R**2 * (1 - np.exp(-4.5)) + 1e-4 * np.pi * (3 * R) ** 2)
     assert abs(masses.mean() - inside) < 4 * masses.std(ddof=1) / np.sqrt(300)
+
+
+def test_what_jumps_stays_in_the_part_that_is_searched_and_is_as_large_as_it_was(jumping, stream_of):
+    motion = jumping(0.05, "few", within=PART)
+    states = one_step(motion, stream_of(3, 1)).posterior.states
+    jumped = states[np.hypot(states[:, 0] - BOX[0], states[:, 1] - BOX[1]) > 25.0]
+    assert len(jumped) > 20
+    assert ((jumped[:, :2] >= PART.low) & (jumped[:, :2] <= PART.high)).all()
+    np.testing.assert_allclose(jumped[:, 2:], np.tile(PART.size, (len(jumped), 1)))
 
 
 def test_looking_where_agents_see_something_costs_fewer_hypotheses(jumping, stream_of):

@@ -75,6 +75,27 @@ def test_it_jumps_while_unsure_or_lost(fakes, ud, is_lost, share):
         assert isinstance(own.motion, Jumping)
 
 
+def test_the_search_grows_from_where_it_was_held_while_lost_only(fakes):
+    compiled = machine_of(fakes, relocalize={"by": "uniform", "grow_box": 0.5})
+    cache = PlaneCache(FramePair(fakes.frame(2), fakes.frame(0)))
+    width, height = cache.frames.current.width, cache.frames.current.height
+    known = replace(start_motion_context(compiled, BOX, cache.frames), ud_px2=1e6)
+    assert predict_motion(compiled, None, known, False, 1.0, cache).motion is compiled.motion
+    found = predict_motion(compiled, None, known, True, 1.0, cache)
+    assert found.motion.within is None  # never held: anywhere
+    held = replace(found, motion_context=found.after(0.0, 200.0, None, BOX))
+    for frame, context in enumerate((held.motion_context,) * 2):
+        for _ in range(frame):
+            context = predict_motion(compiled, None, context, True, 3.0, cache).after(0.0, 200.0, None)
+        place = predict_motion(compiled, None, context, True, 1.0, cache).motion.evenly()
+        half = 0.5 * np.sqrt(200.0) * (1 + 3 * frame)
+        np.testing.assert_allclose(place.low[0], np.maximum(BOX[:2] - half, 0.0))
+        np.testing.assert_allclose(place.high[0], np.minimum(BOX[:2] + half, [width - 1, height - 1]))
+    old = replace(held.motion_context, away=1e3)
+    whole = predict_motion(compiled, None, old, True, 1.0, cache).motion
+    assert whole.area == (width - 1) * (height - 1)
+
+
 def test_the_camera_carries_the_states(fakes):
     rng = np.random.default_rng(2)
     ground = np.kron(rng.integers(0, 256, (60, 60)), np.ones((5, 5))).astype(np.uint8)
@@ -233,6 +254,8 @@ REFUSED = [
         "relocalize beside an adaptive size",
     ),
     ({"relocalize": {}, "sd_px": {"x": 1.0}}, {}, "relocalize without noise of y"),
+    ({"relocalize": {"grow_box": 1, "usual": 0.1}}, {}, "usual beside grow_box"),
+    ({"relocalize": {"grow_box": 1, "above": {"ud_box": 1}}}, {}, "above beside grow_box"),
     ({"relocalize": {"by": {"detector": "mottion"}}}, {}, "unknown detector 'mottion'"),
     ({"relocalize": {"by": {"detector": {"motion": {"no": 1}}}}}, {}, "unknown key 'no'"),
 ]

@@ -115,6 +115,7 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
         "hypotheses": share,
         "by": looked,
     }
+    growing = {key: relocalize[key] for key in ("share", "hypotheses", "by")} | {"grow_box": positive}
     factor = st.floats(min_value=1, max_value=1e9, exclude_min=True)
     moving = {
         **noise,
@@ -122,7 +123,7 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
         "inflate": _mapping({}, {"above": level, "max_factor": factor}),
         "size_reversion": _mapping({}, {"sd_scale": positive, "sd_aspect": positive}),
         "camera": st.just("compensate"),
-        "relocalize": _mapping({}, relocalize),
+        "relocalize": _mapping({}, relocalize) | _mapping({}, growing),
     }
     velocity = {**moving, "sd_velocity_px": sd, "start_velocity_sd_px": sd}
     acceleration = {

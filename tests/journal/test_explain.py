@@ -290,6 +290,14 @@ GOLDEN = [
         "share ≤ 0.00814",
     ),
     (
+        Reappeared(
+            *(41, "1", "agents", 100, 0.9312, 0.5, 0.1, 0.008141, 210.4, 84.25, 95.2, 5120.0, 0.0, 123.4)
+        ),
+        "frame 41: 100 hypotheses searched up to 123 px around its last place, by agents, and hold "
+        "0.931 > 0.5 of the belief → target 1 reappears at 210.4, 84.25, 95.2 px away; would not have at "
+        "share ≤ 0.00814",
+    ),
+    (
         ParticlesResized(
             *(30, "1", 798, 256, "kld_revised", 797.2, "", True),
             *("x", 12.0, 15, 4.0, 7.47, None, "error", 0.1, 0.2491),

@@ -10,7 +10,7 @@ from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.belief.motion.bounds import Confined
 from bayesnet_track.belief.motion.modal import Modal
 from bayesnet_track.belief.motion.noise import Transition
-from bayesnet_track.belief.motion.places import Places, Search
+from bayesnet_track.belief.motion.places import Places, Search, Within
 from bayesnet_track.belief.motion.wrapped import Wrapped
 from bayesnet_track.belief.particles.fitted import flatten
 from bayesnet_track.belief.particles.particle_set import Inputs
@@ -36,7 +36,9 @@ TELL_ABOVE = 0.5
 class Jumping(Wrapped):
     """`motion`, or with probability `share` the position is anywhere: (1 - share) p + share / (W H).
 
-    What jumps keeps the motion's size and derivatives. Drift and derivatives are those without jumps.
+    What jumps keeps the motion's size and derivatives. Drift and derivatives are those without jumps. With
+    `within` it is anywhere in that part of the frame, and hypotheses that jump start from the size there;
+    densities, of places inside it, still take the size to move as without jumps.
 
     Attributes:
         motion: the model.
@@ -44,17 +46,20 @@ class Jumping(Wrapped):
         width: W, columns of the image; centres lie in [0, W - 1].
         height: H, rows of the image.
         search: how hypotheses that jump are drawn by a belief which weights them.
+        within: the part of the frame that it may have reached; None for all of it.
     """
 
     share: float
     width: int
     height: int
     search: Search
+    within: Within | None = None
 
     @property
     def area(self) -> float:
-        """px^2 of where centres lie."""
-        return float((self.width - 1) * (self.height - 1))
+        """px^2 of where centres lie that jumped."""
+        places = self.evenly()
+        return float(np.prod(places.high - places.low))
 
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
@@ -91,7 +96,9 @@ class Jumping(Wrapped):
         )
 
     def evenly(self) -> Places:
-        """The frame."""
+        """The frame, or the part of it that may have been reached."""
+        if self.within is not None:
+            return Places(self.within.low[None], self.within.high[None], np.ones(1))
         high = np.array([[self.width - 1.0, self.height - 1.0]])
         return Places(np.zeros((1, 2)), high, np.ones(1))
 
@@ -141,6 +148,8 @@ def draw_jumps(inputs: Inputs, jumping: Jumping, ancestors: Ancestors, beta_log:
     states = motion.propagate(inputs.prior.states, inputs.dt, inputs.stream("propagate"), ancestors)
     places = _places(inputs, jumping, states, rng)
     states[which, :2] = places.draw(count, rng)
+    if jumping.within is not None:
+        states[which, 2:4] *= jumping.within.size / inputs.prior.states[ancestors[which], 2:4]
     prior_log = beta_log + np.log((1.0 - jumping.share) * size / (size - count))
     prior_log[which] = beta_log[which] + np.log(
         jumping.share * size / count / (jumping.area * places.density(states[which, :2]))
@@ -173,6 +182,7 @@ def report_reappeared(
         moved_px=float(np.hypot(x - before[0], y - before[1])),
         ud_px2=search.ud_px2,
         above_px2=search.above_px2,
+        within_px=None if jumping.within is None else jumping.within.half_px,
     )
 
 
@@ -195,9 +205,9 @@ def _places(inputs: Inputs, jumping: Jumping, states: Floats, rng: np.random.Gen
 
 def _of_boxes(jumping: Jumping, boxes: Floats, scores: Floats) -> Places | None:
     """Inside the boxes (M, 4), as far as they lie in the frame, in proportion to their scores (M,)."""
-    bounds = jumping.evenly().high
-    low = np.clip(boxes[:, :2] - boxes[:, 2:] / 2, 0.0, bounds)
-    high = np.clip(boxes[:, :2] + boxes[:, 2:] / 2, 0.0, bounds)
+    whole = jumping.evenly()
+    low = np.clip(boxes[:, :2] - boxes[:, 2:] / 2, whole.low, whole.high)
+    high = np.clip(boxes[:, :2] + boxes[:, 2:] / 2, whole.low, whole.high)
     keep = (high - low >= 1.0).all(axis=1) & (scores > 0)
     if not keep.any():
         return None
@@ -207,17 +217,26 @@ def _of_boxes(jumping: Jumping, boxes: Floats, scores: Floats) -> Places | None:
 def _probe(inputs: Inputs, jumping: Jumping, states: Floats, rng: np.random.Generator) -> Places | None:
     """Cells of a lattice over the frame, by what the net says of a box in each; None when it says nothing.
 
-    The boxes are no hypotheses, so no evidence is used twice.
+    The boxes are no hypotheses, so no evidence is used twice. Where a part of the frame is searched, cells
+    stay small, and if there are too many, a strip of them is asked about, another one in each frame.
     """
-    bounds = jumping.evenly().high[0]
-    side = 0.5 * float(np.sqrt(np.mean(states[:, 2] * states[:, 3])))
-    side = max(side, float(np.sqrt(jumping.area / jumping.search.probes)))
+    start, bounds = jumping.evenly().low[0], jumping.evenly().high[0] - jumping.evenly().low[0]
+    most, within = jumping.search.probes, jumping.within
+    if within is None:
+        side = 0.5 * float(np.sqrt(np.mean(states[:, 2] * states[:, 3])))
+        side = max(side, float(np.sqrt(jumping.area / most)))
+    else:
+        side = max(0.5 * float(np.sqrt(np.prod(within.size))), 1.0)
     across, down = (max(int(extent / side), 1) for extent in bounds)
     step = bounds / np.array([across, down])
     at = np.stack(np.meshgrid(np.arange(across), np.arange(down)), axis=2).reshape(-1, 2)
-    low = at * step
+    if within is not None and len(at) > most:
+        at = np.roll(at, -int(rng.integers(len(at))), axis=0)[:most]
+    low = start + at * step
     probes = states[rng.integers(len(states), size=len(at))].copy()
     probes[:, :2] = low + step / 2
+    if within is not None:
+        probes[:, 2:4] = within.size
     if isinstance(jumping.motion, Modal):
         probes[:, -1] = jumping.motion.modes.hidden.index(False)
     equal = LogWeights.uniform(len(at))

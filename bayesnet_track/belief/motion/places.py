@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.resampling import systematic
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,3 +56,27 @@ class Search:
     scores: Floats
     ud_px2: float
     above_px2: float
+
+
+@dataclass(frozen=True, eq=False)
+class Within:
+    """The part of the frame in which a target that was lost may reappear by now, as large as it was.
+
+    Attributes:
+        low: (2,) least x and y of its centre, px.
+        high: (2,) largest x and y.
+        size: (2,) w and h of the box that held it last, px.
+        half_px: how far from that box.
+    """
+
+    low: Floats
+    high: Floats
+    size: Floats
+    half_px: float
+
+    @classmethod
+    def around(cls, box: Floats, half_px: float, width: int, height: int) -> Within:
+        """The square around the centre box (4,) with half its side in px, as far as the frame goes."""
+        half, most = max(half_px, 2.0), np.array([width - 1.0, height - 1.0])
+        centre = np.clip(box[:2], 0.0, most)
+        return cls(np.maximum(centre - half, 0.0), np.minimum(centre + half, most), box[2:4], half)

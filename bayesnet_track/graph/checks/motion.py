@@ -135,6 +135,10 @@ def jumps_have_places(plate: Plate) -> Iterator[GraphMessage]:
         if still:
             found = f"relocalize without noise of {' and '.join(still)}"
             yield plate.message(name, found, "noise of x and y", key=(*key, "relocalize"), on_key=True)
+        for word in ("above", "usual"):
+            if settings.relocalize.grow_box is not None and word in settings.relocalize.model_fields_set:
+                found = f"{word} beside grow_box, which searches only while the target is lost"
+                yield plate.message(name, found, f"no {word}", key=(*key, "relocalize", word), on_key=True)
         chosen = settings.relocalize.by.detector
         if chosen is None:
             continue

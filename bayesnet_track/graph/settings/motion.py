@@ -132,6 +132,12 @@ class Relocalize(Model):
         default=0.2, description="share of the hypotheses that look for it, in proportion to the probability"
     )
     by: LookedFor = Field(default=LookedFor(agents=Probes()), description="where they look")
+    grow_box: Positive | None = Field(
+        default=None,
+        description="only while lost, and at first near the place where it was last held: in a square around "
+        "it, half of whose side grows by so many sqrt(w h) per frame interval until it covers the frame; "
+        "default: in the whole frame at once",
+    )
 
 
 class Moving(Noise):

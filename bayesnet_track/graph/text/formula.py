@@ -263,7 +263,9 @@ def _motion(motion: Motion | None) -> str:
     further += [] if settings.camera is None else ["with the camera"]
     further += [] if settings.borders is None else ["reflected at the borders"]
     if settings.relocalize is not None:
-        further.append(f"anywhere with probability {settings.relocalize.share:g} while unsure")
+        jump = settings.relocalize
+        when = "unsure" if jump.grow_box is None else f"lost, {jump.grow_box:g} sides farther each frame"
+        further.append(f"anywhere with probability {jump.share:g} while {when}")
     return ", ".join(filter(None, (motion.kind.replace("_", " "), noise(settings), *further)))
 
 

@@ -24,7 +24,9 @@ class Reappeared:
         y: the same, row.
         moved_px: how far that is from the last frame's mean.
         ud_px2: UD of the last frame.
-        above_px2: threshold of UD above which reappearing is likely, in px^2; 0 when it is not known yet.
+        above_px2: threshold of UD above which reappearing is likely, in px^2; 0 when it is not known yet, or
+            only a lost target is searched for.
+        within_px: how far from the box that held it last they searched; None for the whole frame.
     """
 
     frame: int
@@ -40,6 +42,7 @@ class Reappeared:
     moved_px: float
     ud_px2: float
     above_px2: float
+    within_px: float | None = None
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
@@ -48,8 +51,11 @@ class Reappeared:
         unsure = f"UD {ud} px² {'>' if self.ud_px2 > self.above_px2 else '≤'} {above}; "
         turning = round_away(self.turning, decimals(self.turning, self.share), up=False)
         how = "evenly" if self.by == "uniform" else f"by {self.by}"
+        where = "the whole frame"
+        if self.within_px is not None:
+            where = f"up to {self.within_px:.3g} px around its last place"
         return (
-            f"{unsure if self.above_px2 > 0 else ''}{self.hypotheses} hypotheses searched the whole frame, "
+            f"{unsure if self.above_px2 > 0 else ''}{self.hypotheses} hypotheses searched {where}, "
             f"{how}, and hold {held} > {level} of the belief → target {self.target} reappears at "
             f"{self.x:.4g}, {self.y:.4g}, {self.moved_px:.3g} px away; would not have at share ≤ {turning}"
         )
