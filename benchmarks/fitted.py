@@ -2,12 +2,13 @@
 
     python benchmarks/fitted.py policy DATA_FOLDER --graph general --max-frames 60
     python benchmarks/fitted.py policy --scenes two_squares_random --graph two_squares
-    python benchmarks/fitted.py sds DATA_FOLDER --graph color_fusion --max-frames 60
+    python benchmarks/fitted.py sds DATA_FOLDER --graph color_fusion --max-frames 60 [--coin] [--clips 4]
 
 DATA_FOLDER holds NAME/img/*.jpg and NAME/groundtruth.txt, as in benchmarks/sequences.py. Its sequences are
 split into two halves, A and B; of a scene, half A are the seeds from 300 on, half B the next ones, as many
 each as `--scene-seeds` says. Fitted on A and judged on B, then the other way round. The fit uses seed 0, the
-report others. Intervals are of a paired bootstrap over sequences, whose figures are means over seeds.
+report others. Intervals are of a paired bootstrap over sequences, whose figures are means over seeds. With
+--coin the halves are those of real_video_coin. With --clips each sequence is tracked from several frames on.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 from calibration import frames_of
 from measuring import environment, on_one_thread, table
 from numpy.typing import NDArray
+from real_video_coin import HALVES
 from sequences import Sequence as Video
 from sequences import find_sequences, track
 
@@ -58,6 +60,17 @@ def halves(seed: int = 13) -> tuple[list[str], list[str]]:
         for place, k in enumerate(rng.permutation(len(names))):
             found[(number + place) % 2].append(names[k])
     return found
+
+
+def clips(video: Video, most: int, length: int) -> list[Video]:
+    """Up to `most` pieces of `length` frames that begin at equal distances, each a video of its own."""
+    frames = len(video.files)
+    count = max(1, min(most, frames // length))
+    firsts = [round(k * (frames - length) / (count - 1)) for k in range(count)] if count > 1 else [0]
+    return [
+        Video(f"{video.name}@{at}", video.files[at : at + length], video.truth[at : at + length])
+        for at in firsts
+    ]
 
 
 def interval(differences: Floats) -> str:
@@ -129,9 +142,11 @@ def watched(graph: CheckedGraph, videos: Sequence[Video], seeds: Sequence[int]) 
 
 
 def per_video(data: Sequence[CalibrationData], what: Callable[[CalibrationData], float]) -> Floats:
-    """A figure of each video, mean over seeds."""
-    names = dict.fromkeys(one.video for one in data)
-    return np.array([np.mean([what(one) for one in data if one.video == name]) for name in names])
+    """A figure of each video, mean over seeds and clips."""
+    found: dict[str, list[float]] = {}
+    for one in data:
+        found.setdefault(one.video.partition("@")[0], []).append(what(one))
+    return np.array([np.mean(values) for values in found.values()])
 
 
 def held(fitted: Fitted, share: float) -> Callable[[CalibrationData], float]:
@@ -182,14 +197,25 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=10, help="first seed of the report")
     parser.add_argument("--seeds", type=int, default=2, help="seeds of the report")
     parser.add_argument("--max-frames", type=int)
+    parser.add_argument("--coin", action="store_true", help="the halves of real_video_coin")
+    parser.add_argument("--clips", type=int, help="of --max-frames each, of every sequence; for sds")
     options = parser.parse_args()
     if (options.data is None) == (options.scenes is None):
         parser.error("give either DATA_FOLDER or --scenes")
+    if options.clips and (options.what != "sds" or not options.data or not options.max_frames):
+        parser.error("--clips needs sds, DATA_FOLDER and --max-frames")
     on_one_thread()
     print(environment(), flush=True)
     with tempfile.TemporaryDirectory() as made:
         if options.scenes is None:
-            sides = [find_sequences(options.data, names, options.max_frames) for names in halves()]
+            names = [list(half) for half in HALVES.values()] if options.coin else halves()
+            end = None if options.clips else options.max_frames
+            sides = [find_sequences(options.data, half, end) for half in names]
+            if options.clips:
+                sides = [
+                    [clip for one in side for clip in clips(one, options.clips, options.max_frames)]
+                    for side in sides
+                ]
         else:
             sides = [
                 write_scenes(options.scenes, range(first, first + options.scene_seeds), Path(made))
