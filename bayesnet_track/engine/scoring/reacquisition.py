@@ -20,7 +20,7 @@ SAYS_NOTHING = 0.1
 """Nats by which a frame moves the belief, below which all hypotheses fit alike, as in a black frame."""
 
 FAR_BOX = 4.0
-"""Box sides from which on distance speaks no more against it; there the fifth root of `found_fit` counts."""
+"""Box sides from which on distance speaks no more against it; there the fifth roots of the levels count."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,9 @@ def follow_fit(scored: Scored, rule: Lost, look: Look) -> tuple[Scored, float, F
 
     A target is missing after `frames` frames with a score below `score_below`, those left out in which
     nothing is seen at all. It is found when something fits at least `found_fit` of what was usual for
-    `frames` frames in a row, or more than that when it is away from where the target was held. What fits less
-    well, something beside it or what hides it, keeps the score at one half or below.
+    `frames` frames in a row, and the score of the last is that of a tracked target: `uncertain_below`. Both
+    ask for more away from where the target was held. What fits less well, something beside it or what hides
+    it, keeps the score at one half or below.
     """
     assert rule.found_fit is not None and rule.score_below is not None
     log_fit = max(math.log(look.fit), LEAST_LOG) if look.fit > 0.0 else LEAST_LOG
@@ -81,6 +82,10 @@ def follow_fit(scored: Scored, rule: Lost, look: Look) -> tuple[Scored, float, F
     again = (*scored.again, min(share, 1.0) ** (1.0 / strict))
     if len(again) < rule.frames:
         return replace(scored, again=again), 1.0, None
+    # Where the target was badly held its usual fit is poor, and a look-alike reaches it, but no high score.
+    score_level = (rule.uncertain_below or rule.score_below) ** strict
+    if look.score < score_level:
+        return replace(scored, again=again[1:]), 0.5, None
     found = FoundAgain(
         look.frame,
         look.target,
@@ -91,5 +96,7 @@ def follow_fit(scored: Scored, rule: Lost, look: Look) -> tuple[Scored, float, F
         min(again),
         scored.missing,
         moved_px,
+        look.score,
+        score_level,
     )
     return replace(scored, missing=None, again=(), low=0), 1.0, found

@@ -66,6 +66,8 @@ class FoundAgain:
         turning: largest `found_fit` with which all of them would have done so; 1 where any would.
         since: frame since which it was missing.
         moved_px: how far it is from where it was held last.
+        score: of the last of these frames; None where it did not count.
+        score_level: score that was required at this distance.
     """
 
     frame: int
@@ -77,10 +79,15 @@ class FoundAgain:
     turning: float
     since: int
     moved_px: float
+    score: float | None = None
+    score_level: float | None = None
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
         share, level = distinct_texts(self.share, self.level)
+        sure = ""
+        if self.score is not None and self.score_level is not None:
+            sure = ", score {} ≥ {}".format(*distinct_texts(self.score, self.score_level))
         at = round_away(self.turning, decimals(self.turning, self.found_fit), up=True)
         otherwise = (
             "at any found_fit" if self.turning >= 1.0 else f"would have stayed missing at found_fit > {at}"
@@ -88,7 +95,7 @@ class FoundAgain:
         return (
             f"target {self.target}, missing since frame {self.since}, recognised {self.moved_px:.3g} px from "
             f"where it was held: {share} of its usual fit ≥ {level}, the last of "
-            f"{plural(self.frames, 'frame')}; {otherwise}"
+            f"{plural(self.frames, 'frame')}{sure}; {otherwise}"
         )
 
 
