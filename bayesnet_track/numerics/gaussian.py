@@ -33,8 +33,8 @@ class Updated:
 
 
 def symmetric(matrix: Floats) -> Floats:
-    """(D, D) the mean of a matrix and its transpose."""
-    return np.asarray(0.5 * (matrix + matrix.T))
+    """(..., D, D) the mean of each matrix and its transpose."""
+    return np.asarray(0.5 * (matrix + matrix.swapaxes(-1, -2)))
 
 
 def root(covariance: Floats) -> Floats:

@@ -1,5 +1,7 @@
 """Maximum evidence of a motion: the evidence is exact, and what boxes were drawn with is found again."""
 
+from itertools import pairwise, product
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -39,8 +41,9 @@ def root_of(motion, modes=""):
     return plate(motion, modes).inference("ball")
 
 
-def scene(motion, seed, frames=400, error=2.0):
-    drawn = simulate(plate(motion), {}, BOX, Simulation(frames, 1, seed)).boxes[:, 0]
+def scene(motion, seed, frames=400, error=2.0, modes="", draws=1):
+    """The first of several trajectories; in each frame a whole number of them moves by a heavy tail."""
+    drawn = simulate(plate(motion, modes), {}, BOX, Simulation(frames, draws, seed)).boxes[:, 0]
     return drawn + np.random.default_rng(seed).normal(0, error, drawn.shape)
 
 
@@ -85,14 +88,60 @@ def joint(values, move, noise, start, error):
     )
 
 
-def test_two_regimes_are_exact_over_two_frames():
-    """One mixing before the first measurement loses nothing: enumeration over both regimes."""
+def test_regimes_are_exact_over_three_frames_and_close_over_eight():
+    """Against the enumeration of every sequence of regimes, which are merged from the third frame on."""
     settings = {"random_walk": {"sd_px": {"x": 2, "y": 2}, "heavy_tail": {"weight": 0.3, "factor": 5}}}
     motion = make_motion(Motion.model_validate(settings))
-    boxes = BOX + np.array([[0, 0, 0, 0], [6.0, -3.0, 0, 0]])
-    found = np.exp(log_evidence(boxes, [Hypothesis((motion,), None, (1.0, 1.0))])[0])
-    each = [np.prod(stats.norm.pdf([6, -3], 0, np.sqrt(2.0 + (2 * f) ** 2))) for f in (1, 5)]
-    np.testing.assert_allclose(found, 0.7 * each[0] + 0.3 * each[1], rtol=1e-9)
+    moved = np.random.default_rng(0).normal(0, [6.0, 3.0], (8, 2)).cumsum(axis=0)
+    boxes = BOX + np.pad(moved, ((0, 0), (0, 2)))
+    for frames, tolerance in ((2, 1e-9), (3, 1e-9), (8, 0.01)):
+        found = log_evidence(boxes[:frames], [Hypothesis((motion,), None, (1.0, 1.0))])[0]
+        each = []
+        for factors in product((1, 5), repeat=frames - 1):
+            shares = sum(np.log(0.7 if factor == 1 else 0.3) for factor in factors)
+            each.append(shares + sum(walk_density(boxes[:frames, axis], 2.0, factors) for axis in (0, 1)))
+        np.testing.assert_allclose(found, np.logaddexp.reduce(each), atol=tolerance)
+
+
+def walk_density(values, sd, factors):
+    """Log density of a random walk's values, measured with an error of 1, given the first."""
+    steps = np.cumsum((sd * np.array(factors, dtype=float)) ** 2)
+    covariance = 1.0 + np.minimum.outer(steps, steps) + np.eye(len(steps))
+    return stats.multivariate_normal(np.full(len(steps), values[0]), covariance).logpdf(values[1:])
+
+
+def test_the_evidence_of_a_long_track_is_that_on_a_grid():
+    """Rounding errors, which used to double in every frame, do not add up over 400 of them."""
+    rng = np.random.default_rng(9000)
+    sd, weight, factor, error = 0.1 * np.sqrt(60 * 40), 0.3, 6.0, 2.0
+    tails = np.where(rng.random((400, 1)) < weight, factor, 1.0)
+    place = np.vstack([np.zeros(2), np.cumsum(tails * sd * rng.normal(size=(400, 2)), axis=0)])
+    boxes = BOX + np.pad(place + error * rng.normal(size=place.shape), ((0, 0), (0, 2)))
+    noise = {"sd_box": {"x": 0.1, "y": 0.1}, "heavy_tail": {"weight": weight, "factor": factor}}
+    motion = make_motion(Motion.model_validate({"random_walk": noise}))
+    found = log_evidence(boxes, [Hypothesis((motion,), None, (error, error))])[0]
+    expected = evidence_on_a_grid(boxes[:, :2], sd, {1.0: 1 - weight, factor: weight}, error)
+    np.testing.assert_allclose(found, expected, atol=1e-3)
+
+
+def evidence_on_a_grid(points, sd, tails, error):
+    """Log-evidence of a random walk in two dimensions: its density at points around each measured one."""
+    offsets = np.arange(-14.0, 14.1, 0.7)
+    seen = stats.norm.pdf(offsets, 0, error) * 0.7
+    seen = np.outer(seen, seen)
+    density, total = seen / seen.sum(), 0.0
+    for before, now in pairwise(points):
+        moved = np.zeros_like(seen)
+        for factor, share in tails.items():
+            across, down = (
+                stats.norm.pdf((now - before)[axis] + offsets[:, None] - offsets, 0, factor * sd)
+                for axis in (0, 1)
+            )
+            moved += share * across @ density @ down.T
+        density = moved * seen
+        total += np.log(density.sum())
+        density = density / density.sum()
+    return total
 
 
 @pytest.mark.slow
@@ -110,6 +159,37 @@ def test_what_boxes_were_drawn_with_is_found_again(motion):
         assert abs(np.log(found[path].value / value)) < 0.35
         assert found[path].low < found[path].value < found[path].high and found[path].is_known
     assert fitted.log_evidence > fitted.log_evidence_before
+
+
+TAIL = "{random_walk: {sd_box: {x: 0.1, y: 0.1}, heavy_tail: {weight: 0.3, factor: 6}}}"
+TURN = "{constant_velocity: {sd_velocity_px: 6, start_velocity_sd_px: 3}}"
+STRAIGHT = "{constant_velocity: {sd_velocity_px: 0.5, start_velocity_sd_px: 3}}"
+MODES = f"modes: {{straight: {{mean_frames: 20}}, turn: {{mean_frames: 10, motion: {TURN}}}}}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("motion", "modes"), [(TAIL, ""), (STRAIGHT, MODES)])
+def test_tails_and_modes_are_found_again(motion, modes):
+    """Two tracks of 400 frames, the search far from the true values.
+
+    Were the regimes known, 240 frames in the tail would give log(weight) an sd of sqrt(0.7 / 240) = 0.05,
+    and 27 visits to each mode a log duration one of 1 / sqrt(27) = 0.19. Eight and four times as much are
+    allowed, since regimes are hidden. Sds are of at least 240 frames, but small ones stand against errors of
+    2 px.
+    """
+    root = root_of(motion, modes)
+    away = {"weight": 1 / 3, "factor": 2.0, "mean_frames": 3.0}
+    true = dict(parameters_of(root))
+    far = root
+    for path, value in true.items():
+        far = with_value(far, path, away.get(path[-1], 6.0) * value)
+    tracks = [scene(motion, seed, modes=modes, draws=20) for seed in (9000, 9001)]
+    found = {one.path: one for one in fit_motion(far, tracks).estimates}
+    tolerances = {"weight": 0.4, "mean_frames": 0.8}
+    for path, value in true.items():
+        one = found[path]
+        assert one.is_known and one.low < one.value < one.high, path
+        assert abs(np.log(one.value / value)) < tolerances.get(path[-1], 0.35), path
 
 
 def test_gaps_and_several_tracks_are_used():

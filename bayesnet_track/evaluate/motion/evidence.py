@@ -3,7 +3,9 @@
 In the coordinates of the motion's noise (x, y, and the size in px or in logarithms) kinematic motion is
 linear and Gaussian, so that the evidence of boxes with Gaussian errors has a closed form. `sd_box` is taken
 at the last box that was measured. Each mode is a regime, and so is a heavy tail, which is drawn anew in every
-frame. Regimes interact as in `belief.gaussian.modal` (Blom and Bar-Shalom 1988), which is exact for one.
+frame. Every regime before is followed by every regime now, and those with the same regime now are merged by
+moments after the measurement (generalised pseudo-Bayes of second order, Bar-Shalom and Li 1993): exact for
+one regime. Merging before it, as `belief.gaussian.modal` does, costs less and is less exact.
 
 Many settings are evaluated at once: every array has them on its first axis.
 """
@@ -27,6 +29,7 @@ from bayesnet_track.belief.motion.noise import (
     noisy,
 )
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.gaussian import symmetric
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,51 +144,64 @@ def _filter(
 ) -> Floats:
     batch, count, size, _ = regimes.moves.shape
     width = points.shape[1]
+    measured, behind = np.arange(width), np.arange(width, size)
     mean = np.zeros((batch, count, size))
     mean[..., :width] = points[0]
     covariance = np.zeros((batch, count, size, size))
-    measured = np.arange(width)
     covariance[..., measured, measured] = errors[:, None]
-    behind = np.arange(width, size)
     covariance[..., behind, behind] = start_sds**2
     weights, total = regimes.begin, np.zeros(batch)
-    turned = regimes.moves.swapaxes(-1, -2)
+    moves, turned = regimes.moves[:, None], regimes.moves[:, None].swapaxes(-1, -2)
+    driven, errors = regimes.driven[:, None], errors[:, None, None]
     for t in range(1, len(points)):
-        entered = weights if count == 1 else None
-        if entered is None:
-            mean, covariance, entered = _mix(mean, covariance, weights, regimes.chains)
-        mean = (regimes.moves @ mean[..., None])[..., 0]
-        covariance = regimes.moves @ covariance @ turned + regimes.driven
-        covariance[..., measured, measured] += regimes.added[:, :, t - 1]
-        weights = entered
-        if not seen[t]:
-            continue
-        expected = covariance[..., :width, :width].copy()
-        expected[..., measured, measured] += errors[:, None]
-        innovation = points[t] - mean[..., :width]
-        across = covariance[..., :width]
-        gain = across @ np.linalg.inv(expected)
-        change = (gain @ innovation[..., None])[..., 0]
-        # R S^-1 e = e - H K e, so that d2 = e' S^-1 e needs no second solution.
-        d2 = (innovation * (innovation - change[..., :width]) / errors[:, None]).sum(axis=-1)
-        mean = mean + change
-        covariance = covariance - gain @ across.swapaxes(-1, -2)
-        log = -0.5 * (d2 + np.linalg.slogdet(expected)[1] + width * np.log(2 * np.pi))
-        top = log.max(axis=1)
-        shares = weights * np.exp(log - top[:, None])
-        summed = shares.sum(axis=1)
-        total = total + top + np.log(summed)
-        weights = shares / summed[:, None]
+        # Axes: hypothesis, regime before, regime now.
+        means = (moves @ mean[:, :, None, :, None])[..., 0]
+        spreads = moves @ covariance[:, :, None] @ turned + driven
+        spreads[..., measured, measured] += regimes.added[:, None, :, t - 1]
+        log = _log(regimes.chains * weights[:, :, None])
+        if seen[t]:
+            means, spreads, said = _update(means, spreads, points[t], errors)
+            log = log + said
+        top = log.max(axis=(1, 2))
+        total = total + top + np.log(np.exp(log - top[:, None, None]).sum(axis=(1, 2)))
+        weights, mean, covariance = _merge(means, spreads, log - top[:, None, None])
     return np.asarray(total)
 
 
-def _mix(mean: Floats, covariance: Floats, weights: Floats, chains: Floats) -> tuple[Floats, Floats, Floats]:
-    """Each regime's Gaussian before it moves: those that lead to it, moments matched."""
-    joint = chains * weights[:, :, None]
-    entered = joint.sum(axis=1)
-    shares = joint / np.maximum(entered, 1e-300)[:, None]
-    mixed = np.einsum("bij,bid->bjd", shares, mean)
-    away = mean[:, :, None] - mixed[:, None]
-    spread = np.einsum("bij,bide->bjde", shares, covariance)
-    spread += np.einsum("bij,bijd,bije->bjde", shares, away, away)
-    return mixed, spread, entered
+def _update(means: Floats, spreads: Floats, point: Floats, errors: Floats) -> tuple[Floats, Floats, Floats]:
+    """The Gaussians after a point (C,) was measured, and its log density under each."""
+    width = len(point)
+    measured = np.arange(width)
+    expected = spreads[..., :width, :width].copy()
+    expected[..., measured, measured] += errors
+    innovation = point - means[..., :width]
+    across = spreads[..., :width]
+    gain = across @ np.linalg.inv(expected)
+    change = (gain @ innovation[..., None])[..., 0]
+    # R S^-1 e = e - H K e, so that d2 = e' S^-1 e needs no second solution.
+    d2 = (innovation * (innovation - change[..., :width]) / errors).sum(axis=-1)
+    log = -0.5 * (d2 + np.linalg.slogdet(expected)[1] + width * np.log(2 * np.pi))
+    after = spreads - gain @ across.swapaxes(-1, -2)
+    # Without this, a rounding error in one half of the matrix alone would double in every frame.
+    return means + change, symmetric(after), log
+
+
+def _merge(means: Floats, spreads: Floats, log: Floats) -> tuple[Floats, Floats, Floats]:
+    """Weight and Gaussian of each regime now: those of all regimes before, moments matched."""
+    top = log.max(axis=1, keepdims=True)
+    own = np.exp(log - np.where(np.isfinite(top), top, 0.0))
+    summed = own.sum(axis=1)
+    weights = summed * np.exp(top[:, 0])
+    weights = weights / weights.sum(axis=1, keepdims=True)
+    if log.shape[1] == 1:
+        return weights, means[:, 0], spreads[:, 0]
+    own = np.where(summed[:, None] > 0, own / np.where(summed > 0, summed, 1.0)[:, None], 1.0 / log.shape[1])
+    mean = (own[..., None] * means).sum(axis=1)
+    away = means - mean[:, None]
+    covariance = (own[..., None, None] * (spreads + away[..., :, None] * away[..., None, :])).sum(axis=1)
+    return weights, mean, covariance
+
+
+def _log(values: Floats) -> Floats:
+    with np.errstate(divide="ignore"):
+        return np.log(values)

@@ -19,16 +19,17 @@ from bayesnet_track.evaluate.motion.parameters import (
     parameters_of,
     with_value,
 )
+from bayesnet_track.evaluate.motion.scales import bounds_of, places_of, starts_of, values_at
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats
 
 FEWEST_FRAMES = 20
 QUANTILE = 1.6448536269514722
 """A Gaussian lies within so many sds with a probability of 90 %."""
-REACH = 1000.0
-"""Estimates are sought within this factor of where the search begins."""
+SEARCHES = 2
+"""How many of the most likely starts are followed to the end."""
 LARGEST_SD = 1.0
-"""An estimate whose logarithm has a larger sd is not known: its 90 % interval spans a factor of 27."""
+"""An estimate is not known if its logarithm, or log odds, has a larger sd: 90 % span a factor of 27."""
 GRADIENT_STEP, CURVATURE_STEP = 1e-4, 1e-2
 ERRORS = (("error", "place"), ("error", "size"))
 """Where the sds of the boxes' own errors stand among the parameters; they are in no graph."""
@@ -44,7 +45,8 @@ class Estimate:
         low: lower end of the 90 % interval.
         high: upper end.
         before: the graph's own value; NaN for an error of the boxes.
-        is_known: whether the boxes tell it: its interval spans less than a factor of 27.
+        is_known: whether the boxes determine it: its interval, of a share that of its odds, spans less than a
+            factor of 27.
     """
 
     path: Path
@@ -77,7 +79,8 @@ def fit_motion(
 ) -> FittedMotion:
     """The noise of the root's motion, and how long its modes last, that explain `tracks` best.
 
-    Intervals are of the observed information: the evidence's curvature in the logarithms of the parameters.
+    Intervals are of the observed information: the evidence's curvature in the logarithms of the parameters,
+    and in the log odds of a share.
 
     Args:
         root: the node with the motion.
@@ -102,33 +105,34 @@ def fit_motion(
     fixed = None if error_sd is None else _given_errors(root, trimmed, error_sd)
 
     def evidence(places: Floats) -> Floats:
-        """(B,) at B places, rows of the parameters' logarithms."""
-        hypotheses = [
-            _hypothesis(root, dict(zip(paths, row, strict=True)), fixed) for row in np.exp(places).tolist()
-        ]
+        """(B,) at B places, each on the scales of the parameters."""
+        rows = values_at(paths, places).tolist()
+        hypotheses = [_hypothesis(root, dict(zip(paths, row, strict=True)), fixed) for row in rows]
         each = [log_evidence(track, hypotheses) for track in trimmed]
         return np.asarray(np.sum(each, axis=0))
 
-    low, high = _bounds(begin)
-    first = np.clip(np.log(list(begin.values())), low, high)
-    starts = np.clip(first + np.log([1.0, 0.3, 3.0, 0.1, 10.0])[:, None], low, high)
-    best = starts[int(np.argmax(evidence(starts)))]
-    found = minimize(
-        lambda place: _with_gradient(evidence, place),
-        best,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=list(zip(low, high, strict=True)),
-    ).x
+    starts = places_of(paths, starts_of(begin))
+    first = starts[0]
+    low, high = bounds_of(paths, first)
+    starts = np.clip(starts, low, high)
+    likeliest = np.argsort(-np.nan_to_num(evidence(starts), nan=-np.inf), kind="stable")[:SEARCHES]
+    ends = [
+        minimize(
+            lambda place: _with_gradient(evidence, place),
+            starts[number],
+            jac=True,
+            method="L-BFGS-B",
+            bounds=list(zip(low, high, strict=True)),
+        )
+        for number in likeliest
+    ]
+    found = min(ends, key=lambda end: float(end.fun)).x
     at_bound = (found - low < 1e-3) | (high - found < 1e-3)
     sds = _sds(_curvature(evidence, found), at_bound)
     errors = np.array([path in ERRORS for path in paths])
     before = evidence(np.where(errors, found, first)[None])[0]
     return FittedMotion(
-        tuple(
-            _estimate(path, place, sd, own.get(path, np.nan))
-            for path, place, sd in zip(paths, found, sds, strict=True)
-        ),
+        _estimates(paths, found, sds, own),
         float(evidence(found[None])[0]),
         float(before),
         frames,
@@ -189,19 +193,6 @@ def _any_motion(root: spec.InferenceNode) -> spec.Motion:
     return own[0] if root.modes is not None and len(own) == len(root.modes) else root.motion
 
 
-def _bounds(begin: Mapping[Path, float]) -> tuple[Floats, Floats]:
-    """Of the logarithms: durations at least a frame, tails wider than the rest and less than all of it."""
-    low, high = (np.log(list(begin.values())) + sign * np.log(REACH) for sign in (-1, 1))
-    for k, path in enumerate(begin):
-        if path[-1] == "mean_frames":
-            low[k] = 0.0
-        elif path[-1] == "factor":
-            low[k] = np.log(1.05)
-        elif path[-1] == "weight":
-            high[k] = np.log(0.95)
-    return low, high
-
-
 def _with_gradient(evidence: Callable[[Floats], Floats], place: Floats) -> tuple[float, Floats]:
     """Minus the log-evidence and its gradient, by central differences in one pass."""
     away = GRADIENT_STEP * np.eye(len(place))
@@ -228,7 +219,7 @@ def _curvature(evidence: Callable[[Floats], Floats], place: Floats) -> Floats:
 
 
 def _sds(curvature: Floats, at_bound: NDArray[np.bool_]) -> Floats:
-    """(P,) sds of the logarithms; inf where the evidence does not tell."""
+    """(P,) sds on the scales of the search; inf where the boxes do not determine the value."""
     sds, free = np.full(len(curvature), np.inf), np.flatnonzero(~at_bound)
     information = -curvature[np.ix_(free, free)]
     if len(free) and np.linalg.eigvalsh(information)[0] > 0:
@@ -236,7 +227,12 @@ def _sds(curvature: Floats, at_bound: NDArray[np.bool_]) -> Floats:
     return sds
 
 
-def _estimate(path: Path, place: float, sd: float, before: float) -> Estimate:
-    with np.errstate(over="ignore"):
-        low, high = np.exp(place - QUANTILE * sd), np.exp(place + QUANTILE * sd)
-    return Estimate(path, float(np.exp(place)), float(low), float(high), before, bool(sd <= LARGEST_SD))
+def _estimates(
+    paths: Sequence[Path], found: Floats, sds: Floats, own: Mapping[Path, float]
+) -> tuple[Estimate, ...]:
+    reach = QUANTILE * sds
+    values, low, high = (values_at(paths, place).tolist() for place in (found, found - reach, found + reach))
+    return tuple(
+        Estimate(path, values[k], low[k], high[k], own.get(path, np.nan), bool(sds[k] <= LARGEST_SD))
+        for k, path in enumerate(paths)
+    )
