@@ -477,9 +477,9 @@ GOLDEN = [
         "usual fit ≥ 0.4, the last of 3 frames; would have stayed missing at found_fit > 0.53",
     ),
     (
-        FoundAgain(50, "1", 0.82, 0.4, 0.25, 3, 0.53, 20, 31.4, 0.91, 0.674),
+        FoundAgain(50, "1", 0.82, 0.4, 0.25, 3, 0.53, 20, 31.4, 0.91, 0.55),
         "frame 50: target 1, missing since frame 20, recognised 31.4 px from where it was held: 0.82 of its "
-        "usual fit ≥ 0.4, the last of 3 frames, score 0.91 ≥ 0.674; would have stayed missing at "
+        "usual fit ≥ 0.4, the last of 3 frames, score 0.91 ≥ 0.55; would have stayed missing at "
         "found_fit > 0.53",
     ),
     (AlarmEnded(50, "1"), "frame 50: scores are high again → alarm for target 1 ends"),

@@ -54,9 +54,9 @@ def follow_fit(scored: Scored, rule: Lost, look: Look) -> tuple[Scored, float, F
 
     A target is missing after `frames` frames with a score below `score_below`, those left out in which
     nothing is seen at all. It is found when something fits at least `found_fit` of what was usual for
-    `frames` frames in a row, and the score of the last is that of a tracked target: `uncertain_below`. Both
-    ask for more away from where the target was held. What fits less well, something beside it or what hides
-    it, keeps the score at one half or below.
+    `frames` frames in a row, and the score of the last is that of a tracked target: `uncertain_below`. More
+    is asked for away from where the target was held, of the score from one box side on. What fits less well,
+    something beside it or what hides it, keeps the score at one half or below.
     """
     assert rule.found_fit is not None and rule.score_below is not None
     log_fit = max(math.log(look.fit), LEAST_LOG) if look.fit > 0.0 else LEAST_LOG
@@ -83,7 +83,8 @@ def follow_fit(scored: Scored, rule: Lost, look: Look) -> tuple[Scored, float, F
     if len(again) < rule.frames:
         return replace(scored, again=again), 1.0, None
     # Where the target was badly held its usual fit is poor, and a look-alike reaches it, but no high score.
-    score_level = (rule.uncertain_below or rule.score_below) ** strict
+    beyond = min(max(away - 1.0, 0.0), FAR_BOX)
+    score_level = (rule.uncertain_below or rule.score_below) ** (1.0 / (1.0 + beyond))
     if look.score < score_level:
         return replace(scored, again=again[1:]), 0.5, None
     found = FoundAgain(
