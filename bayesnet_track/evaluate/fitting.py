@@ -67,9 +67,9 @@ def fit(data: Sequence[CalibrationData], features: Sequence[str] = USUAL_FEATURE
     videos = by_video(data)
     hits = np.concatenate([one.iou > ON_TARGET for one in data])
     if not hits.any():
-        raise ValueError("no frame is on target (IoU above 0.5): nothing tells what that looks like")
+        raise ValueError("no frame is on target (IoU above 0.5); fitting needs some that are")
     if hits.all():
-        raise ValueError("every frame is on target (IoU above 0.5): nothing tells what losing it looks like")
+        raise ValueError("every frame is on target (IoU above 0.5); fitting also needs some that are not")
     weights = _weights(data, videos)
     table = {name: np.concatenate([one.features[name] for one in data]) for name in features}
     logistic = fit_logistic(table, hits, weights, SIGNS)

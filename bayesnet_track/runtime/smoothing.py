@@ -70,8 +70,8 @@ def smooth(run: Run, draws: int = 50, seed: int = 0, most_probable: bool = False
         most_probable: let the boxes be those of the most probable trajectory instead of the means.
 
     Raises:
-        SmoothingError: the run kept no beliefs, or has been smoothed; or nothing tells how its hypotheses
-            were drawn, which the most probable trajectory depends on.
+        SmoothingError: the run kept no beliefs, or has been smoothed; or the most probable trajectory is
+            asked for, and its particles were not all drawn from the motion.
         JournalError: beliefs.jsonl is damaged.
     """
     if run.started.smoothed:

@@ -197,7 +197,7 @@ CASES = [
     ),
     (
         ("--folder", "DATA", "--end", "6"),
-        "every frame is on target (IoU above 0.5): nothing tells what losing it looks like",
+        "every frame is on target (IoU above 0.5); fitting also needs some that are not",
     ),
     (
         ("--folder", "DATA", "--what", "score,sizes"),

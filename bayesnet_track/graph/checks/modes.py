@@ -73,7 +73,7 @@ def modes_differ(plate: Plate) -> Iterator[GraphMessage]:
             motion, hidden = one.motion or node.motion, one.hidden is not None
             same = [before for before, moved, was in seen if (moved, was) == (motion, hidden)]
             if same:
-                found = f"mode {mode!r} moves as {same[0]!r} does: nothing tells them apart"
+                found = f"mode {mode!r} cannot be distinguished from {same[0]!r}: they have the same motion"
                 allowed = "a motion of its own, or hidden"
                 yield plate.message(name, found, allowed, key=("modes", mode), on_key=True)
             seen.append((mode, motion, hidden))
