@@ -51,19 +51,26 @@ def die_with(held: int) -> None:
     On Linux it is SIGKILL, which ends a process that is stopped, too. Who reads a channel notices its end;
     who computes for long, hangs or is stopped would not.
     """
-    import fcntl
-
     os.set_inheritable(held, False)
     signal.signal(signal.SIGIO, signal.SIG_DFL)
-    fcntl.fcntl(held, fcntl.F_SETOWN, os.getpid())
+    if not end_with(os.getpid(), held):
+        os._exit(1)
+
+
+def end_with(process: int, held: int) -> bool:
+    """Let the kernel end a process that holds `held`, too, when the other end closes; whether that is open.
+
+    A process that was just forked may be stopped before it can ask for this itself.
+    """
+    import fcntl
+
+    fcntl.fcntl(held, fcntl.F_SETOWN, process)
     if hasattr(fcntl, "F_SETSIG"):
         with suppress(OSError):
             fcntl.fcntl(held, fcntl.F_SETSIG, signal.SIGKILL)
     flags = fcntl.fcntl(held, fcntl.F_GETFL)
     fcntl.fcntl(held, fcntl.F_SETFL, flags | os.O_ASYNC | os.O_NONBLOCK)
     try:
-        gone = os.read(held, 1) == b""
+        return os.read(held, 1) != b""
     except BlockingIOError:
-        gone = False
-    if gone:  # before the signal was asked for
-        os._exit(1)
+        return True

@@ -17,7 +17,7 @@ import pytest
 from bayesnet_track.cli.batch import places
 from bayesnet_track.cli.batch.jobs import Job, Video
 from bayesnet_track.runtime.executors.fork_server import ForkServer
-from bayesnet_track.sources.child import cut, python, tie
+from bayesnet_track.sources.child import cut, end_with, python, tie
 from bayesnet_track.sources.isolated import IsolatedReader
 from bayesnet_track.sources.sandbox import Limits
 
@@ -64,6 +64,24 @@ def test_a_child_has_the_path_of_its_parent_and_no_other(tmp_path):
     done = subprocess.run(python(TOLD), cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert json.loads(done.stdout) == sys.path
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere one that is stopped stays")
+def test_a_process_that_was_stopped_before_it_asked_is_tied_by_its_parent():
+    held, lifeline = tie()
+    with subprocess.Popen(["sleep", "60"], pass_fds=(held,)) as child:
+        child.send_signal(signal.SIGSTOP)
+        assert end_with(child.pid, held)
+        cut(held, lifeline)
+        assert child.wait(20) == -signal.SIGKILL
+
+
+@posix
+def test_it_is_known_that_the_other_end_was_closed_before():
+    held, lifeline = tie()
+    cut(lifeline)
+    assert not end_with(os.getpid(), held)
+    cut(held)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere one that is stopped stays")

@@ -20,7 +20,7 @@ from contextlib import suppress
 
 from bayesnet_track.runtime.executors.fork_server import END_S, NUMBER, READY, UNKNOWN, WORKER
 from bayesnet_track.runtime.executors.memory import limit_memory
-from bayesnet_track.sources.child import die_with
+from bayesnet_track.sources.child import die_with, end_with
 
 POLL_S = 0.002
 
@@ -60,6 +60,8 @@ def _fork_and_reap(control: socket.socket, children: set[int], frames: int, memo
                 control.close()
                 _work(files[0], files[1], frames, memory_mb)
             children.add(child)
+            if not end_with(child, files[1]):
+                os.kill(child, signal.SIGKILL)
             for file in files:
                 os.close(file)
             control.sendall(NUMBER.pack(child))
