@@ -37,8 +37,8 @@ from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.detection_files import FileDetector
-from bayesnet_track.sources.scenes.crowd_detector import DetectorSettings, detect_crowd
-from bayesnet_track.sources.scenes.walkers import Crowd, CrowdSettings, make_crowd
+from simulated.crowd_detector import DetectorSettings, detect_crowd
+from simulated.walkers import Crowd, CrowdSettings, make_crowd
 
 Floats = NDArray[np.float64]
 

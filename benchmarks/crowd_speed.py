@@ -39,8 +39,8 @@ from bayesnet_track.runtime.recording.record import Recorder
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.results import Result
 from bayesnet_track.sources.detection_files import FileDetector
-from bayesnet_track.sources.scenes.crowd_detector import DetectorSettings, detect_crowd
-from bayesnet_track.sources.scenes.walkers import CrowdSettings, make_crowd
+from simulated.crowd_detector import DetectorSettings, detect_crowd
+from simulated.walkers import CrowdSettings, make_crowd
 
 WARM_UP = 30
 PEERS = Path(__file__).with_name("crowd_speed_peers.py")

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.evaluate.detections import DetectionScore, score_detections, total
 from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.observation.detector import Detections, installed_detectors
 from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
-from bayesnet_track.sources.scenes.street import street
 from bayesnet_track.sources.sources import open_source
+from simulated.detection_score import DetectionScore, score_detections, total
+from simulated.street import street
 
 Floats = NDArray[np.float64]
 

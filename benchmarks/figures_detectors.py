@@ -20,10 +20,10 @@ from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.sources.scene_source import SceneSource
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.sources.scenes.scene import Scene
-from bayesnet_track.sources.scenes.street import street
 from bayesnet_track.vision.planes.shape_planes import EdgePlane
 from bayesnet_track.vision.shape.shape_examples import frame_example
 from bayesnet_track.vision.shape.shape_model import learn_model, save_model
+from simulated.street import street
 
 FIGURES = Path(__file__).parents[1] / "docs" / "figures"
 WHITE = "#ffffff"

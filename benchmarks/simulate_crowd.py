@@ -20,13 +20,13 @@ from pathlib import Path
 from typing import Any, get_args
 
 from bayesnet_track.runtime.recording.videowriter import VideoWriter
-from bayesnet_track.sources.scenes.crowd_detector import (
+from simulated.crowd_detector import (
     DetectorSettings,
     Merging,
     detect_crowd,
     detections_text,
 )
-from bayesnet_track.sources.scenes.walkers import CrowdSettings, make_crowd
+from simulated.walkers import CrowdSettings, make_crowd
 
 FRAME_S = 0.04
 

@@ -2,14 +2,14 @@
 
 from pathlib import Path
 
-from bayesnet_track.cli.graph_table import MEASURED, graph_page
 from bayesnet_track.graphs import graph_names
+from make_pages.graphs import MEASURED, graph_page
 
 PAGE = Path(__file__).parents[2] / "docs" / "graphs.md"
 
 
 def test_the_committed_page_is_the_generated_one():
-    again = "python -m bayesnet_track.cli.graph_table > docs/graphs.md"
+    again = "python docs/make_pages/graphs.py > docs/graphs.md"
     assert PAGE.read_text(encoding="utf-8") == graph_page(), f"write it again: {again}"
 
 

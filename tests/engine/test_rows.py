@@ -24,8 +24,8 @@ from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.checkpoints.state_codec import decode_state, encode_state
 from bayesnet_track.sources.detection_files import FileDetector
-from bayesnet_track.sources.scenes.crowd_detector import DetectorSettings, detect_crowd
-from bayesnet_track.sources.scenes.walkers import CrowdSettings, make_crowd
+from simulated.crowd_detector import DetectorSettings, detect_crowd
+from simulated.walkers import CrowdSettings, make_crowd
 
 IMAGE = np.zeros((480, 720, 3), np.uint8)
 FRAMES = 45

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from bayesnet_track.journal.codec import event_classes, event_name, type_hints
-from bayesnet_track.journal.document import document_events, parts_of
 from bayesnet_track.journal.net.causes import Cause, Concentration
+from make_pages.journal import document_events, parts_of
 
 KINDS = [*event_classes().values(), Cause, Concentration]
 COMMITTED = Path(__file__).parents[2] / "docs" / "journal.md"
@@ -29,5 +29,5 @@ def test_every_event_has_a_section():
 
 
 def test_the_committed_page_is_the_generated_one():
-    again = "python -m bayesnet_track.journal.document > docs/journal.md"
+    again = "python docs/make_pages/journal.py > docs/journal.md"
     assert COMMITTED.read_text(encoding="utf-8") == document_events(), f"write it again: {again}"

@@ -19,10 +19,10 @@ from bayesnet_track.journal.codec import (
     from_json,
     type_hints,
 )
-from bayesnet_track.journal.document import words_of
 from bayesnet_track.journal.encoder import key_of
 from bayesnet_track.journal.events.runs import JOURNAL_VERSION
 from bayesnet_track.journal.renamed import EVENTS, FIELDS
+from make_pages.journal import words_of
 
 FORMAT = Path(__file__).with_name("format_2.json")
 FORMAT_1 = Path(__file__).with_name("format_1.json")

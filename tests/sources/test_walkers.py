@@ -10,8 +10,8 @@ import pytest
 from bayesnet_track.evaluate.mot_files import read_mot_truth
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.sources.detection_files import parse_detections
-from bayesnet_track.sources.scenes.crowd_detector import DetectorSettings, detect_crowd, detections_text
-from bayesnet_track.sources.scenes.walkers import LEG, CrowdSettings, make_crowd
+from simulated.crowd_detector import DetectorSettings, detect_crowd, detections_text
+from simulated.walkers import LEG, CrowdSettings, make_crowd
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "simulate_crowd.py"
 LONG = CrowdSettings(frames=400, alone=8, births=0.1, life=120.0, crossings=5, beside=5)

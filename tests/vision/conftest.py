@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesnet_track.evaluate.detections import score_detections, total
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.detector import installed_detectors
 from bayesnet_track.observation.planes import Frame, FramePair
@@ -16,6 +15,7 @@ from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.vision.planes.shape_planes import EdgePlane
 from bayesnet_track.vision.shape.shape_examples import frame_example
 from bayesnet_track.vision.shape.shape_model import learn_model, save_model
+from simulated.detection_score import score_detections, total
 
 
 def made(name, **parameters):

@@ -177,14 +177,3 @@ REMEDIES: Mapping[str, Remedy] = MappingProxyType(
     }
 )
 """Name -> row, in the order in which they are tried."""
-
-
-def remedies_table() -> str:
-    """The rows as Markdown."""
-    rows = ["| you see | what shows it | key | value | what it does |", "|---|---|---|---|---|"]
-    rows += [_row(one) for one in REMEDIES.values()]
-    return "\n".join(rows)
-
-
-def _row(one: Remedy) -> str:
-    return f"| {one.symptom} | `{one.command}` | `{one.key}` | `{one.value}` | {one.why} |"

@@ -1,4 +1,7 @@
-"""The page of all installed graphs, made from their files: ``python -m bayesnet_track.cli.graph_table``."""
+"""The page of all installed graphs, made from their files.
+
+python docs/make_pages/graphs.py > docs/graphs.md
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,7 @@ NETWORK = ("siamese", "onnx")
 HEAD = """\
 # The installed graphs
 
-<!-- Made by python -m bayesnet_track.cli.graph_table; do not edit. -->
+<!-- Made by python docs/make_pages/graphs.py; do not edit. -->
 
 Each of these graphs can be named without a path, as in `bayesnet-track run general …`. Start with `general`
 for one target of unknown appearance, with `kalman_detections` if you have a detector's boxes, and with

@@ -12,7 +12,7 @@ from bayesnet_track.numerics.boxes import overlap
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.sources.detections import format_mot
-from bayesnet_track.sources.scenes.walkers import HEIGHTS_PX, WIDTH_SHARE, Crowd
+from simulated.walkers import HEIGHTS_PX, WIDTH_SHARE, Crowd
 
 Merging = Literal["none", "front", "hull"]
 

@@ -1,4 +1,7 @@
-"""The documentation of the journal's files, made from the docstrings of the event classes."""
+"""The documentation of the journal's files, made from the docstrings of the event classes.
+
+python docs/make_pages/journal.py > docs/journal.md
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,12 @@
-"""The language reference as Markdown, made from the specification, the checks and the installed cues."""
+"""The language reference as Markdown, made from the specification, the checks and the installed cues.
+
+python docs/make_pages/language.py > docs/language.md
+"""
 
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterator, Mapping
 from inspect import cleandoc
 from typing import Any, get_args, get_origin
@@ -31,7 +35,7 @@ from bayesnet_track.observation.cue import CueDeclaration, installed_cues
 
 _OPENING = f"""# The language, version {LANGUAGE_VERSION}
 
-<!-- Made by bayesnet_track.graph.text.reference; do not edit. -->
+<!-- Made by python docs/make_pages/language.py; do not edit. -->
 
 A graph is one YAML file. Names begin with a letter, followed by letters, digits and `_`. Units are part of
 the keys (`_px`, `_px2`, `_box`: relative to the box). A *choice* is written as one key with its settings,
@@ -195,3 +199,7 @@ def _checks() -> str:
         first = cleandoc(check.__doc__ or "").split("\n\n")[0].replace("\n", " ")
         lines.append(f"- {first}")
     return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(language_reference())

@@ -1,0 +1,1 @@
+"""What writes pages of the docs from the code."""
