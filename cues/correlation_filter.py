@@ -173,7 +173,7 @@ class CorrelationFilter:
 
         With `angles` (N,), in degrees, those of the filter turned by as much.
         """
-        from bayesnet_track.vision.correlation import answers, scaled_spectra, spectra
+        from bayesnet_track.vision.correlation import halves, scaled_answers, tile_spectra
         from bayesnet_track.vision.kernels.correlation_kernels import read_answers
         from bayesnet_track.vision.planes.correlation_patches import patch_at, turned_features
 
@@ -184,13 +184,12 @@ class CorrelationFilter:
         tile_of = tiles @ [1.0, 2.0**20]  # one number is sorted faster than two
         log_scale = 0.5 * np.log(boxes[:, 2] * boxes[:, 3] / (size[0] * size[1]))
         turns = {0: np.ones(len(boxes))} if angles is None else _turns_of(angles)
-        kernels: dict[int, NDArray[np.float32]] = {0: kernel}
-        filters: dict[tuple[int, int], list[NDArray[np.float32]]] = {}
+        parts = {0: halves(kernel)}
         for tile in np.unique(tile_of[asked]):
             which = np.flatnonzero(asked & (tile_of == tile))
             x, y = reference["place"] + tiles[which[0]] * (REACH - 4) * cell
             patch = patch_at(image, float(x), float(y), cell, around)
-            seen = spectra(patch.features)
+            seen = tile_spectra(patch.features, cells)
             levels = np.clip((log_scale + np.log(cell / patch.cell)) / SCALE_STEP, -LEVELS, LEVELS)
             columns = (boxes[:, 0] - patch.x) / patch.cell + 0.5 * REACH
             rows = (boxes[:, 1] - patch.y) / patch.cell + 0.5 * REACH
@@ -198,15 +197,13 @@ class CorrelationFilter:
                 some = which[share[which] > 0.0]
                 if not len(some):
                     continue
+                if turn not in parts:
+                    parts[turn] = halves(turned_features(kernel, TURN_STEP * turn))
                 lowest = int(np.floor(levels[some].min()))
-                maps = []
-                for level in range(lowest, int(np.ceil(levels[some].max())) + 1):
-                    if turn not in kernels:
-                        kernels[turn] = turned_features(kernel, TURN_STEP * turn)
-                    if (turn, level) not in filters:
-                        scale = float(np.exp(SCALE_STEP * level))
-                        filters[turn, level] = scaled_spectra(kernels[turn], scale, around)
-                    maps.append(answers(seen, filters[turn, level], cells))
+                maps = [
+                    scaled_answers(seen, parts[turn], cells, float(np.exp(SCALE_STEP * level)))
+                    for level in range(lowest, int(np.ceil(levels[some].max())) + 1)
+                ]
                 read = np.zeros(len(boxes))
                 read_answers(np.array(maps), lowest, columns, rows, levels, some, read)
                 values[some] += share[some] * read[some]

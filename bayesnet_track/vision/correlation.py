@@ -58,37 +58,107 @@ def solve(numerator: Spectra, denominator: Floats, ridge: float) -> Singles:
     return np.fft.irfft2(quotient, s=(side, side)).astype(np.float32)
 
 
-def spectra(patch: Singles) -> list[Singles]:
-    """The Fourier transform of each channel (F, F), packed as OpenCV does.
+def tile_spectra(patch: Singles, side: int) -> Singles:
+    """(H, C, 4, H) the Fourier transform of (C, F, F), H = F / 2 + 1, for filters of `side` cells.
 
-    An array each: small ones are memory that was just in use, one large one is new from the system each time.
+    Phases are counted from the middle of a filter in the first cells, as `scaled_answers` wants them; parts
+    are laid out as `centre_spectrum` says.
     """
     import cv2
 
-    return [np.asarray(cv2.dft(one), np.float32) for one in patch]
+    from bayesnet_track.vision.kernels.correlation_kernels import centre_spectrum
+
+    channels, around = patch.shape[:2]
+    rows, turns = around // 2 + 1, _turns(side, around)
+    seen = np.empty((rows, channels, 4, rows), np.float32)
+    for channel, one in enumerate(patch):
+        centre_spectrum(np.asarray(cv2.dft(one), np.float32), channel, turns, seen)
+    return seen
 
 
-def scaled_spectra(kernel: Singles, scale: float, around: int) -> list[Singles]:
-    """`spectra` of a filter (C, S, S) enlarged by `scale`, in a square of `around` cells."""
-    from bayesnet_track.vision.kernels.correlation_kernels import resized_filter
+def halves(kernel: Singles) -> Singles:
+    """(2, Q, C, 2, Q) even and odd part of a filter (C, S, S) by row and by column about its middle.
 
-    grown = np.empty((len(kernel), around, around), np.float32)
-    resized_filter(kernel, scale, grown)
-    return spectra(grown)
+    Each holds the first S / 2 cells, and zeros up to Q, the next multiple of 4.
+    """
+    channels, side = kernel.shape[:2]
+    half = side // 2
+    parts = np.zeros((2, _quarter(side), channels, 2, _quarter(side)), np.float32)
+    above, below = kernel[:, :half], kernel[:, : half - 1 : -1]
+    for p, rows in enumerate((above + below, above - below)):
+        left, right = rows[:, :, :half], rows[:, :, : half - 1 : -1]
+        parts[p, :half, :, 0, :half] = np.moveaxis(left + right, 0, 1)
+        parts[p, :half, :, 1, :half] = np.moveaxis(left - right, 0, 1)
+    return parts
 
 
-def answers(patch: list[Singles], kernel: list[Singles], side: int) -> Singles:
-    """(V, V) answers of a filter of `side` cells to a patch of F, both as spectra; V = F - side + 1.
+def scaled_answers(seen: Singles, parts: Singles, side: int, scale: float) -> Singles:
+    """(V, V) answers of a filter of `side` cells, enlarged by `scale`, to a patch of F; V = F - side + 1.
 
-    The answer at [j, i] is that to the target's middle at column i and row j + (side - 1) / 2 of the cells.
+    The patch is given by its `tile_spectra`, the filter by its `halves`. The answer at [j, i] is that to the
+    target's middle at column i and row j + (side - 1) / 2 of the cells.
+
+    Resizing and transforming a filter are both linear and both symmetric about its middle. Thus they are one
+    product of small matrices by row and by column (`waves`), and no image is resized or transformed.
     """
     import cv2
 
-    from bayesnet_track.vision.kernels.correlation_kernels import add_product
+    from bayesnet_track.vision.kernels.correlation_kernels import scaled_product
 
-    total = np.zeros_like(patch[0])
-    for one, other in zip(patch, kernel, strict=True):
-        add_product(one, other, total)
-    valid = len(total) - side + 1
+    around = 2 * len(seen) - 2
+    total = np.empty((around, around), np.float32)
+    scaled_product(seen, parts, waves(side, around, scale), total)
     back = cv2.dft(total, flags=cv2.DFT_INVERSE | cv2.DFT_SCALE)
-    return np.asarray(back[:valid, :valid], np.float32)
+    return np.asarray(back[: around - side + 1, : around - side + 1], np.float32)
+
+
+@lru_cache(maxsize=128)
+def waves(side: int, around: int, scale: float) -> Singles:
+    """(2, Q, H) what a cell of the even (0) and odd (1) part adds to the cosine and sine of each frequency.
+
+    The filter of `side` cells is enlarged about its middle, bicubic, into a square of `around` cells with
+    nothing beyond its own; divided by the scale by row and by column, so that a smooth filter's sum stays.
+    """
+    middle, cells = 0.5 * (side - 1), np.arange(side)
+    resize = _resizing(side, scale)
+    angles = 2.0 * np.pi / around * np.outer(np.arange(around // 2 + 1), cells - middle)
+    half = side // 2
+    added = np.zeros((2, _quarter(side), around // 2 + 1), np.float32)
+    added[0, :half] = (np.cos(angles) @ resize)[:, :half].T
+    added[1, :half] = (np.sin(angles) @ resize)[:, :half].T
+    added.setflags(write=False)  # shared by all who ask for it
+    return added
+
+
+def _resizing(side: int, scale: float) -> Floats:
+    """(side, side) weights of the source's cells in each cell enlarged: Catmull and Rom's cubic."""
+    middle, cells = 0.5 * (side - 1), np.arange(side)
+    place = (cells - middle) / scale + middle
+    below = np.floor(place).astype(np.int64)
+    t = place - below
+    taps = (
+        ((-0.5 * t + 1.0) * t - 0.5) * t,
+        (1.5 * t - 2.5) * t * t + 1.0,
+        ((-1.5 * t + 2.0) * t + 0.5) * t,
+        (0.5 * t - 0.5) * t * t,
+    )
+    weights = np.zeros((side, side + 4))  # two more on either side, which are nothing
+    for a, tap in enumerate(taps):
+        source = np.clip(below - 1 + a, -2, side + 1)
+        weights[cells, source + 2] += tap / scale
+    return weights[:, 2:-2]
+
+
+@lru_cache(maxsize=8)
+def _turns(side: int, around: int) -> Singles:
+    """(H, 2, 2, H) cosine and sine by which frequencies (j, k) and (-j, k) turn about the filter's middle."""
+    steps = np.arange(around // 2 + 1)
+    angles = np.pi * (side - 1) / around * np.stack([np.add.outer(steps, steps), steps - steps[:, None]], 1)
+    turns = np.stack([np.cos(angles), np.sin(angles)], 2).astype(np.float32)
+    turns.setflags(write=False)
+    return turns
+
+
+def _quarter(side: int) -> int:
+    """Cells of a half, up to the next multiple of 4."""
+    return -(-side // 8) * 4

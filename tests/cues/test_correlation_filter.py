@@ -15,13 +15,13 @@ from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Planes, Region
 from bayesnet_track.runtime.tracker import Tracker
 from bayesnet_track.vision.correlation import (
-    answers,
     equations,
     gaussian_label,
+    halves,
     hann,
-    scaled_spectra,
+    scaled_answers,
     solve,
-    spectra,
+    tile_spectra,
 )
 from bayesnet_track.vision.planes.correlation_patches import CHANNELS, patch_at, turned_features
 
@@ -82,7 +82,7 @@ def test_answers_are_sums_of_products() -> None:
     rng = np.random.default_rng(3)
     patch = rng.normal(size=(4, 30, 30)).astype(np.float32)
     kernel = rng.normal(size=(4, 10, 10)).astype(np.float32)
-    found = answers(spectra(patch), scaled_spectra(kernel, 1.0, 30), 10)
+    found = scaled_answers(tile_spectra(patch, 10), halves(kernel), 10, 1.0)
     plain = [[np.sum(kernel * patch[:, j : j + 10, i : i + 10]) for i in range(21)] for j in range(21)]
     np.testing.assert_allclose(found, plain, atol=1e-3)  # 400 products of order 1 in float32
 

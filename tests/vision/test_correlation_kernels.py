@@ -6,29 +6,43 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.vision.kernels.correlation_kernels import add_product, read_answers, resized_filter
+from bayesnet_track.vision.correlation import halves, scaled_answers, tile_spectra, waves
+from bayesnet_track.vision.kernels.correlation_kernels import read_answers, scaled_product
 
 
-def test_scale_1_keeps_the_filter() -> None:
-    source = np.random.default_rng(1).normal(size=(3, 10, 10)).astype(np.float32)
-    target = np.empty((3, 18, 18), np.float32)
-    resized_filter(source, 1.0, target)
-    np.testing.assert_allclose(target[:, :10, :10], source, atol=1e-6)  # float32 of some units
-    assert not target[:, 10:].any() and not target[:, :, 10:].any()
+@pytest.mark.parametrize(("side", "around"), [(8, 24), (10, 30), (24, 64)])
+def test_a_product_at_scale_1_is_that_of_plain_spectra(side: int, around: int) -> None:
+    """Packed as OpenCV has it, for sides of the filter that are and are not multiples of 8."""
+    rng = np.random.default_rng(side)
+    patch = rng.normal(size=(3, around, around)).astype(np.float32)
+    kernel = rng.normal(size=(3, side, side)).astype(np.float32)
+    placed = np.zeros_like(patch)
+    placed[:, :side, :side] = kernel
+    expected = sum(
+        cv2.mulSpectrums(cv2.dft(one), cv2.dft(other), 0, conjB=True)
+        for one, other in zip(patch, placed, strict=True)
+    )
+    total = np.full((around, around), np.nan, np.float32)
+    scaled_product(tile_spectra(patch, side), halves(kernel), waves(side, around, 1.0), total)
+    scale = float(np.abs(expected).max())
+    np.testing.assert_allclose(total, expected, atol=2e-6 * scale)  # float32
 
 
 @pytest.mark.parametrize("scale", [0.8, 1.1, 1.3])
 def test_a_resized_bump_stays_in_the_middle_keeps_its_sum_and_grows(scale: float) -> None:
+    """The answers to a single cell that is not nothing are the filter, mirrored."""
     place = np.arange(24) - 11.5
     line = np.exp(-0.5 * (place / 2.5) ** 2)
-    target = np.empty((1, 40, 40), np.float32)
-    resized_filter(np.outer(line, line)[None].astype(np.float32), scale, target)
-    total = target.sum()
+    dot = np.zeros((1, 64, 64), np.float32)
+    dot[0, 32, 32] = 1.0
+    bump = halves(np.outer(line, line)[None].astype(np.float32))
+    found = scaled_answers(tile_spectra(dot, 24), bump, 24, scale)[9:33, 9:33]
+    total = found.sum()
     # linear interpolation between cells of a bump of 2.5 cells adds at most 1 / (8 * 2.5^2) = 2 % of its peak
     assert total == pytest.approx(line.sum() ** 2, rel=0.02)
-    profile = target[0, :24, :24].sum(axis=0) / total
-    assert profile @ place == pytest.approx(0.0, abs=1e-3)
-    assert np.sqrt(profile @ place**2) == pytest.approx(2.5 * scale, rel=0.03)
+    for profile in (found.sum(axis=0) / total, found.sum(axis=1) / total):
+        assert profile @ place == pytest.approx(0.0, abs=1e-3)
+        assert np.sqrt(profile @ place**2) == pytest.approx(2.5 * scale, rel=0.03)
 
 
 def test_answers_are_exact_for_quadratics_between_cells_and_lines_between_levels() -> None:
@@ -54,13 +68,3 @@ def test_places_beyond_the_map_read_its_rim() -> None:
     read = np.empty(4)
     read_answers(maps, 0, x, np.full(4, 4.0), np.zeros(4), np.arange(4), read)
     assert read[0] == read[1] and read[2] == read[3] == maps[0, 4, 6]
-
-
-@pytest.mark.parametrize("side", [4, 24, 64])
-def test_a_product_of_spectra_is_that_of_opencv_to_the_bit(side: int) -> None:
-    rng = np.random.default_rng(side)
-    one, other, total = (rng.normal(size=(side, side)).astype(np.float32) for _ in range(3))
-    one, other = cv2.dft(one), cv2.dft(other)
-    expected = total + cv2.mulSpectrums(one, other, 0, conjB=True)
-    add_product(one, other, total)
-    np.testing.assert_array_equal(total, expected)

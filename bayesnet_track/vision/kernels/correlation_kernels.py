@@ -1,11 +1,11 @@
-"""Compiled kernels of the correlation filter: resized filters, and answers read at hypotheses."""
+"""Compiled kernels of the correlation filter: products of spectra, and answers read at hypotheses."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats, Ints, Singles
-from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.numerics.compiled import compiled, compiled_summing
 
 
 @compiled
@@ -17,41 +17,115 @@ def cubic_weights(t: float, weights: Floats) -> None:
     weights[3] = (0.5 * t - 0.5) * t * t
 
 
-@compiled
-def resized_filter(source: Singles, scale: float, target: Singles) -> None:
-    """Fill `target` (C, F, F) with `source` (C, S, S) enlarged by `scale` about its middle, zeros elsewhere.
+@compiled_summing
+def centre_spectrum(packed: Singles, channel: int, turns: Singles, seen: Singles) -> None:
+    """Write the spectrum of one channel, each frequency turned by its phase, into `seen` (H, C, 4, H).
 
-    The first S rows and columns hold it; what no longer fits is cut off. Bicubic; divided by the square of
-    the scale, so that a smooth filter's sum stays.
+    Args:
+        packed: (F, F) as OpenCV packs spectra of real images, F even, H = F / 2 + 1: pairs of real and
+            imaginary part lie along a row, in the first and in the last column along the column.
+        channel: which of C.
+        turns: (H, 2, 2, H) cosine and sine of each phase, for vertical frequencies upward and downward.
+        seen: [row, channel]: real and imaginary parts at the vertical frequency `row`, then at -`row`.
     """
-    channels, side = source.shape[0], source.shape[1]
-    middle = 0.5 * (side - 1)
-    first, weights = np.empty(side, np.int64), np.zeros((side, 4), np.float32)
-    exact = np.empty(4)
-    for i in range(side):
-        place = (i - middle) / scale + middle
-        below = int(np.floor(place))
-        cubic_weights(place - below, exact)
-        first[i] = min(max(below - 1, 0), side - 4)
-        for a in range(4):  # beyond the source there is nothing
-            tap = below - 1 + a - first[i]
-            if 0 <= tap < 4:
-                weights[i, tap] = exact[a] / scale
-    lines = np.empty((side, side), np.float32)
-    target[:] = 0.0
-    for c in range(channels):
-        for j in range(side):
-            at, w = first[j], weights[j]
-            a, b, d, e = source[c, at], source[c, at + 1], source[c, at + 2], source[c, at + 3]
-            for i in range(side):
-                lines[j, i] = w[0] * a[i] + w[1] * b[i] + w[2] * d[i] + w[3] * e[i]
-        for j in range(side):
-            line = lines[j]
-            for i in range(side):
-                at, w = first[i], weights[i]
-                target[c, j, i] = (
-                    w[0] * line[at] + w[1] * line[at + 1] + w[2] * line[at + 2] + w[3] * line[at + 3]
-                )
+    side = packed.shape[0]
+    last = side // 2
+    for j in range(last + 1):
+        for sign in range(2):
+            line = packed[j if sign == 0 or j == 0 else side - j]
+            cosine, sine = turns[j, sign, 0], turns[j, sign, 1]
+            real, imaginary = seen[j, channel, 2 * sign], seen[j, channel, 2 * sign + 1]
+            for k in range(1, last):
+                real[k] = line[2 * k - 1] * cosine[k] - line[2 * k] * sine[k]
+            for k in range(1, last):
+                imaginary[k] = line[2 * k - 1] * sine[k] + line[2 * k] * cosine[k]
+            for k in (0, last):
+                column, other = min(2 * k, side - 1), np.float32(0.0)
+                one = packed[min(max(2 * j - 1, 0), side - 1), column]
+                if 0 < j < last:
+                    other = packed[2 * j, column] if sign == 0 else -packed[2 * j, column]
+                real[k] = one * cosine[k] - other * sine[k]
+                imaginary[k] = one * sine[k] + other * cosine[k]
+
+
+@compiled_summing
+def weigh_rows(halves: Singles, waves: Singles, lines: Singles) -> None:
+    """Fill `lines` (2, Q, C, 2, H) with the horizontal transform of `halves` (2, Q, C, 2, Q) by `waves`.
+
+    Four cells at once, so that sums stay in registers: Q is a multiple of 4.
+    """
+    quarter, channels = halves.shape[1], halves.shape[2]
+    for p in range(2):
+        for j in range(quarter):
+            for c in range(channels):
+                for q in range(2):
+                    line, cells = lines[p, j, c, q], halves[p, j, c, q]
+                    line[:] = np.float32(0.0)
+                    for i in range(0, quarter, 4):
+                        a, b, d, e = cells[i], cells[i + 1], cells[i + 2], cells[i + 3]
+                        w0, w1, w2, w3 = waves[q, i], waves[q, i + 1], waves[q, i + 2], waves[q, i + 3]
+                        for k in range(len(line)):
+                            line[k] += a * w0[k] + b * w1[k] + d * w2[k] + e * w3[k]
+
+
+@compiled_summing
+def pack_row(sums: Singles, j: int, total: Singles) -> None:
+    """Put the sums (4, H) of the vertical frequencies `j` and -`j` where OpenCV packs them in `total`."""
+    side = total.shape[0]
+    last = side // 2
+    for k in range(1, last):
+        total[j, 2 * k - 1] = sums[0, k]
+        total[j, 2 * k] = sums[1, k]
+    if 0 < j < last:
+        for k in range(1, last):
+            total[side - j, 2 * k - 1] = sums[2, k]
+            total[side - j, 2 * k] = sums[3, k]
+    for k in (0, last):
+        column = min(2 * k, side - 1)
+        total[min(max(2 * j - 1, 0), side - 1), column] = sums[0, k]
+        if 0 < j < last:
+            total[2 * j, column] = sums[1, k]
+
+
+@compiled_summing
+def scaled_product(seen: Singles, halves: Singles, waves: Singles, total: Singles) -> None:
+    """Fill `total` (F, F), packed, with the sum over channels of a patch times a conjugate filter.
+
+    Args:
+        seen: (H, C, 4, H) spectra of the patch by `centre_spectrum`.
+        halves: (2, Q, C, 2, Q) even and odd part of the filter by row and column, Q a multiple of 4.
+        waves: (2, Q, H) what each cell of the even and odd part adds to the cosine and sine of a frequency.
+        total: (F, F), F = 2 H - 2.
+    """
+    rows, channels = seen.shape[0], seen.shape[1]
+    quarter = halves.shape[1]
+    lines = np.empty((2, quarter, channels, 2, rows), np.float32)
+    weigh_rows(halves, waves, lines)
+    flat = lines.reshape(2, quarter, channels * 2 * rows)
+    own = np.empty((2, channels, 2, rows), np.float32)
+    own_flat, sums = own.reshape(2, channels * 2 * rows), np.empty((4, rows), np.float32)
+    for j in range(rows):
+        for p in range(2):
+            line = own_flat[p]
+            line[:] = np.float32(0.0)
+            for i in range(0, quarter, 4):
+                a, b, d, e = waves[p, i, j], waves[p, i + 1, j], waves[p, i + 2, j], waves[p, i + 3, j]
+                f0, f1, f2, f3 = flat[p, i], flat[p, i + 1], flat[p, i + 2], flat[p, i + 3]
+                for k in range(len(line)):
+                    line[k] += a * f0[k] + b * f1[k] + d * f2[k] + e * f3[k]
+        sums[:] = np.float32(0.0)
+        for c in range(channels):
+            even, across = own[0, c, 0], own[0, c, 1]
+            down, both = own[1, c, 0], own[1, c, 1]
+            patch = seen[j, c]
+            for k in range(rows):
+                real, imaginary = even[k] - both[k], -down[k] - across[k]
+                sums[0, k] += patch[0, k] * real + patch[1, k] * imaginary
+                sums[1, k] += patch[1, k] * real - patch[0, k] * imaginary
+                real, imaginary = even[k] + both[k], down[k] - across[k]
+                sums[2, k] += patch[2, k] * real + patch[3, k] * imaginary
+                sums[3, k] += patch[3, k] * real - patch[2, k] * imaginary
+        pack_row(sums, j, total)
 
 
 @compiled
@@ -87,31 +161,3 @@ def read_answers(
                     line += across[a] * one[j + b - 1, i + a - 1]
                 total += weight * down[b] * line
         answers[n] = total
-
-
-@compiled
-def add_product(one: Singles, other: Singles, total: Singles) -> None:
-    """Add the product of the spectra `one` and conj(`other`) to `total`, each (F, F) with even F.
-
-    Packed as OpenCV packs spectra of real images: pairs of real and imaginary part lie along a row, in the
-    first and in the last column along the column. Products are taken in double precision, as OpenCV does.
-    """
-    side = one.shape[0]
-    pairs = side // 2 - 1
-    for j in range(side):
-        a, b, sums = one[j], other[j], total[j]
-        for k in range(pairs):
-            i = 2 * k + 1
-            a_re, a_im = np.float64(a[i]), np.float64(a[i + 1])
-            b_re, b_im = np.float64(b[i]), np.float64(b[i + 1])
-            sums[i] += np.float32(a_re * b_re + a_im * b_im)
-            sums[i + 1] += np.float32(a_im * b_re - a_re * b_im)
-    for i in (0, side - 1):
-        for j in (0, side - 1):
-            total[j, i] += one[j, i] * other[j, i]
-        for k in range(pairs):
-            j = 2 * k + 1
-            a_re, a_im = np.float64(one[j, i]), np.float64(one[j + 1, i])
-            b_re, b_im = np.float64(other[j, i]), np.float64(other[j + 1, i])
-            total[j, i] += np.float32(a_re * b_re + a_im * b_im)
-            total[j + 1, i] += np.float32(a_im * b_re - a_re * b_im)
