@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from bayesnet_track.numerics.arrays import Ints
-from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
+from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, relax_all, sharpen
 from bayesnet_track.observation.cue import (
     Cue,
     CueDeclaration,
@@ -160,20 +160,17 @@ class ColorHistogram:
         shares, alphas = self._learn_each(planes, boxes)
         old = np.array([one["shares"] for one in references])
         old_alphas = np.array([float(one["alpha"]) for one in references])
-        shares = rates[:, None] * shares + (1.0 - rates)[:, None] * old
-        alphas = rates * alphas + (1.0 - rates) * old_alphas
-        followed: list[Reference] = []
-        for t, (one, rate) in enumerate(zip(references, rates.tolist(), strict=True)):
-            new = {"size": boxes[t, 2:].copy(), SHARPER: np.array(1.0)}
-            followed.append(
-                {
-                    "shares": shares[t],
-                    "alpha": alphas[t : t + 1].reshape(()),
-                    "size": blend_sizes(one, new, rate),
-                    **relax(one, new, rate),
-                }
-            )
-        return followed
+        factors, known = np.array([factor_of(one) for one in references]), np.ones(len(references))
+        sizes = {"size": np.array([one["size"] for one in references])}
+        columns = {
+            "shares": rates[:, None] * shares + (1.0 - rates)[:, None] * old,
+            "alpha": rates * alphas + (1.0 - rates) * old_alphas,
+            "size": blend_sizes(sizes, {"size": boxes[:, 2:]}, np.repeat(rates, 2).reshape(-1, 2)),
+            SHARPER: relax_all(factors, known, rates),
+        }
+        for array in columns.values():
+            array.setflags(write=False)
+        return [{name: array[t, ...] for name, array in columns.items()} for t in range(len(boxes))]
 
     def _learn_each(self, planes: Sequence[Planes], boxes: Floats) -> tuple[Floats, Floats]:
         """(T, bins + 1) shares and (T,) alphas of targets in the centre boxes (T, 4), as `learn` has them."""
@@ -192,13 +189,11 @@ class ColorHistogram:
         distances, outside = color_distances_of_each(
             counts, visible, nominal, starts, shares, self.parameters.achromatic_distance
         )
-        alphas = np.empty(count)
-        for t, (near, beyond) in enumerate(
-            zip(distances.reshape(-1, 5)[:, 1:], outside.reshape(-1, 5)[:, 1:], strict=True)
-        ):
-            inside = beyond == 0
-            alphas[t] = 0.5 * float(near[inside if inside.any() else slice(None)].mean())
-        return shares, np.maximum(alphas, self.parameters.alpha_min)
+        near, inside = distances.reshape(-1, 5)[:, 1:], outside.reshape(-1, 5)[:, 1:] == 0
+        means = near.mean(axis=1)
+        for t in np.flatnonzero(inside.any(axis=1) & ~inside.all(axis=1)).tolist():
+            means[t] = near[t, inside[t]].mean()
+        return shares, np.maximum(0.5 * means, self.parameters.alpha_min)
 
     def _count_of_each(
         self, planes: Sequence[Planes], boxes: Floats, starts: Ints

@@ -166,9 +166,11 @@ def learning_rates(work: FrameWork, filtered: Filtered, measured: Measured, deci
     rule = compiled.plate.inference(compiled.plate.root).learn
     ud_px2 = measures.ud_px2[compiled.plate.root]
     rate = learning_rate(rule, ud_px2, measures.area_px2, decided.quiet_px2)
-    at_parts = part_rates(rule, measures.parts, partial(quiet_level, compiled.plate, net, decided.memory))
     seen = max(1.0 - 2.0 * filtered.hidden, 0.0)
-    rate, at_parts = rate * seen, {part: own * seen for part, own in at_parts.items()}
+    rate, at_parts = rate * seen, dict[str, float]()
+    if measures.parts:
+        quiet_of = partial(quiet_level, compiled.plate, net, decided.memory)
+        at_parts = {part: own * seen for part, own in part_rates(rule, measures.parts, quiet_of).items()}
     held = net.status == "tracking" or (net.status == "uncertain" and measured.scored.doubt > 0)
     held = held and measured.scored.missing is None
     every = min(work.net.targets[filtered.target].sampled.values(), default=1)

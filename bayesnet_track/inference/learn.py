@@ -227,9 +227,11 @@ def _failure(error: BaseException) -> str | Missing:
 
 def check_references(references: Sequence[Reference]) -> list[Reference] | None:
     """What a cue learnt of several targets, each array for reading only; None where one is not finite."""
-    checked = [_check(one) for one in references]
-    usable = [one for one in checked if not isinstance(one, str)]
-    return usable if len(usable) == len(checked) else None
+    arrays = [np.asarray(values) for one in references for values in one.values()]
+    floating = [array.ravel() for array in arrays if array.dtype.kind in "fc"]
+    if floating and not np.isfinite(np.concatenate(floating)).all():
+        return None
+    return [seal(one) for one in references]
 
 
 def _check(reference: Reference) -> Reference | str:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bayesnet_track.numerics.arrays import Array
+from bayesnet_track.numerics.arrays import Array, Floats
 
 SHARPER = "sharper"
 """Name, in a reference, of the factor () on the cue's width or exponent; 1 as learnt."""
@@ -56,5 +56,10 @@ def relax(old: Mapping[str, Array], new: Mapping[str, Array], rate: float) -> di
     >>> [round(factor_of(relax(old, new, rate)), 4) for rate in (0.0, 0.02, 0.3)]
     [0.5, 0.51, 0.525]
     """
-    share = min(rate, MOST_BACK)
-    return {SHARPER: np.asarray((1.0 - share) * factor_of(old) + share * factor_of(new))}
+    return {SHARPER: relax_all(np.asarray(factor_of(old)), np.asarray(factor_of(new)), np.asarray(rate))}
+
+
+def relax_all(old: Floats, new: Floats, rates: Floats) -> Floats:
+    """Factors moved from `old` toward `new` in the same way, those of several targets at once."""
+    shares = np.minimum(rates, MOST_BACK)
+    return np.asarray((1.0 - shares) * old + shares * new)

@@ -71,6 +71,6 @@ def blend_arrays(old: Reference, new: Reference, rate: float) -> dict[str, NDArr
     return {name: np.asarray(rate * new[name] + (1.0 - rate) * old[name]) for name in old}
 
 
-def blend_sizes(old: Reference, new: Reference, rate: float) -> Floats:
+def blend_sizes(old: Reference, new: Reference, rate: float | Floats) -> Floats:
     """The array ``size`` of two references blended in its logarithm: half and twice are equally far."""
     return np.asarray(old["size"] * (new["size"] / old["size"]) ** rate)

@@ -29,12 +29,14 @@ def planes_of_each(
     low, high = np.minimum.reduceat(boxes[:, :2] - reach, firsts), boxes[:, :2] + reach
     low = np.floor(np.clip(low + 0.5, -FARTHEST, FARTHEST))
     high = np.ceil(np.clip(np.maximum.reduceat(high, firsts) + 0.5, -FARTHEST, FARTHEST))
-    regions = [Region(*corners).within(frame) for corners in np.hstack([low, high]).astype(np.int64).tolist()]
+    edges = np.hstack([low, high]).astype(np.int64)
+    corners = np.clip(edges, 0, [frame.width, frame.height, frame.width, frame.height])
+    areas = np.clip(corners[:, 2:] - corners[:, :2], 0, None).prod(axis=1)
     whole = Region(0, 0, frame.width, frame.height)
     needs = tuple(needs)
-    if len(regions) > MANY or 2 * sum(one.area for one in regions) > whole.area:
-        found = [work.cache.planes(needs, whole)] * len(regions)
+    if len(edges) > MANY or 2 * areas.sum() > whole.area:
+        found = [work.cache.planes(needs, whole)] * len(edges)
     else:
-        found = [work.cache.planes(needs, one) for one in regions]
+        found = [work.cache.planes(needs, Region(*own)) for own in corners.tolist()]
     work.charge("planes", started)
     return found
