@@ -44,10 +44,14 @@ class Reading:
 
 def read_level(level: Level, ud_px2: float, area_px2: float, quiet_px2: float | None) -> Reading | None:
     """`ud_px2` in the level's unit; None while the baseline that it needs is unknown."""
+    scale = scale_of(level, area_px2, quiet_px2)
+    return None if scale is None else Reading(level.kind, level.settings, ud_px2 / scale, ud_px2, scale)
+
+
+def scale_of(level: Level, area_px2: float, quiet_px2: float | None) -> float | None:
+    """The level's unit in px^2; None while the baseline that it needs is unknown."""
     scale = {"ud_px2": 1.0, "ud_box": area_px2, "ud_baseline": quiet_px2}[level.kind]
-    if scale is None or scale <= 0:
-        return None
-    return Reading(level.kind, level.settings, ud_px2 / scale, ud_px2, scale)
+    return None if scale is None or scale <= 0 else scale
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,10 @@ class Streak:
 
     def then(self, holds: bool, value: float, frames: int) -> Streak:
         """The streak after a frame more, for a rule that asks for `frames` of them."""
-        return Streak(self.count + 1, (*self.values, value)[-frames:]) if holds else Streak()
+        return Streak(self.count + 1, (*self.values, value)[-frames:]) if holds else NO_STREAK
+
+
+NO_STREAK = Streak()
 
 
 @dataclass(frozen=True)
@@ -93,23 +96,27 @@ class Memory:
     activate: Mapping[str, Streak] = field(default_factory=dict)
     deactivate: Mapping[str, Streak] = field(default_factory=dict)
     self_check: Mapping[str, Streak] = field(default_factory=dict)
-    lost: Streak = Streak()
-    found: Streak = Streak()
-    seen: Streak = Streak()
-    unsure: Streak = Streak()
+    lost: Streak = NO_STREAK
+    found: Streak = NO_STREAK
+    seen: Streak = NO_STREAK
+    unsure: Streak = NO_STREAK
     quiet: Mapping[str, Quiet] = field(default_factory=dict)
     helpful: Mapping[str, tuple[float, int]] = field(default_factory=dict)
     worth: Mapping[str, Worth] = field(default_factory=dict)
     missed: Mapping[str, int] = field(default_factory=dict)
-    unfit: Streak = Streak()
+    unfit: Streak = NO_STREAK
 
     def with_contributions(self, contribution: Mapping[str, float]) -> Memory:
         """With this frame's contributions of the active agents counted."""
+        return changed(self, helpful=self.counting(contribution))
+
+    def counting(self, contribution: Mapping[str, float]) -> dict[str, tuple[float, int]]:
+        """`helpful` with them counted."""
         counted = dict(self.helpful)
         for agent, nats in contribution.items():
             total, frames = counted.get(agent, (0.0, 0))
             counted[agent] = (total + nats, frames + 1)
-        return changed(self, helpful=counted)
+        return counted
 
     def helpfulness(self, agent: str) -> float | None:
         """Mean contribution in nats over the frames on which the agent was active; None when it never was."""

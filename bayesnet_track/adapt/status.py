@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from bayesnet_track.adapt.memory import Memory, Streak
+from bayesnet_track.adapt.memory import NO_STREAK, Memory
 from bayesnet_track.adapt.situation import Situation, read_ud
 from bayesnet_track.graph.spec import Lost
 from bayesnet_track.journal.events.statuses import StatusChanged
@@ -13,7 +13,7 @@ from bayesnet_track.journal.net.causes import Cause, FitCause, ScoreCause
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.records import changed
 
-_USUAL = Lost()
+USUAL = Lost()
 
 
 def judge_status(now: Situation, memory: Memory, decisions: list[Decision]) -> Memory:
@@ -21,11 +21,11 @@ def judge_status(now: Situation, memory: Memory, decisions: list[Decision]) -> M
 
     A target that probably cannot be seen, by its modes, is lost at once: their memory is in that probability.
     """
-    rule = now.plate.inference(now.plate.root).lost or _USUAL
+    rule = now.plate.inference(now.plate.root).lost or USUAL
     if now.hiding is not None and now.hiding.hidden > now.hiding.level:
         if now.net.status != "lost":
             decisions.append(StatusChanged(now.frame, now.target, "lost", hidden=now.hiding))
-        return changed(memory, lost=Streak(), seen=Streak(), unsure=Streak(), found=Streak())
+        return changed(memory, lost=NO_STREAK, seen=NO_STREAK, unsure=NO_STREAK, found=NO_STREAK)
     if now.existence is not None and rule.existence_below is not None:
         return _by_score(
             now, memory, rule, Scale("existence", now.existence, rule.existence_below), decisions

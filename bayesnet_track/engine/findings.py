@@ -58,16 +58,21 @@ class Decided:
     """What the rules make of it.
 
     Attributes:
-        now: what they saw.
         chosen: decisions, in order.
         memory: what they remember.
         quiet_px2: baseline of the root's UD; None while unknown.
+        see: () -> what they saw.
     """
 
-    now: Situation
     chosen: tuple[Decision, ...]
     memory: Memory
     quiet_px2: float | None
+    see: Callable[[], Situation]
+
+    @property
+    def now(self) -> Situation:
+        """What they saw."""
+        return self.see()
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,11 +105,11 @@ class TargetResult:
         line: makes the line of what was measured.
         decisions: in order; they take effect on the next frame.
         events: what is written down besides.
-        covariance: (D, D) of its belief.
+        covariance: () -> (D, D) of its belief.
     """
 
     state: TargetState
     line: Callable[[], FrameMetrics]
     decisions: tuple[Decision, ...]
     events: tuple[Event, ...]
-    covariance: Floats
+    covariance: Callable[[], Floats]

@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 
 from bayesnet_track.adapt.measures import Measures
+from bayesnet_track.adapt.plain_rules import has_plain_rules, remember_plainly
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.adapt.situation import Situation, quiet_level
 from bayesnet_track.belief.estimate import estimate
@@ -28,7 +29,7 @@ from bayesnet_track.engine.scoring.distractors import find_distractor
 from bayesnet_track.engine.scoring.reacquisition import Look, follow_fit
 from bayesnet_track.engine.scoring.score import Scored, most, probability, with_distractor
 from bayesnet_track.engine.state import TargetState, apply_decisions, inside_frame
-from bayesnet_track.engine.summaries import Summaries, covariances
+from bayesnet_track.engine.summaries import Summary, find_covariances, find_summaries
 from bayesnet_track.graph.spec import InferenceNode
 from bayesnet_track.inference.guard import changes
 from bayesnet_track.inference.measure import measure
@@ -38,6 +39,7 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed
 from bayesnet_track.journal.events.statuses import FoundAgain
 from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.numerics.records import changed
@@ -69,12 +71,13 @@ def finish_targets(work: FrameWork, filtered: Mapping[str, Filtered]) -> dict[st
     learnt = learn_all(work, filtered, measured, decided)
     work.charge("learn", started)
     bare = replace(work, cache=PlaneCache(FramePair(work.frame, None)))  # lines may be asked for much later
-    summaries, spreads = Summaries(bare, filtered), covariances(filtered)
+    spreads = find_covariances(filtered)
+    summaries = find_summaries(bare, filtered, spreads)
     results: dict[str, TargetResult] = {}
     for target, one in filtered.items():
         done = measured[target], decided[target], learnt[target]
         line = partial(_line, bare, one, done, summaries)
-        results[target] = describe_target(work, one, done, line, spreads[target])
+        results[target] = describe_target(work, one, done, line, partial(spreads.__getitem__, target))
     return results
 
 
@@ -164,8 +167,19 @@ def _follow(
 
 def decide_target(work: FrameWork, filtered: Filtered, measured: Measured) -> Decided:
     """What the rules choose."""
+    plate = work.plate_of(filtered.target).plate
+    see, before, memory = partial(_see, work, filtered, measured), filtered.before.memory, None
+    chosen: tuple[Decision, ...] = ()
+    if has_plain_rules(plate) and not filtered.missed and filtered.modes is None:
+        memory = remember_plainly(plate, measured.net, measured.measures, before, filtered.hidden)
+    if memory is None:
+        chosen, memory = decide(see(), before)
+    return Decided(chosen, memory, quiet_level(plate, measured.net, memory, plate.root), see)
+
+
+def _see(work: FrameWork, filtered: Filtered, measured: Measured) -> Situation:
     compiled = work.plate_of(filtered.target)
-    now = Situation(
+    return Situation(
         work.frame.index,
         filtered.target,
         compiled.plate,
@@ -179,10 +193,6 @@ def decide_target(work: FrameWork, filtered: Filtered, measured: Measured) -> De
         filtered.before.existence,
         None if filtered.modes is None else filtered.modes.hiding,
     )
-    chosen, memory = decide(now, filtered.before.memory)
-    return Decided(
-        now, chosen, memory, quiet_level(compiled.plate, measured.net, memory, compiled.plate.root)
-    )
 
 
 def describe_target(
@@ -190,7 +200,7 @@ def describe_target(
     filtered: Filtered,
     done: tuple[Measured, Decided, Learnt],
     line: Callable[[], FrameMetrics],
-    covariance: Floats,
+    covariance: Callable[[], Floats],
 ) -> TargetResult:
     """The state for the next frame, and all that is written down of this one."""
     measured, decided, learnt = done
@@ -227,7 +237,10 @@ def describe_target(
 
 
 def _line(
-    work: FrameWork, filtered: Filtered, done: tuple[Measured, Decided, Learnt], summaries: Summaries
+    work: FrameWork,
+    filtered: Filtered,
+    done: tuple[Measured, Decided, Learnt],
+    summaries: Mapping[str, Summary],
 ) -> FrameMetrics:
     measured, decided, learnt = done
     line = frame_metrics(work, filtered, measured, decided, learnt, summaries[filtered.target])

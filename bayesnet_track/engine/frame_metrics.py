@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import overload
+from typing import Generic, TypeVar, overload
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from bayesnet_track.inference.predictive import p_values
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame
+
+Value = TypeVar("Value")
 
 
 class Lines(Sequence[FrameMetrics]):
@@ -64,15 +66,31 @@ class Lines(Sequence[FrameMetrics]):
         return tuple, (self._lines(),)
 
 
-@dataclass(frozen=True)
-class Made:
-    """Gives a line that is made already, such as one from another process."""
+@dataclass(frozen=True, eq=False)
+class Made(Generic[Value]):
+    """Gives what is made already, such as a line from another process."""
 
-    line: FrameMetrics
+    value: Value
 
-    def __call__(self) -> FrameMetrics:
-        """The line."""
-        return self.line
+    def __call__(self) -> Value:
+        """The value."""
+        return self.value
+
+
+class Covariances(Mapping[str, Floats]):
+    """Target -> (D, D) covariance of its belief, each made when it is asked for."""
+
+    def __init__(self, makers: Mapping[str, Callable[[], Floats]]) -> None:
+        self._makers = makers
+
+    def __getitem__(self, target: str) -> Floats:
+        return self._makers[target]()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._makers)
+
+    def __len__(self) -> int:
+        return len(self._makers)
 
 
 def index(measures: Measures, root: str) -> float:

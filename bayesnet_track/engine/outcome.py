@@ -10,7 +10,7 @@ from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.adapt.shedding import Load
 from bayesnet_track.engine.external_inputs import ExternalInputs
 from bayesnet_track.engine.findings import TargetResult
-from bayesnet_track.engine.frame_metrics import Lines
+from bayesnet_track.engine.frame_metrics import Covariances, Lines
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.joining import JointBelief, reach_of
 from bayesnet_track.engine.shedding import balance_load
@@ -80,7 +80,7 @@ def carry_out(
         replace(state, net=net, targets=targets, previous=work.frame, joins=joint.memory),
         Lines([result.line for result in results.values()]) if results else (),
         tuple(events),
-        {target: result.covariance for target, result in results.items()},
+        Covariances({target: result.covariance for target, result in results.items()}),
         work.seconds,
     )
 

@@ -6,8 +6,10 @@ somebody asks for a line of metrics: no rule depends on it.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,6 +21,7 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.divergence import kl
 
 Rows = list[tuple[float, ...]]
+Value = TypeVar("Value")
 
 CLOUD_SIZE = 48
 """Hypotheses kept per frame, drawn from the posterior, so that they carry no weights."""
@@ -46,33 +49,50 @@ class Summary:
     cloud: tuple[tuple[int, ...], ...]
 
 
-class Summaries:
-    """Target -> its belief in a few numbers, found for all targets when the first is asked for."""
+class Found(Mapping[str, Value]):
+    """Target -> something of it, found for all of `targets` by `find` when the first is asked for."""
 
-    def __init__(self, work: FrameWork, filtered: Mapping[str, Filtered]) -> None:
-        self._asked: tuple[FrameWork, Mapping[str, Filtered]] | None = work, filtered
-        self._found: dict[str, Summary] = {}
+    def __init__(self, targets: Iterable[str], find: Callable[[], Mapping[str, Value]]) -> None:
+        self._targets = tuple(targets)
+        self._find: Callable[[], Mapping[str, Value]] | None = find
+        self._found: Mapping[str, Value] = {}
 
-    def __getitem__(self, target: str) -> Summary:
-        if self._asked is not None:
-            self._found, self._asked = summarise(*self._asked), None
+    def __getitem__(self, target: str) -> Value:
+        if self._find is not None:
+            self._found, self._find = self._find(), None  # what it was found from is not needed any more
         return self._found[target]
 
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._targets)
 
-def summarise(work: FrameWork, filtered: Mapping[str, Filtered]) -> dict[str, Summary]:
-    """Target -> its belief in a few numbers."""
+    def __len__(self) -> int:
+        return len(self._targets)
+
+
+def find_summaries(
+    work: FrameWork, filtered: Mapping[str, Filtered], spreads: Mapping[str, Floats]
+) -> Found[Summary]:
+    """Target -> its belief in a few numbers, of which `spreads` are the covariances."""
+    return Found(filtered, partial(_summarise, work, filtered, spreads))
+
+
+def find_covariances(filtered: Mapping[str, Filtered]) -> Found[Floats]:
+    """Target -> (D, D) covariance of its belief."""
+    return Found(filtered, partial(_find_covariances, filtered))
+
+
+def _summarise(
+    work: FrameWork, filtered: Mapping[str, Filtered], spreads: Mapping[str, Floats]
+) -> dict[str, Summary]:
     alike, alone = _alike(filtered)
-    found = {target: summarise_one(work, target, filtered[target].step) for target in alone}
+    found = {target: summarise_one(work, target, filtered[target].step, spreads[target]) for target in alone}
     for targets in alike:
-        if len(targets) == 1:  # arrays of one row take longer
-            found[targets[0]] = summarise_one(work, targets[0], filtered[targets[0]].step)
-            continue
-        found |= _summarise_rows(work, targets, [filtered[target].step for target in targets])
+        steps = [filtered[target].step for target in targets]
+        found |= _summarise_rows(work, targets, steps, np.array([spreads[target] for target in targets]))
     return found
 
 
-def covariances(filtered: Mapping[str, Filtered]) -> dict[str, Floats]:
-    """Target -> (D, D) covariance of its belief."""
+def _find_covariances(filtered: Mapping[str, Filtered]) -> dict[str, Floats]:
     alike, alone = _alike(filtered)
     found = {target: filtered[target].step.posterior.covariance for target in alone}
     for targets in alike:
@@ -81,7 +101,7 @@ def covariances(filtered: Mapping[str, Filtered]) -> dict[str, Floats]:
 
 
 def _alike(filtered: Mapping[str, Filtered]) -> tuple[list[list[str]], list[str]]:
-    """Targets of a plate whose particles make an array; then the others."""
+    """Targets of a plate whose particles make an array, several at least; then the others."""
     alike: dict[Hashable, list[str]] = {}
     alone: list[str] = []
     for target, one in filtered.items():
@@ -90,7 +110,8 @@ def _alike(filtered: Mapping[str, Filtered]) -> tuple[list[list[str]], list[str]
             alike.setdefault((one.plan.root, own.fields, own.states.shape), []).append(target)
         else:
             alone.append(target)
-    return list(alike.values()), alone
+    alone += [targets[0] for targets in alike.values() if len(targets) == 1]  # one row would take longer
+    return [targets for targets in alike.values() if len(targets) > 1], alone
 
 
 def _covariances(steps: Iterable[Step[Posterior]]) -> Floats:
@@ -102,12 +123,12 @@ def _covariances(steps: Iterable[Step[Posterior]]) -> Floats:
     return np.asarray(np.matmul((away * weights[:, :, None]).swapaxes(1, 2), away))
 
 
-def summarise_one(work: FrameWork, target: str, step: Step[Posterior]) -> Summary:
-    """The belief of a target after its step in a few numbers."""
+def summarise_one(work: FrameWork, target: str, step: Step[Posterior], covariance: Floats) -> Summary:
+    """The belief of a target after its step in a few numbers, of which the covariance (D, D) is known."""
     posterior, weights = step.posterior, step.support.weights
     cloud = posterior.draw(CLOUD_SIZE, work.stream(target, work.plate_of(target).plate.root)("cloud"))
     return Summary(
-        posterior.covariance.diagonal(),
+        covariance.diagonal(),
         weights.ess,
         kl(weights.log, step.prior.log),
         list(map(tuple, posterior.regions(SHARES).tolist())),
@@ -116,14 +137,14 @@ def summarise_one(work: FrameWork, target: str, step: Step[Posterior]) -> Summar
 
 
 def _summarise_rows(
-    work: FrameWork, targets: Sequence[str], steps: Sequence[Step[Posterior]]
+    work: FrameWork, targets: Sequence[str], steps: Sequence[Step[Posterior]], spreads: Floats
 ) -> dict[str, Summary]:
     from bayesnet_track.numerics.kernels.resampling_kernels import look_up_even_of_each
 
     states = np.array([step.support.states for step in steps])
     weights = np.array([step.support.weights.weights for step in steps])
     log = np.array([step.support.weights.log for step in steps])
-    variances = np.diagonal(_covariances(steps), axis1=1, axis2=2)
+    variances = np.diagonal(spreads, axis1=1, axis2=2)
     ess = _effective(log).tolist()
     surprises = [kl(step.support.weights.log, step.prior.log) for step in steps]
     regions = np.concatenate([_regions(states[:, :, axis], weights) for axis in (0, 1)], axis=2).tolist()

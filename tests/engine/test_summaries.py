@@ -11,7 +11,7 @@ from bayesnet_track.engine.filtering import filter_target
 from bayesnet_track.engine.frame_metrics import Lines
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.step import State, make_engine, start_target
-from bayesnet_track.engine.summaries import covariances, summarise, summarise_one
+from bayesnet_track.engine.summaries import find_covariances, find_summaries, summarise_one
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.inference.measure import measure
 from bayesnet_track.inference.measure_rows import is_flat, is_plain, measure_rows
@@ -88,9 +88,10 @@ def test_targets_measured_together_are_measured_as_alone(motion, agents):
     together = measure_rows(plate, plan, steps, [1.0, 2.0, 3.0])
     for one, step, area in zip(together, steps, (1.0, 2.0, 3.0), strict=True):
         assert_close(vars(one), vars(measure(plate, plan, step, area)))
-    spreads = covariances(found)
-    for target, one in summarise(work, found).items():
-        alone = summarise_one(work, target, found[target].step)
+    spreads = find_covariances(found)
+    for target, one in find_summaries(work, found, spreads).items():
+        step = found[target].step
+        alone = summarise_one(work, target, step, step.posterior.covariance)
         assert one.variances.tobytes() == alone.variances.tobytes()
         assert spreads[target].tobytes() == found[target].step.posterior.covariance.tobytes()
         assert (one.ess, one.surprise, one.regions, one.cloud) == (
