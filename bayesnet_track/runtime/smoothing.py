@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
-from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
-from bayesnet_track.belief.motion.borders import confined
-from bayesnet_track.belief.motion.composed import compose_motion
-from bayesnet_track.belief.motion.jumps import Jumping
-from bayesnet_track.belief.motion.nested import deviations_of
-from bayesnet_track.belief.motion.places import Search
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.smoothing.backward import Move, smooth_particles
 from bayesnet_track.belief.smoothing.gaussian import smooth_gaussians
 from bayesnet_track.belief.smoothing.viterbi import most_probable_trajectory
-from bayesnet_track.engine.compiled import make_plate_motion
 from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.engine.summaries import CLOUD_SIZE
 from bayesnet_track.graph import spec
-from bayesnet_track.journal.events.births import TargetStarted
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.reidentification import Returned
 from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.streams import Streams
-from bayesnet_track.runtime.recording.beliefs import KeptBelief, read_beliefs
+from bayesnet_track.runtime.lifetimes import KeptBeliefsError, kept_lifetimes, moves_of, root_of
+from bayesnet_track.runtime.recording.beliefs import KeptBelief
 from bayesnet_track.runtime.recording.run_reader import Run
 from bayesnet_track.runtime.resizing import Resizing
 
@@ -39,10 +30,8 @@ Smoothed = ParticleSet | GaussianPosterior
 KNOWN_PX2 = 1e-6
 """A box whose fields vary less is known: that of the frame in which the target was given."""
 
-NO_SEARCH = Search(0.0, "", 0, np.zeros((0, 4)), np.zeros(0), 0.0, 0.0)
 
-
-class SmoothingError(ValueError):
+class SmoothingError(KeptBeliefsError):
     """A run that cannot be smoothed."""
 
 
@@ -70,24 +59,18 @@ def smooth(run: Run, draws: int = 50, seed: int = 0, most_probable: bool = False
         most_probable: let the boxes be those of the most probable trajectory instead of the means.
 
     Raises:
-        SmoothingError: the run kept no beliefs, or has been smoothed; or the most probable trajectory is
-            asked for, and its particles were not all drawn from the motion.
+        KeptBeliefsError: the run kept no beliefs, or has been smoothed.
+        SmoothingError: the most probable trajectory is asked for, and its particles were not all drawn from
+            the motion.
         JournalError: beliefs.jsonl is damaged.
     """
-    if run.started.smoothed:
-        raise SmoothingError(f"{run.name}: it has been smoothed; smooth the run that it was made from")
-    if not run.directory.beliefs.is_file():
-        raise SmoothingError(
-            f"{run.name}: it kept no beliefs; run it again with `--keep-beliefs` (in Python, "
-            "keep_beliefs=True)"
-        )
     streams = Streams(seed)
     found: dict[tuple[str, int], Smoothed] = {}
     best: dict[tuple[str, int], Floats] = {}
-    for lifetime in _lifetimes(run):
+    for lifetime in kept_lifetimes(run):
         first = lifetime[0]
         root = root_of(run.spec.targets[run.kinds[first.target]])
-        moves = _moves(run, root, lifetime)
+        moves = moves_of(run, lifetime)
         smoothed = _smooth_lifetime(
             run, root, lifetime, moves, draws, streams.of(first.target, "", first.frame, "smooth")
         )
@@ -109,43 +92,6 @@ def smooth(run: Run, draws: int = 50, seed: int = 0, most_probable: bool = False
     )
     events = tuple(replace(one, smoothed=True) if isinstance(one, RunStarted) else one for one in run.events)
     return SmoothedRun(events, metrics)
-
-
-def root_of(plate: spec.Target) -> spec.InferenceNode:
-    """The inference node without a parent."""
-    (root,) = (n for n in plate.nodes.values() if isinstance(n, spec.InferenceNode) and n.parent is None)
-    return root
-
-
-def _lifetimes(run: Run) -> Iterator[list[KeptBelief]]:
-    """The beliefs of each target between its start and its end; one that returns begins anew."""
-    started = TargetStarted | Returned
-    births = {(event.target, event.frame) for event in run.events if isinstance(event, started)}
-    open_lives: dict[str, list[KeptBelief]] = {}
-    for kept in read_beliefs(run.directory.beliefs):
-        if kept.target not in run.kinds:
-            raise SmoothingError(
-                f"{run.directory.beliefs}: target {kept.target!r} never starts in the journal"
-            )
-        life = open_lives.get(kept.target)
-        if life is None or (kept.target, kept.frame) in births:
-            if life is not None:
-                yield life
-            open_lives[kept.target] = [kept]
-        else:
-            life.append(kept)
-    yield from open_lives.values()
-
-
-def _moves(run: Run, root: spec.InferenceNode, lifetime: Sequence[KeptBelief]) -> list[Move]:
-    assert root.motion is not None
-    nodes = run.spec.targets[run.kinds[lifetime[0].target]].nodes
-    plain = make_plate_motion(root, run.spec.constants, deviations_of(nodes))
-    size = Resizing.of(run.started).tracked
-    return [
-        Move(_motion_into(now, plain, root.motion, size), now.time - before.time)
-        for before, now in pairwise(lifetime)
-    ]
 
 
 def _most_probable(
@@ -192,18 +138,6 @@ def _smooth_lifetime(
             f"{run.directory.beliefs}: target {lifetime[0].target!r} has beliefs of two kinds"
         )
     return smooth_particles(particles, moves, draws, rng)
-
-
-def _motion_into(
-    kept: KeptBelief, plain: MotionModel, chosen: spec.Motion, size: tuple[int, int]
-) -> MotionModel:
-    """The motion from the frame before into this one, on the image of `size` (width, height)."""
-    influences, motion = kept.influences, plain
-    if influences is not None:
-        motion = compose_motion(plain, chosen.settings, influences)
-        if influences.jump_share > 0:
-            motion = Jumping(motion, influences.jump_share, *size, NO_SEARCH)
-    return confined(motion, *size)
 
 
 def _described(

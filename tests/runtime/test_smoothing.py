@@ -10,11 +10,12 @@ from bayesnet_track.belief.smoothing.backward import Move
 from bayesnet_track.belief.smoothing.gaussian import smooth_gaussians
 from bayesnet_track.engine.compiled import make_plate_motion
 from bayesnet_track.runtime.checkpoints.resume import resume
+from bayesnet_track.runtime.lifetimes import KeptBeliefsError, motion_into, root_of
 from bayesnet_track.runtime.recording.beliefs import read_beliefs
 from bayesnet_track.runtime.recording.rundir import RunDirectoryError
 from bayesnet_track.runtime.recording.smoothed import write_smoothed
 from bayesnet_track.runtime.recording.verify import verify
-from bayesnet_track.runtime.smoothing import SmoothingError, _motion_into, root_of, smooth
+from bayesnet_track.runtime.smoothing import smooth
 from bayesnet_track.sources.scene_source import SceneSource
 
 FRAMES = 12
@@ -64,7 +65,7 @@ def test_gaussians_are_smoothed_by_the_motion_that_was_at_work(gaussian_run):
     root = root_of(gaussian_run.spec.targets["ball"])
     plain = make_plate_motion(root, {})
     size = gaussian_run.started.width, gaussian_run.started.height
-    moves = [Move(_motion_into(one, plain, root.motion, size), 1.0) for one in kept[1:]]
+    moves = [Move(motion_into(one, plain, root.motion, size), 1.0) for one in kept[1:]]
     exact = smooth_gaussians([one.posterior for one in kept], moves, root.belief.settings)
     found = smooth(gaussian_run).metrics
     for one, line in zip(exact[1:], found[1:], strict=True):
@@ -85,7 +86,7 @@ def test_a_smoothed_run_is_written_and_read(particle_run, tmp_path):
         [line.centre_box for line in again.metrics], [line.centre_box for line in after.metrics], rtol=1e-8
     )
     assert (tmp_path / "smoothed/tracks.txt").read_text().count("\n") == FRAMES
-    with pytest.raises(SmoothingError, match="it has been smoothed"):
+    with pytest.raises(KeptBeliefsError, match="it has been smoothed"):
         smooth(again)
     with pytest.raises(RunDirectoryError, match="a run is there already"):
         write_smoothed(particle_run, after, tmp_path / "smoothed")
@@ -102,7 +103,7 @@ def test_a_run_is_not_overwritten_by_itself(particle_run):
 def test_a_run_that_kept_no_beliefs_says_how_to(particle_run, tmp_path):
     shutil.copytree(particle_run.directory.path, tmp_path / "run")
     (tmp_path / "run/beliefs.jsonl").unlink()
-    with pytest.raises(SmoothingError, match="kept no beliefs; run it again with `--keep-beliefs`"):
+    with pytest.raises(KeptBeliefsError, match="kept no beliefs; run it again with `--keep-beliefs`"):
         smooth(open_run(tmp_path / "run"))
 
 
@@ -110,7 +111,7 @@ def test_a_belief_of_nobody_is_refused(particle_run, tmp_path):
     shutil.copytree(particle_run.directory.path, tmp_path / "run")
     path = tmp_path / "run/beliefs.jsonl"
     path.write_text(path.read_text().replace('"target":"1"', '"target":"7"'))
-    with pytest.raises(SmoothingError, match="target '7' never starts"):
+    with pytest.raises(KeptBeliefsError, match="target '7' never starts"):
         smooth(open_run(tmp_path / "run"))
 
 
