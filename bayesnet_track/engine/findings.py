@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from bayesnet_track.adapt.measures import Measures
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.adapt.situation import Situation
+from bayesnet_track.belief.contract import Step
+from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.scoring.score import Scored
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.inference.guard import Judged, Watched
@@ -17,7 +20,7 @@ from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.journal.net.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.cue import Reference
+from bayesnet_track.observation.cue import Measurement, Reference
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +100,33 @@ class Learnt:
 
 
 @dataclass(frozen=True, eq=False)
+class Heard:
+    """What the agents said.
+
+    Attributes:
+        log_likelihoods: active agent -> (N,) its log-likelihood of each particle of the belief; none for
+            other beliefs.
+        measured: agent that found the target -> what it measured, in fields of the state.
+    """
+
+    log_likelihoods: Mapping[str, Floats] = field(default_factory=dict)
+    measured: Mapping[str, Measurement] = field(default_factory=dict)
+
+
+def heard(step: Step[Any], agents: frozenset[str]) -> Heard:
+    """What the active `agents` said in a step, of the hypotheses that are still the belief's."""
+    evidence = step.evidence
+    is_aligned = isinstance(step.posterior, ParticleSet) and step.support is step.posterior
+    messages = {name: evidence.messages[name] for name in evidence.messages if is_aligned and name in agents}
+    measured = {
+        name: one
+        for name, one in evidence.gaussians.items()
+        if name in agents and one.seen is None and not one.choices
+    }
+    return Heard(messages, measured)
+
+
+@dataclass(frozen=True, eq=False)
 class TargetResult:
     """What one frame gave for one target.
 
@@ -106,6 +136,7 @@ class TargetResult:
         decisions: in order; they take effect on the next frame.
         events: what is written down besides.
         covariance: () -> (D, D) of its belief.
+        heard: () -> what its agents said.
     """
 
     state: TargetState
@@ -113,3 +144,4 @@ class TargetResult:
     decisions: tuple[Decision, ...]
     events: tuple[Event, ...]
     covariance: Callable[[], Floats]
+    heard: Callable[[], Heard]

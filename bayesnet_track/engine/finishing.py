@@ -19,7 +19,7 @@ from bayesnet_track.adapt.situation import Situation, quiet_level
 from bayesnet_track.belief.estimate import estimate
 from bayesnet_track.belief.particles.maps import find_maps
 from bayesnet_track.engine.filtering import Filtered
-from bayesnet_track.engine.findings import Decided, Learnt, Measured, TargetResult
+from bayesnet_track.engine.findings import Decided, Learnt, Measured, TargetResult, heard
 from bayesnet_track.engine.frame_metrics import frame_metrics
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.learning import learn_all
@@ -233,7 +233,8 @@ def describe_target(
     events += measured.notices
     events += changes(frame.index, target, before.watched, learnt.watched, learnt.judged, compiled.guard)
     decisions = (*filtered.faults, *work.by_hand.get(target, ()), *learnt.decisions)
-    return TargetResult(after, line, decisions, tuple(events), covariance)
+    said = partial(heard, stepped, filtered.plan.active)
+    return TargetResult(after, line, decisions, tuple(events), covariance, said)
 
 
 def _line(

@@ -77,13 +77,13 @@ class Made(Generic[Value]):
         return self.value
 
 
-class Covariances(Mapping[str, Floats]):
-    """Target -> (D, D) covariance of its belief, each made when it is asked for."""
+class WhenAsked(Mapping[str, Value]):
+    """Target -> what is made of it, such as a covariance, each when it is asked for."""
 
-    def __init__(self, makers: Mapping[str, Callable[[], Floats]]) -> None:
+    def __init__(self, makers: Mapping[str, Callable[[], Value]]) -> None:
         self._makers = makers
 
-    def __getitem__(self, target: str) -> Floats:
+    def __getitem__(self, target: str) -> Value:
         return self._makers[target]()
 
     def __iter__(self) -> Iterator[str]:

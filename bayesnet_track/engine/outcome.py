@@ -9,8 +9,8 @@ from bayesnet_track.adapt.joins import JoinMemory, decide_joins
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.adapt.shedding import Load
 from bayesnet_track.engine.external_inputs import ExternalInputs
-from bayesnet_track.engine.findings import TargetResult
-from bayesnet_track.engine.frame_metrics import Covariances, Lines
+from bayesnet_track.engine.findings import Heard, TargetResult
+from bayesnet_track.engine.frame_metrics import Lines, WhenAsked
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.joining import JointBelief, reach_of
 from bayesnet_track.engine.shedding import balance_load
@@ -56,6 +56,7 @@ class Outcome:
         covariances: target id -> covariance (D, D) of its belief.
         seconds: agent (or planes, belief, measure, learn) -> seconds, summed over targets.
         external_inputs: what came from outside: given again with this frame, it repeats.
+        heard: target id -> what its agents said.
     """
 
     state: State
@@ -64,6 +65,7 @@ class Outcome:
     covariances: Mapping[str, Floats] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     external_inputs: tuple[Input, ...] = ()
+    heard: Mapping[str, Heard] = field(default_factory=dict)
 
 
 def carry_out(
@@ -80,8 +82,9 @@ def carry_out(
         replace(state, net=net, targets=targets, previous=work.frame, joins=joint.memory),
         Lines([result.line for result in results.values()]) if results else (),
         tuple(events),
-        Covariances({target: result.covariance for target, result in results.items()}),
+        WhenAsked({target: result.covariance for target, result in results.items()}),
         work.seconds,
+        heard=WhenAsked({target: result.heard for target, result in results.items()}),
     )
 
 

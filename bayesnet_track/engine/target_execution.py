@@ -63,7 +63,7 @@ def advance(work: FrameWork, target: str, before: TargetState) -> Advanced:
     """One frame of a target that depends on no other, and for which nothing came from outside."""
     own = replace(work, seconds={})
     done = finish_target(own, filter_target(own, target, before))
-    made = replace(done, line=Made(done.line()), covariance=Made(done.covariance()))
+    made = replace(done, line=Made(done.line()), covariance=Made(done.covariance()), heard=Made(done.heard()))
     return Advanced(made, own.seconds)
 
 

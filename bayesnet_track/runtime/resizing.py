@@ -34,6 +34,9 @@ from bayesnet_track.sources.detection_files import FileDetector
 Size = tuple[int, int]
 """Width and height, px."""
 
+ACROSS, DOWN = ("x", "w", "vx", "ax"), ("y", "h", "vy", "ay")
+"""Fields of a state in pixels along either axis."""
+
 Estimate = TypeVar("Estimate", FrameMetrics, Forecast)
 
 
@@ -131,6 +134,13 @@ class Resizing:
             region50=self._region(one.region50),
             region90=self._region(one.region90),
         )
+
+    def field(self, name: str, values: Floats) -> Floats:
+        """Values of a field of the state in the source's pixels; those of other units are as they were."""
+        if self.is_none or name not in (*ACROSS, *DOWN):
+            return values
+        factor = self._out[name in DOWN]
+        return np.asarray((values + 0.5) * factor - 0.5 if name in ("x", "y") else values * factor)
 
     def event(self, event: Event) -> Event:
         """An event with its places and distances in the source's pixels."""

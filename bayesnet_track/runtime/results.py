@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.engine.findings import Heard
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.faults import Quarantined
@@ -73,6 +74,7 @@ class Result:
         external_inputs: what came from outside, such as a person's switches.
         kinds: target id -> name of its plate, for all in `targets`.
         states: target id -> what is known of it after the frame, its belief included; in these pixels, too.
+        heard: target id -> what its agents said in the frame.
     """
 
     frame: Frame
@@ -84,6 +86,7 @@ class Result:
     external_inputs: tuple[Input, ...] = ()
     kinds: dict[str, str] = field(default_factory=dict)
     states: Mapping[str, TargetState] = field(default_factory=dict)
+    heard: Mapping[str, Heard] = field(default_factory=dict)
 
     def detections(self, lost: bool = False) -> Detections:
         """The targets' boxes in the shape of supervision's; `lost` for those of lost targets, too."""

@@ -220,6 +220,7 @@ def _result(frame: Frame, outcome: Outcome, spent: float, before: State | None) 
         outcome.external_inputs,
         {line.target: nets[line.target].template for line in outcome.metrics if line.target in nets},
         outcome.state.targets,
+        outcome.heard,
     )
 
 

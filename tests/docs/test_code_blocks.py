@@ -55,6 +55,8 @@ WITH_LIBRARY = {
     "pandas": r"import pandas|agents\.",
     "matplotlib": "matplotlib",
     "supervision": "to_supervision",
+    "h5netcdf": "--format arviz",
+    "arviz": "arviz as az|posterior",
 }
 WORDS = {"GRAPH": "general", "RUN": "runs/mine", "DATA": "data", "[--truth": "", "FILE]": "", "--open": ""}
 INIT = "57,21,31,45"

@@ -1,4 +1,4 @@
-"""The command `export`: a run's tracks in another tool's format."""
+"""The command `export`: a run's tracks, or its beliefs, in another tool's format."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from bayesnet_track.cli.commands.answer import OK, check_free, complain, writing
+from bayesnet_track.cli.commands.answer import OK, UsageError, check_free, complain, writing
+from bayesnet_track.cli.options.arguments import whole_number
 
 WITH_LOST = ("csv", "jsonl")
 """Formats that say of a box that its target is lost."""
@@ -18,6 +19,10 @@ def export(options: argparse.Namespace) -> int:
     from bayesnet_track.runtime.recording.exports import FORMATS
     from bayesnet_track.runtime.recording.run_reader import open_run
 
+    if options.format == "arviz":
+        return _export_beliefs(options)
+    if options.draws is not None:
+        raise UsageError(f"--draws beside --format {options.format}; it is for --format arviz")
     run = open_run(options.run, complain)
     lost = options.lost or (options.format in WITH_LOST and not options.no_lost)
     text = FORMATS[options.format](run, lost)
@@ -32,15 +37,43 @@ def export(options: argparse.Namespace) -> int:
     return OK
 
 
-FORMATS = ("mot", "coco", "csv", "jsonl")
+def _export_beliefs(options: argparse.Namespace) -> int:
+    """Write draws of the kept beliefs for ArviZ."""
+    from bayesnet_track.runtime.lifetimes import KeptBeliefsError
+    from bayesnet_track.runtime.recording.arviz_file import ArvizError, write_arviz
+    from bayesnet_track.runtime.recording.run_reader import open_run
+
+    if options.lost or options.no_lost:
+        raise UsageError("--lost and --no-lost are not for --format arviz, which writes every belief")
+    if options.out is None:
+        raise UsageError("--format arviz writes a binary file; give its name with --out")
+    out = Path(options.out)
+    check_free(out, options.overwrite)
+    try:
+        with writing(out):
+            write_arviz(open_run(options.run, complain), out, options.draws or DRAWS)
+    except (KeptBeliefsError, ArvizError) as error:
+        raise UsageError(str(error)) from error
+    complain(f"wrote {out}")
+    return OK
+
+
+DRAWS = 500
+FORMATS = ("mot", "coco", "csv", "jsonl", "arviz")
 
 
 def add_export(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
-    export = commands.add_parser("export", help="write the tracks of a run as MOT, COCO, CSV or JSON Lines")
+    export = commands.add_parser("export", help="write a run in the format of another tool")
     export.add_argument("run", metavar="RUN", help="run directory")
     export.add_argument("--format", required=True, choices=FORMATS, help="format of the file")
     export.add_argument("-o", "--out", metavar="FILE", help="file to write (default: print)")
+    export.add_argument(
+        "--draws",
+        type=whole_number(1),
+        metavar="N",
+        help=f"draws of each belief, for --format arviz (default {DRAWS})",
+    )
     lost = export.add_mutually_exclusive_group()
     lost.add_argument(
         "--lost", action="store_true", help="include the boxes of lost targets (default for csv, jsonl)"

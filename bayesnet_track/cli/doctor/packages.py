@@ -21,6 +21,7 @@ EXTRAS = {
     "matplotlib": ("figures and plots", "figures"),
     "rerun-sdk": ("the viewer Rerun", "rerun"),
     "ray": ("batches on a cluster", "ray"),
+    "h5netcdf": ("files for ArviZ", "arviz"),
 }
 
 

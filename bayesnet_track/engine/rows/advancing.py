@@ -29,6 +29,7 @@ from bayesnet_track.engine.outcome import Outcome, State
 from bayesnet_track.engine.rows.columns import GIVEN, GIVEN_NONE, RowRecords, Rows, RowStates
 from bayesnet_track.engine.rows.fitting import LinearMotion, RowRule
 from bayesnet_track.engine.rows.judging import judge_rows
+from bayesnet_track.engine.rows.row_heard import RowHeard
 from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.state import apply_decisions
 from bayesnet_track.numerics.arrays import Floats
@@ -122,6 +123,7 @@ def advance_rows(work: FrameWork, state: State, rows: Rows) -> tuple[Outcome, As
         tuple(decisions),
         dict(zip(rows.ids, covariance, strict=True)),
         work.seconds,
+        heard=RowHeard(table),
     )
     owners = {rule.plate: given.whose} if rule.plate in found else {}
     return outcome, Associated(found, owners, {}, history, failures)

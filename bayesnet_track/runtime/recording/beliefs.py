@@ -1,8 +1,9 @@
-"""Beliefs of every frame as lines of ``beliefs.jsonl``, for smoothing after the run.
+"""Beliefs of every frame as lines of ``beliefs.jsonl``, for what is done with them after the run.
 
-A line has the frame, the target, the time, what the motion into the frame depended on, and the belief:
-particles as float32 (their weights as logarithms), a Gaussian as float64, a grid by its heaviest cells.
-Arrays are little-endian, in base64. A particle takes 5.4 bytes per field and weight.
+A line has the frame, the target, the time, what the motion into the frame depended on, the belief, and what
+the agents said: particles, and each agent's log-likelihood of them, as float32 (weights as logarithms), a
+Gaussian and what was measured as float64, a grid by its heaviest cells. Arrays are little-endian, in base64.
+A particle takes 5.4 bytes per field, weight and agent.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +23,14 @@ from bayesnet_track.belief.grid.cells import AXIS, GridBelief
 from bayesnet_track.belief.motion.composed import Influences
 from bayesnet_track.belief.motion.shifted import CameraShift
 from bayesnet_track.belief.particles.particle_set import ParticleSet
+from bayesnet_track.engine.findings import Heard
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import GraphSpec, InferenceNode
 from bayesnet_track.journal.encoder import JournalError, short
 from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.observation.cue import Measurement
 
 MOST_CELLS = 4000
 """Cells of a grid that are kept: the heaviest."""
@@ -43,6 +46,7 @@ class KeptBelief:
         time: time of the frame, frame intervals.
         posterior: the belief.
         influences: what the motion into the frame depended on besides the states; None where on nothing.
+        heard: what the agents said in the frame; nothing in the files of earlier versions.
     """
 
     frame: int
@@ -50,6 +54,7 @@ class KeptBelief:
     time: float
     posterior: ParticleSet | GaussianPosterior
     influences: Influences | None = None
+    heard: Heard = field(default_factory=Heard)
 
 
 def check_kept(graph: GraphSpec) -> None:
@@ -70,12 +75,14 @@ def check_kept(graph: GraphSpec) -> None:
 class BeliefWriter(LineFile):
     """``beliefs.jsonl``: a new file, or one that is continued."""
 
-    def write(self, frame: int, target: str, state: TargetState) -> None:
-        """Add the belief of one target in one frame to the next flush."""
+    def write(self, frame: int, target: str, state: TargetState, heard: Heard | None = None) -> None:
+        """Add the belief of one target in one frame, and what its agents said, to the next flush."""
         known = state.motion_context
         line = {"frame": frame, "target": target, "time": state.time, **_posterior_to_plain(state.belief)}
         if known is not None and known.influences is not None:
             line["influences"] = _influences_to_plain(known.influences)
+        if heard is not None:
+            line |= _heard_to_plain(heard)
         self.append(json.dumps(line, separators=(",", ":")))
 
 
@@ -135,15 +142,48 @@ def _influences_to_plain(influences: Influences) -> dict[str, Any]:
     return plain
 
 
+def _heard_to_plain(heard: Heard) -> dict[str, Any]:
+    plain: dict[str, Any] = {}
+    if heard.log_likelihoods:
+        said = heard.log_likelihoods.items()
+        plain["log_likelihoods"] = {agent: _to_text(values, "<f4") for agent, values in said}
+    if heard.measured:
+        plain["measured"] = {
+            agent: {
+                "fields": list(one.fields),
+                "mean": _to_text(one.mean, "<f8"),
+                "covariance": _to_text(one.covariance, "<f8"),
+            }
+            for agent, one in heard.measured.items()
+        }
+    return plain
+
+
 def _kept(line: dict[str, Any]) -> KeptBelief:
     influences = line.get("influences")
+    posterior = _posterior(line)
     return KeptBelief(
         int(line["frame"]),
         str(line["target"]),
         float(line["time"]),
-        _posterior(line),
+        posterior,
         None if influences is None else _influences(influences),
+        _heard(line, posterior),
     )
+
+
+def _heard(line: dict[str, Any], posterior: ParticleSet | GaussianPosterior) -> Heard:
+    said = {str(a): _from_text(text, "<f4") for a, text in line.get("log_likelihoods", {}).items()}
+    for agent, values in said.items():
+        if not isinstance(posterior, ParticleSet) or len(values) != len(posterior):
+            raise ValueError(f"{len(values)} log-likelihoods of {agent} for {len(posterior)} particles")
+    return Heard(said, {str(a): _measured(one) for a, one in line.get("measured", {}).items()})
+
+
+def _measured(plain: dict[str, Any]) -> Measurement:
+    fields = tuple(map(str, plain["fields"]))
+    mean, covariance = (_from_text(plain[key], "<f8") for key in ("mean", "covariance"))
+    return Measurement(fields, mean, covariance.reshape(len(fields), len(fields)))
 
 
 def _posterior(line: dict[str, Any]) -> ParticleSet | GaussianPosterior:

@@ -189,7 +189,8 @@ class Recorder:
             self._mot.write(metrics)
             self._csv.write(metrics)
             if self._beliefs is not None and metrics.target in result.states:
-                self._beliefs.write(metrics.frame, metrics.target, result.states[metrics.target])
+                state, said = result.states[metrics.target], result.heard.get(metrics.target)
+                self._beliefs.write(metrics.frame, metrics.target, state, said)
         if self._forecasts is not None:
             self._forecasts.write(result)
         spent = {name: round(seconds, 7) for name, seconds in result.seconds.items()}
