@@ -79,6 +79,11 @@ class CorrelationFilterParameters(SizedCueParameters):
     ridge: float = Field(
         default=0.01, gt=0, description="Ridge of the regression as a share of the mean power of the patch."
     )
+    signed: bool = Field(
+        default=True,
+        description="Light to dark differs from dark to light in two thirds of the gradients; without them "
+        "the filter takes half the time.",
+    )
 
 
 @dataclass(frozen=True)
@@ -113,9 +118,9 @@ class CorrelationFilter:
         cell, mean = self._cell(size), np.sqrt(size[0] * size[1])
         image, x, y = planes[WholeFrame()], float(box[0]), float(box[1])
         if angle == 0.0:
-            patch = patch_at(image, x, y, cell, p.cells)
+            patch = patch_at(image, x, y, cell, p.cells, p.signed)
         else:
-            patch = turned_patch_at(image, x, y, cell, p.cells, angle)
+            patch = turned_patch_at(image, x, y, cell, p.cells, p.signed, angle)
         off = (box[0] - patch.x) / patch.cell, (box[1] - patch.y) / patch.cell
         label = gaussian_label(p.cells, max(p.sd_answer * mean / cell, 0.3), *off)
         numerator, denominator = equations(patch.features * self._window(size), label)
@@ -188,7 +193,7 @@ class CorrelationFilter:
         for tile in np.unique(tile_of[asked]):
             which = np.flatnonzero(asked & (tile_of == tile))
             x, y = reference["place"] + tiles[which[0]] * (REACH - 4) * cell
-            patch = patch_at(image, float(x), float(y), cell, around)
+            patch = patch_at(image, float(x), float(y), cell, around, self.parameters.signed)
             seen = tile_spectra(patch.features, cells)
             levels = np.clip((log_scale + np.log(cell / patch.cell)) / SCALE_STEP, -LEVELS, LEVELS)
             columns = (boxes[:, 0] - patch.x) / patch.cell + 0.5 * REACH

@@ -108,9 +108,9 @@ def test_a_patch_says_where_its_cells_lie(x: float, cell: float) -> None:
     np.testing.assert_allclose(read[inside], columns[inside], atol=2.0)
 
 
-@pytest.mark.parametrize("scale", [0.9, 1.0, 1.12])
-def test_place_and_scale_are_found(scale: float) -> None:
-    cue = made()
+@pytest.mark.parametrize(("scale", "signed"), [(0.9, True), (1.0, True), (1.12, True), (1.12, False)])
+def test_place_and_scale_are_found(scale: float, signed: bool) -> None:
+    cue = made(signed=signed)
     reference = cue.learn(planes_of(scene(150, 120)), box(150, 120))
     image = scene(163.5, 108, scale)
     scales = np.exp(np.arange(-0.24, 0.241, 0.02))
@@ -205,10 +205,10 @@ def test_an_angle_of_nothing_is_none() -> None:
         assert cue.log_likelihood(image, alone, reference)[0] == pytest.approx(mixed[n], abs=1e-9)
 
 
-@pytest.mark.parametrize("angle", [7.0, 90.0, -130.0])
-def test_what_is_learnt_turned_is_the_upright_target(angle: float) -> None:
+@pytest.mark.parametrize(("angle", "signed"), [(7.0, True), (90.0, True), (-130.0, True), (7.0, False)])
+def test_what_is_learnt_turned_is_the_upright_target(angle: float, signed: bool) -> None:
     """Its filter answers to the upright picture, and so a blend of both is one of the same target."""
-    cue = made()
+    cue = made(signed=signed)
     upright = cue.learn(planes_of(scene(150, 120)), box(150, 120))
     turned = cue.learn_turned(planes_of(scene(150, 120, angle=angle)), box(150, 120), angle)
     seen = answered(cue, scene(150, 120), [box(150, 120), box(160, 120)], turned)
@@ -225,6 +225,7 @@ def test_a_quarter_turn_of_features_moves_places_and_orientations() -> None:
     np.testing.assert_allclose(turned[:8], np.roll(placed[:8], 2, axis=0), atol=1e-5)
     np.testing.assert_allclose(turned[8:12], np.roll(placed[8:12], 2, axis=0), atol=1e-5)
     np.testing.assert_allclose(turned[12:], placed[12:], atol=1e-5)
+    np.testing.assert_array_equal(turned_features(features[8:], 90.0), turned[8:])  # those without signs
     flat = np.ones((CHANNELS, 9, 9), np.float32) * np.arange(CHANNELS, dtype=np.float32)[:, None, None]
     eighth = turned_features(flat, 45.0)[:, 4, 4]
     np.testing.assert_allclose(eighth[:8], np.roll(np.arange(8), 1), atol=1e-4)

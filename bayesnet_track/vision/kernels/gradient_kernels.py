@@ -19,19 +19,20 @@ TRUNCATED = np.float32(0.2)
 
 
 @compiled
-def oriented_gradients(gray: Bytes, signed: int, histograms: Singles) -> None:
+def oriented_gradients(gray: Bytes, half: int, histograms: Singles) -> None:
     """Add up magnitudes of gradients by cell and orientation.
 
     Args:
         gray: (4 R, 4 K) uint8, C order.
-        signed: orientations of the full circle, even and at least 6; k + signed / 2 points away from k.
-        histograms: (R, K, signed) float32, filled. The first and last column are 0, the first and last row
-            hold their own votes only: take them as a rim.
+        half: orientations of half a circle, at least 3.
+        histograms: (R, K, N) float32, filled. With N = 2 `half` those of the full circle, k + `half` points
+            away from k; with N = `half` both count alike. The first and last column are 0, the first and
+            last row hold their own votes only: take them as a rim.
     """
     height, width = gray.shape
-    rows, columns, half = height // 4, width // 4, signed // 2
+    rows, columns, count = histograms.shape
     share = np.array([0.625, 0.875, 0.875, 0.625], np.float32)  # of the own cell; the rest is the neighbour's
-    pooled = np.zeros((rows, signed, width), np.float32)
+    pooled = np.zeros((rows, count, width), np.float32)
     gx, gy, per = np.zeros(width, np.float32), np.zeros(width, np.float32), np.zeros(width, np.float32)
     for y in range(1, height - 1):
         above, here, below = gray[y - 1], gray[y], gray[y + 1]
@@ -49,6 +50,15 @@ def oriented_gradients(gray: Bytes, signed: int, histograms: Singles) -> None:
             other, theirs = own, np.float32(0.0)
         for k in range(half):
             across, down = np.float32(np.cos(np.pi * k / half)), np.float32(np.sin(np.pi * k / half))
+            if count == half:
+                alike, alike_beside = pooled[own, k], pooled[other, k]
+                for x in range(width):
+                    dot = across * gx[x] + down * gy[x]
+                    square = dot * dot
+                    vote = square * square * per[x]
+                    alike[x] += mine * vote
+                    alike_beside[x] += theirs * vote
+                continue
             plus, minus = pooled[own, k], pooled[own, k + half]
             plus_beside, minus_beside = pooled[other, k], pooled[other, k + half]
             for x in range(width):  # without branches, so that it becomes vector instructions
@@ -62,7 +72,7 @@ def oriented_gradients(gray: Bytes, signed: int, histograms: Singles) -> None:
                 plus_beside[x] += theirs * with_it
                 minus_beside[x] += theirs * against
     for j in range(rows):
-        for k in range(signed):
+        for k in range(count):
             line = pooled[j, k]
             for i in range(1, columns - 1):
                 x = 4 * i
@@ -76,23 +86,24 @@ def oriented_gradients(gray: Bytes, signed: int, histograms: Singles) -> None:
 
 
 @compiled
-def normalised_cells(histograms: Singles, noise: float, features: Singles) -> None:
+def normalised_cells(histograms: Singles, half: int, noise: float, features: Singles) -> None:
     """Fill the first channels of `features` with cells relative to the root of the energy around them.
 
     Args:
-        histograms: (R + 2, K + 2, signed) float32 of `oriented_gradients`.
+        histograms: (R + 2, K + 2, N) float32 of `oriented_gradients`, which says N; likewise `half`.
         noise: energy that is added, so that the grain of flat places does not become a pattern.
-        features: (C, R, K) float32, C >= 1.5 signed: first `signed` channels in which light to dark differs
-            from dark to light, then signed / 2 in which it does not.
+        features: (C, R, K) float32: with N = 2 `half` first N channels in which light to dark differs from
+            dark to light; then `half` in which it does not.
     """
-    rows, columns, signed = features.shape[1], features.shape[2], histograms.shape[2]
-    half = signed // 2
+    rows, columns, count = features.shape[1], features.shape[2], histograms.shape[2]
     energy = np.empty((rows + 2, columns + 2), np.float32)
     for j in range(rows + 2):
         for i in range(columns + 2):
             total = np.float32(0.0)
             for k in range(half):
-                both = histograms[j, i, k] + histograms[j, i, k + half]
+                both = histograms[j, i, k]
+                if count > half:
+                    both += histograms[j, i, k + half]
                 total += both * both
             energy[j, i] = total
     for j in range(rows):
@@ -105,7 +116,10 @@ def normalised_cells(histograms: Singles, noise: float, features: Singles) -> No
             scale = np.float32(1.0) / np.sqrt(around)
             for k in range(half):
                 one = histograms[j + 1, i + 1, k] * scale
+                if count == half:
+                    features[k, j, i] = min(one, TRUNCATED)
+                    continue
                 other = histograms[j + 1, i + 1, k + half] * scale
                 features[k, j, i] = min(one, TRUNCATED)
                 features[k + half, j, i] = min(other, TRUNCATED)
-                features[k + signed, j, i] = min(one + other, TRUNCATED)
+                features[k + count, j, i] = min(one + other, TRUNCATED)

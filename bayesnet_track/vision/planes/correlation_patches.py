@@ -10,8 +10,10 @@ from bayesnet_track.numerics.arrays import Bytes, Singles
 
 ORIENTATIONS = 8
 """Orientations of the full circle."""
-CHANNELS = ORIENTATIONS + ORIENTATIONS // 2 + 3
-"""Gradients with and without their sign, brightness, two differences of colours."""
+UNSIGNED_CHANNELS = ORIENTATIONS // 2 + 3
+"""Gradients without their sign, brightness, two differences of colours."""
+CHANNELS = ORIENTATIONS + UNSIGNED_CHANNELS
+"""The same after gradients with their sign, which tell light to dark from dark to light."""
 NOISE = 400.0
 """Energy of gradients, gray levels^2, below which a place counts as flat."""
 
@@ -34,7 +36,7 @@ class Patch:
     Attributes:
         x: column of its centre, frame px; likewise `y`.
         cell: side of a cell, frame px.
-        features: (CHANNELS, cells, cells) float32.
+        features: (C, cells, cells) float32, C = `CHANNELS` or `UNSIGNED_CHANNELS`.
     """
 
     x: float
@@ -43,8 +45,10 @@ class Patch:
     features: Singles
 
 
-def patch_at(image: Bytes, x: float, y: float, cell: float, cells: int) -> Patch:
+def patch_at(image: Bytes, x: float, y: float, cell: float, cells: int, signed: bool = True) -> Patch:
     """The patch of `cells` x `cells` cells of about `cell` px around (x, y) of an (H, W, 3) BGR image.
+
+    With gradients that have their sign too if `signed`.
 
     Whole pixels are cut out: centre and cell are the nearest to what is asked for that this allows. Beyond
     the image its border is repeated.
@@ -63,10 +67,14 @@ def patch_at(image: Bytes, x: float, y: float, cell: float, cells: int) -> Patch
     if times > 1:  # first by whole pixels, so that nothing aliases
         crop = cv2.resize(crop, (side // times, side // times), interpolation=cv2.INTER_AREA)
     resized = np.asarray(cv2.resize(crop, (size, size), interpolation=cv2.INTER_LINEAR), np.uint8)
-    return Patch(left + (side - 1) / 2, top + (side - 1) / 2, side / around, _features(resized, cells))
+    return Patch(
+        left + (side - 1) / 2, top + (side - 1) / 2, side / around, _features(resized, cells, signed)
+    )
 
 
-def turned_patch_at(image: Bytes, x: float, y: float, cell: float, cells: int, angle: float) -> Patch:
+def turned_patch_at(
+    image: Bytes, x: float, y: float, cell: float, cells: int, signed: bool, angle: float
+) -> Patch:
     """As `patch_at`, of a square that is turned by `angle` degrees, clockwise: it shows what was upright."""
     import cv2
 
@@ -85,11 +93,11 @@ def turned_patch_at(image: Bytes, x: float, y: float, cell: float, cells: int, a
     matrix = np.column_stack([turn, middle - turn @ np.full(2, (size - 1) / 2)])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     upright = cv2.warpAffine(crop, matrix, (size, size), flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    return Patch(x, y, cell, _features(np.asarray(upright, np.uint8), cells))
+    return Patch(x, y, cell, _features(np.asarray(upright, np.uint8), cells, signed))
 
 
 def turned_features(features: Singles, angle: float) -> Singles:
-    """(CHANNELS, S, S) features, or a filter over them, of what is turned by `angle` degrees, clockwise.
+    """(C, S, S) features, or a filter over them, of what is turned by `angle` degrees, clockwise.
 
     Places are bicubic about the middle, with nothing beyond; orientations turn with them, by
     their harmonics.
@@ -102,7 +110,9 @@ def turned_features(features: Singles, angle: float) -> Singles:
     matrix = np.column_stack([turn, middle - turn @ np.full(2, middle)])
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     placed = np.stack([cv2.warpAffine(one, matrix, (side, side), flags=flags) for one in features])
-    for first, count in ((0, ORIENTATIONS), (ORIENTATIONS, ORIENTATIONS // 2)):
+    half = ORIENTATIONS // 2
+    signed = ((0, ORIENTATIONS),) if len(features) == CHANNELS else ()
+    for first, count in (*signed, (len(features) - UNSIGNED_CHANNELS, half)):
         own = placed[first : first + count].reshape(count, -1)
         placed[first : first + count] = (_shift(count, angle * ORIENTATIONS / 360.0) @ own).reshape(
             -1, side, side
@@ -125,17 +135,17 @@ def _sin(degrees: float) -> float:
     return float(np.sin(np.radians(degrees)))
 
 
-def _features(resized: Bytes, cells: int) -> Singles:
-    """(CHANNELS, cells, cells) of a square of `cells` + 2 cells."""
+def _features(resized: Bytes, cells: int, signed: bool) -> Singles:
+    """(C, cells, cells) of a square of `cells` + 2 cells."""
     import cv2
 
     from bayesnet_track.vision.kernels.gradient_kernels import normalised_cells, oriented_gradients
 
-    around = cells + 2
-    histograms = np.empty((around, around, ORIENTATIONS), np.float32)
-    oriented_gradients(cv2.cvtColor(resized, cv2.COLOR_BGR2GRAY), ORIENTATIONS, histograms)
-    features = np.empty((CHANNELS, cells, cells), np.float32)
-    normalised_cells(histograms, NOISE, features)
+    around, half = cells + 2, ORIENTATIONS // 2
+    histograms = np.empty((around, around, ORIENTATIONS if signed else half), np.float32)
+    oriented_gradients(cv2.cvtColor(resized, cv2.COLOR_BGR2GRAY), half, histograms)
+    features = np.empty((CHANNELS if signed else UNSIGNED_CHANNELS, cells, cells), np.float32)
+    normalised_cells(histograms, half, NOISE, features)
     means = cv2.resize(resized, (around, around), interpolation=cv2.INTER_AREA)
     mixed = cv2.transform(means[1:-1, 1:-1].astype(np.float32), _MIXES)
     features[-3:] = np.moveaxis(mixed, 2, 0)
