@@ -6,14 +6,10 @@ from scipy import ndimage
 
 from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.vision.kernels.blob_kernels import (
-    _COSINES,
-    _SINES,
     blob_costs,
     grow_blobs,
-    grow_in_runs,
     match_blobs,
 )
-from bayesnet_track.vision.kernels.blob_words import grow_in_words
 
 RED, GREEN, BLUE, GRAY = (0, 0, 255), (0, 255, 0), (255, 0, 0), (90, 90, 90)
 
@@ -57,22 +53,19 @@ def test_blobs_are_the_connected_components_of_the_grid(cells):
         assert (np.diff(blobs[0, : found[0], 3]) <= 0).all()
 
 
-@pytest.mark.parametrize("cells", [4, 5, 7, 8])
-def test_words_and_runs_grow_the_same_blobs(cells):
-    """Bit for bit: on noise, on patches of similar hues, and where boxes leave the picture."""
+@pytest.mark.parametrize("cells", [4, 7, 8, 11])
+def test_outside_the_plane_there_is_no_hue(cells):
+    """Bit for bit, on noise and on patches of similar hues, as in a plane with a wide margin of no hue."""
     rng = np.random.default_rng(cells)
     noise = rng.integers(-1, 256, (60, 80))
     patches = np.kron(rng.choice([-1, 3, 10, 250, 128], (12, 16)), np.ones((5, 5), int))
     boxes = np.column_stack([rng.uniform(-10, 90, (400, 2)), rng.uniform(2, 50, (400, 2))])
-    for hue in (noise, patches, np.full((60, 80), 40), np.full((60, 80), -1)):
-        for most, least in ((6, 2), (1, 1), (64, 1)):
-            grown = []
-            for grow in (grow_in_words, grow_in_runs):
-                blobs, found = np.zeros((400, most, 4)), np.zeros(400, np.int64)
-                grow(hue.astype(np.int16), boxes, 3, 2, cells, 10, least, _COSINES, _SINES, blobs, found)
-                grown.append((blobs, found))
-            for one, other in zip(*grown, strict=True):
-                np.testing.assert_array_equal(one, other)
+    for hue in (noise, patches):
+        padded = np.pad(hue, 50, constant_values=-1)
+        planes = ((hue, (3, 2)), (padded, (-47, -48)))
+        one, other = (grow_blobs(h.astype(np.int16), boxes, at, cells, 15.0, 0.02, 6) for h, at in planes)
+        np.testing.assert_array_equal(one[0], other[0])
+        np.testing.assert_array_equal(one[1], other[1])
 
 
 def test_neighbours_join_across_the_start_of_the_hue_circle():

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.compiled import compiled
-from bayesnet_track.vision.kernels.blob_words import MOST_CELLS, grow_in_words
 
 BLOB_COLUMNS = ("x", "y", "hue", "share")
 """A blob: its centre relative to the box's (in widths and heights), mean hue (degrees), share of the box."""
@@ -50,8 +49,7 @@ def grow_blobs(
     found: NDArray[np.int64] = np.zeros(len(boxes), np.int64)
     tolerance = int(tolerance_deg * 256 / 360)
     least = max(math.ceil(min_share * cells * cells), 1)
-    grow = grow_in_words if cells * cells <= MOST_CELLS else grow_in_runs
-    grow(
+    _grow(
         np.ascontiguousarray(hue),
         np.ascontiguousarray(boxes),
         origin[0],
@@ -68,7 +66,7 @@ def grow_blobs(
 
 
 @compiled
-def grow_in_runs(
+def _grow(
     hue: NDArray[np.int16],
     boxes: Floats,
     left: int,
@@ -81,7 +79,7 @@ def grow_in_runs(
     blobs: Floats,
     found: NDArray[np.int64],
 ) -> None:
-    """`grow_blobs` by joining runs of cells side by side, for any number of cells."""
+    """`grow_blobs` by joining runs of cells side by side."""
     # Written almost without branches, which a grid of real hues makes unpredictable.
     rows, columns = hue.shape
     size = cells * cells
