@@ -10,36 +10,24 @@ from typing import Self
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.atomic import PART
 
-FILES = {
-    "recipe": "run.json",
-    "journal": "journal.jsonl",
-    "frames": "frames.jsonl",
-    "beliefs": "beliefs.jsonl",
-    "forecasts": "forecasts.jsonl",
-    "mot": "tracks.txt",
-    "csv": "tracks.csv",
-    "timings": "timings.jsonl",
-    "graph": "graph.yaml",
-    "video": "video.mkv",
-    "mp4": "video.mp4",
-    "report": "report.html",
-    "truth": "truth.txt",
-    "inputs": "inputs.jsonl",
-    "ahead": "inputs_ahead.jsonl",
-    "checkpoint": "checkpoint",
-    "previous": "checkpoint.previous",
-    "manifest": "manifest.json",
-}
 LOCK = ".lock"
 """Beside them, and none of them: nothing replaces or removes it."""
 STAGED, REPLACING = ".staged", ".replacing"
 """Folders of a run that is about to replace the one beside them; see `runtime.recording.replace`."""
-MARKS = (FILES["recipe"], FILES["journal"], REPLACING)
-"""A folder that holds one of them is a run."""
 
 
 class RunDirectoryError(OSError):
     """A folder that cannot become, or is not, a run directory."""
+
+
+class RunFile:
+    """The path of a file of a run, by its name in the run's folder."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __get__(self, run: RunDirectory, kind: type[RunDirectory] | None = None) -> Path:
+        return run.path / self.name
 
 
 @dataclass(frozen=True)
@@ -51,6 +39,43 @@ class RunDirectory:
     """
 
     path: Path
+
+    recipe = RunFile("run.json")
+    """What was asked for; see `runtime.checkpoints.recipe`."""
+    journal = RunFile("journal.jsonl")
+    """Events and decisions."""
+    frames = RunFile("frames.jsonl")
+    """Metrics of every frame."""
+    beliefs = RunFile("beliefs.jsonl")
+    """Beliefs of every frame, where they were kept for smoothing."""
+    forecasts = RunFile("forecasts.jsonl")
+    """Where targets are expected some frames ahead, where that was asked for."""
+    mot = RunFile("tracks.txt")
+    """Tracks in MOT's format."""
+    csv = RunFile("tracks.csv")
+    """Tracks as CSV."""
+    timings = RunFile("timings.jsonl")
+    """Wall-clock timings: the only file that differs between equal runs."""
+    graph = RunFile("graph.yaml")
+    """The canonical text of the graph."""
+    video = RunFile("video.mkv")
+    """The annotated video."""
+    mp4 = RunFile("video.mp4")
+    """The same, where MP4 was asked for."""
+    report = RunFile("report.html")
+    """The page of the run."""
+    truth = RunFile("truth.txt")
+    """Ground truth of a synthetic scene: a corner box a line."""
+    inputs = RunFile("inputs.jsonl")
+    """What came from outside during the run."""
+    ahead = RunFile("inputs_ahead.jsonl")
+    """What came from outside for frames that are to be tracked again; see `pending_inputs`."""
+    checkpoint = RunFile("checkpoint")
+    """Where the run can go on from, while it is not at its end."""
+    previous = RunFile("checkpoint.previous")
+    """The checkpoint before that, for when it is damaged."""
+    manifest = RunFile("manifest.json")
+    """What a finished run left; see `runtime.recording.manifest`."""
 
     @classmethod
     def create(cls, path: Path | str, overwrite: bool = False) -> Self:
@@ -153,81 +178,6 @@ class RunDirectory:
         return self.path / LOCK
 
     @property
-    def recipe(self) -> Path:
-        """What was asked for; see `runtime.checkpoints.recipe`."""
-        return self.path / FILES["recipe"]
-
-    @property
-    def journal(self) -> Path:
-        """Events and decisions."""
-        return self.path / FILES["journal"]
-
-    @property
-    def frames(self) -> Path:
-        """Metrics of every frame."""
-        return self.path / FILES["frames"]
-
-    @property
-    def forecasts(self) -> Path:
-        """Where targets are expected some frames ahead, where that was asked for."""
-        return self.path / FILES["forecasts"]
-
-    @property
-    def beliefs(self) -> Path:
-        """Beliefs of every frame, where they were kept for smoothing."""
-        return self.path / FILES["beliefs"]
-
-    @property
-    def mot(self) -> Path:
-        """Tracks in MOT's format."""
-        return self.path / FILES["mot"]
-
-    @property
-    def csv(self) -> Path:
-        """Tracks as CSV."""
-        return self.path / FILES["csv"]
-
-    @property
-    def timings(self) -> Path:
-        """Wall-clock timings: the only file that differs between equal runs."""
-        return self.path / FILES["timings"]
-
-    @property
-    def graph(self) -> Path:
-        """The canonical text of the graph."""
-        return self.path / FILES["graph"]
-
-    @property
-    def video(self) -> Path:
-        """The annotated video."""
-        return self.path / FILES["video"]
-
-    @property
-    def mp4(self) -> Path:
-        """The same, where MP4 was asked for."""
-        return self.path / FILES["mp4"]
-
-    @property
-    def report(self) -> Path:
-        """The page of the run."""
-        return self.path / FILES["report"]
-
-    @property
-    def truth(self) -> Path:
-        """Ground truth of a synthetic scene: a corner box a line."""
-        return self.path / FILES["truth"]
-
-    @property
-    def checkpoint(self) -> Path:
-        """Where the run can go on from, while it is not at its end."""
-        return self.path / FILES["checkpoint"]
-
-    @property
-    def previous(self) -> Path:
-        """The checkpoint before that, for when it is damaged."""
-        return self.path / FILES["previous"]
-
-    @property
     def is_replacing(self) -> bool:
         """Whether a new run is taking the place of an earlier one here; see `runtime.recording.replace`."""
         return (self.path / REPLACING).is_dir()
@@ -237,17 +187,8 @@ class RunDirectory:
         """Whether a run is here, in whatever state."""
         return any((self.path / name).exists() for name in MARKS)
 
-    @property
-    def manifest(self) -> Path:
-        """What a finished run left; see `runtime.recording.manifest`."""
-        return self.path / FILES["manifest"]
 
-    @property
-    def inputs(self) -> Path:
-        """What came from outside during the run."""
-        return self.path / FILES["inputs"]
-
-    @property
-    def ahead(self) -> Path:
-        """What came from outside for frames that are to be tracked again; see `pending_inputs`."""
-        return self.path / FILES["ahead"]
+FILES = {key: file.name for key, file in vars(RunDirectory).items() if isinstance(file, RunFile)}
+"""Key of each file of a run -> its name."""
+MARKS = (FILES["recipe"], FILES["journal"], REPLACING)
+"""A folder that holds one of them is a run."""
