@@ -46,7 +46,8 @@ def run_data(
 
     Columns of target i are called `i/NAME` with a row per frame of that target; names are those of
     `frames.jsonl`, with `agents/NODE/...`, `nodes/NODE/...` and `parts/NODE/...` for what is measured of
-    nodes. Columns `run/...` have a row per line of the timings.
+    nodes, and `modes/MODE` for the probability of a mode. Columns `run/...` have a row per line of the
+    timings.
 
     Args:
         events: the journal.
@@ -135,6 +136,7 @@ def _names(lines: Sequence[FrameMetrics]) -> dict[str, Any]:
         "agents": list(agents),
         "nodes": list(nodes),
         "parts": list(parts),
+        "modes": list(dict.fromkeys(name for line in lines for name in line.modes)),
         "calibrated": any(line.features for line in lines),
     }
 
@@ -162,6 +164,7 @@ def _target(lines: Sequence[FrameMetrics], points: int) -> Columns:
         nothing = (math.nan,) * 4
         columns[f"parts/{part}/box"] = short_floats([nothing if p is None else p.centre_box for p in found])
         columns[f"parts/{part}/status"] = _codes("unwatched" if p is None else p.status for p in found)
+    columns |= {f"modes/{mode}": _of_node(lines, "modes", mode) for mode in names["modes"]}
     return columns | _clouds(lines, points)
 
 

@@ -19,7 +19,7 @@ def plates(graph: CheckedGraph, costs_ms: Mapping[str, float]) -> dict[str, dict
 
 
 def _plate(target: CheckedTarget, costs_ms: Mapping[str, float]) -> dict[str, Any]:
-    agents = []
+    agents, root = [], target.inference(target.root)
     for name in target.agents:
         cue = target.agent(name).agent.cue
         agents.append({"name": name, "cue": cue, "cost_ms": costs_ms.get(cue)})
@@ -28,6 +28,7 @@ def _plate(target: CheckedTarget, costs_ms: Mapping[str, float]) -> dict[str, An
         "agents": agents,
         "rules": _rules(target),
         "net": _net(target),
+        "hidden_modes": [name for name, mode in (root.modes or {}).items() if mode.hidden is not None],
         "settings": {name: settings_text(target, name) for name in target.spec.nodes},
     }
 

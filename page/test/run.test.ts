@@ -11,7 +11,7 @@ import { drawnOf } from "../src/view/panels";
 const header = {
   run: { graph: "g", source: "s", frame_interval_s: 0.04, width: 64, height: 48 },
   plates: {
-    box: { root: "box", agents: [{ name: "a", cue: "x", cost_ms: 3 }, { name: "b", cue: "y", cost_ms: 5 }], rules: [] },
+    box: { root: "box", agents: [{ name: "a", cue: "x", cost_ms: 3 }, { name: "b", cue: "y", cost_ms: 5 }], rules: [], hidden_modes: ["behind"] },
   },
 } as unknown as Pick<Header, "run" | "plates">;
 
@@ -53,6 +53,17 @@ test("lines are appended; what is measured late has gaps before", () => {
   assert.equal(track.value("ud_px2", 1), Infinity);
   assert.deepEqual([0, 1, 2].map((row) => track.cloud(row).length), [1, 0, 1]);
   assert.equal(track.status(2), "lost");
+});
+
+test("probabilities of modes are kept by name, also of frames before a mode was known", () => {
+  const run = new RunData(header);
+  run.append(line(0));
+  run.append(line(1, { modes: { seen: 0.25, behind: 0.75 } }));
+  const track = run.tracks.get("1")!;
+  assert.deepEqual(track.modes, ["seen", "behind"]);
+  assert.ok(Number.isNaN(track.value("modes/behind", 0)) && Number.isNaN(run.hidden(track, 0)));
+  assert.equal(run.hidden(track, 1), 0.75);
+  assert.equal(track.value("modes/behind", 1), 0.75);
 });
 
 test("what was saved is the cost of agents that were off", () => {

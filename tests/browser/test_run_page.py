@@ -369,3 +369,20 @@ def test_in_a_notebook_the_page_works_in_a_frame_that_reaches_nothing_of_it(brow
         assert "copy link" not in text_of(browser, ".take")  # there is no address to link to
         browser.driver.switch_to.default_content()
     assert browser.complaints() == []
+
+
+def test_a_band_shows_the_probability_of_each_mode(browser, tmp_path):
+    source = SceneSource.named("flying_ball", 0, 12)
+    list(track("hidden_ball", source, [Start(source.scene.start_box)], out=tmp_path / "run"))
+    assert main(["report", str(tmp_path / "run"), "--frames", "none"]) == 0
+    browser.open(tmp_path / "run" / "report.html", hash="#frame=11")
+    names = browser.run("return [...document.querySelectorAll('.plot b')].map(one => one.innerText)")
+    assert names[:3] == ["Uncertainty", "Modes", "Agents"]
+    last = open_run(tmp_path / "run").metrics[-1]
+    shown = text_of(browser, ".plot-modes .readout").split()
+    assert [shown[0], shown[2]] == ["behind", "seen"]  # what hides is at the bottom
+    np.testing.assert_allclose([float(shown[1]), float(shown[3])], [last.hidden, 1 - last.hidden], atol=0.01)
+    numbers = browser.run("return [...document.querySelectorAll('.numbers div')].map(d => d.innerText)")
+    (hidden,) = (text.split() for text in numbers if text.startswith("hidden"))
+    assert float(hidden[1]) == round(last.hidden, 2)
+    assert browser.complaints() == []

@@ -252,3 +252,11 @@ def test_names_are_escaped():
         text = "".join(page)
         assert "alert(" in text and hostile not in text
         assert text.count("<script>") == 1
+
+
+def test_probabilities_of_modes_are_columns_and_the_graph_says_which_hide(make_metrics):
+    lines = [make_metrics(frame=0), make_metrics(frame=1, modes={"seen": 0.25, "behind": 0.75})]
+    header, columns = run_data([STARTED], lines, graph=load_graph("hidden_ball"))
+    assert header["targets"][0]["modes"] == ["seen", "behind"]
+    assert header["plates"]["ball"]["hidden_modes"] == ["behind"]
+    np.testing.assert_array_equal(columns["0/modes/behind"], [np.nan, 0.75])

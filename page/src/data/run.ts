@@ -22,6 +22,7 @@ export class Track {
   agents: string[] = [];
   nodes: string[] = [];
   parts: string[] = [];
+  modes: string[] = [];
   calibrated = false;
 
   constructor(
@@ -111,6 +112,8 @@ export class Track {
       this.put(`parts/${part}/box`, row, "f4", ...(found?.box.map(number) ?? [NaN, NaN, NaN, NaN]));
       this.put(`parts/${part}/status`, row, "u1", code(found?.status ?? "unwatched"));
     }
+    this.modes = union(this.modes, Object.keys(line.modes ?? {}));
+    for (const mode of this.modes) this.put(`modes/${mode}`, row, "f4", number(line.modes?.[mode]));
     for (const box of line.cloud) this.put("cloud", -1, "i2", ...box.slice(0, 4));
     this.put("cloud_end", row, "i4", this.columns.get("cloud")?.length ?? 0);
     this.calibrated ||= Object.keys(line.features ?? {}).length > 0;
@@ -235,6 +238,17 @@ export class RunData {
     if (!Number.isFinite(across + down)) return NaN;
     const shared = Math.max(0, across) * Math.max(0, down);
     return shared / (w * h + tw * th - shared);
+  }
+
+  /** Modes of a target in which it cannot be seen. */
+  hidingModes(track: Track): string[] {
+    return track.modes.filter((mode) => this.plates[track.plate]?.hidden_modes.includes(mode));
+  }
+
+  /** Probability that the target is hidden; NaN where no mode hides it. */
+  hidden(track: Track, row: number): number {
+    const shares = this.hidingModes(track).map((mode) => track.value(`modes/${mode}`, row));
+    return shares.length === 0 ? NaN : shares.reduce((sum, share) => sum + share, 0);
   }
 
   private plateOf(target: string): string {

@@ -47,6 +47,8 @@ export interface Plate {
   root: string;
   /** Node -> what the graph says of it, as YAML; not in pages of earlier versions. */
   settings?: Record<string, string>;
+  /** Modes in which the target cannot be seen. */
+  hidden_modes: string[];
   agents: { name: string; cue: string; cost_ms: number | null }[];
   rules: Rule[];
   net: Net;
@@ -73,7 +75,7 @@ export interface Header {
   version: number;
   run: About;
   plates: Record<string, Plate>;
-  targets: { id: string; plate: string; agents: string[]; nodes: string[]; parts: string[]; calibrated: boolean }[];
+  targets: { id: string; plate: string; agents: string[]; nodes: string[]; parts: string[]; modes: string[]; calibrated: boolean }[];
   events: EventRow[];
   stages: string[];
   truth_target?: string | null;
@@ -113,6 +115,7 @@ export interface FrameLine {
   features?: Record<string, Written>;
   parts?: Record<string, { box: Written[]; status: string }>;
   angle?: Written;
+  modes?: Record<string, Written>;
 }
 
 /** A line of timings.jsonl. */

@@ -7,7 +7,7 @@ import type { EventRow } from "../data/types";
 import type { State } from "../state";
 import { Icon } from "./transport";
 import { framesOf, panelsOf, type Panel } from "./panels";
-import { lanes, marks, people, shade, stems } from "./plot_ink";
+import { lanes, marks, people, shade, stack, stems } from "./plot_ink";
 import { colour } from "./theme";
 import { nameOf, short } from "./words";
 
@@ -189,6 +189,7 @@ function draw(
     series: [
       {},
       ...panel.lines.map((line) => ({
+        show: panel.stacked !== true,
         stroke: line.colour,
         width: line.width,
         ...(line.dash ? { dash: line.dash } : {}),
@@ -201,6 +202,7 @@ function draw(
       draw: [
         (u) => {
           if (panel.targets !== undefined) people(u, panel.targets, state);
+          if (panel.stacked === true) stack(u, panel, frames);
           if (panel.lanes !== undefined) lanes(u, panel, frames, state.node.peek());
           if (panel.key === "ud") marks(u, panel, frames, events);
           if (panel.key === "agents") stems(u, events);

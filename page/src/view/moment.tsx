@@ -149,6 +149,8 @@ function Numbers({ state, track, row }: { state: State; track: Track; row: numbe
     ["learning rate", value("learn_rate"), "0 while UD is above the level"],
     ["time", `${short(state.run.ms("ms", state.frame.value))} ms`, "of the whole step"],
   ];
+  const hidden = state.run.hidden(track, row);
+  if (Number.isFinite(hidden)) items.splice(2, 0, ["hidden", hidden.toFixed(2), "probability that the target cannot be seen"]);
   if (Number.isFinite(overlap)) items.splice(2, 0, ["true overlap", overlap.toFixed(2), "IoU with the true box"]);
   return (
     <dl class="numbers">

@@ -3,7 +3,7 @@
 import type { RunData, Track } from "../data/run";
 import { agentsOf } from "../data/totals";
 import type { Rule } from "../data/types";
-import { agentColour, colour } from "./theme";
+import { AGENTS, agentColour, colour } from "./theme";
 import { RULES, UNITS, short } from "./words";
 
 export interface Line {
@@ -27,6 +27,8 @@ export interface Panel {
   /** Lowest and highest value that is shown. */
   range: [number, number];
   lanes?: Lane[];
+  /** Lines are shares of one whole: areas on each other, the first at the bottom. */
+  stacked?: boolean;
   /** A row per target: its status over time. */
   targets?: { track: Track; chosen: boolean }[];
 }
@@ -43,7 +45,8 @@ export function framesOf(track: Track): number[] {
 }
 
 export function panelsOf(run: RunData, track: Track): Panel[] {
-  const panels = [uncertainty(run, track), lanes(run, track), belief(run, track), evidence(track), sample(track)];
+  const shares = track.modes.length > 0 ? [modes(run, track)] : [];
+  const panels = [uncertainty(run, track), ...shares, lanes(run, track), belief(run, track), evidence(track), sample(track)];
   const clock = times(run, track);
   if (clock !== null) panels.push(clock);
   return run.tracks.size > 1 ? [everyone(run, track), ...panels] : panels;
@@ -114,6 +117,22 @@ function uncertainty(run: RunData, track: Track): Panel {
   for (const line of lines) line.values = line.values.map((v) => (v !== null && v > 0 ? v : null));
   const about = "UD, the mean squared distance from the estimate under the belief. High: it could be in many places.";
   return { key: "ud", name: "Uncertainty", unit: "UD, px², log scale", about, height: 190, lines, log: true, range: [low, high] };
+}
+
+/** Those that hide the target are grey and at the bottom, so that their upper edge is P(hidden). */
+function modes(run: RunData, track: Track): Panel {
+  const hidden = run.hidingModes(track);
+  const seen = track.modes.filter((mode) => !hidden.includes(mode));
+  const lines = [...hidden, ...seen].map((name, index) => ({
+    name,
+    title: hidden.includes(name) ? "the target cannot be seen in this mode" : "probability of this mode",
+    colour: index < hidden.length ? colour("hidden") : agentColour(AGENTS - 2 - (index - hidden.length)),
+    width: 6,
+    values: column(track, `modes/${name}`),
+  }));
+  const grey = hidden.length > 0 ? ` Grey: hidden (${hidden.join(", ")}).` : "";
+  const about = `The probability of each mode, on each other.${grey}`;
+  return { key: "modes", name: "Modes", unit: "probability", about, height: 80, lines, range: [0, 1], stacked: true };
 }
 
 function lanes(run: RunData, track: Track): Panel {

@@ -97,6 +97,33 @@ export function lanes(u: uPlot, panel: Panel, frames: number[], chosen: string |
   g.restore();
 }
 
+/** Lines as areas on each other, a step per frame. */
+export function stack(u: uPlot, panel: Panel, frames: number[]): void {
+  const g = u.ctx;
+  const { left, top, width, height } = u.bbox;
+  g.save();
+  g.beginPath();
+  g.rect(left, top, width, height);
+  g.clip();
+  g.fillStyle = colour("lane");
+  g.fillRect(left, top, width, height);
+  const hidden = colour("hidden");
+  frames.forEach((frame, row) => {
+    const x = Math.round(u.valToPos(frame - 0.5, "x", true));
+    const across = Math.round(u.valToPos(frame + 0.5, "x", true)) - x;
+    let below = 0;
+    for (const line of panel.lines) {
+      const above = below + (line.values[row] ?? 0);
+      const [y, end] = [u.valToPos(above, "y", true), u.valToPos(below, "y", true)];
+      g.globalAlpha = line.colour === hidden ? 1 : 0.6; // a full area would outshine the other plots
+      g.fillStyle = line.colour;
+      g.fillRect(x, y, across, end - y);
+      below = above;
+    }
+  });
+  g.restore();
+}
+
 function cut(g: CanvasRenderingContext2D, text: string, room: number): string {
   let kept = text;
   while (kept.length > 1 && g.measureText(kept === text ? text : `${kept}…`).width > room) kept = kept.slice(0, -1);
