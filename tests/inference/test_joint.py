@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from bayesnet_track.inference.joint import Marginal, joint_marginals
 from bayesnet_track.inference.joint_members import Edge, Member, bad_shares
 from bayesnet_track.inference.joint_messages import draw_partners
-from bayesnet_track.numerics.kernels.joint_kernels import behind, loss_of
+from bayesnet_track.numerics.kernels.joint_kernels import bad_behind, loss_of
 from bayesnet_track.numerics.log_weights import LogWeights
 
 
@@ -25,6 +25,11 @@ def member(rng, centre, cells=9, copies=1, on=None):
     likelihood = np.repeat(rng.uniform(-5.0, -0.1, cells), copies)
     level = float(likelihood.min() + likelihood.max()) / 2
     return Member(boxes, LogWeights.normalise(np.log(prior))[0], likelihood, level, on or {})
+
+
+def behind(bad, hidden, level, occluder, worst, best, agents):
+    """Loss of log-likelihood of a box of which a share is hidden."""
+    return loss_of(bad_behind(bad, hidden, level, occluder, worst, best), agents)
 
 
 def share(a, b):

@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.kernels.joint_kernels import behind, loss_of, pair_sums
+from bayesnet_track.numerics.kernels.joint_kernels import bad_behind, likelihood_of, loss_of, pair_sums
+
+
+def behind(bad, share, level, occluder, worst, best, agents):
+    return loss_of(bad_behind(bad, share, level, occluder, worst, best), agents)
 
 
 def test_a_quarter_of_a_box_that_does_not_match_halves_each_agents_likelihood():
@@ -11,6 +15,13 @@ def test_a_quarter_of_a_box_that_does_not_match_halves_each_agents_likelihood():
     assert loss_of(0.25, 3) == pytest.approx(3 * loss_of(0.25, 1))
     assert loss_of(0.0, 5) == 0.0
     assert np.exp(-loss_of(1.0, 2)) == pytest.approx(((1 + np.exp(-4.0)) / (1 + np.exp(12.0))) ** 2)
+
+
+@pytest.mark.parametrize("agents", [1, 2, 5])
+def test_the_likelihood_is_what_the_loss_says(agents):
+    for bad in (0.0, 0.1, 0.25, 1.0, 3.0):
+        assert np.log(likelihood_of(bad, agents)) == pytest.approx(-loss_of(bad, agents), rel=1e-12)
+    assert likelihood_of(60.0, agents) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -35,14 +46,15 @@ def overlap(a, b):
 
 
 @pytest.mark.parametrize("in_front", [0.0, 0.3, 1.0])
-def test_sums_over_the_partners(in_front):
+@pytest.mark.parametrize("farther", [0.0, 650.0])  # beyond what has an exponential
+def test_sums_over_the_partners(in_front, farther):
     rng = np.random.default_rng(6)
     boxes = np.column_stack([rng.uniform(0, 30, (6, 2)), rng.uniform(8, 20, (6, 2))])
     others = np.column_stack([rng.uniform(0, 30, (5, 2)), rng.uniform(8, 20, (5, 2))])
     others[0] = [100, 100, 5, 5]  # touches nobody
     others[1, :2], others[1, 2:] = boxes[0, :2], boxes[0, 2:] * 3  # all around the first
     bad, other_bad = rng.random(6), rng.random(5)
-    losses, other_losses = rng.random(6), rng.random(5)
+    losses, other_losses = rng.random(6) + farther, rng.random(5)
     hidden, other_hidden = (0.3, 0.6, 0.9, 0.2, 2), (0.2, 0.5, 0.8, 0.1, 3)
     partners = np.array([[0, 1, 2, 3, 4, 0], [1, 2, 3, 4, 2, 4], [1, 1, 1, 1, 1, 1]])
     log_importance, free, taken, nats = rng.normal(size=5), rng.random(5), rng.random(5), 1.7

@@ -10,6 +10,9 @@ from bayesnet_track.numerics.compiled import compiled
 
 Indices = NDArray[np.intp]
 
+LARGEST_LOG = 600.0
+"""Losses below it have an exponential, and so has what they are compared with."""
+
 
 @compiled
 def loss_of(bad: float, agents: int) -> float:
@@ -21,12 +24,20 @@ def loss_of(bad: float, agents: int) -> float:
 
 
 @compiled
-def behind(
-    bad: float, share: float, level: float, occluder: float, worst: float, best: float, agents: int
-) -> float:
-    """Loss of log-likelihood of a box of which `share` is hidden, all in shares; see `inference.joint`."""
+def likelihood_of(bad: float, agents: int) -> float:
+    """exp(-loss_of(bad, agents)), without a logarithm."""
+    each = (1.0 + np.exp(-4.0)) / (1.0 + np.exp(16.0 * bad - 4.0))
+    product = each
+    for _ in range(agents - 1):
+        product *= each
+    return product
+
+
+@compiled
+def bad_behind(bad: float, share: float, level: float, occluder: float, worst: float, best: float) -> float:
+    """Share that does not match of a box of which `share` is hidden, all in shares; see `inference.joint`."""
     rest = min(max(bad - share * occluder, (1.0 - share) * best), (1.0 - share) * worst)
-    return loss_of(rest + share * level, agents)
+    return rest + share * level
 
 
 @compiled
@@ -86,10 +97,13 @@ def pair_sums(
     """
     rounds, size = partners.shape
     sums = np.zeros((4, size))
+    level, occluder, worst, best, agents = hidden
+    other_level, other_occluder, other_worst, other_best, other_agents = other_hidden
     weights, all_seen = np.empty(others.shape[0]), np.empty(others.shape[0])
     for j in range(others.shape[0]):
         weights[j] = np.exp(log_importance[j])
         all_seen[j] = weights[j] * (free[j] + taken[j]) * np.exp(-other_losses[j])
+    gains = np.exp(np.minimum(losses, LARGEST_LOG))
     for r in range(rounds):
         for i in range(size):
             j = partners[r, i]
@@ -108,11 +122,15 @@ def pair_sums(
             share = min(across * down / (others[j, 2] * others[j, 3]), 1.0)
             penalty = np.exp(-nats * max(own, share)) if nats != 0.0 else 1.0
             if in_front > 0:
-                loss = behind(other_bad[j], share, *other_hidden)
-                sums[0, i] += in_front * penalty * weight * free[j] * np.exp(-loss)
+                left = bad_behind(other_bad[j], share, other_level, other_occluder, other_worst, other_best)
+                sums[0, i] += in_front * penalty * weight * free[j] * likelihood_of(left, other_agents)
             if in_front < 1:
-                gain = losses[i] - behind(bad[i], own, *hidden)
-                value = (1.0 - in_front) * penalty * seen * np.exp(gain)
+                left = bad_behind(bad[i], own, level, occluder, worst, best)
+                if losses[i] < LARGEST_LOG:
+                    gain = gains[i] * likelihood_of(left, agents)
+                else:
+                    gain = np.exp(losses[i] - loss_of(left, agents))
+                value = (1.0 - in_front) * penalty * seen * gain
                 sums[2, i] += value
                 sums[3, i] += own * value
     sums /= rounds
