@@ -35,8 +35,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesnet_track.inference.joint_members import Edge, Member, Pair
-from bayesnet_track.inference.joint_messages import Message, Said, pair_message, together
+from bayesnet_track.inference.joint_members import Edge, Member, Pair, weigh_all
+from bayesnet_track.inference.joint_messages import Message, Question, answer, shares_hidden, together
 from bayesnet_track.numerics.arrays import Floats
 
 FARTHEST = 150.0
@@ -75,37 +75,39 @@ def joint_marginals(
         ValueError: the edges close a ring.
     """
     members = {name: _bound(one) for name, one in members.items()}
+    weigh_all(members.values())
     near = _near(members, edges)
-    order, above = _root_tree(near)
+    above = _root_tree(near)
     around = _near(members, (*closing, *edges))
     messages: dict[Pair, Message] = {}
 
-    def say(speaker: str, hearer: str, others: Sequence[str]) -> None:
+    def ask(speaker: str, hearer: str, others: Sequence[str]) -> Question:
         said = together(members[speaker], others, speaker, messages)
         edge = around[speaker][hearer]
-        if edge.pair[0] != hearer:
-            edge = edge.turned
-        messages[speaker, hearer] = pair_message(
+        return Question(
             members[speaker],
             members[hearer],
             (members[speaker].hidden_by(hearer), members[hearer].hidden_by(speaker)),
             said,
-            edge,
+            edge if edge.pair[0] == hearer else edge.turned,
             stream(speaker, hearer),
         )
 
-    for first, second in (edge.pair for edge in closing):
-        say(first, second, ())
-        say(second, first, ())
-    upward = [(name, above[name]) for name in reversed(order)]
-    downward = [(above[name], name) for name in order]
-    for speaker, hearer in (*upward, *downward):
-        if speaker is not None and hearer is not None:
-            say(speaker, hearer, [name for name in around[speaker] if name != hearer])
-    marginals = {
-        name: _marginal(one, together(one, list(around[name]), name, messages))
-        for name, one in members.items()
-    }
+    # Whoever has heard all others speaks: all of a depth at once.
+    waiting: dict[Pair, list[str]] = {}
+    for name, parent in above.items():
+        if parent is not None:
+            waiting[name, parent] = [other for other in around[name] if other != parent]
+            waiting[parent, name] = [other for other in around[parent] if other != name]
+    for pair in (edge.pair for edge in closing):
+        waiting[pair] = waiting[pair[::-1]] = []
+    while waiting:
+        ready = [
+            pair for pair, others in waiting.items() if all((one, pair[0]) in messages for one in others)
+        ]
+        answers = answer([ask(*pair, waiting.pop(pair)) for pair in ready])
+        messages.update(zip(ready, answers, strict=True))
+    marginals = {name: _marginal(one, list(around[name]), name, messages) for name, one in members.items()}
     return marginals, {edge.pair: _order(edge, members, around, messages) for edge in (*edges, *closing)}
 
 
@@ -122,9 +124,8 @@ def _near(members: Iterable[str], edges: Iterable[Edge]) -> dict[str, dict[str, 
     return near
 
 
-def _root_tree(near: Mapping[str, Mapping[str, Edge]]) -> tuple[list[str], dict[str, str | None]]:
+def _root_tree(near: Mapping[str, Mapping[str, Edge]]) -> dict[str, str | None]:
     """All targets, parents before children, and each one's parent."""
-    order: list[str] = []
     above: dict[str, str | None] = {}
     for root in near:
         if root in above:
@@ -133,7 +134,6 @@ def _root_tree(near: Mapping[str, Mapping[str, Edge]]) -> tuple[list[str], dict[
         waiting = [root]
         while waiting:
             name = waiting.pop()
-            order.append(name)
             for other in near[name]:
                 if other == above[name]:
                     continue
@@ -141,16 +141,15 @@ def _root_tree(near: Mapping[str, Mapping[str, Edge]]) -> tuple[list[str], dict[
                     raise ValueError(f"targets {name} and {other} close a ring of joins")
                 above[other] = name
                 waiting.append(other)
-    return order, above
+    return above
 
 
-def _marginal(one: Member, said: Said) -> Marginal:
+def _marginal(one: Member, others: Sequence[str], name: str, messages: Mapping[Pair, Message]) -> Marginal:
+    said = together(one, others, name, messages).all
     with np.errstate(divide="ignore"):
-        log = one.log_likelihood + np.log(said.all)
-    total = float(one.seen @ said.all)
-    hidden = {
-        name: float(one.seen @ share) / total if total > 0 else 0.0 for name, share in said.shares.items()
-    }
+        log = one.log_likelihood + np.log(said)
+    total, shares = float(one.seen @ said), shares_hidden(one, others, name, messages)
+    hidden = {other: float(one.seen @ share) / total if total > 0 else 0.0 for other, share in shares.items()}
     return Marginal(log, hidden)
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.log_weights import LogWeights
 
 Pair = tuple[str, str]
@@ -119,7 +119,43 @@ class Edge:
         return replace(self, pair=self.pair[::-1], first_in_front=1.0 - self.first_in_front, factor=other)
 
 
-def bad_shares(losses: Floats, agents: int) -> Floats:
+def weigh_all(members: Iterable[Member]) -> None:
+    """Find what members know of their hypotheses, at once where they have as many, to the same bits."""
+    alike: dict[int, list[Member]] = {}
+    for one in members:
+        alike.setdefault(len(one.boxes), []).append(one)
+    for several in alike.values():
+        _weigh(several)
+
+
+def _weigh(members: Sequence[Member]) -> None:
+    """Fill in the properties of members with the same number of hypotheses."""
+    log = np.array([one.log_likelihood for one in members])
+    best = log.max(axis=1)
+    perfect = np.maximum(best, [one.top for one in members])
+    losses = perfect[:, None] - log
+    bad = bad_shares(losses, np.array([one.agents for one in members])[:, None])
+    seen = np.array([one.prior.weights for one in members]) * np.exp(log - best[:, None])
+    weighed = np.array([one.prior.log for one in members]) - losses
+    top = weighed.max(axis=1)
+    if not np.isfinite(top).all():
+        return  # the one it is of will say so
+    evidence = top + np.log(np.exp(weighed - top[:, None]).sum(axis=1))
+    centres = np.array([one.boxes[:, :2] for one in members])
+    axes = np.argmax(centres.max(axis=1) - centres.min(axis=1), axis=1)
+    order = np.argsort(centres[np.arange(len(members)), :, axes], axis=1, kind="stable")
+    for k, one in enumerate(members):
+        one.__dict__.update(
+            losses=losses[k],
+            bad=bad[k],
+            seen=seen[k],
+            log_evidence=float(evidence[k]),
+            by_place=order[k],
+            _perfect=float(perfect[k]),
+        )
+
+
+def bad_shares(losses: Floats, agents: int | Ints) -> Floats:
     """(N,) share of a box that does not match, where `agents` say that log L is `losses` below the best."""
     with np.errstate(divide="ignore"):
         log = np.log(np.expm1(losses / agents) + np.exp(losses / agents - STEEP))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from itertools import product
 
 import numpy as np
@@ -11,8 +12,8 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from bayesnet_track.inference.joint import Marginal, joint_marginals
-from bayesnet_track.inference.joint_members import Edge, Member, bad_shares
-from bayesnet_track.inference.joint_messages import draw_partners
+from bayesnet_track.inference.joint_members import Edge, Member, bad_shares, weigh_all
+from bayesnet_track.inference.joint_messages import Question, Said, answer, draw_partners
 from bayesnet_track.numerics.kernels.joint_kernels import bad_behind, loss_of
 from bayesnet_track.numerics.log_weights import LogWeights
 
@@ -301,7 +302,7 @@ def test_partners_are_drawn_in_proportion_and_one_from_each_stratum():
     rng = np.random.default_rng(8)
     one = member(rng, 50.0)
     boxes, shares = one.boxes, rng.dirichlet(np.ones(len(one.boxes)))
-    drawn = draw_partners(one.by_place, shares, 500, 4, rng)
+    drawn = draw_partners(one.by_place[None], shares[None], 500, 4, [rng])[0]
     counts = np.bincount(drawn.ravel(), minlength=len(boxes))
     assert np.abs(counts - 2000 * shares).max() < 2  # systematic: within one draw at either end of a share
     assert np.all(np.diff(np.sort(boxes[drawn, 0].mean(axis=1))) >= 0)
@@ -349,3 +350,30 @@ def test_a_short_chain_agrees_with_enumeration():
     for name in "abc":
         assert np.abs(found[name].reshape(3, 30).sum(axis=1) - truth[name]).max() < 0.05
     assert np.abs(orders - fronts).max() < 0.05
+
+
+def test_members_weighed_at_once_and_questions_asked_at_once_give_the_bits_of_one_alone():
+    rng = np.random.default_rng(12)
+    members = [
+        Member(one.boxes, one.prior, one.log_likelihood, one.level, agents=agents)
+        for agents, one in ((1, member(rng, 50.0)), (2, member(rng, 56.0)), (1, member(rng, 53.0, cells=4)))
+    ]
+    alone = [Member(**{field.name: getattr(one, field.name) for field in fields(one)}) for one in members]
+    weigh_all(members)
+    for one, by_itself in zip(members, alone, strict=True):
+        for name in ("losses", "bad", "seen", "log_evidence", "by_place"):
+            assert np.asarray(one.__dict__[name]).tobytes() == np.asarray(getattr(by_itself, name)).tobytes()
+
+    def asked(speaker, hearer, seed):
+        one, other = members[speaker], members[hearer]
+        said = Said(rng_said.random(len(one.boxes)), np.zeros(len(one.boxes)))
+        hidden = (one.hidden_by(""), other.hidden_by(""))
+        return Question(one, other, hidden, said, Edge(("x", "y"), 0.3), np.random.default_rng(seed))
+
+    found = []
+    for together in (True, False):
+        rng_said = np.random.default_rng(13)
+        questions = [asked(*pair, seed) for seed, pair in enumerate([(0, 1), (1, 0), (2, 1), (1, 2)])]
+        found.append(answer(questions) if together else [answer([one])[0] for one in questions])
+    for one, other in zip(*found, strict=True):
+        assert all(getattr(one, name).tobytes() == getattr(other, name).tobytes() for name in vars(one))
