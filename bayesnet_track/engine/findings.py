@@ -132,6 +132,7 @@ class TargetResult:
 
     Attributes:
         state: its state after the frame, still with the plan that the frame began with.
+        box: (4,) its estimate, centre x, y, width and height.
         line: makes the line of what was measured.
         decisions: in order; they take effect on the next frame.
         events: what is written down besides.
@@ -140,6 +141,7 @@ class TargetResult:
     """
 
     state: TargetState
+    box: Floats
     line: Callable[[], FrameMetrics]
     decisions: tuple[Decision, ...]
     events: tuple[Event, ...]

@@ -234,7 +234,7 @@ def describe_target(
     events += changes(frame.index, target, before.watched, learnt.watched, learnt.judged, compiled.guard)
     decisions = (*filtered.faults, *work.by_hand.get(target, ()), *learnt.decisions)
     said = partial(heard, stepped, filtered.plan.active)
-    return TargetResult(after, line, decisions, tuple(events), covariance, said)
+    return TargetResult(after, measured.box, line, decisions, tuple(events), covariance, said)
 
 
 def _line(

@@ -26,14 +26,24 @@ Value = TypeVar("Value")
 class Lines(Sequence[FrameMetrics]):
     """The lines of one frame, made when the first of them is asked for.
 
+    Which targets they are of and their centre boxes, `boxes`, are known before.
+
     >>> lines = Lines([lambda: "first", lambda: "second"])
     >>> len(lines), lines[1], lines == ("first", "second")
     (2, 'second', True)
     """
 
-    def __init__(self, makers: Sequence[Callable[[], FrameMetrics]]) -> None:
-        self._makers, self._count = makers, len(makers)
+    def __init__(
+        self, makers: Sequence[Callable[[], FrameMetrics]], boxes: Mapping[str, Floats] | None = None
+    ) -> None:
+        self._makers, self._count, self._boxes = makers, len(makers), boxes
         self._made: tuple[FrameMetrics, ...] | None = None
+
+    def boxes(self) -> Iterator[tuple[str, tuple[float, ...]]]:
+        """Target and centre box of each line, in their order."""
+        if self._made is None and self._boxes is not None:
+            return ((target, _floats(box)) for target, box in self._boxes.items())
+        return ((line.target, line.centre_box) for line in self._lines())
 
     def _lines(self) -> tuple[FrameMetrics, ...]:
         if self._made is None:

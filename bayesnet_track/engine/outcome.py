@@ -78,9 +78,10 @@ def carry_out(
         net = apply_decisions(net, result.decisions)
         targets[target] = recompile(work.engine, net, target, result.state)
         events += [*result.events, *result.decisions]
+    boxes = {target: result.box for target, result in results.items()}
     return Outcome(
         replace(state, net=net, targets=targets, previous=work.frame, joins=joint.memory),
-        Lines([result.line for result in results.values()]) if results else (),
+        Lines([result.line for result in results.values()], boxes) if results else (),
         tuple(events),
         WhenAsked({target: result.covariance for target, result in results.items()}),
         work.seconds,

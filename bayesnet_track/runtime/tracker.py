@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import partial
 from os import PathLike
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.forecasting import Forecast, forecast
+from bayesnet_track.engine.frame_metrics import Lines
 from bayesnet_track.engine.scoring.assurance import said_status
 from bayesnet_track.engine.starts import Start, check_started, check_starts, start_targets
 from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, step
@@ -160,8 +161,7 @@ class Tracker(Boxed):
         """
         if self._state is None:
             raise RuntimeError("call init(frame, box) first")
-        live = [line for line in self.targets if line.target in self._state.net.targets]
-        return live[0].centre_box if live else NO_BOX
+        return next((box for _, box in self._live()), NO_BOX)
 
     def predict(self, frames: int = 1) -> tuple[Forecast, ...]:
         """Where each target is expected 1 to `frames` frames after the last one, with regions.
@@ -241,15 +241,22 @@ class Tracker(Boxed):
         """tracking, uncertain or lost after the last frame, of the first target; lost without any."""
         if self._state is None:
             raise RuntimeError("call init(frame, box) first")
-        live = [line.target for line in self.targets if line.target in self._state.net.targets]
-        if not live:
+        first = next((target for target, _ in self._live()), None)
+        if first is None:
             return "lost"
-        net = self._state.net.targets[live[0]]
+        net = self._state.net.targets[first]
         plate = self._graph.targets[net.template]
         rule = plate.inference(plate.root).guarantee
         return (
-            net.status if rule is None else said_status(net.status, self._state.targets[live[0]].scored, rule)
+            net.status if rule is None else said_status(net.status, self._state.targets[first].scored, rule)
         )
+
+    def _live(self) -> Iterator[tuple[str, tuple[float, ...]]]:
+        """Each target of the last frame that is live after it, and its centre box; makes no lines."""
+        assert self._last is not None and self._state is not None
+        lines, live = self._last.metrics, self._state.net.targets
+        every = lines.boxes() if isinstance(lines, Lines) else ((one.target, one.centre_box) for one in lines)
+        return ((target, box) for target, box in every if target in live)
 
     @property
     def events(self) -> tuple[Event, ...]:

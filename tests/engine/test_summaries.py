@@ -117,3 +117,12 @@ def test_lines_are_made_when_the_first_is_asked_for_and_once():
     assert len(lines) == 3 and not asked
     assert (lines[1], lines[-1], lines[:2], list(lines)) == (1, 2, (0, 1), [0, 1, 2])
     assert asked == [0, 1, 2] and lines == (0, 1, 2) and pickle.loads(pickle.dumps(lines)) == (0, 1, 2)
+
+
+def test_boxes_are_known_before_lines_are_made():
+    box = np.array([1.0, 2.0, 3.0, 4.0])
+
+    def never():
+        raise AssertionError("a line was made")
+
+    assert list(Lines([never], {"1": box}).boxes()) == [("1", (1.0, 2.0, 3.0, 4.0))]

@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from bayesnet_track import Tracker
+from bayesnet_track.engine.frame_metrics import Lines
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graphs import find_graph
 from bayesnet_track.sources.scenes import make_scene
@@ -45,6 +46,15 @@ def test_it_follows_and_gives_what_opencv_gives():
         assert np.abs(np.array(box[:2]) - SCENE.truth[index, :2]).max() < 15
         assert 0 <= tracker.score <= 1
         assert tracker.metrics.frame == index
+
+
+def test_box_and_status_are_those_of_the_metrics_and_do_not_wait_for_them(monkeypatch):
+    tracker = started()
+    with monkeypatch.context() as changed:
+        changed.setattr(Lines, "_lines", lambda _: pytest.fail("metrics were made"))
+        ok, box = tracker.update(SCENE.frames[1])
+        status = tracker.status
+    assert (ok, box, status) == (True, tuple(tracker.metrics.xywh), tracker.metrics.status)
 
 
 def test_init_returns_nothing_and_tells_the_first_frame():
