@@ -31,7 +31,8 @@ MAY_IMPORT = {
     "inference": BASE | {"adapt", "belief", "graph", "observation", "view"},
     "engine": BASE | {"adapt", "belief", "graph", "inference", "observation", "sources", "vision"},
     "evaluate": BASE | {"belief", "engine", "graph", "observation", "sources"},
-    "runtime": BASE | {"adapt", "belief", "engine", "graph", "inference", "observation", "sources", "view"},
+    "runtime": BASE
+    | {"adapt", "belief", "engine", "graph", "inference", "observation", "sources", "view", "vision"},
     "cli": BASE
     | {"engine", "evaluate", "graph", "graphs", "inference", "observation", "runtime", "sources", "view"}
     | {"vision"},

@@ -22,6 +22,7 @@ from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Net
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.vision.scenes import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +36,7 @@ class State:
         history: what is remembered of births and deaths.
         joins: what is remembered of targets that depend on each other.
         load: what is remembered of late frames.
+        scene: what the last frame showed that showed anything; None where no graph asks for cuts.
     """
 
     net: Net = field(default_factory=Net)
@@ -43,6 +45,7 @@ class State:
     history: TrackHistory = field(default_factory=TrackHistory)
     joins: JoinMemory = field(default_factory=JoinMemory)
     load: Load = field(default_factory=Load)
+    scene: Scene | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,11 +29,13 @@ from bayesnet_track.engine.outcome import (
 from bayesnet_track.engine.rows.advancing import advance_rows
 from bayesnet_track.engine.rows.finding import find_rows
 from bayesnet_track.engine.rows.particle_rows import filter_rows
+from bayesnet_track.engine.scoring.scene_cuts import find_cuts
 from bayesnet_track.engine.starting import start
 from bayesnet_track.engine.state import TargetState, apply_decisions
 from bayesnet_track.engine.target_execution import collect_elsewhere, start_elsewhere
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.inputs import Input
+from bayesnet_track.journal.events.statuses import SceneCut
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
@@ -61,13 +63,14 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
     """
     if state.previous is not None and not frame.time > state.previous.time:
         raise ValueError(f"frame {frame.index} at time {frame.time} is not later than {state.previous.time}")
+    state, cuts = find_cuts(engine, state, frame)
     given = route_inputs(engine, state.net, frame.index, external_inputs)
     cache = PlaneCache(FramePair(frame, state.previous))
     work = FrameWork(engine, state.net, cache, given.availability, given.by_hand)
 
     rows = find_rows(work, state)
     if rows is not None:
-        return _manage(work, *advance_rows(work, state, rows), given)
+        return _manage(work, *advance_rows(work, state, rows), given, cuts)
 
     # Which detections are whose, where agents measure by them
     associated = associate_first(work, state.targets, state.history)
@@ -88,13 +91,18 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
     results = finish_targets(work, joint.filtered)
     results |= collect_elsewhere(work, elsewhere, before)
     outcome = carry_out(work, state, {target: results[target] for target in before}, joint)
-    return _manage(work, outcome, associated, given)
+    return _manage(work, outcome, associated, given, cuts)
 
 
 def _manage(
-    work: FrameWork, outcome: Outcome, associated: Associated | None, given: ExternalInputs
+    work: FrameWork,
+    outcome: Outcome,
+    associated: Associated | None,
+    given: ExternalInputs,
+    cuts: tuple[SceneCut, ...],
 ) -> Outcome:
-    """The outcome after targets start and end, join and part, and load is shed."""
+    """The outcome after targets start and end, join and part, and load is shed; cuts come first."""
+    outcome = replace(outcome, events=(*cuts, *outcome.events))
     outcome = manage_tracks(work, outcome, associated)
     outcome = with_joins(work, outcome)
     outcome = with_load(work, outcome, given.timing)

@@ -15,7 +15,7 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.joins import Joined, Parted
 from bayesnet_track.journal.events.reidentification import Reacquired, Returned
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
-from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.events.statuses import SceneCut, StatusChanged
 from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.journal.switches import turns_on
 from bayesnet_track.journal.text.naming import kinds_of, name_targets
@@ -69,6 +69,8 @@ def event_row(event: Event, kinds: Mapping[str, str] = MappingProxyType({})) -> 
         row["on"] = turns_on(event)
     if isinstance(event, StatusChanged):
         row["status"] = event.status
+    if isinstance(event, SceneCut):
+        row["status"] = "lost"
     return row
 
 
@@ -77,6 +79,6 @@ def _sort(event: Event) -> str:
         return "switch"
     if isinstance(event, (*LIVES, Released)):
         return "life"
-    if isinstance(event, StatusChanged):
+    if isinstance(event, StatusChanged | SceneCut):
         return "status"
     return "note"

@@ -44,7 +44,7 @@ from bayesnet_track.journal.events.sources import (
     SourceDamaged,
     SourceStalled,
 )
-from bayesnet_track.journal.events.statuses import FoundAgain, StatusChanged
+from bayesnet_track.journal.events.statuses import FoundAgain, SceneCut, StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.causes import Cause, HiddenCause
@@ -481,6 +481,11 @@ GOLDEN = [
         "frame 50: target 1, missing since frame 20, recognised 31.4 px from where it was held: 0.82 of its "
         "usual fit ≥ 0.4, the last of 3 frames, score 0.91 ≥ 0.55; would have stayed missing at "
         "found_fit > 0.53",
+    ),
+    (
+        SceneCut(50, "1", 0.83, 0.25, 0.9, 0.765),
+        "frame 50: scene cut: distance from the scene before 0.83 > 0.25 (colours 0.9, structure 0.77) → "
+        "target 1 lost; would have been ignored at scene_cut ≥ 0.83",
     ),
     (AlarmEnded(50, "1"), "frame 50: scores are high again → alarm for target 1 ends"),
     (

@@ -183,6 +183,12 @@ class Lost(Model):
         description="share of the usual fit at which what is seen is the target again, once it was lost by "
         "its score; more far away; until then the score is at most one half; default: any score will do",
     )
+    scene_cut: Annotated[Number, Field(gt=0, lt=1)] | None = Field(
+        default=None,
+        description="distance of a frame from the one before it, in colours and structure, above which the "
+        "scene was cut: the target is lost at once and, with `relocalize`, searched for in the whole frame; "
+        "0.3 is a good value; default: cuts are not noticed",
+    )
     frames: FrameCount = Field(default=3, description="consecutive frames before the status changes")
 
 

@@ -99,7 +99,42 @@ class FoundAgain:
         )
 
 
-Decisions = StatusChanged
+@dataclass(frozen=True)
+class SceneCut:
+    """A frame shows another scene than the one before it: the target is lost from this frame on.
+
+    Attributes:
+        frame: first frame of the new scene.
+        target: target id.
+        distance: of the frame from the last one that shows a scene: the root of `colors` times `structure`.
+        level: distance above which the scene was cut, `scene_cut`.
+        colors: Hellinger distance of their colours, 0 to 1.
+        structure: 1 - correlation of their gray levels at the best shift, 0 to 1.
+    """
+
+    frame: int
+    target: str
+    distance: float
+    level: float
+    colors: float
+    structure: float
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        distance, level = distinct_texts(self.distance, self.level)
+        turning = round_away(self.distance, decimals(self.distance, self.level), up=True)
+        return (
+            f"scene cut: distance from the scene before {distance} > {level} (colours {self.colors:.2g}, "
+            f"structure {self.structure:.2g}) → target {self.target} lost; would have been ignored at "
+            f"scene_cut ≥ {turning}"
+        )
+
+    def change(self, net: TargetNet) -> TargetNet:
+        """The net of the target after it."""
+        return replace(net, status="lost")
+
+
+Decisions = StatusChanged | SceneCut
 Events = Decisions | FoundAgain
 
 

@@ -40,6 +40,9 @@ Decision = (
 Switch = switches.Switches | self_checks.Switches | faults.Switches | by_hand.Switches | load.Switches
 """A decision that switches an agent."""
 
+BEFORE_ITS_FRAME = (births.TargetStarted, reidentification.Returned, statuses.SceneCut)
+"""Decisions that hold in their own frame."""
+
 
 @dataclass(frozen=True)
 class Net:
@@ -79,16 +82,15 @@ def replay(decisions: Iterable[Decision], until_frame: int | None = None) -> Net
     """The net that frame `until_frame` began with (the last one when None).
 
     `decisions` are in the order of their frames. Those of earlier frames count, and the targets that start in
-    this one. An agent that failed in this frame is still in the net: the frame began with it.
+    this one and the cut before it. An agent that failed in this frame is still in the net: the frame began
+    with it.
     """
     net = Net()
     for decision in decisions:
         if until_frame is not None:
             if decision.frame > until_frame:
                 break
-            if decision.frame == until_frame and not isinstance(
-                decision, births.TargetStarted | reidentification.Returned
-            ):
+            if decision.frame == until_frame and not isinstance(decision, BEFORE_ITS_FRAME):
                 continue
         net = apply(net, decision)
     return net

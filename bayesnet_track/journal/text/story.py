@@ -10,7 +10,7 @@ from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.reidentification import Reacquired, Returned
 from bayesnet_track.journal.events.self_checks import LocallyAdapted
-from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.events.statuses import SceneCut, StatusChanged
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net.net import Switch
 from bayesnet_track.journal.text.sentences import explain
@@ -20,6 +20,7 @@ CHAPTERS = (
     CandidateConfirmed,
     TargetStarted,
     Returned,
+    SceneCut,
     StatusChanged,
     Reacquired,
     TargetDied,

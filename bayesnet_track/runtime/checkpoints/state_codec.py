@@ -42,6 +42,7 @@ from bayesnet_track.journal.net.target_net import Fault, TargetNet
 from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.vision.scenes import Scene
 
 CLASSES: tuple[type, ...] = (
     State,
@@ -78,6 +79,7 @@ CLASSES: tuple[type, ...] = (
     PairMemory,
     Level,
     CarriedHypotheses,
+    Scene,
 )
 """Every class of which the state between frames is made."""
 
