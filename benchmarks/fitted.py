@@ -1,6 +1,6 @@
 """What `fit --what sds` and `fit --what policy` give on videos that they were not fitted to.
 
-    python benchmarks/fitted.py policy DATA_FOLDER --graph general --max-frames 60
+    python benchmarks/fitted.py policy DATA_FOLDER --graph FORMER.yaml --max-frames 60 [--coin] [--clips 4]
     python benchmarks/fitted.py policy --scenes two_squares_random --graph two_squares
     python benchmarks/fitted.py sds DATA_FOLDER --graph color_fusion --max-frames 60 [--coin] [--clips 4]
 
@@ -9,6 +9,7 @@ split into two halves, A and B; of a scene, half A are the seeds from 300 on, ha
 each as `--scene-seeds` says. Fitted on A and judged on B, then the other way round. The fit uses seed 0, the
 report others. Intervals are of a paired bootstrap over sequences, whose figures are means over seeds. With
 --coin the halves are those of real_video_coin. With --clips each sequence is tracked from several frames on.
+With --only-a nothing is fitted to B.
 """
 
 from __future__ import annotations
@@ -92,43 +93,45 @@ def write_scenes(name: str, seeds: Sequence[int], folder: Path) -> list[Video]:
     return find_sequences(folder, [f"{name}_{seed}" for seed in seeds], None)
 
 
-def as_given(videos: Sequence[Video]) -> list[fit_videos.Video]:
-    """The same videos as `fit` has them."""
-    return [fit_videos.Video(one.name, str(one.files[0].parent), one.truth) for one in videos]
+def as_given(videos: Sequence[Video], folder: Path) -> list[fit_videos.Video]:
+    """The same videos as `fit` has them, each a folder of links to its frames."""
+    for one in videos:
+        (folder / one.name).mkdir()
+        for k, file in enumerate(one.files):
+            (folder / one.name / f"{k:05d}{file.suffix}").symlink_to(file.absolute())
+    return [fit_videos.Video(one.name, str(folder / one.name), one.truth) for one in videos]
 
 
 def judge_policy(graph: str, learnt: Sequence[Video], unseen: Sequence[Video], o: argparse.Namespace) -> None:
     """Choose on `learnt`, compare with the graph's own rules on `unseen`, run by run in turn."""
     text = graph_text(graph)
     checked = fit_tracking.check_text(text, graph)
-    chosen = fit_tracking.fit_policy(text, checked, as_given(learnt), o.max_frames, 1)
+    with tempfile.TemporaryDirectory() as links:
+        given = as_given(learnt, Path(links))
+        chosen = fit_tracking.fit_policy(text, checked, given, o.max_frames, 1)
     print("\n".join(line.strip() for line in chosen.splitlines() if line not in text.splitlines()))
     specs = {"own": checked.spec, "fitted": fit_tracking.check_text(chosen, graph).spec}
     Tracker(specs["own"])
-    auc: dict[str, list[Floats]] = {"own": [], "fitted": []}
-    cost: dict[str, list[Floats]] = {"own": [], "fitted": []}
-    agents: dict[str, list[float]] = {"own": [], "fitted": []}
+    # Name of the rules and of the sequence -> AUC, CPU ms and agents of each run.
+    found: dict[tuple[str, str], list[tuple[float, ...]]] = {}
     for video in unseen:
-        found = {name: [] for name in specs}
         for seed in range(o.first_seed, o.first_seed + o.seeds):
             for name in specs if seed % 2 else reversed(specs):
                 run = track(Tracker(specs[name], seed), video)
                 score = run.score(video.truth)
                 # The first frames start up, and touch memory for the first time.
-                found[name].append((score.auc, 1e3 * np.mean(run.cpu_seconds[3:]), score.mean_active))
-        for name, rows in found.items():
-            one, ms, active = np.mean(np.array(rows, dtype=float), axis=0)
-            auc[name].append(one)
-            cost[name].append(ms)
-            agents[name].append(active)
-    rows = [
-        [name, f"{np.mean(auc[name]):.4f}", f"{np.mean(cost[name]):.2f}", f"{np.mean(agents[name]):.2f}"]
+                row = (float(score.auc), 1e3 * float(np.mean(run.cpu_seconds[3:])), score.mean_active)
+                found.setdefault((name, video.name.partition("@")[0]), []).append(row)
+    means = {
+        name: np.array([np.mean(rows, axis=0) for (rules, _), rows in found.items() if rules == name])
         for name in specs
-    ]
+    }
+    rows = [[name, *(f"{one:.4f}" for one in means[name].mean(axis=0))] for name in specs]
     print("\n" + table(["rules", "AUC", "CPU ms / frame", "agents"], rows))
-    own, new = (np.array(auc[name]) for name in specs)
-    ours, theirs = (np.log(np.array(cost[name])) for name in specs)
-    print(f"\nAUC, fitted less own: {interval(new - own)}; log of CPU time: {interval(theirs - ours)}\n")
+    auc, _, agents = (means["fitted"] - means["own"]).T
+    time = np.log(means["fitted"][:, 1]) - np.log(means["own"][:, 1])
+    print(f"\nAUC, fitted less own: {interval(auc)}; log of CPU time: {interval(time)}")
+    print(f"agents: {interval(agents)}\n")
 
 
 def watched(graph: CheckedGraph, videos: Sequence[Video], seeds: Sequence[int]) -> list[CalibrationData]:
@@ -198,12 +201,15 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=2, help="seeds of the report")
     parser.add_argument("--max-frames", type=int)
     parser.add_argument("--coin", action="store_true", help="the halves of real_video_coin")
-    parser.add_argument("--clips", type=int, help="of --max-frames each, of every sequence; for sds")
+    parser.add_argument("--clips", type=int, help="of --max-frames each, of every sequence")
+    parser.add_argument(
+        "--only-a", action="store_true", help="judge on B what was fitted to A, not vice versa"
+    )
     options = parser.parse_args()
     if (options.data is None) == (options.scenes is None):
         parser.error("give either DATA_FOLDER or --scenes")
-    if options.clips and (options.what != "sds" or not options.data or not options.max_frames):
-        parser.error("--clips needs sds, DATA_FOLDER and --max-frames")
+    if options.clips and not (options.data and options.max_frames):
+        parser.error("--clips needs DATA_FOLDER and --max-frames")
     on_one_thread()
     print(environment(), flush=True)
     with tempfile.TemporaryDirectory() as made:
@@ -221,7 +227,8 @@ def main() -> None:
                 write_scenes(options.scenes, range(first, first + options.scene_seeds), Path(made))
                 for first in (300, 300 + options.scene_seeds)
             ]
-        for learnt, unseen, way in (*((*sides, "A, judged on B"),), (*sides[::-1], "B, judged on A")):
+        ways = [(*sides, "A, judged on B"), (*sides[::-1], "B, judged on A")]
+        for learnt, unseen, way in ways[: 1 if options.only_a else 2]:
             print(f"\nfitted on {way}: {len(learnt)} and {len(unseen)} videos", flush=True)
             print(f"fitted on {', '.join(one.name for one in learnt)}\n", flush=True)
             judge = judge_policy if options.what == "policy" else judge_sds

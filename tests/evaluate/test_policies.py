@@ -21,7 +21,7 @@ def test_candidates_begin_with_the_graph_s_own_and_ask_for_less():
 def noisy(costs, losses):
     """Trials of videos that differ much, and alike for all policies."""
     rng = np.random.default_rng(2)
-    videos = rng.uniform(0.2, 0.9, 16)
+    videos = rng.uniform(0.2, 0.9, 48)
     return lambda policy, video: Trial(videos[video] - losses[policy], costs[policy])
 
 
@@ -29,10 +29,10 @@ def test_the_cheapest_that_loses_no_accuracy_is_chosen():
     tried = [OWN, *(Policy(100.0 * k, 50.0 * k, None) for k in range(2, 9))]
     costs = {one: 5.0 - 0.4 * k for k, one in enumerate(tried)}
     losses = {one: 0.0 if k < 5 else 0.05 for k, one in enumerate(tried)}
-    found = search(tried, 16, noisy(costs, losses))
+    found = search(tried, 48, noisy(costs, losses))
     assert found.policy == tried[4]
     assert found.trial.cost_ms == pytest.approx(costs[tried[4]]) and found.own.cost_ms == 5.0
-    assert found.runs < len(tried) * 16 * 0.6
+    assert found.runs < len(tried) * 48 * 0.7
 
 
 def test_the_graph_s_own_stays_when_all_others_lose_or_cost_more():
@@ -40,6 +40,19 @@ def test_the_graph_s_own_stays_when_all_others_lose_or_cost_more():
     costs = {one: 3.0 - k for k, one in enumerate(tried)}
     assert search(tried, 5, noisy(costs, {OWN: 0.0, tried[1]: 0.1, tried[2]: 0.2})).policy == OWN
     assert search(tried, 5, noisy({one: 3.0 for one in tried}, dict.fromkeys(tried, 0.0))).policy == OWN
+
+
+def test_a_loss_that_only_chance_hides_is_not_risked():
+    """A mean loss of .004 in 20 videos is known to .03 with an sd of .08 a video, and to .004 with .01."""
+    cheap, differences = Policy(200.0, 120.0, None), np.random.default_rng(5).normal(0.0, 0.08, 20)
+    differences += -0.004 - differences.mean()
+
+    def run(policy, video):
+        return Trial(0.6 + (differences[video] if policy == cheap else 0.0), 2.0 if policy == cheap else 3.0)
+
+    assert search([OWN, cheap], 20, run).policy == OWN
+    differences /= 8.0
+    assert search([OWN, cheap], 20, run).policy == cheap
 
 
 def test_what_no_policy_can_be_chosen_for_is_said():
