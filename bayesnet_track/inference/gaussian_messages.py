@@ -13,7 +13,9 @@ import numpy as np
 
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.motion.models import KinematicMotion
+from bayesnet_track.graph.checked import Conditional
 from bayesnet_track.graph.spec import Given
+from bayesnet_track.inference.given import linearise_given
 from bayesnet_track.inference.parts import part_matrix
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
@@ -58,7 +60,7 @@ def to_power(measured: Measurement, power: float) -> Measurement:
 
 
 def latent_gaussian(
-    given: Given,
+    given: Given | Conditional,
     above: Hypotheses,
     own: Hypotheses,
     prior_log: Floats,
@@ -75,10 +77,13 @@ def latent_gaussian(
     The state c of a part, drawn around A h, is taken as the parent's box that it implies, A^-1 c, with noise
     A^-1 Q A^-T; an agent that measures fields of c measures rows of A times that box.
 
+    Where expressions say `given`, it is linearised at the parent's mean box, and the Gaussian of c is brought
+    to h by the slopes, in information form: what does not depend on h says nothing of it.
+
     Posterior moments are no finer than N draws lie, sd N^(-1/k) of the prior's in k directions.
     """
     beta = np.exp(prior_log)
-    matrix = part_matrix(given)
+    matrix = None if isinstance(given, Conditional) else part_matrix(given)
     boxes: Floats = own.boxes if matrix is None else np.asarray(np.linalg.solve(matrix, own.boxes.T).T)
     centre = beta @ boxes
     away = boxes - centre
@@ -103,6 +108,8 @@ def latent_gaussian(
     if sampled is None:  # what remains far from all of them
         floor = float(np.prod([message.floor**power for message, power in gaussians.values()]))
     directions = _Directions(centre, shape, unshape)
+    if isinstance(given, Conditional):
+        return _by_slopes(given, above.boxes, beta, directions, (precision, shift), floor)
     return _in_fields(given, beta @ above.boxes, directions, precision, shift, floor)
 
 
@@ -165,6 +172,40 @@ def _in_fields(
     return Measurement(
         tuple(BOX_FIELDS[k] for k in fields), mean[fields], (covariance + covariance.T) / 2, floor
     )
+
+
+def _by_slopes(
+    given: Conditional,
+    boxes: Floats,
+    beta: Floats,
+    directions: _Directions,
+    known: tuple[Floats, Floats],
+    floor: float,
+) -> Measurement | None:
+    """The Gaussian in u, its precision and shift `known`, over the fields of the parent that it depends on.
+
+    Of the parent's `boxes` (N, 4), with weights `beta` (N,), the fields that vary. Directions that it does
+    not tell apart have 1e6 times the parent's variance.
+    """
+    precision, shift = known
+    parent = beta @ boxes
+    sd = np.sqrt(beta @ (boxes - parent) ** 2)
+    own, slopes, noise = linearise_given(given, parent)
+    unshape = directions.unshape
+    looks = unshape.T @ slopes * sd  # u = looks (h - parent) / sd + start + noise
+    start = unshape.T @ (own - directions.centre)
+    wider = np.linalg.inv(np.eye(len(shift)) + precision @ (unshape.T @ noise @ unshape))
+    information = looks.T @ wider @ precision @ looks
+    pull = looks.T @ wider @ (shift - precision @ start)
+    fields = [k for k in range(len(BOX_FIELDS)) if information[k, k] > KNOWN]
+    if not fields:
+        return None
+    own_part, turn = np.linalg.eigh((information + information.T)[np.ix_(fields, fields)] / 2)
+    usable = own_part > KNOWN
+    away = turn[:, usable] @ ((turn[:, usable].T @ pull[fields]) / own_part[usable])
+    covariance = (turn / np.maximum(own_part, KNOWN)) @ turn.T * np.outer(sd[fields], sd[fields])
+    mean = parent[fields] + sd[fields] * away
+    return Measurement(tuple(BOX_FIELDS[k] for k in fields), mean, (covariance + covariance.T) / 2, floor)
 
 
 def _noise(given: Given, parent: Floats) -> Floats:

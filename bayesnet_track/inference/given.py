@@ -21,6 +21,9 @@ from bayesnet_track.numerics.arrays import Floats
 
 Names = Mapping[str, Floats | float]
 
+STEP = 1e-3
+"""Of numerical derivatives, px."""
+
 LEAST_SIDE = 1.0
 """Sides of boxes are at least so long, px."""
 
@@ -73,6 +76,29 @@ def usual_boxes(given: Conditional, above: Floats) -> Floats:
         if column >= 2:
             np.maximum(boxes[:, column], LEAST_SIDE, out=boxes[:, column])
     return boxes
+
+
+def linearise_given(given: Conditional, parent: Floats) -> tuple[Floats, Floats, Floats]:
+    """Own box (4,) at the parent's mean box (4,), its Jacobian (4, 4) by that box, and covariance (4, 4).
+
+    c = own + A (h - parent) + noise, by numerical derivatives: exact where means are linear and sds constant.
+    What is drawn is normal. A field without a value is the parent's, as in `draw_given`.
+    """
+    own, by_parent, noise = parent.copy(), np.eye(4), np.zeros((4, 4))
+    moves = np.concatenate([np.zeros((1, 8)), STEP * np.eye(8), -STEP * np.eye(8)])
+    for column, _, term in _fields(given):
+        above, mine = parent + moves[:, :4], own + moves[:, 4:]
+        parameters = _parameters(term, _names(given, above, mine), len(moves))
+        sd = float(parameters[1, 0]) if _distribution(term) else 0.0
+        slopes = (parameters[0, 1:9] - parameters[0, 9:]) / (2.0 * STEP)
+        if not (np.isfinite(parameters[0]).all() and np.isfinite(sd) and (sd > 0 or not _distribution(term))):
+            continue
+        own[column] = max(parameters[0, 0], LEAST_SIDE) if column >= 2 else parameters[0, 0]
+        before = slopes[4 : 4 + column]
+        by_parent[column] = slopes[:4] + before @ by_parent[:column]
+        noise[column] = before @ noise[:column]
+        noise[column, column] += sd
+    return own, by_parent, noise @ noise.T
 
 
 def log_given(given: Conditional, above: Floats, own: Floats) -> Floats:

@@ -150,7 +150,7 @@ def join_messages(
                     source: (gaussians[source], terms[source]) for source in terms if source in gaussians
                 }
                 rest = None if len(exact) == len(terms) else _rest(terms, rests, len(own))
-                matched = latent_gaussian(fusion.given, above, own, prior_log, exact, rest)
+                matched = latent_gaussian(fusion.written or fusion.given, above, own, prior_log, exact, rest)
                 total, scale = _scale(matched, above, prior_log, total)
                 rests[fusion.node] = scale
                 if matched is not None:

@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
+from bayesnet_track.belief.contract import BOX_FIELDS
+from bayesnet_track.belief.gaussian.update import take
 from bayesnet_track.graph.checked import Conditional
 from bayesnet_track.graph.expressions.parse import parse
-from bayesnet_track.inference.given import draw_given, log_given, usual_boxes
+from bayesnet_track.inference.given import draw_given, linearise_given, log_given, usual_boxes
 from bayesnet_track.inference.parts import nominal_boxes
 from bayesnet_track.journal.events.flaws import FlawEnded, MotionFlawed
+from bayesnet_track.observation.cue import Measurement
 
 PARENT = np.array([50.0, 40.0, 20.0, 30.0])
 
@@ -107,3 +110,74 @@ def test_agents_below_learn_at_the_median(fakes):
     nodes = {"s": {}, "n": {"parent": "s", "fuse": {"latent": {"given": given}}}, "a": "n"}
     target = fakes.graph(nodes, {"a": fakes.declare(fakes.Oracle(fakes.flat()))}).targets["plate"]
     np.testing.assert_allclose(nominal_boxes(target, PARENT)["n"], [55, 44, 20, 15])
+
+
+# ------------------------------------------------------------------------------------ as a Gaussian
+
+SHEARED = {
+    "x": "normal(parent.x + 3, 6)",
+    "y": "normal(parent.y - 0.39 * parent.h + 0.5 * (x - parent.x), 4)",
+    "w": "0.44 * parent.w",
+    "h": "normal(0.22 * parent.h, 0.5)",
+}
+SLOPES = np.array([[1.0, 0, 0, 0], [0, 1, 0, -0.39], [0, 0, 0.44, 0], [0, 0, 0, 0.22]])
+NOISE = np.array([[36.0, 18, 0, 0], [18, 9 + 16, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0.25]])
+
+
+def crowd(n, seed=3):
+    spread = np.array([15.0, 15.0, 4.0, 6.0])
+    return PARENT + np.random.default_rng(seed).standard_normal((n, 4)) * spread
+
+
+def test_a_distribution_is_linearised_by_its_slopes():
+    own, slopes, noise = linearise_given(written(**SHEARED), PARENT)
+    np.testing.assert_allclose(own, [53, 40 - 11.7 + 1.5, 8.8, 6.6])
+    np.testing.assert_allclose(slopes, SLOPES, atol=1e-9)
+    np.testing.assert_allclose(noise, NOISE, atol=1e-8)
+    curved = written(x="normal(sqrt(parent.x * parent.w), 0.1 * parent.h)", y="normal(0 / 0, 1)")
+    own, slopes, noise = linearise_given(curved, PARENT)
+    np.testing.assert_allclose(own[:2], [np.sqrt(1000), 40])
+    np.testing.assert_allclose(slopes[0], [20 / 2 / np.sqrt(1000), 0, 50 / 2 / np.sqrt(1000), 0], rtol=1e-6)
+    np.testing.assert_allclose(noise, np.diag([9.0, 0, 0, 0]))
+
+
+def gaussian_nodes(given):
+    latent = {"parent": "s", "belief": "gaussian", "fuse": {"latent": {"given": given}}}
+    return {"s": {}, "n": latent, "m": "n"}
+
+
+@pytest.mark.parametrize("fields", [("x", "y"), ("x", "y", "w", "h"), ("y",)])
+def test_a_gaussian_message_is_the_closed_form(asked, measuring, fields):
+    """integral of N(c; A h + b, Q) exp(-d(c)^2 / 2) dc = N(z; B h + b, B Q B' + R), for every h of 400."""
+    columns, error = [BOX_FIELDS.index(name) for name in fields], np.diag([9.0, 4, 1, 1][: len(fields)])
+    seen = np.array([56.0, 33.0, 9.5, 6.0])[columns]
+    boxes = crowd(400)
+    one = Measurement(fields, seen, error)
+    sees = {"m": measuring.Measurer(lambda *_: one)}
+    _, evidence = asked(gaussian_nodes(SHEARED), sees, boxes)
+    expected = stats.multivariate_normal(seen, NOISE[np.ix_(columns, columns)] + error)
+    middle = np.array([53, 40 - 11.7 + 1.5, 8.8, 6.6]) - SLOPES @ PARENT
+    exact = expected.logpdf((boxes @ SLOPES.T + middle)[:, columns])
+    apart = evidence.messages["n"] - exact
+    np.testing.assert_allclose(apart, apart[0], atol=1e-4)
+
+
+def test_a_gaussian_belief_is_that_of_the_joint_gaussian(asked, measuring):
+    """Root and latent state in one Gaussian, conditioned on a measurement of the latent one."""
+    spread, error, seen = np.diag([225.0, 225, 16, 36]), np.diag([9.0, 4.0]), np.array([56.0, 33.0])
+    one = Measurement(("x", "y"), seen, error)
+    sees = {"m": measuring.Measurer(lambda *_: one)}
+    _, evidence = asked(gaussian_nodes(SHEARED), sees, crowd(400))
+    after = take(PARENT, spread, BOX_FIELDS, evidence.gaussians, 1 - 1e-9)
+    looks = SLOPES[:2]
+    gain = spread @ looks.T @ np.linalg.inv(looks @ spread @ looks.T + NOISE[:2, :2] + error)
+    predicted = np.array([53, 40 - 11.7 + 1.5])
+    np.testing.assert_allclose(after.mean, PARENT + gain @ (seen - predicted), atol=1e-3)
+    np.testing.assert_allclose(after.covariance, spread - gain @ looks @ spread, atol=1e-2)
+
+
+def test_what_does_not_depend_on_the_parent_says_nothing_of_it(asked, measuring):
+    sees = {"m": measuring.place(56.0, 33.0)}
+    _, evidence = asked(gaussian_nodes({"x": "normal(70, 5)", "y": "normal(30, 5)"}), sees, crowd(50))
+    assert not evidence.gaussians
+    np.testing.assert_allclose(evidence.log_likelihood, evidence.log_likelihood[0])

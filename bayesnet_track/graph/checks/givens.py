@@ -36,15 +36,31 @@ def givens_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def givens_stand_alone(plate: Plate) -> Iterator[GraphMessage]:
-    """Expressions say all of the distribution, and are held by draws."""
+    """Expressions say all of the distribution, and are held by draws, or by a Gaussian."""
     for node, given in _givens(plate):
         for other in (name for name in OTHERS if name in given.model_fields_set):
             found = f"{other} beside {', '.join(given.written)}, which say the whole distribution"
             yield plate.message(node, found, "either of them", key=(*KEY, other), on_key=True)
         belief = plate.inference[node].belief
-        if belief is not None and belief.particles is None:
-            found = f"{belief.kind} beside a given by expressions"
-            yield plate.message(node, found, "belief: particles", key=("belief",))
+        if belief is not None and belief.kind == "grid":
+            found = "grid beside a given by expressions"
+            yield plate.message(node, found, "belief: particles, or gaussian", key=("belief",))
+
+
+def gaussian_givens_are_normal(plate: Plate) -> Iterator[GraphMessage]:
+    """A Gaussian belief about a latent node's state is of normal distributions."""
+    for node, given in _givens(plate):
+        belief = plate.inference[node].belief
+        if belief is None or belief.kind != "gaussian":
+            continue
+        for name, text in given.written.items():
+            try:
+                term = parse(text, draws=True)
+            except ExpressionError:
+                continue  # `givens_can_be_read` says so
+            if is_drawn(term) and isinstance(term, Call) and term.function != "normal":
+                found = f"belief: gaussian, and {name} is drawn from {term.function}"
+                yield plate.message(node, found, "normal, or belief: particles", key=(*KEY, name))
 
 
 def is_drawn(term: Term) -> bool:
@@ -80,4 +96,4 @@ def _givens(plate: Plate) -> Iterator[tuple[str, Given]]:
             yield name, latent.given
 
 
-GIVEN_CHECKS: tuple[Check, ...] = (givens_can_be_read, givens_stand_alone)
+GIVEN_CHECKS: tuple[Check, ...] = (givens_can_be_read, givens_stand_alone, gaussian_givens_are_normal)
