@@ -9,6 +9,8 @@ from bayesnet_track.graph.text.document import MAX_BYTES
 from bayesnet_track.graph.text.hints import hint_of
 from bayesnet_track.graph.text.messages import GraphError, GraphMessage
 
+MOST_SHOWN = 10
+"""Errors that are shown at once."""
 WIDTH = 100
 """Columns of a line that are shown."""
 
@@ -16,9 +18,11 @@ WIDTH = 100
 def describe_error(error: GraphError) -> str:
     """The messages of an error, each with what stands in the file at its place, where that can be read."""
     texts = {message.file: _lines(message.file) for message in error.errors}
-    parts = [part for message in error.errors for part in _describe(message, texts)]
-    if error.more:
-        parts.append(f"{error.errors[0].file}: and more errors")
+    parts = [part for message in error.errors[:MOST_SHOWN] for part in _describe(message, texts)]
+    left = len(error.errors) - MOST_SHOWN
+    if error.more or left > 0:
+        how_many = "more errors" if error.more else f"{left} more"
+        parts.append(f"{error.errors[0].file}: and {how_many}")
     return "\n".join(parts)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,10 @@ from typing import Any
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import Cues, check, check_graph, mapped_cues
 from bayesnet_track.graph.spec import GraphSpec
+from bayesnet_track.graph.text.document import read_document
+from bayesnet_track.graph.text.mended import errors_behind
 from bayesnet_track.graph.text.messages import GraphError, GraphMessage, nearest
-from bayesnet_track.graph.text.read import read_graph
+from bayesnet_track.graph.text.read import bytes_of, read_graph, specify
 from bayesnet_track.graphs import find_graph, graph_names
 from bayesnet_track.observation.cue import CueDeclaration
 
@@ -39,9 +42,22 @@ def load_graph(
         if graph not in graph_names():
             raise GraphError([_no_such_graph(graph)])
         spec, at = read_graph(find_graph(graph))
-    else:
-        spec, at = read_graph(Path(graph))
-    return check(spec, at, cues)
+        return check(spec, at, cues)
+    return _load_file(Path(graph), cues)
+
+
+def _load_file(path: Path, cues: Cues | None) -> CheckedGraph:
+    document = read_document(bytes_of(path, str(path)), str(path))
+
+    def load(value: Any) -> CheckedGraph:
+        return check(specify(replace(document, value=value)), document.at, cues)
+
+    try:
+        return load(document.value)
+    except GraphError as error:
+        if error.more:
+            raise
+        raise GraphError(error.errors, errors_behind(document.value, error.errors, load)) from None
 
 
 def _no_such_graph(name: str) -> GraphMessage:

@@ -60,12 +60,13 @@ class GraphError(ValueError):
     """A graph that is not accepted.
 
     Attributes:
-        errors: every error that was found (at most the first 50).
+        errors: every error that was found (at most the first 50), in the order of the file; then those that
+            show once these are mended, `behind` them.
         more: whether some were left out.
     """
 
-    def __init__(self, errors: Sequence[GraphMessage]) -> None:
-        ordered = sorted(errors, key=lambda error: (error.line or 0, error.column or 0))
+    def __init__(self, errors: Sequence[GraphMessage], behind: Sequence[GraphMessage] = ()) -> None:
+        ordered = [*_in_order(errors), *_in_order(behind)]
         self.errors = tuple(ordered[:MAX_MESSAGES])
         self.more = len(ordered) > MAX_MESSAGES
         super().__init__(self.errors)
@@ -76,6 +77,10 @@ class GraphError(ValueError):
         if self.more:
             lines.append(f"{self.errors[0].file}: and more errors")
         return "\n".join(lines)
+
+
+def _in_order(errors: Iterable[GraphMessage]) -> list[GraphMessage]:
+    return sorted(errors, key=lambda error: (error.line or 0, error.column or 0))
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,11 @@ def read_graph(
         file = source.name if not isinstance(source, PathLike) else str(source)
         source = bytes_of(source, file)
     document = read_document(source, file)
+    return specify(document), document.at
+
+
+def specify(document: Document) -> GraphSpec:
+    """The specification in a document; raises GraphError with everything that is wrong with its form."""
     errors = list(_only_in_python(document))
     try:
         spec = GraphSpec.model_validate(document.value)
@@ -39,7 +44,7 @@ def read_graph(
         errors += [message for message in explained if message.path not in empty]
     if errors:
         raise GraphError(errors)
-    return spec, document.at
+    return spec
 
 
 def bytes_of(source: PathLike[str] | Traversable, file: str) -> bytes:

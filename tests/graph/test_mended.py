@@ -1,0 +1,77 @@
+"""Errors that others hide are reported with them, those that a guess would cause are not."""
+
+from __future__ import annotations
+
+import pytest
+
+from bayesnet_track.graph.text.excerpt import MOST_SHOWN, describe_error
+from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.graph.text.mended import errors_behind
+from bayesnet_track.graph.text.messages import GraphError
+
+HEAD = """bayesnet: 1
+name: g
+targets:
+  t:
+    nodes:
+      root:
+        belief: {particles: {size: 500}}
+        motion: {random_walk: {sd_px: {x: 2, y: 2}}}
+        fuse: product
+"""
+
+
+@pytest.fixture
+def said(tmp_path):
+    """(line, column, what was found) of each error of the root's lines and agents, in order."""
+
+    def load(*lines):
+        path = tmp_path / "g.yaml"
+        path.write_text(HEAD + "".join(f"{line}\n" for line in lines))
+        with pytest.raises(GraphError) as raised:
+            load_graph(path)
+        return [(one.line, one.column, one.found) for one in raised.value.errors]
+
+    return load
+
+
+def test_a_check_fails_behind_a_wrong_key_of_another_node(said):
+    found = said(
+        "        fusee: product",
+        "      a: {parent: rot, agent: intensity}",
+        "      b: {parent: root, agent: intensitty}",
+    )
+    assert found == [
+        (10, 9, "unknown key 'fusee' of an inference node"),
+        (11, 19, "unknown parent 'rot'"),
+        (12, 32, "unknown cue 'intensitty'"),
+    ]
+
+
+def test_what_hides_others_comes_first(said):
+    found = said("      a: {parent: rot, agent: intensity}", "      b: {parent: root, agentt: intensity}")
+    assert [line for line, _, _ in found[:2]] == [11, 10]
+
+
+def test_what_a_guess_would_cause_is_not_reported(said):
+    """Without its noise the root could not jump, and without a node a child has no parent."""
+    agent = "      a: {parent: root, agent: intensity}"
+    noise = said("        motion2: {}", "        ud_fields: [x, q]", agent)
+    assert [line for line, _, _ in noise] == [10, 11]
+    missing = said(agent.replace("parent: root, ", ""), "      b: {parent: root, agent: foreground_color}")
+    assert [(line, found) for line, _, found in missing] == [(10, "key 'parent' is missing")]
+
+
+def test_a_sound_value_has_none_behind_and_is_left_as_it_is():
+    value = {"targets": {"t": {"nodes": {"root": {"fuse": "product"}}}}}
+    assert errors_behind(value, [], lambda mended: None) == []
+    assert value == {"targets": {"t": {"nodes": {"root": {"fuse": "product"}}}}}
+
+
+def test_no_more_than_ten_are_shown(said, tmp_path):
+    found = said(*(f"      a{k}: {{parent: root, agent: nonsense}}" for k in range(MOST_SHOWN + 3)))
+    with pytest.raises(GraphError) as raised:
+        load_graph(tmp_path / "g.yaml")
+    shown = describe_error(raised.value)
+    assert shown.count("unknown cue") == MOST_SHOWN
+    assert shown.endswith(f"g.yaml: and {len(found) - MOST_SHOWN} more")
