@@ -96,6 +96,12 @@ class Resizing:
         }
         return FileDetector(moved)
 
+    def found(self, detections: Detections) -> Detections:
+        """What a detector found in a smaller frame, in the source's pixels."""
+        if self.is_none:
+            return detections
+        return replace(detections, boxes=_moved(detections.boxes, self._out))
+
     def graph(self, graph: CheckedGraph) -> CheckedGraph:
         """The graph with its masks, which have the source's size, in the size that is tracked in."""
         if self.is_none or not graph.masks:

@@ -103,6 +103,7 @@ def test_a_run_that_was_asked_for_otherwise_is_not_taken_for_this_one(data: Path
         ({"seed": 3}, "seed 0, now 3"),
         ({"end": 5}, "end none, now 5"),
         ({"on_resize": "rescale"}, "on_resize stop, now rescale"),
+        ({"max_side": 160}, "max_side none, now 160"),
         ({"video": Video(other, "one", None, truth)}, f"source .*one/img, now {other}"),
         ({"video": replace(job.video, init="1,2,30,40", init_from=None)}, "start"),
     ]:

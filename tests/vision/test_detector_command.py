@@ -45,6 +45,19 @@ def test_json_lines_and_a_video_are_written(folder, tmp_path):
     assert main([*arguments, "--overwrite"]) == 0 and out.read_bytes() == before
 
 
+def test_smaller_frames_give_boxes_in_pixels_of_the_source(folder, capsys):
+    arguments = ["detect", "color_backprojection", "--source", folder, "--end", "1", "--set", "min_chroma=40"]
+    box = [round(v) for v in make_scene("two_squares", 0).truth[0]]
+    arguments += ["--learn", ",".join(map(str, box))]
+    found = []
+    for more in ([], ["--max-side", "160"]):
+        assert main([*arguments, *more]) == 0
+        lines = sorted(line.split(",")[2:6] for line in capsys.readouterr().out.splitlines())
+        found.append(np.array(lines, dtype=float))
+    assert np.abs(found[0] - found[1]).max() <= 4.0
+    assert np.abs(found[1] - box).sum(axis=1).min() <= 10.0
+
+
 def test_a_target_is_shown(folder, capsys):
     x, y, w, h = (round(v) for v in make_scene("two_squares", 0).truth[0])
     shown = ["--learn", f"{x},{y},{w},{h}", "--set", "min_chroma=40"]

@@ -54,6 +54,7 @@ class Job:
         on_resize: what a change of size does.
         plugins: cues and detectors of other packages that may be loaded.
         cue_files: files with cues of one's own, from the root.
+        max_side: longest side of the frames that are tracked in, px; None for those of the video.
     """
 
     graph: str
@@ -64,6 +65,7 @@ class Job:
     on_resize: str = "stop"
     plugins: tuple[str, ...] = ()
     cue_files: tuple[str, ...] = ()
+    max_side: int | None = None
 
     @property
     def label(self) -> str:

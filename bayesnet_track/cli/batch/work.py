@@ -70,7 +70,14 @@ def do(job: Job, progress: Callable[[int, int | None], None]) -> Row:
         with open_source(job.video.source, end=job.end, on_resize=on_resize) as source:
             expected = source.expected_frames
             results = track(
-                job.graph, source, _starts(job), out=job.out, seed=job.seed, summary=summary, overwrite=True
+                job.graph,
+                source,
+                _starts(job),
+                out=job.out,
+                seed=job.seed,
+                max_side=job.max_side,
+                summary=summary,
+                overwrite=True,
             )
             for _ in results:
                 progress(summary.frames, expected)
@@ -132,6 +139,7 @@ def _check_same(job: Job, recipe: Recipe) -> None:
         "seed": (recipe.seed, job.seed),
         "end": (origin.end, job.end),
         "on_resize": (origin.on_resize, job.on_resize),
+        "max_side": (recipe.max_side, job.max_side),
     }
     others = [
         f"{name} {_word(was)}, now {_word(now)}" for name, (was, now) in was_and_is.items() if was != now

@@ -21,7 +21,12 @@ from bayesnet_track.cli.commands.answer import (
     users_mistake,
 )
 from bayesnet_track.cli.options.plugins import add_plugins
-from bayesnet_track.cli.options.sources import add_depth_options, add_window_options, open_given
+from bayesnet_track.cli.options.sources import (
+    add_depth_options,
+    add_size_option,
+    add_window_options,
+    open_given,
+)
 from bayesnet_track.cli.slips import add_former_name
 from bayesnet_track.numerics.compile_watch import WATCH
 
@@ -31,6 +36,7 @@ if TYPE_CHECKING:
     from bayesnet_track.observation.cue import CueDeclaration
     from bayesnet_track.observation.detector import Detector, DetectorDeclaration, DetectorState
     from bayesnet_track.observation.planes import Frame, FramePair
+    from bayesnet_track.runtime.resizing import Resizing
     from bayesnet_track.sources.frames import Source
 
 JSON_LINES = (".jsonl", ".json", ".ndjson")
@@ -86,14 +92,13 @@ def detect(options: argparse.Namespace) -> int:
             mend = "give one, or use another detector"
             raise SourceError(source.description, str(error), needed, mend) from error
         try:
-            return _detect_all(options, declaration.name, detector, state, source, stack)
+            return _detect_all(options, detector, state, source, stack)
         except DetectorError as error:
             raise UsageError(str(error)) from error
 
 
 def _detect_all(
     options: argparse.Namespace,
-    name: str,
     detector: Detector,
     state: DetectorState,
     source: Source,
@@ -103,12 +108,15 @@ def _detect_all(
     from bayesnet_track.journal.writer import LineFile
     from bayesnet_track.observation.detector import LearningDetector
     from bayesnet_track.observation.planes import Frame, FramePair
+    from bayesnet_track.runtime.preparation import resizing_of
     from bayesnet_track.runtime.progress import Progress
     from bayesnet_track.runtime.recording.videowriter import VideoWriter
     from bayesnet_track.runtime.results import interval_of
     from bayesnet_track.sources.detections import format_frame
     from bayesnet_track.view.detections import draw_detections
 
+    with users_mistake():
+        resizing = resizing_of(source, options.max_side)
     learns = isinstance(detector, LearningDetector)
     lines: Lines = Printed()
     video: VideoWriter | None = None
@@ -119,21 +127,23 @@ def _detect_all(
     for item in source:
         if not isinstance(item, Frame):
             continue
-        pair = FramePair(item, previous)
+        frame = resizing.frame(item)
+        pair = FramePair(frame, previous)
         if previous is None:
-            state = _show(options, name, detector, pair, state) if learns else state
+            state = _show(options, detector, pair, state, resizing) if learns else state
             if options.out is not None:
                 lines = stack.enter_context(LineFile(Path(options.out)))
             if options.save_video is not None:
                 size = (item.width, item.height, interval_of(source))
                 video = stack.enter_context(VideoWriter(Path(options.save_video), *size))
         detections, state = detector.detect(pair, state)
+        detections = resizing.found(detections)
         for line in format_frame(item, detections, _is_json(options)):
             lines.append(line)
         lines.flush()
         if video is not None:
             video.write(draw_detections(item.image, detections))
-        previous, frames, found = item, frames + 1, found + len(detections)
+        previous, frames, found = frame, frames + 1, found + len(detections)
         text = plural(found, "detection")
         run_silently(partial(progress.advance, time.monotonic() - WATCH.seconds, frames, text, {}))
     run_silently(progress.finish)
@@ -200,10 +210,10 @@ def _mistakes(error: Any, declaration: DetectorDeclaration | CueDeclaration, nea
 
 
 def _show(
-    options: argparse.Namespace, name: str, detector: Any, pair: FramePair, state: DetectorState
+    options: argparse.Namespace, detector: Any, pair: FramePair, state: DetectorState, resizing: Resizing
 ) -> DetectorState:
     """The state of a detector that learns, with the target of --learn."""
-    from bayesnet_track.engine.starts import StartError, check_box
+    from bayesnet_track.engine.starts import Start, StartError, check_box
     from bayesnet_track.numerics.boxes import centre_from_corner
 
     if options.learn is not None:
@@ -215,13 +225,17 @@ def _show(
             allowed = "four numbers X,Y,W,H are needed (top-left corner, px)"
             raise UsageError(f"--learn {options.learn!r}: {allowed}") from None
         try:
-            check_box(box, pair.current.width, pair.current.height)
+            check_box(box, *resizing.source)
         except StartError as error:
             raise UsageError(f"--learn {options.learn!r}: {error}") from None
-        shown: DetectorState = detector.learn(pair, centre_from_corner(box), state)
+        x, y, w, h = box
+        small = resizing.start(Start((x, y, w, h))).box
+        shown: DetectorState = detector.learn(pair, centre_from_corner(small), state)
         return shown
     if not detector.knows_target(state):
-        raise UsageError(f"{name} has nothing to look for: give --learn X,Y,W,H, or --set what to look for")
+        raise UsageError(
+            f"{options.name} has nothing to look for: give --learn X,Y,W,H, or --set what to look for"
+        )
     return state
 
 
@@ -255,6 +269,7 @@ def add_detect(commands: argparse._SubParsersAction[Any]) -> None:
         "--save-video", metavar="FILE", help="also write the video with the boxes (.mkv or .mp4)"
     )
     add_former_name(detect, "--video", "--save-video")
+    add_size_option(detect)
     add_window_options(detect)
     detect.add_argument("--overwrite", action="store_true", help="replace existing files")
     add_plugins(detect)

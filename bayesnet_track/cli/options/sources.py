@@ -37,8 +37,8 @@ def add_size_option(parser: argparse.ArgumentParser) -> None:
         "--max-side",
         type=whole_number(16),
         metavar="PX",
-        help="track in smaller frames, their longer side at most PX; boxes stay in pixels of the source, "
-        "lengths in the graph count those of the smaller frames",
+        help="use smaller frames, their longer side at most PX; boxes stay in pixels of the source, lengths "
+        "in the graph, or of the detector, count those of the smaller frames",
     )
 
 
