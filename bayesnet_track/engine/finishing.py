@@ -28,7 +28,7 @@ from bayesnet_track.engine.scoring.assurance import judge_alarm, judge_assurance
 from bayesnet_track.engine.scoring.distractors import find_distractor
 from bayesnet_track.engine.scoring.reacquisition import Look, follow_fit
 from bayesnet_track.engine.scoring.score import Scored, most, probability, with_distractor
-from bayesnet_track.engine.state import TargetState, apply_decisions, inside_frame
+from bayesnet_track.engine.state import TargetState, apply_decisions, inside_frame_all
 from bayesnet_track.engine.summaries import Summary, find_covariances, find_summaries
 from bayesnet_track.graph.spec import InferenceNode
 from bayesnet_track.inference.guard import changes
@@ -60,7 +60,8 @@ def finish_targets(work: FrameWork, filtered: Mapping[str, Filtered]) -> dict[st
     find_maps(one.step for one in filtered.values())
     states = {target: estimate_target(work, one) for target, one in filtered.items()}
     started = work.charge("belief", started)
-    boxes = {target: inside_frame(state[:4], work.frame) for target, state in states.items()}
+    inside = inside_frame_all(np.array([state[:4] for state in states.values()]).reshape(-1, 4), work.frame)
+    boxes = dict(zip(states, inside, strict=True))
     measures = measure_all(work, filtered, boxes)
     measured = {
         target: measure_target(work, one, states[target], boxes[target], measures[target])

@@ -93,10 +93,11 @@ def join_targets(work: FrameWork, memory: JoinMemory, filtered: Mapping[str, Fil
     return JointBelief(joined, after, tuple(events))
 
 
-def reach_of(posterior: Posterior, covariance: Floats | None) -> Reach:
-    """Where a belief says that its target is; its covariance (D, D) is taken where it is known already."""
-    covariance = posterior.covariance if covariance is None else covariance
-    return Reach(posterior.mean[:4], np.sqrt(np.clip(np.diag(covariance)[:2], 0.0, None)))
+def reaches_of(beliefs: Sequence[Posterior], spreads: Sequence[Floats]) -> list[Reach]:
+    """Where beliefs, with the covariances `spreads` (D, D), say that their targets are."""
+    variances = np.array([spread.diagonal()[:2] for spread in spreads]).reshape(-1, 2)
+    sds = np.sqrt(np.clip(variances, 0.0, None))
+    return [Reach(belief.mean[:4], sd) for belief, sd in zip(beliefs, sds, strict=True)]
 
 
 # ------------------------------------------------------------------------------------ the joint belief

@@ -12,7 +12,7 @@ from bayesnet_track.engine.external_inputs import ExternalInputs
 from bayesnet_track.engine.findings import Heard, TargetResult
 from bayesnet_track.engine.frame_metrics import Lines, WhenAsked
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.joining import JointBelief, reach_of
+from bayesnet_track.engine.joining import JointBelief, reaches_of
 from bayesnet_track.engine.shedding import balance_load
 from bayesnet_track.engine.state import TargetState, apply_decisions, recompile
 from bayesnet_track.journal.events.event import Event
@@ -98,9 +98,12 @@ def with_joins(work: FrameWork, outcome: Outcome) -> Outcome:
     if not joins:
         return outcome
     state, started = outcome.state, work.engine.clock()
-    reaches = {
-        target: reach_of(one.belief, outcome.covariances.get(target)) for target, one in state.targets.items()
-    }
+    spreads = [
+        one.belief.covariance if (known := outcome.covariances.get(target)) is None else known
+        for target, one in state.targets.items()
+    ]
+    beliefs = {target: one.belief for target, one in state.targets.items()}
+    reaches = dict(zip(beliefs, reaches_of(list(beliefs.values()), spreads), strict=True))
     decisions, memory = decide_joins(work.frame.index, joins, state.net, reaches, state.joins)
     work.charge("joins", started)
     after = replace(state, net=apply_decisions(state.net, decisions), joins=memory)

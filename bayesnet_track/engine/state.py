@@ -71,12 +71,11 @@ def with_agents(compiled: CompiledPlate, state: TargetState, agents: frozenset[s
 
 def inside_frame(box: Floats, frame: Frame) -> Floats:
     """The box with its centre on the image, so that tracks and references stay meaningful."""
-    x, y, w, h = box.tolist()
-    return np.array(
-        [
-            min(max(x, 0.0), frame.width - 1.0),
-            min(max(y, 0.0), frame.height - 1.0),
-            min(max(w, 1.0), 2.0 * frame.width),
-            min(max(h, 1.0), 2.0 * frame.height),
-        ]
-    )
+    return np.asarray(inside_frame_all(box[None], frame)[0])
+
+
+def inside_frame_all(boxes: Floats, frame: Frame) -> Floats:
+    """(T, 4) the same of several boxes."""
+    width, height = float(frame.width), float(frame.height)
+    limits = [width - 1.0, height - 1.0, 2.0 * width, 2.0 * height]
+    return np.asarray(np.minimum(np.maximum(boxes, [0.0, 0.0, 1.0, 1.0]), limits))

@@ -105,6 +105,7 @@ def _filter(work: FrameWork, before: Mapping[str, TargetState]) -> dict[str, Fil
     for array in (log, weights):
         array.setflags(write=False)
     motion = confined(compiled.motion, work.frame.width, work.frame.height)
+    predicted = PredictedMotion(compiled.motion)
     found: dict[str, Filtered] = {}
     for t, (target, state) in enumerate(before.items()):
         if not is_usable[t]:
@@ -124,9 +125,7 @@ def _filter(work: FrameWork, before: Mapping[str, TargetState]) -> dict[str, Fil
             evidence,
             FindMap(total[t], moved[t], inputs),
         )
-        found[target] = Filtered(
-            target, state, step, (), PredictedMotion(compiled.motion, state.motion_context), plan
-        )
+        found[target] = Filtered(target, state, step, (), predicted, plan)
     work.charge("belief", started)
     return found
 

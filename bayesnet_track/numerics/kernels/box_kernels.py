@@ -44,6 +44,25 @@ def pixels_of_boxes(
 
 
 @compiled
+def crops_of_each(boxes: Floats, starts: Corners, grow: float, columns: int, rows: int) -> Corners:
+    """(T, 4) x0, y0, x1, y1 in the frame of what holds each target's boxes, grown by `grow` of their sizes.
+
+    Those of target t are `starts[t]` to `starts[t + 1] - 1` of the boxes (N, 4).
+    """
+    corners = np.empty((starts.shape[0] - 1, 4), np.int64)
+    for t in range(corners.shape[0]):
+        for axis in range(2):
+            low, high, extent = np.inf, -np.inf, float(columns if axis == 0 else rows)
+            for n in range(starts[t], starts[t + 1]):
+                reach = boxes[n, 2 + axis] * (0.5 + grow)
+                low, high = min(low, boxes[n, axis] - reach), max(high, boxes[n, axis] + reach)
+            # In this order NaN becomes 0: no index may leave the frame.
+            corners[t, axis] = int(min(max(0.0, np.floor(low + 0.5)), extent))
+            corners[t, 2 + axis] = int(min(max(0.0, np.ceil(high + 0.5)), extent))
+    return corners
+
+
+@compiled
 def keep_best(boxes: Floats, most_overlap: float, most: int) -> Corners:
     """Which of the boxes (N, 4), the best first, are kept: `most` of them, none too alike a better one kept.
 
