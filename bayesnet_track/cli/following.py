@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import sys
 import time
 from collections.abc import Generator, Iterator
@@ -70,7 +71,9 @@ def follow(
             stack.callback(run_silently, progress.finish)
         stack.callback(results.close)
         stack.enter_context(users_start())
-        for result in results:
+        for number, result in enumerate(results):
+            if number == 0 and getattr(options, "owns_process", False):
+                _spare_the_loaded()
             if shows_progress:
                 _show(progress, summary, result)
             # Before the first frame is done there is nothing to finish: until then, signals act at once.
@@ -87,6 +90,16 @@ def follow(
     if view is not None and view.controls.has_stopped:
         return STOPPED
     return OK if summary.complete else INCOMPLETE
+
+
+def _spare_the_loaded() -> None:
+    """Let the garbage collector look no more through what is loaded by now: it stays until the process ends.
+
+    Libraries and compiled kernels are most of all objects, and to look through them takes as long as some
+    frames.
+    """
+    gc.collect()
+    gc.freeze()
 
 
 class Narrator:

@@ -54,7 +54,7 @@ def _main(arguments: Sequence[str] | None, stop: StopRequest) -> int:
     if options.command is None:
         parser.print_help()
         return 2
-    options.stop, options.parser = stop, parser
+    options.stop, options.parser, options.owns_process = stop, parser, arguments is None
     try:
         if options.command == "doctor":  # works where the others cannot even be imported
             from bayesnet_track.cli.doctor.examine import doctor

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from argparse import Namespace
 from pathlib import Path
 
@@ -29,6 +30,18 @@ def test_the_exit_code_tells_whether_all_was_read(capsys, complete, reason, code
     )
     assert ("the source is truncated" in said.out + said.err) == (not complete)
     assert f"... and {7 - SHOWN_NOTICES} more" in said.err
+
+
+@pytest.mark.parametrize("owns_process", [False, True])
+def test_only_a_process_of_its_own_keeps_what_is_loaded_from_the_garbage_collector(monkeypatch, owns_process):
+    frozen = []
+    monkeypatch.setattr(gc, "freeze", lambda: frozen.append(1))
+    monkeypatch.setattr(gc, "collect", lambda: None)
+    options = Namespace(command="demo", quiet=True, verbose=False, log_json=False, stop=StopRequest())
+    options.owns_process = owns_process
+    summary = Summary(3, 0, 0, True, "end_of_source", 2.0, 0.0, 30.0, [])
+    assert follow(options, (None for _ in range(3)), summary, 3, Path("runs/a")) == 0
+    assert len(frozen) == owns_process  # once, not in every frame
 
 
 @pytest.mark.parametrize(
