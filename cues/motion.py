@@ -24,8 +24,8 @@ from bayesnet_track.observation.cue import (
     floored,
     log_size_penalty,
 )
+from bayesnet_track.vision.planes import motion_planes
 from bayesnet_track.vision.planes.dense_flow_planes import DenseFlowPlane
-from bayesnet_track.vision.planes.motion_planes import CameraPlane, FlowPlane, against_background
 
 if TYPE_CHECKING:
     from bayesnet_track.observation.planes import Plane, Planes
@@ -114,8 +114,8 @@ class MotionCue:
     """
 
     parameters: MotionParameters
-    flow: FlowPlane | DenseFlowPlane
-    camera: CameraPlane | None
+    flow: motion_planes.FlowPlane | DenseFlowPlane
+    camera: motion_planes.CameraPlane | None
     context: ClassVar[float] = 0.0
 
     @property
@@ -196,14 +196,11 @@ class MotionCue:
 
     def vectors(self, planes: Planes) -> Floats:
         """(P, 4) x, y, dx, dy of the valid vectors, the camera's motion taken off."""
-        vectors = planes[self.flow]
-        if not self.flow.is_points:
-            from bayesnet_track.vision.kernels.dense_flow_kernels import valid_vectors
-
-            found = np.empty((vectors[..., 0].size, 4))
-            field = np.ascontiguousarray(vectors)
-            vectors = found[: valid_vectors(field, planes.region.x0, planes.region.y0, found)]
-        return vectors if self.camera is None else against_background(vectors, planes[self.camera])
+        pixels = None if self.flow.is_points else planes.region
+        vectors = motion_planes.valid_vectors_of(planes[self.flow], pixels)
+        if self.camera is None:
+            return vectors
+        return motion_planes.against_background(vectors, planes[self.camera])
 
     def _agrees(self, vectors: Floats, box: Floats, mean: Floats) -> bool:
         limit = self.parameters.coherent_px
@@ -232,18 +229,7 @@ class MotionCue:
 
     def _inside(self, points: Floats, boxes: Floats, planes: Planes) -> tuple[Floats, Floats]:
         """(N,) points x, y, u, v inside each box, and (N, 2) their mean u and v."""
-        counts, means = np.zeros(len(boxes)), np.zeros((len(boxes), 2))
-        boxes = np.ascontiguousarray(boxes, dtype=np.float64)
-        if self.flow.is_points:
-            from bayesnet_track.vision.kernels.flow_kernels import flow_in_boxes
-
-            flow_in_boxes(points, boxes, counts, means)
-        else:
-            from bayesnet_track.vision.kernels.dense_flow_kernels import dense_in_boxes
-
-            r = planes.region
-            dense_in_boxes(points, r.x0, r.y0, r.x1 - r.x0, r.y1 - r.y0, boxes, counts, means)
-        return counts, means
+        return motion_planes.means_in_boxes(points, boxes, None if self.flow.is_points else planes.region)
 
 
 def _velocities(hypotheses: Hypotheses) -> Floats | None:
@@ -262,11 +248,11 @@ def _make(parameters: MotionParameters) -> MotionCue:
 
     from bayesnet_track.vision.kernels import corner_kernels  # noqa: F401
 
-    plane: FlowPlane | DenseFlowPlane
+    plane: motion_planes.FlowPlane | DenseFlowPlane
     if parameters.flow == "sparse":
         from bayesnet_track.vision.kernels import flow_kernels  # noqa: F401
 
-        plane = FlowPlane(
+        plane = motion_planes.FlowPlane(
             spacing_px=parameters.spacing_px,
             min_gradient_gray=parameters.min_gradient_gray,
             half_window_px=parameters.half_window_px,
@@ -282,7 +268,7 @@ def _make(parameters: MotionParameters) -> MotionCue:
             reach_px=parameters.reach_px,
             agree_px=parameters.agree_px,
         )
-    camera = None if parameters.camera == "ignore" else CameraPlane(parameters.camera == "auto")
+    camera = None if parameters.camera == "ignore" else motion_planes.CameraPlane(parameters.camera == "auto")
     return MotionCue(parameters, plane, camera)
 
 

@@ -230,3 +230,32 @@ def _pyramid(frame: Frame, crop: Region) -> tuple[Array, Array, Array]:
 
 CAMERA_FLOW = FlowPlane(spacing_px=12)
 """How the points are followed from which the camera's motion is told, in the smaller picture."""
+
+
+def valid_vectors_of(flow: Array, pixels_of: Region | None) -> Array:
+    """(P, 4) x, y, dx, dy of the valid vectors: all at points, or those of the pixels of a region."""
+    if pixels_of is None:
+        return flow
+    from bayesnet_track.vision.kernels.dense_flow_kernels import valid_vectors
+
+    found = np.empty((flow[..., 0].size, 4))
+    return found[: valid_vectors(np.ascontiguousarray(flow), pixels_of.x0, pixels_of.y0, found)]
+
+
+def means_in_boxes(points: Array, boxes: Array, pixels_of: Region | None) -> tuple[Array, Array]:
+    """(N,) points x, y, u, v inside each centre box (N, 4), and (N, 2) their mean u and v.
+
+    Points at all pixels of a region are summed by integral images.
+    """
+    counts, means = np.zeros(len(boxes)), np.zeros((len(boxes), 2))
+    boxes = np.ascontiguousarray(boxes, dtype=np.float64)
+    if pixels_of is None:
+        from bayesnet_track.vision.kernels.flow_kernels import flow_in_boxes
+
+        flow_in_boxes(points, boxes, counts, means)
+    else:
+        from bayesnet_track.vision.kernels.dense_flow_kernels import dense_in_boxes
+
+        r = pixels_of
+        dense_in_boxes(points, r.x0, r.y0, r.x1 - r.x0, r.y1 - r.y0, boxes, counts, means)
+    return counts, means
