@@ -33,7 +33,7 @@ from bayesnet_track.cli.fitting import tracking as fit_tracking
 from bayesnet_track.cli.fitting import videos as fit_videos
 from bayesnet_track.cli.fitting.fit import graph_text
 from bayesnet_track.evaluate.calibration_data import CalibrationData, calibration_data, with_features
-from bayesnet_track.evaluate.cue_sds import fit_sds, residuals_of, shares_inside
+from bayesnet_track.evaluate.cue_sds import fit_sds, followed, residuals_of, shares_inside
 from bayesnet_track.evaluate.fitting import Fitted, fit, mass_below
 from bayesnet_track.evaluate.scores import success_auc
 from bayesnet_track.graph.checked import CheckedGraph
@@ -168,11 +168,14 @@ def judge_sds(graph: str, learnt: Sequence[Video], unseen: Sequence[Video], o: a
     for (agent, name), one in sds.items():
         cue = plate.agent(agent).agent
         before = float(cue.parameters.get(name, declared[cue.plugin].parameters().model_dump()[name]))
-        values = [video[agent, name] for video in there if (agent, name) in video]
+        frames = [video[agent, name] for video in there if video.get((agent, name))]
+        values = [np.concatenate(found) for found in frames]
+        following = [followed(found, one.value) for found in frames]
         rows.append([agent, name])
-        for value in (one.value, before):
-            rows[-1] += [f"{value:.3g}", *(f"{share:.3f}" for share in shares_inside(values, value))]
-    head = ["agent", "sd", "fitted", "in 50 %", "in 90 %", "before", "in 50 %", "in 90 %"]
+        for value, held_by in ((one.value, values), (one.value, following), (before, values)):
+            rows[-1] += [f"{value:.3g}", *(f"{share:.3f}" for share in shares_inside(held_by, value))]
+    inside = ["in 50 %", "in 90 %"]
+    head = ["agent", "sd", "fitted", *inside, "following", *inside, "before", *inside]
     print(table(head, rows) + "\n")
 
     new = fit_tracking.check_text(fit_tracking.write_sds(text, own, sds, len(learnt)), graph)

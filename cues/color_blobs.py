@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
+from bayesnet_track.numerics.spread import follow, spread_of, start
 from bayesnet_track.observation.cue import (
     Cue,
     CueDeclaration,
@@ -62,6 +63,12 @@ class ColorBlobsParameters(SizedCueParameters):
         default=0.1, gt=0, description="Sd of a blob's centre (widths and heights of the box)."
     )
     sd_hue_deg: float = Field(default=15.0, gt=0, description="Sd of a blob's mean hue (degrees).")
+    sd_memory_frames: float | None = Field(
+        default=None,
+        ge=2,
+        description="Both standard deviations follow how much the target's own blobs vary, over about so "
+        "many frames; they stay as given when absent.",
+    )
     unmatched: float = Field(
         default=4.0,
         gt=0,
@@ -74,9 +81,9 @@ class ColorBlobs:
     """The colour blobs at work.
 
     A reference holds ``blobs`` (K, 4), each a centre relative to the box's in its widths and heights, a mean
-    hue in degrees and a share of the box; ``size`` (2,), w and h in px; and ``sharper`` (), a factor on the
-    standard deviations of centre and hue. Blobs below the least share are remembered while they fade in or
-    out, and not compared.
+    hue in degrees and a share of the box; ``size`` (2,), w and h in px; ``sharper`` (), a factor on the
+    standard deviations of centre and hue; and ``spread`` (2,), another on each, where they follow the target.
+    Blobs below the least share are remembered while they fade in or out, and not compared.
     """
 
     parameters: ColorBlobsParameters
@@ -98,6 +105,7 @@ class ColorBlobs:
             "blobs": blobs[0, : found[0]],
             "size": np.array(box[2:], dtype=np.float64),
             SHARPER: np.array(1.0),
+            **start(2, self.parameters.sd_memory_frames),
         }
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
@@ -122,10 +130,13 @@ class ColorBlobs:
         blobs = np.concatenate([blended, arrived])
         largest = np.argsort(-blobs[:, SHARE], kind="stable")[: 2 * p.max_blobs]
         blobs = blobs[largest]
+        compared = after if rate and p.sd_memory_frames else after[:0]
+        errors = self._differences(self._wanted(old), compared)
         return {
             "blobs": blobs[blobs[:, SHARE] > 0],
             "size": blend_sizes(old, new, rate),
             **relax(old, new, rate),
+            **follow(old, errors, (p.sd_offset, p.sd_hue_deg), p.sd_memory_frames),
         }
 
     def adapt(self, reference: Reference, attempt: int) -> Reference | None:
@@ -142,9 +153,9 @@ class ColorBlobs:
         from bayesnet_track.vision.kernels.blob_kernels import blob_costs
 
         p, boxes = self.parameters, hypotheses.boxes
-        wanted, sharper = self._wanted(reference), factor_of(reference)
+        wanted, wider = self._wanted(reference), factor_of(reference) * spread_of(reference, 2)
         blobs, found = self._blobs(planes, boxes)
-        cost = blob_costs(blobs, found, wanted, sharper * p.sd_offset, sharper * p.sd_hue_deg, p.unmatched)
+        cost = blob_costs(blobs, found, wanted, wider[0] * p.sd_offset, wider[1] * p.sd_hue_deg, p.unmatched)
         cost += p.unmatched * _share_outside(boxes, planes.frame)
         size = log_size_penalty(boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
         return floored(size - cost, p.floor)
@@ -154,17 +165,18 @@ class ColorBlobs:
 
         Offsets of their centres in both axes (widths and heights of the box), differences of hue (degrees).
         """
+        blobs, found = self._blobs(planes, np.asarray(box, dtype=np.float64)[None])
+        offsets, hues = self._differences(self._wanted(reference), blobs[0, : found[0]])
+        return {"sd_offset": offsets, "sd_hue_deg": hues}
+
+    def _differences(self, wanted: Floats, seen: Floats) -> tuple[Floats, Floats]:
+        """Offsets in both axes, and differences of hue, of nearest pairs, however far apart."""
         from bayesnet_track.vision.kernels.blob_kernels import match_blobs
 
-        p, wanted = self.parameters, self._wanted(reference)
-        blobs, found = self._blobs(planes, np.asarray(box, dtype=np.float64)[None])
-        seen = blobs[0, : found[0]]
+        p = self.parameters
         match, _ = match_blobs(wanted, seen, p.sd_offset, p.sd_hue_deg, np.inf)
         off = seen[match[match >= 0]] - wanted[match >= 0]
-        return {
-            "sd_offset": off[:, :2].ravel(),
-            "sd_hue_deg": np.asarray((off[:, 2] + 180.0) % 360.0 - 180.0),
-        }
+        return off[:, :2].ravel(), np.asarray((off[:, 2] + 180.0) % 360.0 - 180.0)
 
     def _wanted(self, reference: Reference) -> Floats:
         """(K, 4) blobs that are compared."""

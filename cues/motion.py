@@ -8,12 +8,13 @@ is better to compare each vector, so that a box scores the share of it that move
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from bayesnet_track.numerics.sharpening import SHARPER, factor_of, relax, sharpen
+from bayesnet_track.numerics.spread import follow, spread_of, start
 from bayesnet_track.observation.cue import (
     CueDeclaration,
     Floats,
@@ -34,10 +35,7 @@ BLOCK = 2**18
 """Pairs of a box and a vector that are compared in one go."""
 
 STEP = 0.7
-"""Factor of a local action on the standard deviations of flow.
-
-All three steps leave 0.34 of them: of the default 0.7 px, which is still more than the flow is wrong by.
-"""
+"""Factor of a local action on the sds of flow: all three leave 0.7 px of the default, above its error."""
 
 
 class MotionParameters(SizedCueParameters):
@@ -67,6 +65,12 @@ class MotionParameters(SizedCueParameters):
     )
     sd_y_px: float = Field(
         default=2.0, gt=0, description="Standard deviation of that flow in y, pixels per frame interval."
+    )
+    sd_memory_frames: float | None = Field(
+        default=None,
+        ge=2,
+        description="The standard deviations follow how much the target's own flow changes, over about so "
+        "many frames; they stay as given when absent. For `compare: mean` against the `reference`.",
     )
     spacing_px: int = Field(
         default=12,
@@ -103,6 +107,12 @@ class MotionParameters(SizedCueParameters):
         default=1.0, gt=0, description="Factor on the log-likelihood before the floor (no unit)."
     )
 
+    @model_validator(mode="after")
+    def _one_flow_is_followed(self) -> Self:
+        if self.sd_memory_frames and (self.compare, self.against) != ("mean", "reference"):
+            raise ValueError("sd_memory_frames needs compare: mean and against: reference")
+        return self
+
 
 @dataclass(frozen=True)
 class MotionCue:
@@ -110,7 +120,7 @@ class MotionCue:
 
     Reference: `flow` (2,) mean of the valid vectors, pixels per frame interval; `valid` () their number;
     `size` (2,) width and height in pixels; `known` () 1, or 0 when no valid vector was seen; `sharper` ()
-    factor on the standard deviations of flow.
+    factor on the standard deviations of flow; `spread` (2,) another on each, where they follow the target.
     """
 
     parameters: MotionParameters
@@ -137,15 +147,18 @@ class MotionCue:
             "size": np.array(box[2:], dtype=np.float64),
             "known": np.array(float(known)),
             SHARPER: np.array(1.0),
+            **start(2, self.parameters.sd_memory_frames),
         }
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """Linear (eq. 2.15); an unknown reference gives way to a known one whole."""
         if not new["known"]:
             return old
-        if not old["known"]:
-            return {**new, **relax(old, new, rate)}
-        return {**blend_arrays(old, new, rate), **relax(old, new, rate)}
+        p, seen = self.parameters, rate and old["known"]
+        changes = list((new["flow"] - old["flow"])[:, None]) if seen else [np.empty(0)] * 2
+        spread = follow(old, changes, (p.sd_x_px, p.sd_y_px), p.sd_memory_frames)
+        blended = blend_arrays(old, new, rate) if old["known"] else new
+        return {**blended, **relax(old, new, rate), **spread}
 
     def adapt(self, reference: Reference, attempt: int) -> Reference | None:
         """Flows compared more strictly; None at once when the target's is unknown."""
@@ -224,7 +237,7 @@ class MotionCue:
 
     def _log_agreement(self, flows: Floats, own: Floats, reference: Reference) -> Floats:
         sd = np.array([self.parameters.sd_x_px, self.parameters.sd_y_px]) * factor_of(reference)
-        off = (flows - own) / sd
+        off = (flows - own) / (sd * spread_of(reference, 2))
         return np.asarray(-0.5 * (off**2).sum(axis=-1))
 
     def _inside(self, points: Floats, boxes: Floats, planes: Planes) -> tuple[Floats, Floats]:

@@ -148,6 +148,20 @@ def test_blend_fades_blobs_in_and_out(ask):
     assert asked.score(still(flag(RED, GREEN)), BOX[None], reference)[0] > -0.05
 
 
+def test_sds_follow_the_blobs_of_the_target_where_they_are_asked_to(ask):
+    """Blobs that stay where they were and change their hue by 30 degrees: only the sd of hue grows."""
+    asked = ask("color_blobs", sd_memory_frames=5)
+    old, new = (asked.learn(still(flag(left, BLUE)), BOX) for left in (RED, (0, 128, 255)))
+    turned = asked.score(still(flag((0, 128, 255), BLUE)), BOX[None], old)[0]
+    reference = old
+    for _ in range(40):
+        reference = asked.cue.blend(reference, new, 1e-6)
+    assert reference["spread"][0] == pytest.approx(0.1)
+    assert reference["spread"][1] == pytest.approx(15 / 15 / np.sqrt(2 / np.pi), rel=0.03)  # 30 of one in two
+    assert asked.score(still(flag((0, 128, 255), BLUE)), BOX[None], reference)[0] > turned
+    assert asked.cue.blend(old, new, 0.0)["spread"].tolist() == [1.0, 1.0]
+
+
 def test_blend_turns_hue_the_short_way(ask):
     asked = ask("color_blobs")
     old, new = (

@@ -171,6 +171,25 @@ def test_likelihood_is_the_thesis_formula_times_the_count_ratio() -> None:
     assert found[2] == pytest.approx(np.log(0.02))
 
 
+def test_sds_follow_the_flow_of_the_target_where_they_are_asked_to() -> None:
+    """The flow alternates by 8 px in x and stays in y: the sds come to 8 / 0.80 px, and to their least."""
+    cue, fixed = made(sd_memory_frames=5), made()
+    box = np.array([100.0, 100.0, 30.0, 30.0])
+    reference = cue.learn(planes_with(cue, [[100, 100, 0, 2]]), box)
+    for k in range(1, 60):
+        reference = cue.blend(reference, cue.learn(planes_with(cue, [[100, 100, 8 * (k % 2), 2]]), box), 1.0)
+    assert reference["spread"] * 2.0 == pytest.approx([8 / np.sqrt(2 / np.pi), 0.2], rel=1e-3)
+    seen = planes_with(cue, [[100, 100, 3, 2]])
+    wide, narrow = (one.log_likelihood(seen, Hypotheses(box[None]), reference)[0] for one in (cue, fixed))
+    assert wide == pytest.approx(narrow)  # the reference says how wide, whoever reads it
+    expected = -((5 / (8 / np.sqrt(2 / np.pi))) ** 2) / 2  # the last flow was 8
+    assert wide == pytest.approx(floored(np.array([expected]), 0.02)[0], rel=1e-3)
+    assert "spread" not in fixed.blend(fixed.learn(seen, box), fixed.learn(seen, box), 1.0)
+    for other in ({"compare": "each"}, {"against": "velocity"}):
+        with pytest.raises(ValueError, match="needs compare: mean and against: reference"):
+            made(sd_memory_frames=5, **other)
+
+
 def test_comparing_each_vector_scores_the_share_that_moves_as_the_target() -> None:
     """Half of the box moves as the target, half the other way: their mean is the flow of neither."""
     box = np.array([100.0, 100.0, 30.0, 30.0])

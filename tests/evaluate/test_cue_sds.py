@@ -75,7 +75,7 @@ def test_hue_of_blobs_is_found_as_it_was_painted():
 
         truth = np.tile([18.0, 18, 24, 24], (100, 1))
         videos.append(residuals_of(graph("color_blobs"), painted(draw, 100), truth))
-    value = fit_sd([one["a", "sd_hue_deg"] for one in videos]).value
+    value = fit_sd([np.concatenate(one["a", "sd_hue_deg"]) for one in videos]).value
     assert value == pytest.approx(6.0, rel=0.35)  # 198 residuals: 7 %, four of them, and rounding
 
 
@@ -97,12 +97,30 @@ def test_flow_at_true_boxes_is_found_as_the_target_was_moved():
         flow = np.diff(place, axis=0).astype(float)
         change = np.diff(flow, axis=0)
         assert len(found["a", "sd_x_px"]) > 80
-        assert np.median(np.abs(found["a", "sd_x_px"])) == pytest.approx(
+        assert np.median(np.abs(np.concatenate(found["a", "sd_x_px"]))) == pytest.approx(
             np.median(np.abs(change[:, 0])), abs=0.8
         )
         videos.append(found)
     fitted = fit_sds(videos)
     assert set(fitted) == {("a", "sd_x_px"), ("a", "sd_y_px")}
+
+
+def test_an_sd_that_follows_is_right_where_targets_differ():
+    """Twelve targets whose sds differ by a factor of 100 in all: no one sd is right for all."""
+    rng = np.random.default_rng(9)
+    videos = [{("a", "sd"): list(rng.normal(0, sd, (200, 1)))} for sd in np.geomspace(0.3, 30.0, 12)]
+    fitted = fit_sds(videos)
+    (one,) = fitted.values()
+    # Of 12 videos each share is known to .01 where the sd follows; it lags by a few frames, and has an error.
+    assert one.followed == pytest.approx((0.5, 0.88), abs=0.04)
+    assert abs(one.left_out[1] - 0.9) > 0.08
+
+
+def test_one_sd_is_right_where_targets_are_alike():
+    rng = np.random.default_rng(10)
+    (one,) = fit_sds([{("a", "sd"): list(rng.normal(0, 2.0, (300, 1)))} for _ in range(8)]).values()
+    # 2400 residuals: .01 and .006, four of them.
+    assert one.left_out == pytest.approx((0.5, 0.9), abs=0.04)
 
 
 @pytest.mark.slow
@@ -121,18 +139,22 @@ def test_fitted_sds_hold_on_other_scenes():
 
     fitted, unseen = fit_sds(list(residuals(range(340, 344)))), list(residuals(range(350, 354)))
     assert set(fitted) == {("motion", "sd_x_px"), ("motion", "sd_y_px")}
-    held = [shares_inside([one[key] for one in unseen], sd.value) for key, sd in fitted.items()]
+
+    def held_by(key, value):
+        return shares_inside([np.concatenate(one[key]) for one in unseen], value)
+
+    held = [held_by(key, sd.value) for key, sd in fitted.items()]
     fifty, ninety = np.mean(held, axis=0)
     assert 0.41 < fifty < 0.69 and 0.80 < ninety < 0.96
-    assert shares_inside([one["motion", "sd_x_px"] for one in unseen], 1.5)[0] > 0.9
+    assert held_by(("motion", "sd_x_px"), 1.5)[0] > 0.9
 
 
 def test_what_cannot_be_estimated_is_said():
     rng = np.random.default_rng(8)
-    one = {("a", "sd_x_px"): rng.normal(size=100)}
+    one = {("a", "sd_x_px"): [rng.normal(size=100)]}
     with pytest.raises(ValueError, match="one video; two or more"):
         fit_sds([one])
     with pytest.raises(ValueError, match="no agent of the target has any"):
         fit_sds([{}, {}])
     with pytest.raises(ValueError, match="sd_y_px of a cannot be estimated from 3 residuals: 20 are needed"):
-        fit_sds([{**one, ("a", "sd_y_px"): np.zeros(3)}, one])
+        fit_sds([{**one, ("a", "sd_y_px"): [np.zeros(3)]}, one])

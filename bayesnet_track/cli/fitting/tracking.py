@@ -28,8 +28,8 @@ def check_text(text: str, name: str) -> CheckedGraph:
 
 def fit_sds(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int | None) -> str:
     """The graph's text with the standard deviations of its cues."""
+    from bayesnet_track.evaluate.cue_sds import MEMORY_FRAMES, residuals_of
     from bayesnet_track.evaluate.cue_sds import fit_sds as estimate
-    from bayesnet_track.evaluate.cue_sds import residuals_of
 
     found = []
     for video in videos:
@@ -38,12 +38,16 @@ def fit_sds(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int | 
     with users_mistake():
         fitted = estimate(found)
     for (agent, parameter), one in fitted.items():
-        fifty, ninety = (f"{100 * share:.0f} %" for share in one.inside)
         complain(
             f"{agent}, {parameter}: {one.value:.3g} from {one.residuals} residuals; central 50 % and 90 % "
-            f"of such a Gaussian hold {fifty} and {ninety}"
+            f"of such a Gaussian hold {_shares(one.inside)}; {_shares(one.left_out)} of videos left out, and "
+            f"{_shares(one.followed)} with sd_memory_frames: {MEMORY_FRAMES:g}"
         )
     return write_sds(text, graph, fitted, len(videos))
+
+
+def _shares(inside: tuple[float, float]) -> str:
+    return " and ".join(f"{100 * share:.0f} %" for share in inside)
 
 
 def write_sds(text: str, graph: CheckedGraph, fitted: Mapping[tuple[str, str], FittedSd], videos: int) -> str:
