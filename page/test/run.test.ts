@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { Column } from "../src/data/column";
 import { RunData } from "../src/data/run";
-import { costs, sum, totals } from "../src/data/totals";
+import { costs, frameCounts, sum, totals } from "../src/data/totals";
 import type { EventRow, FrameLine, Header } from "../src/data/types";
 import { State } from "../src/state";
 import { drawnOf } from "../src/view/panels";
@@ -53,6 +53,14 @@ test("lines are appended; what is measured late has gaps before", () => {
   assert.equal(track.value("ud_px2", 1), Infinity);
   assert.deepEqual([0, 1, 2].map((row) => track.cloud(row).length), [1, 0, 1]);
   assert.equal(track.status(2), "lost");
+});
+
+test("frames with a target are counted once, and those without one, too", () => {
+  const run = new RunData(header);
+  for (let frame = 0; frame < 6; frame += 1) run.addTiming({ frame, seconds: 0.01, parts: {} });
+  for (const [frame, target] of [[1, "1"], [2, "1"], [2, "2"], [3, "2"]] as const) run.append(line(frame, { target }));
+  assert.deepEqual(frameCounts(run), { withTarget: 3, all: 6 });
+  assert.deepEqual(frameCounts(new RunData(header)), { withTarget: 0, all: 0 });
 });
 
 test("probabilities of modes are kept by name, also of frames before a mode was known", () => {

@@ -60,6 +60,13 @@ export function sum(rows: Totals[]): Totals {
   };
 }
 
+/** Frames with at least one target, and all that were read. */
+export function frameCounts(run: RunData): { withTarget: number; all: number } {
+  const seen = new Set<number>();
+  for (const track of run.tracks.values()) for (let row = 0; row < track.length; row += 1) seen.add(track.value("frame", row));
+  return { withTarget: seen.size, all: Math.max(run.clock.get("frame")!.length, seen.size) };
+}
+
 /** The agents of a target's plate, or those that were ever active. */
 export function agentsOf(run: RunData, track: Track): string[] {
   return run.plates[track.plate]?.agents.map((agent) => agent.name) ?? track.agents;

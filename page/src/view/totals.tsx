@@ -1,19 +1,24 @@
 /** The table of totals, and the few of them that stand at the head of the page. */
 
 import { useComputed } from "@preact/signals";
-import { costs, sum, totals, type Totals } from "../data/totals";
+import { costs, frameCounts, sum, totals, type Totals } from "../data/totals";
 import type { State } from "../state";
 import { duration, nameOf, percent, plural, short } from "./words";
 
 export function Headline({ state }: { state: State }) {
   const all = useComputed(() => {
     void state.settled.value;
-    return sum(totals(state.run));
+    return { ...sum(totals(state.run)), read: frameCounts(state.run) };
   }).value;
-  const frames = state.run.last - state.run.first + 1;
+  const { withTarget, all: read } = all.read;
   return (
     <dl class="headline">
-      <Figure name="frames" value={frames.toLocaleString("en")} />
+      <Figure
+        name={withTarget < read ? "frames with a target" : "frames"}
+        value={withTarget.toLocaleString("en")}
+        of={withTarget < read ? `of ${read.toLocaleString("en")}` : undefined}
+        title={`${plural(withTarget, "frame")} with at least one target, of ${read} that were read`}
+      />
       <Figure
         name="lost"
         value={`${short((100 * all.lost) / Math.max(1, all.frames))} %`}
