@@ -65,15 +65,12 @@ class MotionModel(Protocol):
     @property
     def fields(self) -> tuple[str, ...]:
         """Names of the columns of a state, BOX_FIELDS first."""
-        ...
 
     def start(self, box: Floats, size: int, rng: np.random.Generator) -> Floats:
         """(size, D) states for a target first seen in the centre box (4,)."""
-        ...
 
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
         """(D,) mean and (D, D) covariance of what `start` draws."""
-        ...
 
     def propagate(
         self, states: Floats, dt: float, rng: np.random.Generator, parents: Ancestors | None = None
@@ -82,23 +79,18 @@ class MotionModel(Protocol):
 
         With `parents`, (N,) indices into `states`, those of `states[parents]`, which need not be copied then.
         """
-        ...
 
     def drift(self, states: Floats, dt: float) -> Floats:
         """(N, D) states after `dt` frame intervals without noise."""
-        ...
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """F and Q, each (D, D), at a state (D,): the drift's Jacobian, and the covariance of the noise."""
-        ...
 
     def log_density(self, new: Floats, old: Floats, dt: float) -> Floats:
         """(M, N) log p(new_m | old_n) over the fields that have noise."""
-        ...
 
     def transition(self, old: Floats, dt: float) -> Transition:
         """p(new | old) in coordinates in which it is a mixture of diagonal Gaussians."""
-        ...
 
 
 class Posterior(Protocol):
@@ -107,44 +99,35 @@ class Posterior(Protocol):
     @property
     def fields(self) -> tuple[str, ...]:
         """Names of the D columns of a state, BOX_FIELDS first."""
-        ...
 
     def __len__(self) -> int:
         """Number of hypotheses: particles, cells, or the samples it asks about."""
-        ...
 
     @property
     def mean(self) -> Floats:
         """(D,) mean state."""
-        ...
 
     @property
     def covariance(self) -> Floats:
         """(D, D) covariance of the state."""
-        ...
 
     def uncertainty(self, about: Floats, columns: Sequence[int]) -> float:
         """UD = E |s - about|^2 over the columns of the state, about a state (D,)."""
-        ...
 
     def mass_within(self, centre: Floats, radius: float) -> tuple[float, float]:
         """Share of it whose centre (x, y) lies within `radius` px of `centre` (2,), and of how many draws.
 
         The second number is the effective number of draws that know the share; inf where it is exact.
         """
-        ...
 
     def region(self, share: float) -> tuple[float, float, float, float]:
         """x_low, x_high, y_low, y_high in px: the central `share` of the centre's weight on each axis."""
-        ...
 
     def regions(self, shares: Sequence[float]) -> Floats:
         """(S, 4) the region of each share."""
-        ...
 
     def draw(self, size: int, rng: np.random.Generator) -> Floats:
         """(size, 4) centre boxes drawn from it."""
-        ...
 
 
 class Support(Protocol):
@@ -153,17 +136,14 @@ class Support(Protocol):
     @property
     def states(self) -> Floats:
         """(N, D) states, the centre box first."""
-        ...
 
     @property
     def boxes(self) -> Floats:
         """(N, 4) centre boxes."""
-        ...
 
     @property
     def weights(self) -> LogWeights:
         """Their posterior weights."""
-        ...
 
 
 P = TypeVar("P", bound=Posterior)
@@ -221,12 +201,9 @@ class Belief(Protocol[P]):
 
     def start(self, box: Floats, motion: MotionModel, stream: Stream) -> P:
         """The belief about a target first seen in the centre box (4,)."""
-        ...
 
     def predict(self, prior: P, motion: MotionModel, dt: float, rng: np.random.Generator) -> P:
         """The belief after `dt` frame intervals without evidence."""
-        ...
 
     def step(self, prior: P, motion: MotionModel, dt: float, evaluate: Evaluate, stream: Stream) -> Step[P]:
         """The belief after `dt` frame intervals and the evidence of a frame."""
-        ...

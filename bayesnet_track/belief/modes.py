@@ -78,7 +78,6 @@ class Moded(Protocol):
     @property
     def mode_probabilities(self) -> Floats:
         """(K,) probabilities of the modes."""
-        ...
 
 
 def mode_probabilities(posterior: Posterior, size: int) -> Floats:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,14 +16,10 @@ from bayesnet_track.graph.text.messages import nearest
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.inputs import Input
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.boxes import centre_from_corner
+from bayesnet_track.numerics.boxes import CornerBox, centre_from_corner
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.stereo_source import WAYS
-
-if TYPE_CHECKING:
-    from bayesnet_track.engine.step import Engine
-
 
 MOST_TIMES = 10
 """How many times as wide or high as the frame a start box may be: what is near is larger than the picture."""
@@ -39,7 +34,7 @@ class Start:
         plate: name of the plate in the graph; None for the graph's first.
     """
 
-    box: tuple[float, float, float, float]
+    box: CornerBox
     plate: str | None = None
 
 

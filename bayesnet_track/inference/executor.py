@@ -34,7 +34,6 @@ class Executor(Protocol):
 
     def each(self, work: Callable[[Piece], Made], pieces: Sequence[Piece]) -> Iterable[Made]:
         """`work` done for every piece, at the latest when it is collected; in the order of the pieces."""
-        ...
 
 
 class Serial:
@@ -103,7 +102,6 @@ class TargetExecutor(Protocol):
     @property
     def plates(self) -> frozenset[str]:
         """The plates whose targets it takes."""
-        ...
 
     def start(
         self, net: Net, targets: Mapping[str, Any], frames: FramePair
@@ -114,4 +112,3 @@ class TargetExecutor(Protocol):
             What waits for the outcome: target -> `engine.target_execution.Advanced`. Those that nobody
             advanced are missing, and are left to the engine.
         """
-        ...

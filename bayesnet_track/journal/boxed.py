@@ -26,7 +26,6 @@ class Boxed:
         @property
         def centre_box(self) -> tuple[float, ...]:
             """Centre x, y, width, height in px."""
-            ...
 
     @property
     def xywh(self) -> NDArray[np.float64]:

@@ -29,27 +29,22 @@ class RunRecord(Protocol):
     @property
     def name(self) -> str:
         """What to call it."""
-        ...
 
     @property
     def events(self) -> Sequence[Event]:
         """The lines of its journal."""
-        ...
 
     @property
     def metrics(self) -> Sequence[FrameMetrics]:
         """The lines of its frames.jsonl, by frame."""
-        ...
 
     @property
     def seconds(self) -> Mapping[int, float]:
         """Frame -> seconds that a clock measured; empty when there are none."""
-        ...
 
     @property
     def costs_ms(self) -> Mapping[tuple[str, str], float]:
         """(plate, agent) -> declared milliseconds per frame."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -10,56 +10,19 @@ import errno
 import os
 import stat
 from contextlib import suppress
+from io import FileIO
 from pathlib import Path
-from typing import Protocol
 
 CANNOT = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)
 """What devices answer to a sync and, for a folder, some file systems (of a network, of a container)."""
 
 
-class RawFile(Protocol):
-    """An open file without a buffer."""
-
-    @property
-    def closed(self) -> bool:
-        """Whether it was closed."""
-        ...
-
-    def read(self, size: int = -1, /) -> bytes | None:
-        """Up to `size` bytes."""
-        ...
-
-    def write(self, data: bytes | memoryview, /) -> int | None:
-        """Write some of `data`; how many bytes."""
-        ...
-
-    def seek(self, offset: int, whence: int = 0, /) -> int:
-        """Go to a position; the new one."""
-        ...
-
-    def tell(self) -> int:
-        """The position, bytes."""
-        ...
-
-    def truncate(self, size: int | None = None, /) -> int:
-        """Cut off what follows `size` bytes."""
-        ...
-
-    def fileno(self) -> int:
-        """The file's descriptor."""
-        ...
-
-    def close(self) -> None:
-        """Close it; safe to call twice."""
-        ...
-
-
-def open_raw(path: Path, mode: str) -> RawFile:
+def open_raw(path: Path, mode: str) -> FileIO:
     """Open `path` without a buffer: ``wb`` or ``w+b`` for a new file, ``r+b`` to continue one."""
-    return path.open(mode, buffering=0)
+    return FileIO(str(path), mode)
 
 
-def write_whole(file: RawFile, data: bytes | memoryview) -> None:
+def write_whole(file: FileIO, data: bytes | memoryview) -> None:
     """Write all of `data`, however often the system takes only a part."""
     view, done = memoryview(data), 0
     while done < len(view):
@@ -70,7 +33,7 @@ class LostFileError(OSError):
     """A file that is being written, and that something else removed, renamed, replaced or changed."""
 
 
-def check_held(file: RawFile, path: Path, size: int) -> None:
+def check_held(file: FileIO, path: Path, size: int) -> None:
     """Refuse to go on with an open file whose name is gone or another's, or that has not `size` bytes.
 
     What was written to a removed file is lost without any error of the system. A device or a pipe is not
@@ -95,7 +58,7 @@ def check_held(file: RawFile, path: Path, size: int) -> None:
         )
 
 
-def sync(file: RawFile) -> None:
+def sync(file: FileIO) -> None:
     """Wait until the disk has what was written to `file`; a device or a pipe is on none."""
     _fsync(file.fileno())
 

@@ -12,6 +12,9 @@ from numpy.typing import ArrayLike
 
 from bayesnet_track.numerics.arrays import Floats
 
+CornerBox = tuple[float, float, float, float]
+"""Left, top, width, height in px, as numbers."""
+
 
 def centre_from_corner(corner: ArrayLike) -> Floats:
     """Centre boxes (..., 4) from top-left corner boxes (..., 4).

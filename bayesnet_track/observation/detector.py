@@ -103,7 +103,6 @@ class Detector(Protocol):
 
     def start(self) -> DetectorState:
         """The state before the first frame."""
-        ...
 
     def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
         """What is found in the current frame, and the state for the next one.
@@ -115,7 +114,6 @@ class Detector(Protocol):
             NoDepth: it needs depth and the frame has none.
             DetectorError: it cannot work on this frame.
         """
-        ...
 
 
 @runtime_checkable
@@ -124,11 +122,9 @@ class LearningDetector(Detector, Protocol):
 
     def learn(self, frames: FramePair, box: Floats, state: DetectorState) -> DetectorState:
         """The state that looks for what is inside the centre box (4,) of the current frame."""
-        ...
 
     def knows_target(self, state: DetectorState) -> bool:
         """False when it has nothing to look for yet and so finds nothing."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -146,17 +146,14 @@ class Plane(Protocol):
     @property
     def margin(self) -> int | None:
         """Pixels around a pixel that its value depends on; None when it depends on the whole frame."""
-        ...
 
     @property
     def inputs(self) -> tuple[Plane, ...]:
         """The planes that it is made from."""
-        ...
 
     @property
     def is_points(self) -> bool:
         """True for points, or what else is in frame coordinates and never cut; False when image-like."""
-        ...
 
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """The plane's values on `region` (already inside the frame).
@@ -166,7 +163,6 @@ class Plane(Protocol):
         coordinates.
         Must not depend on which region is asked: a pixel in two regions has the same value in both.
         """
-        ...
 
 
 @dataclass(frozen=True, eq=False)

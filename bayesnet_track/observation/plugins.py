@@ -26,7 +26,6 @@ class Named(Protocol):
     @property
     def name(self) -> str:
         """The word that users write."""
-        ...
 
 
 Declaration = TypeVar("Declaration", bound=Named)

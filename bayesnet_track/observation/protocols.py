@@ -52,7 +52,6 @@ class Cue(Protocol):
     @property
     def needs(self) -> tuple[Plane, ...]:
         """The planes that `learn` and `log_likelihood` read."""
-        ...
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """The reference for the target inside the centre box (4,).
@@ -61,14 +60,12 @@ class Cue(Protocol):
         finite; an agent whose cue breaks this, as one that raises, is out: for the rest of the run when this
         is its first reference, else for a while.
         """
-        ...
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """A reference between `old` (rate 0) and `new` (rate 1): eq. 2.15 of the thesis.
 
         A cue without this method blends its arrays linearly (`blend_arrays`).
         """
-        ...
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """(N,) log-likelihood of every hypothesis.
@@ -79,7 +76,6 @@ class Cue(Protocol):
         value above -inf, is left out of the frame, and its agent is out for a while: it is tried again after
         10 frames, and after twice as many with each failure in a row.
         """
-        ...
 
 
 BOX = ("x", "y", "w", "h")
@@ -145,15 +141,12 @@ class MeasuringCue(Protocol):
     @property
     def needs(self) -> tuple[Plane, ...]:
         """The planes that `learn` and `measure` read."""
-        ...
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """As of a `Cue`."""
-        ...
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
         """As of a `Cue`."""
-        ...
 
     def measure(
         self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
@@ -163,7 +156,6 @@ class MeasuringCue(Protocol):
         `hypotheses` and their (N,) `weights`, which sum to 1, say where to look: `planes` covers their boxes
         as far as these lie inside the frame.
         """
-        ...
 
 
 OBSERVED = "observed"
@@ -186,7 +178,6 @@ class AssociatingCue(MeasuringCue, Protocol):
     @property
     def rule(self) -> AssociationRule:
         """Which detection is the target's."""
-        ...
 
 
 AnyCue = Cue | MeasuringCue
@@ -209,7 +200,6 @@ class LocallyAdaptable(Protocol):
         they must go no further than the first, and learning takes the tuning back
         (`bayesnet_track.numerics.sharpening` does both).
         """
-        ...
 
 
 @runtime_checkable
@@ -223,19 +213,16 @@ class CrowdCue(Protocol):
     @property
     def needs(self) -> tuple[Plane, ...]:
         """As of a `Cue`."""
-        ...
 
     def log_likelihood_of_each(
         self, planes: Sequence[Planes], boxes: Floats, starts: Ints, references: Sequence[Reference]
     ) -> Floats:
         """(N,) `log_likelihood` of the boxes (N, 4), each by the reference of its target."""
-        ...
 
     def follow_each(
         self, planes: Sequence[Planes], boxes: Floats, references: Sequence[Reference], rates: Floats
     ) -> Sequence[Reference]:
         """Each target's reference blended at its rate (T,) with what is learnt in its box, of (T, 4)."""
-        ...
 
 
 @runtime_checkable
@@ -244,7 +231,6 @@ class Turnable(Protocol):
 
     def learn_turned(self, planes: Planes, box: Floats, angle: float) -> Reference:
         """As `learn`, for a target turned by `angle` degrees: the reference is of the upright target."""
-        ...
 
 
 @runtime_checkable
@@ -256,7 +242,6 @@ class Residual(Protocol):
 
         Each is an error whose standard deviation the parameter is; empty when the box shows nothing of it.
         """
-        ...
 
 
 def context_of(cue: AnyCue) -> float:

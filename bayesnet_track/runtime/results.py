@@ -30,32 +30,26 @@ class FrameSource(Protocol):
     @property
     def description(self) -> str:
         """The source as given."""
-        ...
 
     @property
     def expected_frames(self) -> int | None:
         """Number of frames to come, where the source declares it."""
-        ...
 
     @property
     def frame_interval_s(self) -> float:
         """Nominal seconds between frames."""
-        ...
 
     @property
     def width(self) -> int:
         """Columns of the first frame."""
-        ...
 
     @property
     def height(self) -> int:
         """Rows of the first frame."""
-        ...
 
     @property
     def end_reason(self) -> EndReason:
         """Why it ended; end_of_source while nothing is wrong."""
-        ...
 
     def __iter__(self) -> Iterator[SourceItem]: ...
 
@@ -107,11 +101,9 @@ class Sink(Protocol):
 
     def event(self, event: Event) -> None:
         """A decision, a fault or a notice."""
-        ...
 
     def frame(self, result: Result) -> None:
         """What one frame gave, after its events."""
-        ...
 
 
 @dataclass

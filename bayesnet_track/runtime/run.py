@@ -65,15 +65,12 @@ class Checkpointer(Protocol):
 
     def reached(self, now: RunPosition) -> None:
         """A frame is done, and every sink was told of it."""
-        ...
 
     def stopped(self) -> None:
         """The caller stops between two frames; the journal's last line is still to come."""
-        ...
 
     def ended(self) -> None:
         """The source was read to its end, and the journal has its last line."""
-        ...
 
 
 def run(

@@ -13,6 +13,7 @@ from bayesnet_track.engine.starts import Start, StartError, check_depth, check_s
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.runtime.checkpoints.checkpoint import EVERY_S, Checkpoints
@@ -40,9 +41,6 @@ from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.results import FrameSource, Result, Sink, Summary, interval_of
 from bayesnet_track.runtime.run import run
 from bayesnet_track.sources.sources import open_source
-
-CornerBox = tuple[float, float, float, float]
-
 
 P = ParamSpec("P")
 

@@ -23,6 +23,7 @@ from bayesnet_track.journal.boxed import Boxed
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.text.wording import plural
+from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.depth import Depth, RightEye
@@ -31,9 +32,6 @@ from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.sources.images import to_bgr
 from bayesnet_track.view.overlay import draw_targets
-
-CornerBox = tuple[float, float, float, float]
-
 
 NO_BOX = (-0.5, -0.5, 0.0, 0.0)
 """The centre box of zeros as a corner box: what stands for an estimate where there is no target."""

@@ -42,7 +42,6 @@ class Feed(Protocol):
 
     def close(self) -> None:
         """Let go of the device or connection; called by the thread that reads it."""
-        ...
 
 
 class LiveReader:

@@ -90,20 +90,16 @@ class Reader(Protocol):
     @property
     def declared_frames(self) -> int | None:
         """Number of frames that the source declares, or None."""
-        ...
 
     @property
     def frame_interval_s(self) -> float:
         """Nominal seconds between frames."""
-        ...
 
     @property
     def gap_from(self) -> float:
         """Steps of time from this length on, in nominal intervals, count as a gap."""
-        ...
 
     def __iter__(self) -> Iterator[ReaderItem]: ...
 
     def close(self) -> None:
         """Let go of files and devices."""
-        ...

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +27,6 @@ from bayesnet_track.sources.readers import Damage, Picture, Reader, ReaderItem
 from bayesnet_track.sources.sources import check_range, make_reader
 from bayesnet_track.sources.stride import strided
 from bayesnet_track.vision.stereo.stereo import RectifiedPair, Rectifier, read_calibration
-
-if TYPE_CHECKING:
-    pass
 
 Completed = tuple[Image, Depth]
 Completer = Callable[[int, Picture | None, Image], Completed]

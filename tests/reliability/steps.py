@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +92,7 @@ class Life(Counted):
         super().install()
         opened = disk.open_raw
 
-        def open_alive(path: Path, mode: str) -> disk.RawFile:
+        def open_alive(path: Path, mode: str) -> FileIO:
             self._check()  # to open a file for writing empties it
             return opened(path, mode)
 

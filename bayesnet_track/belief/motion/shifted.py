@@ -20,11 +20,9 @@ class Shift(Protocol):
 
     def apply(self, states: Floats) -> Floats:
         """(N, D) states after it, a copy."""
-        ...
 
     def jacobian(self, state: Floats) -> Floats:
         """(D, D) derivative at a state (D,)."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,7 +47,6 @@ class Place(Protocol):
         A job that fails, or whose process dies, has a row that says so. Closing the iterator ends the jobs
         that run; they can be gone on with.
         """
-        ...
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import time
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.commands.answer import (
     INCOMPLETE,
@@ -40,29 +40,6 @@ if TYPE_CHECKING:
     from bayesnet_track.sources.frames import Source
 
 JSON_LINES = (".jsonl", ".json", ".ndjson")
-
-
-class Lines(Protocol):
-    """Takes lines of text."""
-
-    def append(self, line: str) -> None:
-        """Add one."""
-        ...
-
-    def flush(self) -> None:
-        """Hand on what was added."""
-        ...
-
-
-class Printed:
-    """Lines to the standard output."""
-
-    def append(self, line: str) -> None:
-        """Print one."""
-        say(line)
-
-    def flush(self) -> None:
-        """Nothing is held back."""
 
 
 def detect(options: argparse.Namespace) -> int:
@@ -118,7 +95,7 @@ def _detect_all(
     with users_mistake():
         resizing = resizing_of(source, options.max_side)
     learns = isinstance(detector, LearningDetector)
-    lines: Lines = Printed()
+    file: LineFile | None = None
     video: VideoWriter | None = None
     previous: Frame | None = None
     frames = found = 0
@@ -132,15 +109,16 @@ def _detect_all(
         if previous is None:
             state = _show(options, detector, pair, state, resizing) if learns else state
             if options.out is not None:
-                lines = stack.enter_context(LineFile(Path(options.out)))
+                file = stack.enter_context(LineFile(Path(options.out)))
             if options.save_video is not None:
                 size = (item.width, item.height, interval_of(source))
                 video = stack.enter_context(VideoWriter(Path(options.save_video), *size))
         detections, state = detector.detect(pair, state)
         detections = resizing.found(detections)
         for line in format_frame(item, detections, _is_json(options)):
-            lines.append(line)
-        lines.flush()
+            (say if file is None else file.append)(line)
+        if file is not None:
+            file.flush()
         if video is not None:
             video.write(draw_detections(item.image, detections))
         previous, frames, found = frame, frames + 1, found + len(detections)

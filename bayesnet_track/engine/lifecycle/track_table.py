@@ -32,63 +32,48 @@ class LiveTable(Protocol):
 
     def decide(self, *decisions: Decision) -> None:
         """Write decisions down and carry them out."""
-        ...
 
     def count(self, plates: Collection[str], frame: Frame) -> None:
         """One more frame for every live target of these plates."""
-        ...
 
     def state(self, target: str) -> TargetState:
         """What is known of a target."""
-        ...
 
     def record(self, target: str) -> TrackRecord:
         """What is counted of a target."""
-        ...
 
     def of_plate(self, plate: str) -> list[str]:
         """Its live targets, in the order of their births."""
-        ...
 
     def held(self, plate: str) -> list[str]:
         """Its live targets that are not lost."""
-        ...
 
     def boxes(self, targets: Sequence[str]) -> Floats:
         """(K, 4) estimates of this frame."""
-        ...
 
     def beliefs(self, targets: Sequence[str]) -> tuple[Floats, Floats, Sequence[int]]:
         """(K, 4) means and (K, 4, 4) covariances of the boxes, and the frames of the births."""
-        ...
 
     def mark_seen(self, targets: Iterable[str]) -> None:
         """Targets have a detection of their own."""
-        ...
 
     def add(self, target: str, state: TargetState, record: TrackRecord, metrics: FrameMetrics) -> None:
         """A target starts."""
-        ...
 
     def put_back(self, target: str, state: TargetState, record: TrackRecord) -> None:
         """A target starts again."""
-        ...
 
     def ending(self, plate: str, rule: Death) -> list[Ending]:
         """Targets whose time is over."""
-        ...
 
     def vanishing(self, plate: str, end: float) -> list[tuple[str, float]]:
         """Targets that exist with a smaller probability than `end`, and that probability."""
-        ...
 
     def end(self, decision: TargetDied | DuplicateEnded) -> None:
         """A target ends."""
-        ...
 
     def outcome(self, before: Outcome, frame: Frame) -> Outcome:
         """The outcome with all that was done here."""
-        ...
 
 
 @dataclass(eq=False)

@@ -25,11 +25,9 @@ class Frames(Protocol):
 
     def __len__(self) -> int:
         """How many there are."""
-        ...
 
     def image(self, frame: int) -> Image:
         """A frame (H, W, 3) uint8, BGR."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,6 @@ class Runs(Protocol):
 
     def at(self, start: int, box: Box, frame: int) -> Found:
         """Forward where `frame` is later than `start`, else backward."""
-        ...
 
 
 @dataclass

@@ -20,7 +20,6 @@ class Transport(Protocol):
 
     def send_frame(self, frame: Frame) -> Any:
         """Bring a frame to where the agents are; what says there which one it is, and can be pickled."""
-        ...
 
     def ask(self, call: Call) -> Any:
         """What the agent's cue returns.
@@ -29,11 +28,9 @@ class Transport(Protocol):
             AgentUnavailable: it gives no answer.
             Exception: of the type name and the text of what the cue raised.
         """
-        ...
 
     def begin(self, call: Call) -> Callable[[], Any]:
         """`ask`, whose answer what is returned waits for."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,19 +40,15 @@ class Served(Protocol):
 
     def page(self) -> tuple[bytes, str]:
         """The page, and its content security policy."""
-        ...
 
     def feed(self, first: int, seen: int) -> bytes:
         """JSON: lines from number `first` on, and how things stand; waits while `seen` is what there is."""
-        ...
 
     def picture(self, frame: int) -> tuple[int, bytes] | None:
         """A frame's picture as JPEG, or an earlier one, with its frame."""
-        ...
 
     def ask(self, what: Mapping[str, Any]) -> None:
         """Do something; raises Refused."""
-        ...
 
 
 class Server(socketserver.ThreadingMixIn, HTTPServer):

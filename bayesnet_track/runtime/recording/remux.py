@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, suppress
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from bayesnet_track.journal.atomic import PART
 class DiskFile:
     """A file as PyAV writes one: it does not look how much of its bytes was taken."""
 
-    def __init__(self, file: disk.RawFile) -> None:
+    def __init__(self, file: FileIO) -> None:
         self._file, self.size = file, 0
         self.seek, self.tell = file.seek, file.tell
 

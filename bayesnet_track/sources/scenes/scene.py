@@ -8,11 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.boxes import corner_from_centre
+from bayesnet_track.numerics.boxes import CornerBox, corner_from_centre
 from bayesnet_track.sources.scenes.render import Movie, Sprite
 from bayesnet_track.sources.scenes.stereo_view import StereoView
-
-CornerBox = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, eq=False)

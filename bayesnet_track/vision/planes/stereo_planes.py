@@ -33,7 +33,6 @@ class Matcher(Protocol):
         `left` and `right` are whole rectified pictures, (H, W, 3) uint8 BGR of one size. A pixel's value
         does not depend on the region.
         """
-        ...
 
 
 @dataclass(frozen=True)
