@@ -120,11 +120,8 @@ class Posterior(Protocol):
         The second number is the effective number of draws that know the share; inf where it is exact.
         """
 
-    def region(self, share: float) -> tuple[float, float, float, float]:
-        """x_low, x_high, y_low, y_high in px: the central `share` of the centre's weight on each axis."""
-
     def regions(self, shares: Sequence[float]) -> Floats:
-        """(S, 4) the region of each share."""
+        """(S, 4) x_low, x_high, y_low, y_high, px: the central share of the centre's weight on each axis."""
 
     def draw(self, size: int, rng: np.random.Generator) -> Floats:
         """(size, 4) centre boxes drawn from it."""

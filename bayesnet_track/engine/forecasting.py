@@ -71,7 +71,7 @@ def _motion_of(compiled: CompiledPlate, state: TargetState) -> MotionModel:
 
 def _described(compiled: CompiledPlate, belief: Posterior, last: FrameMetrics, ahead: int) -> Forecast:
     mean, variances = belief.mean[:4], np.clip(np.diagonal(belief.covariance)[:4], 0.0, None).copy()
-    region50, region90 = belief.region(0.5), belief.region(0.9)
+    region50, region90 = belief.regions((0.5, 0.9))
     error = compiled.plate.inference(compiled.plate.root).localization_error
     if error is not None:
         wide = blur_regions(belief, error, last.score, float(np.sqrt(max(mean[2] * mean[3], 1.0))))

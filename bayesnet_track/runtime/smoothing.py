@@ -155,7 +155,7 @@ def _described(
     if state is not None and len(state):
         best = shown = state
     ud = belief.uncertainty(best, [belief.fields.index(name) for name in root.ud_fields])
-    region50, region90 = belief.region(0.5), belief.region(0.9)
+    region50, region90 = belief.regions((0.5, 0.9))
     if root.localization_error is not None:
         side = float(np.sqrt(max(mean[2] * mean[3], 1.0)))
         wide = blur_regions(belief, root.localization_error, line.score, side)

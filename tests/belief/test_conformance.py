@@ -223,7 +223,7 @@ def test_what_a_posterior_says_fits_together(asked, make, rng):
     assert (np.abs(boxes[:, :2].mean(axis=0) - known.mean[:2]) < 4 * sd / np.sqrt(4000)).all()
     np.testing.assert_allclose(boxes[:, :2].std(axis=0), sd, rtol=4 / np.sqrt(4000))
 
-    half, most = known.region(0.5), known.region(0.9)
+    half, most = known.regions((0.5, 0.9))
     for k, (low, high) in enumerate((half[:2], half[2:])):
         outer = most[2 * k : 2 * k + 2]
         assert outer[0] <= low <= high <= outer[1]

@@ -73,12 +73,12 @@ def test_central_regions_of_a_gaussian(share, reach, rng):
     states = np.tile([0.0, 0.0, 5.0, 5.0], (count, 1))
     states[:, 0], states[:, 1] = rng.uniform(0, 20, count), rng.uniform(5, 35, count)
     z = (states[:, :2] - [10, 20]) / [2, 3]
-    region = particles(states, np.exp(-0.5 * np.sum(z**2, axis=1))).region(share)
+    region = particles(states, np.exp(-0.5 * np.sum(z**2, axis=1))).regions((share,))[0]
     expected = [10 - 2 * reach, 10 + 2 * reach, 20 - 3 * reach, 20 + 3 * reach]
     # A quantile's standard error is sqrt(q (1 - q) / ESS) / density: .03 sd at an ESS of 5,000; 4 of it.
     np.testing.assert_allclose(region, expected, atol=4 * 0.03 * 3)
 
 
 def test_central_region_of_one_hypothesis_is_a_point():
-    region = particles(STATES, np.array([0.0, 0.0, 1.0, 0.0])).region(0.9)
-    assert region == (300, 300, 50, 50)
+    region = particles(STATES, np.array([0.0, 0.0, 1.0, 0.0])).regions((0.9,))[0]
+    assert region.tolist() == [300, 300, 50, 50]

@@ -545,7 +545,9 @@ def posterior():
 def test_its_region_is_that_of_the_normal_distribution(posterior):
     for share in (0.5, 0.9):
         z = stats.norm.ppf((1 + share) / 2)
-        assert posterior.region(share) == pytest.approx((10 - 2 * z, 10 + 2 * z, 20 - 3 * z, 20 + 3 * z))
+        assert posterior.regions((share,))[0] == pytest.approx(
+            (10 - 2 * z, 10 + 2 * z, 20 - 3 * z, 20 + 3 * z)
+        )
 
 
 def test_its_uncertainty_is_about_the_state_asked(posterior):

@@ -349,7 +349,7 @@ def test_regions_and_draws(motion_of, stream_of):
     known = predict_grid(
         GridFilter(spec.Grid(cell_px=1.0)).start(BOX, motion, stream_of(0, 0)), motion, 1.0, 128
     )
-    x_low, x_high, y_low, y_high = known.region(0.9)
+    x_low, x_high, y_low, y_high = known.regions((0.9,))[0]
     assert [x_low, x_high] == pytest.approx([100 - 1.645 * 3, 100 + 1.645 * 3], abs=0.05)
     assert [y_low, y_high] == pytest.approx([80 - 1.645 * 2, 80 + 1.645 * 2], abs=0.05)
     boxes = known.draw(20_000, np.random.default_rng(1))

@@ -62,8 +62,8 @@ def test_the_central_region_is_even_inside_a_cell():
     lattice = Lattice((10.0, 20.0), 2.0, 0, 0, (4.0, 4.0), np.zeros(1), np.zeros(1))
     belief = GridBelief(mass, lattice, np.ones((1, 1)))
     # columns .2 .2 .3 .3 from 9 on: .1 of the mass ends half way through the first, .9 two thirds of the last
-    assert belief.region(0.8) == pytest.approx((10.0, 15.0 + 4 / 3, 19.5, 23.0 - 1 / 3))
-    assert belief.region(0.8)[2:] == pytest.approx((19.0 + 0.5, 21.0 + 2 * 0.5 / 0.6))
+    assert belief.regions((0.8,))[0] == pytest.approx((10.0, 15.0 + 4 / 3, 19.5, 23.0 - 1 / 3))
+    assert belief.regions((0.8,))[0][2:] == pytest.approx((19.0 + 0.5, 21.0 + 2 * 0.5 / 0.6))
     assert belief.fields == ("x", "y", "w", "h") and len(belief.values) == 4
 
 

@@ -23,5 +23,5 @@ def test_mixing_keeps_mean_and_covariance_of_the_whole():
 
 
 def test_a_region_of_two_far_modes_lies_at_both():
-    low, high, _, _ = posterior(0.0, 100.0, shares=(0.5, 0.5)).region(0.9)
+    low, high, _, _ = posterior(0.0, 100.0, shares=(0.5, 0.5)).regions((0.9,))[0]
     np.testing.assert_allclose([low, high], [-1.28155, 101.28155], atol=1e-4)

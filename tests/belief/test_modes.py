@@ -201,7 +201,7 @@ def test_the_mixture_has_the_moments_regions_and_masses_of_its_draws(stream_of, 
     mean, sds = posterior.mean[:2], np.sqrt(np.diagonal(posterior.covariance)[:2])
     assert (np.abs(boxes[:, :2].mean(axis=0) - mean) < 5 * sds / 200).all()
     assert boxes[:, :2].var(axis=0) == pytest.approx(sds**2, rel=0.05)
-    low, high, _, _ = posterior.region(0.9)
+    low, high, _, _ = posterior.regions((0.9,))[0]
     inside = np.mean((boxes[:, 0] > low) & (boxes[:, 0] < high))
     assert inside == pytest.approx(0.9, abs=0.01)
     share, trials = posterior.mass_within(mean, 4.0)

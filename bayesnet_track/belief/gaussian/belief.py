@@ -62,15 +62,11 @@ class GaussianPosterior:
         """Mass within `radius` px of `centre` (2,), exact."""
         return gaussian_mass_in_disc(self.mean[:2] - centre, self.covariance[:2, :2], radius), math.inf
 
-    def region(self, share: float) -> tuple[float, float, float, float]:
-        """x_low, x_high, y_low, y_high in px: the central `share` of the centre's weight on each axis."""
-        reach = NormalDist().inv_cdf((1.0 + share) / 2.0) * np.sqrt(np.diagonal(self.covariance)[:2])
-        x, y = float(self.mean[0]), float(self.mean[1])
-        return x - float(reach[0]), x + float(reach[0]), y - float(reach[1]), y + float(reach[1])
-
     def regions(self, shares: Sequence[float]) -> Floats:
-        """(S, 4) the region of each share."""
-        return np.array([self.region(share) for share in shares])
+        """(S, 4) x_low, x_high, y_low, y_high, px: the central share of the centre's weight on each axis."""
+        sds, centre = np.sqrt(np.diagonal(self.covariance)[:2]), self.mean[:2]
+        reach = [NormalDist().inv_cdf((1.0 + share) / 2.0) * sds for share in shares]
+        return np.stack([centre - reach, centre + reach], axis=2).reshape(-1, 4)
 
     def draw(self, size: int, rng: np.random.Generator) -> Floats:
         """(size, 4) boxes; widths and heights at least 1 px."""

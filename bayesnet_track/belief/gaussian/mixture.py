@@ -58,15 +58,11 @@ class ModalPosterior:
         shares = [part.mass_within(centre, radius)[0] for part in self.parts]
         return float(self.mode_probabilities @ np.array(shares)), float("inf")
 
-    def region(self, share: float) -> tuple[float, float, float, float]:
-        """x_low, x_high, y_low, y_high in px: the central `share` of the centre's weight on each axis."""
-        tails = ((1.0 - share) / 2.0, (1.0 + share) / 2.0)
-        (x_low, x_high), (y_low, y_high) = (self._quantiles(axis, tails) for axis in (0, 1))
-        return x_low, x_high, y_low, y_high
-
     def regions(self, shares: Sequence[float]) -> Floats:
-        """(S, 4) the region of each share."""
-        return np.array([self.region(share) for share in shares])
+        """(S, 4) x_low, x_high, y_low, y_high, px: the central share of the centre's weight on each axis."""
+        tails = [((1.0 - share) / 2.0, (1.0 + share) / 2.0) for share in shares]
+        bounds = [[self._quantiles(axis, both) for axis in (0, 1)] for both in tails]
+        return np.array(bounds).reshape(-1, 4)
 
     def draw(self, size: int, rng: np.random.Generator) -> Floats:
         """(size, 4) boxes."""

@@ -133,19 +133,15 @@ class GridBelief:
         inside = (y[:, None] - centre[1]) ** 2 + (x - centre[0]) ** 2 <= radius * radius
         return min(float(self.positions.sum(axis=0)[inside].sum()), 1.0), math.inf
 
-    def region(self, share: float) -> tuple[float, float, float, float]:
-        """x_low, x_high, y_low, y_high in px: the central `share` on each axis, even inside a cell."""
-        tails = np.array([(1.0 - share) / 2.0, (1.0 + share) / 2.0])
-        bounds: list[float] = []
-        for axis, values in ((X, self.values[0]), (Y, self.values[1])):
-            edges = np.append(values, values[-1] + self.lattice.cell_px) - self.lattice.cell_px / 2
-            bounds += np.interp(tails, np.append(0.0, np.cumsum(self._marginal(axis))), edges).tolist()
-        x_low, x_high, y_low, y_high = bounds
-        return x_low, x_high, y_low, y_high
-
     def regions(self, shares: Sequence[float]) -> Floats:
-        """(S, 4) the region of each share."""
-        return np.array([self.region(share) for share in shares])
+        """(S, 4) x_low, x_high, y_low, y_high in px: the central share on each axis, even inside a cell."""
+        tails = np.array([[(1.0 - share) / 2.0, (1.0 + share) / 2.0] for share in shares])
+        bounds = np.empty((len(tails), 4))
+        for k, (axis, values) in enumerate(((X, self.values[0]), (Y, self.values[1]))):
+            edges = np.append(values, values[-1] + self.lattice.cell_px) - self.lattice.cell_px / 2
+            cumulative = np.append(0.0, np.cumsum(self._marginal(axis)))
+            bounds[:, 2 * k : 2 * k + 2] = np.interp(tails, cumulative, edges)
+        return bounds
 
     def draw(self, size: int, rng: np.random.Generator) -> Floats:
         """(size, 4) boxes: cells drawn systematically, the centre even inside its cell."""

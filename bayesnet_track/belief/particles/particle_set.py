@@ -73,13 +73,8 @@ class ParticleSet:
         share = weighted_mass_in_disc(self.states[:, :2], self.weights.weights, centre, radius)
         return share, self.weights.ess
 
-    def region(self, share: float) -> tuple[float, float, float, float]:
-        """x_low, x_high, y_low, y_high in px: the central `share` of the centre's weight on each axis."""
-        x_low, x_high, y_low, y_high = self.regions((share,))[0].tolist()
-        return x_low, x_high, y_low, y_high
-
     def regions(self, shares: Sequence[float]) -> Floats:
-        """(S, 4) the region of each share."""
+        """(S, 4) x_low, x_high, y_low, y_high, px: the central share of the centre's weight on each axis."""
         tails = np.array([[(1.0 - share) / 2.0, (1.0 + share) / 2.0] for share in shares])
         found = np.empty((len(tails), 4))
         for axis, (ordered, cumulative) in enumerate(self._ordered):
