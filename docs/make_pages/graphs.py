@@ -41,7 +41,7 @@ HEAD = """\
 Each of these graphs can be named without a path, as in `bayesnet-track run general …`. Start with `general`
 for one target of unknown appearance, with `kalman_detections` if you have a detector's boxes, and with
 `people` if you have [a detection network](detectors.md#onnx). `sort`, `bytetrack` and `oc_sort` are [the
-field's own trackers](targets.md#trackers-of-the-field-as-graphs). The others belong to the scenes of
+field's own trackers](field_trackers.md). The others belong to the scenes of
 `bayesnet-track demo` and show one thing each; copy the file that is nearest to your task. `bayesnet-track
 graph NAME --formula` prints the density that a graph stands for.
 
