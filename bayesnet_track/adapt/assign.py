@@ -113,6 +113,7 @@ def assign_pairs(
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.kernels.pair_kernels import settle_pairs
 
+    rows, columns = np.ascontiguousarray(rows), np.ascontiguousarray(columns)  # one compiled version only
     owner, group = settle_pairs(rows, columns, gains, count, found)
     disputed = np.flatnonzero(group >= 0)
     disputed = disputed[np.argsort(group[disputed], kind="stable")]

@@ -69,7 +69,8 @@ def marginalise(
     if not np.all(weights >= 0.0):
         raise ValueError(f"weight {weights[~(weights >= 0.0)][0]:g}; expected a number from 0 on")
     count, found = shape
-    rows, columns = np.asarray(rows, dtype=np.int64), np.asarray(columns, dtype=np.int64)
+    # In C order, so that the kernel has one compiled version only.
+    rows, columns = (np.ascontiguousarray(one, dtype=np.int64) for one in (rows, columns))
     cut = np.minimum(np.asarray(weights, dtype=np.float64), LARGEST)
     pairs, is_exact = weigh_pairs(rows, columns, cut, count, found, most_exact, SWEEPS, TOLERANCE)
     missed = 1.0 - np.bincount(rows, pairs, minlength=count)

@@ -54,7 +54,7 @@ class AssociationRule:
         variances = (shares * boxes[..., [2, 3, 2, 3]]) ** 2
         if self.sd_place_px or self.sd_size_px:
             variances += np.square([self.sd_place_px, self.sd_place_px, self.sd_size_px, self.sd_size_px])
-        return np.asarray(variances)
+        return np.ascontiguousarray(variances)  # kernels have one compiled version only
 
     @property
     def remembers(self) -> bool:

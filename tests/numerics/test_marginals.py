@@ -5,7 +5,7 @@ from itertools import pairwise, permutations
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.kernels.marginal_kernels import group_pairs
+from bayesnet_track.numerics.kernels.marginal_kernels import group_pairs, weigh_pairs
 from bayesnet_track.numerics.marginals import Marginals, marginalise
 
 
@@ -26,6 +26,16 @@ def enumerated(weights: np.ndarray) -> np.ndarray:
 def of_table(weights: np.ndarray, **settings) -> Marginals:
     rows, columns = np.nonzero(weights)
     return marginalise(rows, columns, weights[rows, columns], weights.shape, **settings)
+
+
+def test_pairs_in_whatever_layout_need_one_compiled_version():
+    pairs = np.array([[0, 0], [0, 1], [1, 1]])
+    strided, whole = (
+        marginalise(*columns, np.array([3.0, 1.0, 2.0]), (2, 2)) for columns in (pairs.T, pairs.T.copy())
+    )
+    assert not pairs.T[0].flags.c_contiguous
+    np.testing.assert_array_equal(strided.pairs, whole.pairs)
+    assert len(weigh_pairs.signatures) == 1
 
 
 def table(found: Marginals, weights: np.ndarray) -> np.ndarray:

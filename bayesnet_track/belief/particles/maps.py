@@ -36,6 +36,7 @@ def find_maps(steps: Iterable[Step[Any]]) -> None:
 
 
 def _find(group: list[tuple[Step[Any], FindMap]]) -> None:
+    from bayesnet_track.numerics.compiled import plain
     from bayesnet_track.numerics.kernels.density_kernels import likeliest_of_each
 
     finds = [find for _, find in group]
@@ -56,7 +57,7 @@ def _find(group: list[tuple[Step[Any], FindMap]]) -> None:
         factors,
         np.ascontiguousarray(points).reshape(count, own, width),
         log_weights.reshape(count, -1),
-        np.ascontiguousarray(means).reshape(count, -1, width),
+        plain(means).reshape(count, -1, width),
         1.0 / np.ascontiguousarray(sds).reshape(count, -1, width),
     )
     for (step, find), place in zip(group, best.tolist(), strict=True):
