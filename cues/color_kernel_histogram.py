@@ -28,6 +28,7 @@ from bayesnet_track.observation.cue import (
     log_size_penalty,
 )
 from bayesnet_track.observation.planes import Plane, Planes
+from bayesnet_track.observation.shared import for_reading
 from bayesnet_track.vision.planes.color_cells import ColorCells
 
 STEP = 0.7
@@ -79,7 +80,7 @@ class ColorKernelHistogram:
         from bayesnet_track.vision.kernels.histograms.kernel_histogram_kernels import kernel_shares
 
         r = planes.region
-        cells = np.ascontiguousarray(planes[self._plane])
+        cells = for_reading(planes[self._plane])
         shares = kernel_shares(cells, r.x0, r.y0, box, self.parameters.pixels, self._plane.size)
         return {
             "shares": shares,

@@ -24,6 +24,7 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.geometry import crop_of
 from bayesnet_track.observation.planes import Region, region_of_boxes
+from bayesnet_track.observation.shared import for_reading
 from bayesnet_track.vision.displacement import (
     Displaced,
     Matching,
@@ -200,7 +201,7 @@ class DisplacementCue:
         if image.size == 0:
             return np.zeros((0, 2), dtype=np.int64)
         scores = np.zeros(image.shape)
-        corner_kernels.corner_scores(image, settings.min_gradient_gray**2, scores)
+        corner_kernels.corner_scores(for_reading(image), settings.min_gradient_gray**2, scores)
         # Patches that reach over the target's border would hold as much of the background.
         inner = box[2:] / 2 - np.minimum(settings.patch_px // 2, box[2:] / 4)
         low, high = np.ceil(box[:2] - inner), np.floor(box[:2] + inner)

@@ -27,6 +27,7 @@ from bayesnet_track.observation.cue import (
     blend_arrays,
 )
 from bayesnet_track.observation.planes import Plane, Planes
+from bayesnet_track.observation.shared import for_reading
 from bayesnet_track.vision.planes.color_cells import ColorCells, seen_cells
 
 SHRINK = 0.7
@@ -110,7 +111,7 @@ class MeanShift:
         """
         from bayesnet_track.vision.kernels.mean_shift_kernels import bhattacharyya, kernel_histogram
 
-        p, model = self.parameters, reference["shares"]
+        p, model = self.parameters, for_reading(reference["shares"])
         path = self.climb(planes, hypotheses, weights, reference)
         if path is None:
             return None
@@ -139,7 +140,7 @@ class MeanShift:
         """(K, 4) windows it stood in: centre x, y and radii, px; None where no colour of the target is."""
         from bayesnet_track.vision.kernels.mean_shift_kernels import shift
 
-        p, model = self.parameters, reference["shares"]
+        p, model = self.parameters, for_reading(reference["shares"])
         box = weights @ hypotheses.boxes
         sd = np.sqrt(weights @ (hypotheses.boxes[:, :2] - box[:2]) ** 2)
         cells, origin = seen_cells(planes, self._plane, hypotheses.boxes)

@@ -24,6 +24,7 @@ from bayesnet_track.observation.cue import (
     floored,
     log_size_penalty,
 )
+from bayesnet_track.observation.shared import for_reading
 from bayesnet_track.vision.planes.stereo_planes import Correlation, Matcher, PointsPlane, Range, SemiGlobal
 
 if TYPE_CHECKING:
@@ -206,7 +207,7 @@ class StereoCue:
             origin = np.array([region.x0, region.y0], dtype=np.int64)
             boxes = np.ascontiguousarray(boxes, dtype=np.float64)
             third = float(np.log1p(self.parameters.layer)) / 3.0
-            k.blob_features(np.ascontiguousarray(points), boxes, origin, cells, third, raw)
+            k.blob_features(for_reading(points), boxes, origin, cells, third, raw)
         shape = np.log((raw[:, k.WIDTH] + HAIR_M) / (raw[:, k.HEIGHT] + HAIR_M))
         columns = (raw[:, k.DEPTH], raw[:, k.SPREAD], raw[:, k.HEIGHT], shape, raw[:, k.SHARE])
         return np.column_stack(columns), raw[:, k.SHARE] >= self.parameters.min_valid

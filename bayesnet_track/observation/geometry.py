@@ -14,6 +14,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Array, Floats, Ints
 from bayesnet_track.observation.planes import Frame, Plane, Planes, Region
+from bayesnet_track.observation.shared import for_reading
 
 FEW_REPEATED = 0.8
 """Share of boxes that differ above which it costs more to pick them than to do all."""
@@ -119,11 +120,11 @@ def crops_of(planes: Sequence[Planes], plane: Plane) -> tuple[Array, Ints, Ints]
     the crop in the frame. Targets that have the same planes share a crop.
     """
     own = {id(one): one for one in planes}
-    values = [np.ascontiguousarray(one[plane]).ravel() for one in own.values()]
+    values = [for_reading(one[plane]).ravel() for one in own.values()]
     begins = dict(zip(own, np.cumsum([0, *(len(one) for one in values)]).tolist(), strict=False))
     regions = [one.region for one in planes]
     return (
-        values[0] if len(values) == 1 else np.concatenate(values),
+        values[0] if len(values) == 1 else for_reading(np.concatenate(values)),
         np.array([(begins[id(one)], one.region.x1 - one.region.x0) for one in planes]),
         np.array([(one.x0, one.y0, one.x1, one.y1) for one in regions]),
     )

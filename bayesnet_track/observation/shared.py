@@ -27,6 +27,11 @@ def read_only(array: Array) -> Array:
     return seen
 
 
+def for_reading(array: NDArray[Any]) -> NDArray[Any]:
+    """The array in C order, read-only, so that a kernel that reads it has one compiled version only."""
+    return read_only(np.ascontiguousarray(array))
+
+
 def seal(reference: Mapping[str, Any]) -> dict[str, Any]:
     """The names and read-only views of the arrays."""
     return {name: read_only(array) for name, array in reference.items()}

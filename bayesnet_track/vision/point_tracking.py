@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Array, Floats, Image
 from bayesnet_track.observation.planes import Region
+from bayesnet_track.observation.shared import for_reading
 
 COARSEST = 4
 """Pixels of the frame per pixel of the coarsest of the three pyramid levels."""
@@ -133,7 +134,7 @@ def _scores(image: Image, origin: tuple[int, int], box: Floats, least: float) ->
     low = np.clip(np.ceil(box[:2] - box[2:] / 2 - origin).astype(int), 0, extent)
     high = np.clip(np.floor(box[:2] + box[2:] / 2 - origin).astype(int) + 1, low, extent)
     wide_low, wide_high = np.maximum(low - RIM, 0), np.minimum(high + RIM, extent)
-    part = np.ascontiguousarray(image[wide_low[1] : wide_high[1], wide_low[0] : wide_high[0]])
+    part = for_reading(image[wide_low[1] : wide_high[1], wide_low[0] : wide_high[0]])
     scores = np.zeros(part.shape)
     corner_scores(part, least**2, scores)
     start, end = low - wide_low, high - wide_low
@@ -179,10 +180,10 @@ def followed(
     track_points(
         cv2.pyrDown(middle),
         middle,
-        before,
+        for_reading(before),
         cv2.pyrDown(later),
         later,
-        now,
+        for_reading(now),
         np.rint(at).astype(np.int64),
         np.array(origin, dtype=np.int64),
         2 * how.half_window_px + 1,

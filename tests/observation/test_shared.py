@@ -13,7 +13,7 @@ from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.depth import PointMap, RightEye
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
-from bayesnet_track.observation.shared import shown
+from bayesnet_track.observation.shared import for_reading, shown
 from bayesnet_track.runtime.executors.frames import FrameStore, FrameView
 
 
@@ -122,3 +122,10 @@ def test_agents_that_are_guarded_do_not_share_the_estimate(fakes):
     rates = dict.fromkeys(cues, 0.1)
     judged = judge(Lesson(cues, cache, estimate), watch(references, set(cues), rule), references, rates, rule)
     assert not judged.faults and seen["boxes"].tolist() == estimate.boxes.tolist() == [[50, 40, 20, 20]]
+
+
+@pytest.mark.parametrize("array", [np.zeros((4, 6)), np.zeros((4, 6)).T, np.zeros((4, 6))[:, 1:3]])
+def test_kernels_read_arrays_of_one_kind(array):
+    seen = for_reading(array)
+    assert seen.flags.c_contiguous and not seen.flags.writeable and array.flags.writeable
+    assert seen.shape == array.shape

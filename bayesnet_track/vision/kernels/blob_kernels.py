@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.observation.shared import for_reading
 
 BLOB_COLUMNS = ("x", "y", "hue", "share")
 """A blob: its centre relative to the box's (in widths and heights), mean hue (degrees), share of the box."""
@@ -50,7 +51,7 @@ def grow_blobs(
     tolerance = int(tolerance_deg * 256 / 360)
     least = max(math.ceil(min_share * cells * cells), 1)
     _grow(
-        np.ascontiguousarray(hue),
+        for_reading(hue),
         np.ascontiguousarray(boxes),
         origin[0],
         origin[1],

@@ -10,6 +10,7 @@ import numpy as np
 from bayesnet_track.numerics.arrays import Array, Floats
 from bayesnet_track.observation.geometry import crop_of
 from bayesnet_track.observation.planes import FramePair, Plane, Planes, Region, region_of_boxes
+from bayesnet_track.observation.shared import for_reading
 
 
 @dataclass(frozen=True)
@@ -53,4 +54,4 @@ class ColorCells:
 def seen_cells(planes: Planes, plane: Plane, boxes: Floats) -> tuple[Array, Floats]:
     """The cells inside `boxes` (N, 4), whatever else was computed, and the x, y of their first pixel."""
     cells, first = crop_of(planes, plane, region_of_boxes(boxes).within(planes.frame))
-    return np.ascontiguousarray(cells), np.array(first, dtype=np.float64)
+    return for_reading(cells), np.array(first, dtype=np.float64)

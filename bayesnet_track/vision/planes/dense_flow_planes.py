@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.planes import Frame, FramePair, Plane, Region
+from bayesnet_track.observation.shared import for_reading
 from bayesnet_track.vision.planes.gray_plane import gray
 from bayesnet_track.vision.planes.motion_planes import interval_of
 
@@ -142,7 +143,7 @@ class DenseFlowPlane:
         crop = region.grown(corner_kernels.RIM + 1).within(frame)
         image = gray(crop.of(frame.image))
         scores = np.zeros(image.shape)
-        corner_kernels.corner_scores(image, self.min_gradient_gray**2, scores)
+        corner_kernels.corner_scores(for_reading(image), self.min_gradient_gray**2, scores)
         x, y = region.x0 - crop.x0, region.y0 - crop.y0
         return scores[y : y + region.y1 - region.y0, x : x + region.x1 - region.x0]
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.planes import Frame, FramePair, Plane, Region
+from bayesnet_track.observation.shared import for_reading
 from bayesnet_track.vision.planes.gray_plane import gray
 
 COARSEST = 4
@@ -103,7 +104,7 @@ class FlowPlane:
         crop = cells.grown(corner_kernels.RIM + 1).within(frame)
         image = _brightness(frame, crop)
         scores = np.zeros(image.shape)
-        corner_kernels.corner_scores(image, self.min_gradient_gray**2, scores)
+        corner_kernels.corner_scores(for_reading(image), self.min_gradient_gray**2, scores)
         origin, low = np.array([crop.x0, crop.y0]), np.array([cells.x0, cells.y0])
         high = np.array([cells.x1, cells.y1])
         across, down = -(-(high - low) // self.spacing_px)
@@ -225,7 +226,7 @@ def _pyramid(frame: Frame, crop: Region) -> tuple[Array, Array, Array]:
 
     fine = _brightness(frame, crop)
     middle = cv2.pyrDown(fine)
-    return cv2.pyrDown(middle), middle, fine
+    return cv2.pyrDown(middle), middle, for_reading(fine)
 
 
 CAMERA_FLOW = FlowPlane(spacing_px=12)
@@ -252,7 +253,7 @@ def means_in_boxes(points: Array, boxes: Array, pixels_of: Region | None) -> tup
     if pixels_of is None:
         from bayesnet_track.vision.kernels.flow_kernels import flow_in_boxes
 
-        flow_in_boxes(points, boxes, counts, means)
+        flow_in_boxes(for_reading(points), boxes, counts, means)
     else:
         from bayesnet_track.vision.kernels.dense_flow_kernels import dense_in_boxes
 
