@@ -207,63 +207,12 @@ def frames_per_second(seconds: ArrayLike) -> float | None:
     return len(rest) / float(rest.sum()) if rest.sum() > 0 else None
 
 
-def as_table(scores: Mapping[str, Score]) -> str:
-    """A table, one row per named score, in plain text.
-
-    The columns are the fields of `Score` of the same names; 50% and 90% are the coverage in x and in y.
-    """
-    head = [
-        "",
-        "AUC",
-        "strict",
-        "prec@20",
-        "IoU",
-        "episodes",
-        "lost|off",
-        "lost|on",
-        "fps",
-        "agents",
-        "50%",
-        "90%",
-    ]
-    rows = [head, *([name, *_cells(one)] for name, one in scores.items())]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
-    lines = [
-        "  ".join(
-            cell.ljust(w) if k == 0 else cell.rjust(w)
-            for k, (cell, w) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
-    ]
-    return "\n".join(line.rstrip() for line in lines) + "\n"
-
-
-def _cells(one: Score) -> list[str]:
-    return [
-        f"{one.auc:.3f}",
-        f"{one.auc_strict:.3f}",
-        f"{one.precision20:.3f}",
-        f"{one.mean_iou:.3f}",
-        str(one.lost_episodes),
-        _number(one.lost_when_off, ".2f"),
-        _number(one.lost_when_on, ".2f"),
-        _number(one.fps, ".1f"),
-        _number(one.mean_active, ".2f"),
-        _pair(one.coverage50),
-        _pair(one.coverage90),
-    ]
-
-
 def _show(value: object) -> str:
     if isinstance(value, tuple):
         return _pair(value)
     if isinstance(value, float):
         return f"{value:.4g}"
     return "-" if value is None else str(value)
-
-
-def _number(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
 
 
 def _pair(value: tuple[float, float] | None) -> str:

@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import pytest
 
-from bayesnet_track.evaluate import format_truth, score_run
+from bayesnet_track.evaluate.runs import score_run
 from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.sources.scene_source import format_truth
 
 
 def metrics(frame, corner, target="1", status="tracking", active=("hue",)) -> FrameMetrics:

@@ -10,14 +10,14 @@ from bayesnet_track.belief.contract import Evaluate, MotionModel, Report, Step, 
 from bayesnet_track.belief.particles.adaptive_size import start_size
 from bayesnet_track.belief.particles.importance import proposal_of
 from bayesnet_track.belief.particles.map import map_index
-from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet, weighted_quantiles
+from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
 from bayesnet_track.belief.particles.sample_size import SizeMemory
 from bayesnet_track.belief.particles.weighted_sample import WeightedSample, prior_of
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 
-__all__ = ["Inputs", "ParticleFilter", "ParticleSet", "weighted_quantiles"]
+__all__ = ["Inputs", "ParticleFilter", "ParticleSet"]
 
 
 class ParticleFilter:

@@ -92,18 +92,9 @@ class ParticleSet:
         return self.boxes[resample("systematic", self.weights.weights, size, rng)]
 
 
-def weighted_quantiles(values: Floats, weights: Floats, shares: Floats) -> tuple[float, ...]:
-    """The least value that has at least the share of the weight up to it, for each share."""
-    return _quantiles(*_order(values, weights), shares)
-
-
 def _order(values: Floats, weights: Floats) -> tuple[Floats, Floats]:
     order = values.argsort()
     return values[order], weights[order].cumsum()
-
-
-def _quantiles(ordered: Floats, cumulative: Floats, shares: Floats) -> tuple[float, ...]:
-    return tuple(ordered[cumulative.searchsorted(shares * cumulative[-1])].tolist())
 
 
 @dataclass(frozen=True, eq=False)
