@@ -11,6 +11,7 @@ from bayesnet_track.engine.rows.advancing import share_out
 from bayesnet_track.engine.rows.columns import RowRecords, RowStates, make_rows
 from bayesnet_track.engine.rows.finding import find_rows
 from bayesnet_track.engine.rows.fitting import row_rule
+from bayesnet_track.engine.rows.row_heard import RowHeard
 from bayesnet_track.engine.rows.row_metrics import RowMetrics
 from bayesnet_track.engine.rows.row_table import RowTable
 from bayesnet_track.engine.starts import start_targets
@@ -275,3 +276,19 @@ def test_rows_that_were_stored_go_on_as_rows_to_the_same_bytes(graph, found):
         for kind in ("metrics", "events"):
             own, other = getattr(outcome, kind), getattr(done[index], kind)
             assert [to_json(one) for one in own] == [to_json(one) for one in other]
+
+
+def test_what_was_measured_of_a_row_is_what_is_measured_of_one_target(graph, found, one_by_one):
+    said = 0
+    for row, one in zip(outcomes(graph, found, frames=15), one_by_one(graph, found, None, 15), strict=True):
+        assert row.heard.keys() == one.heard.keys()
+        for target, alone in one.heard.items():
+            measured = row.heard[target].measured
+            assert measured.keys() == alone.measured.keys()
+            for agent, exact in alone.measured.items():
+                found_here = measured[agent]
+                assert found_here.fields == exact.fields
+                np.testing.assert_allclose(found_here.mean, exact.mean)
+                np.testing.assert_allclose(found_here.covariance, exact.covariance)
+                said += isinstance(row.heard, RowHeard)
+    assert said > 20

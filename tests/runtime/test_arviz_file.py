@@ -160,3 +160,9 @@ def test_what_is_not_installed_is_named_with_the_cure(particle_run, tmp_path, mo
 def test_options_of_the_other_formats_are_refused(particle_run, words, found, capsys):
     assert main(["export", str(particle_run.directory.path), *words]) == 2
     assert found in capsys.readouterr().err
+
+
+def test_what_is_no_run_is_named(tmp_path, capsys):
+    arguments = ["export", str(tmp_path), "--format", "arviz", "-o", str(tmp_path / "a.nc")]
+    assert main(arguments) == main(["export", str(tmp_path), "--format", "csv"])
+    assert capsys.readouterr().err.count("not a run directory") == 2

@@ -49,9 +49,10 @@ def _export_beliefs(options: argparse.Namespace) -> int:
         raise UsageError("--format arviz writes a binary file; give its name with --out")
     out = Path(options.out)
     check_free(out, options.overwrite)
+    run = open_run(options.run, complain)
     try:
         with writing(out):
-            write_arviz(open_run(options.run, complain), out, options.draws or DRAWS)
+            write_arviz(run, out, options.draws or DRAWS)
     except (KeptBeliefsError, ArvizError) as error:
         raise UsageError(str(error)) from error
     complain(f"wrote {out}")
