@@ -143,7 +143,7 @@ def _code_of(error: Exception, command: str) -> int | None:
     from bayesnet_track.journal.codec import JournalError
     from bayesnet_track.journal.writer import OutputError
     from bayesnet_track.observation.capabilities import CueError
-    from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
+    from bayesnet_track.runtime.checkpoints.checkpoint_file import CheckpointError
     from bayesnet_track.runtime.checkpoints.recipe import RecipeError
     from bayesnet_track.runtime.checkpoints.resume import ResumeError
     from bayesnet_track.runtime.recording.manifest import ManifestError
@@ -153,9 +153,8 @@ def _code_of(error: Exception, command: str) -> int | None:
 
     if isinstance(error, UsageError | CueError):
         return USAGE
-    if isinstance(error, SourceError | JournalError | CalibrationError):
-        return BAD_SOURCE
-    if isinstance(error, RecipeError | CheckpointError | ResumeError | ManifestError):
+    unreadable = RecipeError | CheckpointError | ResumeError | ManifestError
+    if isinstance(error, SourceError | JournalError | CalibrationError | unreadable):
         return BAD_SOURCE
     if isinstance(error, RunDirectoryError):
         return BAD_SOURCE if command in LOOKS_BACK else BAD_OUTPUT

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from bayesnet_track.cli.main import main
-from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
+from bayesnet_track.runtime.checkpoints.checkpoint_file import CheckpointError
 from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
 from bayesnet_track.runtime.checkpoints.standing import standing
 

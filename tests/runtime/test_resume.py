@@ -16,7 +16,7 @@ import pytest
 from bayesnet_track import Start, track
 from bayesnet_track.journal.events.by_hand import Toggled
 from bayesnet_track.runtime import preparation
-from bayesnet_track.runtime.checkpoints.checkpoint import CheckpointError
+from bayesnet_track.runtime.checkpoints.checkpoint_file import CheckpointError
 from bayesnet_track.runtime.checkpoints.recipe import RecipeError
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.runtime.checkpoints.standing import Standing, standing

@@ -16,12 +16,7 @@ from typing import Self
 from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.runtime.checkpoints.checkpoint_file import (
     Checkpoint,
-    CheckpointError,
-    drop_damaged,
-    newest_checkpoint,
     pixels_of,
-    read_checkpoint,
-    remove,
     write_checkpoint,
 )
 from bayesnet_track.runtime.checkpoints.machine import describe_machine
@@ -29,20 +24,6 @@ from bayesnet_track.runtime.checkpoints.state_codec import StateError, encode_st
 from bayesnet_track.runtime.recording.record import Recorder, Written
 from bayesnet_track.runtime.recording.rundir import RunDirectory
 from bayesnet_track.runtime.run import RunPosition
-
-__all__ = [
-    "EVERY_S",
-    "Checkpoint",
-    "CheckpointError",
-    "Checkpoints",
-    "checkpoint_of",
-    "drop_damaged",
-    "newest_checkpoint",
-    "pixels_of",
-    "read_checkpoint",
-    "remove",
-    "write_checkpoint",
-]
 
 EVERY_S = 1.0
 """Seconds between checkpoints: with the time of a frame and of the disk, less than 2 s of work are lost."""

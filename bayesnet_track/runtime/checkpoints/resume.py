@@ -20,8 +20,8 @@ from bayesnet_track.journal.writer import OutputError
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.checkpoints.checkpoint import (
-    EVERY_S,
+from bayesnet_track.runtime.checkpoints.checkpoint import EVERY_S
+from bayesnet_track.runtime.checkpoints.checkpoint_file import (
     Checkpoint,
     CheckpointError,
     drop_damaged,

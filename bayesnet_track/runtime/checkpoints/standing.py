@@ -9,9 +9,7 @@ from pathlib import Path
 from bayesnet_track.journal.codec import JournalError, from_json
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.runs import RunEnded
-from bayesnet_track.runtime.checkpoints.checkpoint import (
-    newest_checkpoint,
-)
+from bayesnet_track.runtime.checkpoints.checkpoint_file import newest_checkpoint
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.recording.manifest import read_manifest
 from bayesnet_track.runtime.recording.rundir import RunDirectory

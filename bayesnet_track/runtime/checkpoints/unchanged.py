@@ -12,7 +12,7 @@ from bayesnet_track.journal.writer import read_position
 from bayesnet_track.observation.cue import ENTRY_POINT_GROUP
 from bayesnet_track.observation.cue_files import GivenCue, file_of, own_cues
 from bayesnet_track.observation.plugins import given
-from bayesnet_track.runtime.checkpoints.checkpoint import Checkpoint
+from bayesnet_track.runtime.checkpoints.checkpoint_file import Checkpoint
 from bayesnet_track.runtime.checkpoints.machine import describe_machine, name_differences
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.versions import versions
