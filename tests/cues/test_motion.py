@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from bayesnet_track.cues.motion import CUE, MotionCue
 from bayesnet_track.observation.cue import Hypotheses, floored, log_size_penalty
 from bayesnet_track.observation.planes import Frame, FramePair, Planes, Region
+from bayesnet_track.observation.shared import for_reading
 from bayesnet_track.vision.kernels.corner_kernels import RIM, corner_scores
 from bayesnet_track.vision.planes.motion_planes import FlowPlane
 
@@ -68,7 +69,7 @@ def test_corner_scores_are_the_smaller_eigenvalues() -> None:
     """OpenCV's own, with the same block and aperture; it works in float32, hence the tolerance."""
     gray = textured(3)
     scores = np.zeros(gray.shape)
-    corner_scores(gray, 9.0, scores)
+    corner_scores(for_reading(gray), 9.0, scores)
     unscaled = cv2.cornerMinEigenVal(gray, 5, 3).astype(float) * (4 * 5 * 255.0) ** 2 / (8**2 * 25)
     inner = (slice(RIM, -RIM), slice(RIM, -RIM))
     expected = np.where(unscaled > 9.0, unscaled, 0.0)[inner]

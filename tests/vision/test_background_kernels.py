@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from bayesnet_track.observation.shared import for_reading
 from bayesnet_track.vision.kernels.background_kernels import BACKGROUND, SHADOW, update_mixture
 
 MEANS = [(100.0, 100.0, 100.0), (150.0, 150.0, 150.0), (20.0, 20.0, 20.0)]
@@ -10,7 +11,7 @@ MEANS = [(100.0, 100.0, 100.0), (150.0, 150.0, 150.0), (20.0, 20.0, 20.0)]
 
 def update(value, gain=1.0, weights=(0.6, 0.3, 0.1), darkest=0.5, chroma=25.0, rate=0.1, least=30.0):
     """Evidence, weights, means and variances after one pixel of this value; variances are 100 before."""
-    image = np.array(value, np.uint8).reshape(1, 1, 3)
+    image = for_reading(np.array(value, np.uint8).reshape(1, 1, 3))
     w = np.array(weights, np.float32).reshape(1, 1, 3)
     m = np.array(MEANS, np.float32).reshape(1, 1, 3, 3)
     v = np.full((1, 1, 3), 100.0, np.float32)
@@ -91,7 +92,7 @@ def test_the_gain_of_the_camera_is_for_comparing_and_not_for_learning():
 
 def one_pixel(value, weights, share=0.8, rate=0.1, chroma=25.0, gain=1.0, match=16.0):
     """As `update`, of the kernel's other settings."""
-    image = np.array(value, np.uint8).reshape(1, 1, 3)
+    image = for_reading(np.array(value, np.uint8).reshape(1, 1, 3))
     w, v = np.array(weights, np.float32).reshape(1, 1, 3), np.full((1, 1, 3), 100.0, np.float32)
     m, evidence = np.array(MEANS, np.float32).reshape(1, 1, 3, 3), np.full((1, 1), 77, np.uint8)
     update_mixture(image, gain, rate, w, m, v, match, share, 30.0, 400.0, 0.5, chroma, evidence)

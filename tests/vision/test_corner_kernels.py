@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from bayesnet_track.observation.shared import for_reading
 from bayesnet_track.vision.kernels.corner_kernels import corner_scores, lattice_corners
 
-GRAY = np.random.default_rng(2).integers(0, 256, (14, 17)).astype(np.uint8)
+GRAY = for_reading(np.random.default_rng(2).integers(0, 256, (14, 17)).astype(np.uint8))
 
 
 def eigenvalues(gray):
@@ -47,10 +48,10 @@ def test_edges_and_images_without_room_have_no_corner():
         np.ascontiguousarray(GRAY[:, :6]),
     ):
         scores = np.full(gray.shape, np.nan)
-        corner_scores(gray, 1.0, scores)
+        corner_scores(for_reading(gray), 1.0, scores)
         assert not scores.any()
     scores = np.full((7, 7), np.nan)
-    corner_scores(np.ascontiguousarray(GRAY[:7, :7]), 0.0, scores)
+    corner_scores(for_reading(GRAY[:7, :7]), 0.0, scores)
     np.testing.assert_allclose(scores[3, 3], eigenvalues(GRAY[:7, :7])[3, 3])
 
 

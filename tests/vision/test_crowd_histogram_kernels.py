@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.numerics.kernels.box_kernels import pixels_of_boxes
+from bayesnet_track.observation.shared import for_reading
 from bayesnet_track.vision.kernels.histograms.crowd_histogram_kernels import (
     color_distances_of_each,
     count_of_each,
@@ -34,7 +35,7 @@ def test_counts_and_distances_are_those_of_each_target_alone(spread_px, side):
     regions = np.array([[0, 0, 80, 60]] * 3)
     corners, visible, nominal, firsts, places = distinct_of_each(boxes, starts, regions)
     crops = np.array([[0, 80]] * 3)
-    counts = count_of_each(binned.ravel(), crops, corners, firsts, one_hot_rows(BINS, np.uint16))
+    counts = count_of_each(for_reading(binned.ravel()), crops, corners, firsts, one_hot_rows(BINS, np.uint16))
     shares = rng.dirichlet(np.ones(BINS + 1), 3)
     distances, outside = color_distances_of_each(counts, visible, nominal, firsts, shares, 0.5)
     for t in range(3):

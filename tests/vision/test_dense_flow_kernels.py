@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bayesnet_track.observation.shared import for_reading
 from bayesnet_track.vision.kernels.dense_flow_kernels import dense_in_boxes, there_and_back, valid_vectors
 from bayesnet_track.vision.kernels.flow_kernels import flow_in_boxes
 
@@ -19,7 +20,7 @@ def test_the_same_counts_and_means_as_point_by_point(seed, width, height, left):
     boxes = np.column_stack([rng.uniform(left - 9, left + width + 9, (40, 2)), rng.uniform(0.1, 40, (40, 2))])
     boxes[:20] = np.rint(boxes[:20])
     expected, found = ((np.zeros(40), np.zeros((40, 2))) for _ in range(2))
-    flow_in_boxes(points, boxes, *expected)
+    flow_in_boxes(for_reading(points), boxes, *expected)
     dense_in_boxes(points, left, top, width, height, boxes, *found)
     assert np.array_equal(expected[0], found[0])
     assert np.array_equal(expected[1], found[1])

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bayesnet_track.observation.shared import for_reading
 from bayesnet_track.vision.kernels.depth_kernels import (
     DEPTH,
     FEATURES,
@@ -20,7 +21,7 @@ LAYER = float(np.log(1.12)) / 3
 
 def features(points, boxes, cells=12, origin=(0, 0)):
     found = np.full((len(boxes), FEATURES), 7.0)
-    blob_features(points, np.array(boxes, float), np.array(origin), cells, LAYER, found)
+    blob_features(for_reading(points), np.array(boxes, float), np.array(origin), cells, LAYER, found)
     return found
 
 

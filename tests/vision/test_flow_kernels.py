@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from bayesnet_track.observation.shared import for_reading
 from bayesnet_track.vision.kernels.flow_kernels import (
     _copy,
     _gradients,
@@ -107,6 +108,8 @@ def tracked(moved, points, target=None, reach=9.0, agree=0.5, origin=(0, 0)):
         frames.append([pattern(*by, size // s, s) for s in (4, 2, 1)])
     if target is not None:
         frames[1] = [target(one) for one in frames[1]]
+    for levels in frames:
+        levels[2] = for_reading(levels[2])
     flows, valid = np.full((len(points), 2), np.nan), np.full(len(points), 7, np.uint8)
     points = np.array(points) + origin
     track_points(*frames[0], *frames[1], points, np.array(origin), WINDOW, reach, agree, flows, valid)
@@ -146,10 +149,10 @@ def test_mean_flow_of_the_points_in_a_box():
         ]
     )
     counts, means = np.full(6, np.nan), np.full((6, 2), np.nan)
-    flow_in_boxes(points, boxes, counts, means)
+    flow_in_boxes(for_reading(points), boxes, counts, means)
     assert counts.tolist() == [2, 3, 1, 0, 0, 4]
     np.testing.assert_allclose(
         means, [(1.0, 0.0), (1.5, 0.25 / 3), (1.5, 1.0), (0, 0), (0, 0), (8.5 / 4, 4.25 / 4)], atol=1e-6
     )
-    flow_in_boxes(np.empty((0, 4)), boxes[:1], counts, means)
+    flow_in_boxes(for_reading(np.empty((0, 4))), boxes[:1], counts, means)
     assert counts[0] == 0 and means[0].tolist() == [0.0, 0.0]

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from bayesnet_track.observation.shared import for_reading
 from bayesnet_track.vision.kernels.histograms.kernel_histogram_kernels import coefficients, kernel_shares
 
 BINS = 5
 LEFT, TOP = 4, 3
-CELLS = np.random.default_rng(0).integers(0, BINS, (11, 13)).astype(np.uint16)
+CELLS = for_reading(np.random.default_rng(0).integers(0, BINS, (11, 13)).astype(np.uint16))
 
 
 def plainly(box, step):
