@@ -16,7 +16,7 @@ from bayesnet_track.belief.motion.formulas import Undefined, undefined_in
 from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.modes import ModeState
-from bayesnet_track.engine.predicting import PredictedMotion, predict_motion
+from bayesnet_track.engine.moving.predicting import PredictedMotion, predict_motion
 from bayesnet_track.engine.shedding import within
 from bayesnet_track.engine.state import TargetState, with_agents
 from bayesnet_track.inference.compile import Plan, compile_plan

@@ -15,7 +15,7 @@ from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_metrics import first_frame_metrics
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.modes import ModeState, with_modes
-from bayesnet_track.engine.predicting import start_motion_context
+from bayesnet_track.engine.moving.predicting import start_motion_context
 from bayesnet_track.engine.state import TargetState, inside_frame
 from bayesnet_track.inference.compile import compile_plan
 from bayesnet_track.inference.guard import watch

@@ -10,7 +10,7 @@ import numpy as np
 from bayesnet_track.adapt.memory import Memory
 from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
-from bayesnet_track.engine.predicting import MotionContext
+from bayesnet_track.engine.moving.predicting import MotionContext
 from bayesnet_track.engine.scoring.score import Scored
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.guard import Watched

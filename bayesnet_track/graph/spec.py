@@ -29,6 +29,7 @@ from bayesnet_track.graph.settings.existence import Existence
 from bayesnet_track.graph.settings.gaussian import Gaussian, Unscented
 from bayesnet_track.graph.settings.grid import Grid, Reset
 from bayesnet_track.graph.settings.joins import Attachment, Exclusion, Join, Occlusion, Together
+from bayesnet_track.graph.settings.jumps import LookedFor, Probes, Relocalize
 from bayesnet_track.graph.settings.lifecycle import (
     Birth,
     Confirm,
@@ -50,15 +51,12 @@ from bayesnet_track.graph.settings.motion import (
     HeavyTail,
     Inflate,
     LogSd,
-    LookedFor,
     Motion,
     Moving,
     Noise,
     OwnField,
     PixelSd,
-    Probes,
     RandomWalk,
-    Relocalize,
     SizeReversion,
 )
 from bayesnet_track.graph.settings.net import (

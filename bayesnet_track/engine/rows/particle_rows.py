@@ -24,7 +24,7 @@ from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_work import FrameWork
-from bayesnet_track.engine.predicting import PredictedMotion
+from bayesnet_track.engine.moving.predicting import PredictedMotion
 from bayesnet_track.engine.rows.shared_planes import planes_of_each
 from bayesnet_track.engine.state import TargetState, with_agents
 from bayesnet_track.inference.executor import Serial, is_elsewhere

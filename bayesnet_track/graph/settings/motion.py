@@ -10,16 +10,14 @@ from bayesnet_track.graph.expressions.terms import MAX_CHARACTERS
 from bayesnet_track.graph.settings.adapt import Level
 from bayesnet_track.graph.settings.base import (
     Choice,
-    Empty,
     Model,
     Name,
     NotNegative,
     Number,
     Positive,
     Truth,
-    Whole,
 )
-from bayesnet_track.graph.settings.lifecycle import DetectorChoice
+from bayesnet_track.graph.settings.jumps import Relocalize
 
 
 class PixelSd(Model):
@@ -89,54 +87,6 @@ class SizeReversion(Model):
     )
     sd_aspect: Positive | None = Field(
         default=None, description="sd of log(w / h) in the long run; default none, a random walk"
-    )
-
-
-class Probes(Model):
-    """Boxes of the belief's size on a lattice over the frame, scored by the active agents of the net."""
-
-    max_boxes: Annotated[Whole, Field(ge=16, le=10_000)] = Field(default=400, description="boxes at most")
-
-
-class LookedFor(Choice):
-    """How the places to search are chosen; weights correct for the choice, so it changes no probability."""
-
-    uniform: Empty | None = Field(default=None, description="evenly over the frame")
-    agents: Probes | None = Field(
-        default=None,
-        description="by the net's own agents, at boxes on a lattice",
-    )
-    detector: DetectorChoice | None = Field(
-        default=None, description="by the boxes of a detector; one that learns is given the first box"
-    )
-
-
-class Relocalize(Model):
-    """The target may reappear anywhere: p(x | x') = (1 - share) motion + share / (W H) in its position.
-
-    It is then found again after an occlusion, or after leaving the view. Needs particles of a fixed `size`
-    with `proposal: bootstrap`.
-    """
-
-    share: Annotated[Number, Field(gt=0, lt=1)] = Field(
-        default=0.1,
-        description="probability per frame interval that it reappears elsewhere, while uncertain or lost",
-    )
-    above: Level = Field(
-        default=Level(ud_box=0.5), description="threshold of UD above which the belief is uncertain"
-    )
-    usual: Annotated[Number, Field(ge=0, lt=1)] = Field(
-        default=0.0, description="the same probability while it is certain"
-    )
-    hypotheses: Annotated[Number, Field(gt=0, lt=1)] = Field(
-        default=0.2, description="share of the hypotheses that look for it, in proportion to the probability"
-    )
-    by: LookedFor = Field(default=LookedFor(agents=Probes()), description="where they look")
-    grow_box: Positive | None = Field(
-        default=None,
-        description="only while lost, and at first near the place where it was last held: in a square around "
-        "it, half of whose side grows by so many sqrt(w h) per frame interval until it covers the frame; "
-        "default: in the whole frame at once",
     )
 
 
