@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from bayesnet_track.adapt.backoff import quarantine
-from bayesnet_track.belief.contract import Evaluate, Evidence, MotionModel, Posterior, Step
+from bayesnet_track.belief.contract import Belief, Evaluate, Evidence, MotionModel, Posterior, Step, Stream
 from bayesnet_track.belief.modes import Modes
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.formulas import Undefined, undefined_in
@@ -17,6 +18,7 @@ from bayesnet_track.belief.states import hypotheses_of
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.modes import ModeState
 from bayesnet_track.engine.moving.predicting import PredictedMotion, predict_motion
+from bayesnet_track.engine.moving.sudden import search_around
 from bayesnet_track.engine.shedding import within
 from bayesnet_track.engine.state import TargetState, with_agents
 from bayesnet_track.inference.compile import Plan, compile_plan
@@ -105,13 +107,11 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
             executor=work.engine.executor,
             availability=work.availability_of(target, "observing"),
         )
-        stepped = belief.step(
-            prior,
-            motion,
-            dt,
-            _evaluation(work, before.plan, compiled.modes, observer),
-            stream,
-        )
+        see = _evaluation(work, before.plan, compiled.modes, observer)
+        stepped, moved = belief.step(prior, motion, dt, see, stream), moves
+        if ride is None:
+            again = partial(_step_again, work, belief, (prior, dt, see, stream))
+            moved, stepped = search_around(work, target, before, moves, stepped, again)
         # With the answers of one that later gave none the belief would be neither with it nor without it.
         if not observer.broke_off:
             break
@@ -123,8 +123,20 @@ def filter_target(work: FrameWork, target: str, before: TargetState, ride: Ride 
     missed, flaws = dict(observer.missed), dict(observer.factors.flaws)
     undefined = {**undefined_in(motion), **observer.factors.undefined}
     modes = None if compiled.modes is None else ModeState.of(compiled.modes, prior, stepped.posterior, dt)
-    found = Filtered(target, before, stepped, faults, moves, plan, missed, flaws=flaws, undefined=undefined)
+    found = Filtered(target, before, stepped, faults, moved, plan, missed, flaws=flaws, undefined=undefined)
     return found if modes is None else replace(found, modes=modes)
+
+
+def _step_again(
+    work: FrameWork,
+    belief: Belief[Any],
+    given: tuple[Posterior, float, Evaluate, Stream],
+    motion: MotionModel,
+) -> Step[Posterior]:
+    """The step of the frame by another motion, with random numbers of its own."""
+    prior, dt, see, stream = given
+    inside = confined(motion, work.frame.width, work.frame.height)
+    return belief.step(prior, inside, dt, see, lambda purpose: stream(f"{purpose} again"))
 
 
 def evaluate_at(work: FrameWork, target: str, before: TargetState, boxes: Floats) -> Evidence:

@@ -29,7 +29,7 @@ from bayesnet_track.graph.settings.existence import Existence
 from bayesnet_track.graph.settings.gaussian import Gaussian, Unscented
 from bayesnet_track.graph.settings.grid import Grid, Reset
 from bayesnet_track.graph.settings.joins import Attachment, Exclusion, Join, Occlusion, Together
-from bayesnet_track.graph.settings.jumps import LookedFor, Probes, Relocalize
+from bayesnet_track.graph.settings.jumps import LookedFor, Probes, Relocalize, Sudden
 from bayesnet_track.graph.settings.lifecycle import (
     Birth,
     Confirm,
@@ -174,6 +174,7 @@ __all__ = [
     "SelfCheck",
     "SizeBox",
     "SizeReversion",
+    "Sudden",
     "Target",
     "Together",
     "Unscented",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -58,14 +58,13 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
     silent = tuple(agent for agent, own in evidence.measured.items() if own is None)
     at_parts = measure_parts(target, evidence, parts, uds)
     seeing = _that_see(target, agents, silent, at_parts)
-    mean = sum((evidence.messages[agent] / len(seeing) for agent in seeing), nothing)
     return Measures(
         ud_px2=uds,
         agent_ud_px2=agent_ud,
         kl=dict(zip(agents, nats, strict=False)),
         contribution=dict(zip(agents, nats[len(agents) :], strict=False)),
         strength=dict(zip(nodes, nats[2 * len(agents) :], strict=True)),
-        fit=float(np.exp(min(mean.max(), 0.0))) if seeing else 0.0,
+        fit=fit_of([evidence.messages[agent] for agent in seeing]),
         area_px2=area_px2,
         silent=silent,
         inside=_insides(target, step, beliefs, parts),
@@ -76,6 +75,14 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
             if _asks_for_the_dispensable(target, governor)
         },
     )
+
+
+def fit_of(messages: Sequence[Floats]) -> float:
+    """Largest geometric mean of a hypothesis' likelihood over agents, whose messages (N,) these are."""
+    if not messages:
+        return 0.0
+    mean = sum((own / len(messages) for own in messages), np.zeros(len(messages[0])))
+    return float(np.exp(min(mean.max(), 0.0)))
 
 
 def _asks_for_the_dispensable(target: CheckedTarget, governor: str) -> bool:

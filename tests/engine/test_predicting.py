@@ -256,6 +256,7 @@ REFUSED = [
     ({"relocalize": {}, "sd_px": {"x": 1.0}}, {}, "relocalize without noise of y"),
     ({"relocalize": {"grow_box": 1, "usual": 0.1}}, {}, "usual beside grow_box"),
     ({"relocalize": {"grow_box": 1, "above": {"ud_box": 1}}}, {}, "above beside grow_box"),
+    ({"relocalize": {"sudden": {}}}, {}, "sudden without lost.found_fit"),
     ({"relocalize": {"by": {"detector": "mottion"}}}, {}, "unknown detector 'mottion'"),
     ({"relocalize": {"by": {"detector": {"motion": {"no": 1}}}}}, {}, "unknown key 'no'"),
 ]

@@ -404,7 +404,11 @@ def everything() -> dict[str, Any]:
                     "inflate": {"max_factor": 3},
                     "size_reversion": {"sd_scale": 0.5},
                     "camera": "compensate",
-                    "relocalize": {"by": {"agents": {"max_boxes": 200}}, "usual": 0.01},
+                    "relocalize": {
+                        "by": {"agents": {"max_boxes": 200}},
+                        "usual": 0.01,
+                        "sudden": {"reach_box": 3},
+                    },
                 }
             },
             "estimate": "mean",

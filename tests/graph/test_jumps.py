@@ -1,10 +1,10 @@
-"""A target that may reappear elsewhere: what its settings say."""
+"""A target that may reappear elsewhere: what its settings need to act on."""
 
 from __future__ import annotations
 
-from bayesnet_track.graph.settings.jumps import Relocalize
+from bayesnet_track.graph.settings.jumps import Relocalize, Sudden
 
 
-def test_it_is_looked_for_by_the_agents_unless_something_else_is_named():
-    assert Relocalize().by.kind == "agents"
-    assert Relocalize().by.agents.max_boxes == 400
+def test_a_fast_move_is_looked_for_only_where_it_is_asked_for():
+    assert Relocalize().sudden is None
+    assert Relocalize(sudden=Sudden()).sudden.below_fit < 1.0

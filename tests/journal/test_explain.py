@@ -298,6 +298,15 @@ GOLDEN = [
         "share ≤ 0.00814",
     ),
     (
+        Reappeared(
+            *(41, "1", "agents", 250, 0.9312, 0.5, 0.5, 0.02141, 210.4, 84.25, 95.2, 0.0, 0.0, 123.4),
+            *(0.01234, 0.15),
+        ),
+        "frame 41: fit 0.0123 < 0.15 of the usual one; 250 hypotheses searched up to 123 px around its last "
+        "place, by agents, and hold 0.931 > 0.5 of the belief → target 1 reappears at 210.4, 84.25, 95.2 px "
+        "away; would not have at share ≤ 0.0214",
+    ),
+    (
         ParticlesResized(
             *(30, "1", 798, 256, "kld_revised", 797.2, "", True),
             *("x", 12.0, 15, 4.0, 7.47, None, "error", 0.1, 0.2491),

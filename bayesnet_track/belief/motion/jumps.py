@@ -183,6 +183,8 @@ def report_reappeared(
         ud_px2=search.ud_px2,
         above_px2=search.above_px2,
         within_px=None if jumping.within is None else jumping.within.half_px,
+        fit=search.fit,
+        below_fit=search.below_fit,
     )
 
 
@@ -226,7 +228,7 @@ def _probe(inputs: Inputs, jumping: Jumping, states: Floats, rng: np.random.Gene
         side = 0.5 * float(np.sqrt(np.mean(states[:, 2] * states[:, 3])))
         side = max(side, float(np.sqrt(jumping.area / most)))
     else:
-        side = max(0.5 * float(np.sqrt(np.prod(within.size))), 1.0)
+        side = max(within.cell_box * float(np.sqrt(np.prod(within.size))), 1.0)
     across, down = (max(int(extent / side), 1) for extent in bounds)
     step = bounds / np.array([across, down])
     at = np.stack(np.meshgrid(np.arange(across), np.arange(down)), axis=2).reshape(-1, 2)

@@ -47,6 +47,8 @@ class Search:
         scores: (M,) how surely.
         ud_px2: UD of the last frame.
         above_px2: level above which the belief is unsure.
+        fit: what fits without the search, as a share of the usual fit; None when it does not matter.
+        below_fit: level below which that calls for the search.
     """
 
     hypotheses: float
@@ -56,6 +58,8 @@ class Search:
     scores: Floats
     ud_px2: float
     above_px2: float
+    fit: float | None = None
+    below_fit: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,16 +71,18 @@ class Within:
         high: (2,) largest x and y.
         size: (2,) w and h of the box that held it last, px.
         half_px: how far from that box.
+        cell_box: side of the cells about which agents are asked, in sqrt(w h).
     """
 
     low: Floats
     high: Floats
     size: Floats
     half_px: float
+    cell_box: float = 0.5
 
     @classmethod
-    def around(cls, box: Floats, half_px: float, width: int, height: int) -> Within:
+    def around(cls, box: Floats, half_px: float, width: int, height: int, cell_box: float = 0.5) -> Within:
         """The square around the centre box (4,) with half its side in px, as far as the frame goes."""
         half, most = max(half_px, 2.0), np.array([width - 1.0, height - 1.0])
         centre = np.clip(box[:2], 0.0, most)
-        return cls(np.maximum(centre - half, 0.0), np.minimum(centre + half, most), box[2:4], half)
+        return cls(np.maximum(centre - half, 0.0), np.minimum(centre + half, most), box[2:4], half, cell_box)

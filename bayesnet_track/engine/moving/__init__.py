@@ -1,1 +1,1 @@
-"""How a target moves in a frame: its motion as it stands before the evidence."""
+"""How a target moves in a frame: its motion before the evidence, and the search for a fast move."""

@@ -49,6 +49,13 @@ class Look:
     side_px: float
 
 
+def usual_fit(scored: Scored) -> float | None:
+    """How well the target usually fits; None while nothing is usual yet, or it is missing."""
+    if scored.missing is not None or len(scored.fits) < LEAST_FRAMES:
+        return None
+    return math.exp(median(scored.fits))
+
+
 def follow_fit(scored: Scored, rule: Lost, look: Look) -> tuple[Scored, float, FoundAgain | None]:
     """What is remembered after a frame, the most that its score may be, and how a target was found again.
 
@@ -71,8 +78,7 @@ def follow_fit(scored: Scored, rule: Lost, look: Look) -> tuple[Scored, float, F
         low = scored.low + 1
         is_lost = low >= rule.frames and len(scored.fits) >= LEAST_FRAMES
         return replace(scored, low=low, missing=look.frame - low + 1 if is_lost else None), 1.0, None
-    usual = median(scored.fits)
-    share = math.exp(log_fit - usual)
+    share = math.exp(log_fit - median(scored.fits))
     moved_px = math.hypot(look.x - scored.place[0], look.y - scored.place[1])
     away = moved_px / look.side_px
     strict = 1.0 / (1.0 + min(away, FAR_BOX))

@@ -57,7 +57,10 @@ def belief_holds_the_motion(plate: Plate) -> Iterator[GraphMessage]:
                     yield plate.message(name, found, "particles or gaussian", key=(*key, word), on_key=True)
         if settings.relocalize is None:
             continue
-        here = (*key, "relocalize")
+        here, lost = (*key, "relocalize"), plate.inference[name].lost
+        if settings.relocalize.sudden is not None and (lost is None or lost.found_fit is None):
+            found = "sudden without lost.found_fit, by which it is known how well the target usually fits"
+            yield plate.message(name, found, "both, or none", key=(*here, "sudden"), on_key=True)
         if belief is not None and belief.particles is None:
             found = f"relocalize beside {belief.kind}, which cannot jump"
             yield plate.message(name, found, "particles", key=here, on_key=True)

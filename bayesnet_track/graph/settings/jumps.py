@@ -30,6 +30,28 @@ class LookedFor(Choice):
     )
 
 
+class Sudden(Model):
+    """A fast move is found in the same frame: where suddenly nothing fits, a square around it is searched.
+
+    The frame is then filtered again with a wider prior, before the target is lost. Needs
+    `lost: {found_fit}`, by which it is known how well the target usually fits.
+    """
+
+    below_fit: Annotated[Number, Field(gt=0, lt=1)] = Field(
+        default=0.15,
+        description="share of the usual fit below which it searches; what it finds has to reach it, and the "
+        "`full_fit` of the score",
+    )
+    reach_box: Annotated[Number, Field(gt=0, le=10)] = Field(
+        default=2.5, description="half the side of the square, in sqrt(w h)"
+    )
+    share: Annotated[Number, Field(gt=0, lt=1)] = Field(
+        default=0.5,
+        description="probability, in such a frame, that it is anywhere in the square; and the share of the "
+        "hypotheses that look there",
+    )
+
+
 class Relocalize(Model):
     """The target may reappear anywhere: p(x | x') = (1 - share) motion + share / (W H) in its position.
 
@@ -56,4 +78,7 @@ class Relocalize(Model):
         description="only while lost, and at first near the place where it was last held: in a square around "
         "it, half of whose side grows by so many sqrt(w h) per frame interval until it covers the frame; "
         "default: in the whole frame at once",
+    )
+    sudden: Sudden | None = Field(
+        default=None, description="how a fast move is found before the target is lost; default: not at all"
     )

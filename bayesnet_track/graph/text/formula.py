@@ -266,6 +266,8 @@ def _motion(motion: Motion | None) -> str:
         jump = settings.relocalize
         when = "unsure" if jump.grow_box is None else f"lost, {jump.grow_box:g} sides farther each frame"
         further.append(f"anywhere with probability {jump.share:g} while {when}")
+        if jump.sudden is not None:
+            further.append(f"up to {jump.sudden.reach_box:g} sides away where nothing fits")
     return ", ".join(filter(None, (motion.kind.replace("_", " "), noise(settings), *further)))
 
 

@@ -27,6 +27,9 @@ class Reappeared:
         above_px2: threshold of UD above which reappearing is likely, in px^2; 0 when it is not known yet, or
             only a lost target is searched for.
         within_px: how far from the box that held it last they searched; None for the whole frame.
+        fit: likelihood of the best hypothesis before they searched, as a share of the usual one; None unless
+            that called for the search.
+        below_fit: share below which it does.
     """
 
     frame: int
@@ -43,19 +46,26 @@ class Reappeared:
     ud_px2: float
     above_px2: float
     within_px: float | None = None
+    fit: float | None = None
+    below_fit: float | None = None
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
         held, level = distinct_texts(self.held, self.level)
         ud, above = distinct_texts(self.ud_px2, self.above_px2)
-        unsure = f"UD {ud} px² {'>' if self.ud_px2 > self.above_px2 else '≤'} {above}; "
+        unsure = ""
+        if self.above_px2 > 0:
+            unsure = f"UD {ud} px² {'>' if self.ud_px2 > self.above_px2 else '≤'} {above}; "
+        if self.fit is not None and self.below_fit is not None:
+            fit, below = distinct_texts(self.fit, self.below_fit)
+            unsure = f"fit {fit} < {below} of the usual one; "
         turning = round_away(self.turning, decimals(self.turning, self.share), up=False)
         how = "evenly" if self.by == "uniform" else f"by {self.by}"
         where = "the whole frame"
         if self.within_px is not None:
             where = f"up to {self.within_px:.3g} px around its last place"
         return (
-            f"{unsure if self.above_px2 > 0 else ''}{self.hypotheses} hypotheses searched {where}, "
+            f"{unsure}{self.hypotheses} hypotheses searched {where}, "
             f"{how}, and hold {held} > {level} of the belief → target {self.target} reappears at "
             f"{self.x:.4g}, {self.y:.4g}, {self.moved_px:.3g} px away; would not have at share ≤ {turning}"
         )

@@ -1,0 +1,92 @@
+"""A fast move: where suddenly nothing fits, the frame is filtered again, with a wider prior.
+
+Whether it is depends on the frame, so its evidence then counts twice. That is the price of not searching a
+large square in every frame: what comes out is a belief about the place, and no probability of the move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from bayesnet_track.belief.contract import MotionModel, Posterior, Step
+from bayesnet_track.belief.motion.jumps import Jumping
+from bayesnet_track.belief.motion.places import Search, Within
+from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.moving.predicting import PredictedMotion
+from bayesnet_track.engine.scoring.reacquisition import usual_fit
+from bayesnet_track.engine.state import TargetState
+from bayesnet_track.graph.settings.jumps import Sudden
+from bayesnet_track.inference.compile import Plan
+from bayesnet_track.inference.measure import fit_of
+from bayesnet_track.numerics.arrays import Floats
+
+CELL_BOX = 1.0 / 6.0
+"""Side of a cell of the lattice, in box sides: a correlation filter answers within about so much."""
+
+Again = Callable[[MotionModel], Step[Posterior]]
+"""Filters the frame again with another motion."""
+
+
+def search_around(
+    work: FrameWork,
+    target: str,
+    before: TargetState,
+    moves: PredictedMotion,
+    first: Step[Posterior],
+    again: Again,
+) -> tuple[PredictedMotion, Step[Posterior]]:
+    """The motion and the step of the frame: those of the search where that finds it, else the first.
+
+    It finds the target where hypotheses that jumped hold most of the belief, which the step then reports, and
+    one fits, so well that this bounds no score: what a badly held target usually fits is soon reached. A
+    target that is in doubt or lost is not searched for: what hides it stays, and look-alikes come along.
+    """
+    compiled, usual = work.plate_of(target), usual_fit(before.scored)
+    moving, score = compiled.moving, compiled.plate.inference(compiled.plate.root).score
+    rule = None if moving is None or moving.relocalize is None else moving.relocalize.sudden
+    if rule is None or usual is None or work.net.targets[target].status != "tracking":
+        return moves, first
+    share = _fit(before.plan, first) / usual
+    if share >= rule.below_fit or min(work.frame.width, work.frame.height) < 3:
+        return moves, first
+    found = again(_widened(rule, share, before.belief.mean[:4], moves.motion, work))
+    full_fit = 0.0 if score is None else score.settings.full_fit
+    if not found.reports or _fit(before.plan, found) < max(rule.below_fit * usual, full_fit):
+        return moves, first
+    context = moves.motion_context
+    if context is not None and context.influences is not None:
+        jumped = replace(context.influences, jump_share=rule.share)
+        moves = replace(moves, motion_context=replace(context, influences=jumped))
+    return moves, found
+
+
+def _fit(plan: Plan, step: Step[Posterior]) -> float:
+    """Likelihood of the best hypothesis, geometric mean over the agents that saw something."""
+    evidence = step.evidence
+    silent = {agent for agent, own in evidence.measured.items() if own is None}
+    seeing = [one.agent for one in plan.observations if one.agent not in silent]
+    return fit_of([evidence.messages[agent] for agent in seeing if agent in evidence.messages])
+
+
+def _widened(rule: Sudden, share: float, box: Floats, motion: MotionModel, work: FrameWork) -> Jumping:
+    """`motion`, or with probability `rule.share` anywhere in the square around the centre box (4,)."""
+    width, height = work.frame.width, work.frame.height
+    half_px = rule.reach_box * float(np.sqrt(box[2] * box[3]))
+    search = Search(
+        hypotheses=rule.share,
+        by="agents",
+        probes=(int(2.0 * rule.reach_box / CELL_BOX) + 1) ** 2,
+        boxes=np.empty((0, 4)),
+        scores=np.empty(0),
+        ud_px2=0.0,
+        above_px2=0.0,
+        fit=share,
+        below_fit=rule.below_fit,
+    )
+    own = motion.motion if isinstance(motion, Jumping) else motion
+    return Jumping(
+        own, rule.share, width, height, search, Within.around(box, half_px, width, height, CELL_BOX)
+    )
