@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from bayesnet_track.graph.text.excerpt import MOST_SHOWN, describe_error
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.mended import errors_behind
 from bayesnet_track.graph.text.messages import GraphError
+from bayesnet_track.observation.cue import installed_cues
 
 HEAD = """bayesnet: 1
 name: g
@@ -60,6 +63,28 @@ def test_what_a_guess_would_cause_is_not_reported(said):
     assert [line for line, _, _ in noise] == [10, 11]
     missing = said(agent.replace("parent: root, ", ""), "      b: {parent: root, agent: foreground_color}")
     assert [(line, found) for line, _, found in missing] == [(10, "key 'parent' is missing")]
+
+
+def test_what_is_no_node_is_an_error_and_no_crash(said):
+    agent = "      a: {agent: intensity}"
+    assert "key 'parent' is missing" in {found for _, _, found in said(agent, "      b: true")}
+
+
+def test_a_wrong_node_is_not_said_to_be_missing(said):
+    """Taken out, an agent leaves its parent without one, and one of two children needs no `fuse`."""
+    only = said("      a: {parent: root, agent: {}}")
+    assert only and not [found for _, _, found in only if "no agent below" in found]
+
+
+def test_cues_given_by_an_iterator_are_known_in_every_round(tmp_path):
+    path = tmp_path / "g.yaml"
+    path.write_text(
+        HEAD + "      a: {parent: root, agent: mine, x: 1}\n      b: {parent: root, agent: mine}\n"
+    )
+    own = replace(installed_cues()["intensity"], name="mine")
+    with pytest.raises(GraphError) as raised:
+        load_graph(path, cues=(one for one in [own]))
+    assert not [one for one in raised.value.errors if "unknown cue" in one.found]
 
 
 def test_a_sound_value_has_none_behind_and_is_left_as_it_is():

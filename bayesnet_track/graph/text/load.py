@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -48,6 +48,7 @@ def load_graph(
 
 def _load_file(path: Path, cues: Cues | None) -> CheckedGraph:
     document = read_document(bytes_of(path, str(path)), str(path))
+    cues = tuple(cues) if isinstance(cues, Iterator) else cues  # it is needed more than once
 
     def load(value: Any) -> CheckedGraph:
         return check(specify(replace(document, value=value)), document.at, cues)

@@ -15,6 +15,9 @@ ROUNDS = 6
 NODE = 4
 """Keys from the top to a node: targets, its type, nodes, its name."""
 
+TREE = frozenset({"parent", "agent", "factor", "fuse", "given"})
+"""Keys of a node that say where it stands in the tree, and what its parent needs."""
+
 
 def errors_behind(
     value: Any, first: Iterable[GraphMessage], find: Callable[[Any], object]
@@ -59,20 +62,26 @@ def _mend(value: Any, message: GraphMessage) -> list[Path]:
     if not path:
         return [()]
     inside, key, word = _at(value, path[:-1]), path[-1], message.nearest
+    # What makes a node a child, or a child of another one, concerns the whole tree.
+    concerned = [path[:2], ("joins",)] if TREE & {*path[NODE:]} else [node]
     if word and isinstance(inside, dict) and repr(key) in message.found and word not in inside:
         inside[word] = inside.pop(key)
-        return [] if message.found.startswith("unknown key") else [node]
+        return [] if message.found.startswith("unknown key") else concerned
     if word and isinstance(inside[key], str) and repr(inside[key]) in message.found:
         inside[key] = word
-        return [] if key in ("fuse", "parent") else [node]
+        return [] if key == "fuse" else concerned
     if len(node) == NODE and message.found.startswith("key 'parent'"):
-        roots = [name for name, one in _at(value, node[:-1]).items() if not {"agent", "parent"} & one.keys()]
+        roots = [
+            name
+            for name, one in _at(value, node[:-1]).items()
+            if isinstance(one, dict) and not {"agent", "parent"} & one.keys()
+        ]
         if len(roots) == 1:
             _at(value, node)["parent"] = roots[0]
-            return [node]
+            return [path[:2], ("joins",)]
     if len(path) > NODE and key != "parent" and "missing" not in message.found:
         del inside[key]
-        return [node]
+        return concerned
     del _at(value, node[:-1])[node[-1]]
     return [path[:2], ("joins",)]
 
