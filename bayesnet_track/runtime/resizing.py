@@ -145,7 +145,7 @@ class Resizing:
         """Values of a field of the state in the source's pixels; those of other units are as they were."""
         if self.is_none or name not in (*ACROSS, *DOWN):
             return values
-        factor = self._out[name in DOWN]
+        factor = self._out[1 if name in DOWN else 0]
         return np.asarray((values + 0.5) * factor - 0.5 if name in ("x", "y") else values * factor)
 
     def event(self, event: Event) -> Event:

@@ -166,3 +166,18 @@ def test_what_is_no_run_is_named(tmp_path, capsys):
     arguments = ["export", str(tmp_path), "--format", "arviz", "-o", str(tmp_path / "a.nc")]
     assert main(arguments) == main(["export", str(tmp_path), "--format", "csv"])
     assert capsys.readouterr().err.count("not a run directory") == 2
+
+
+def test_what_cannot_be_written_whole_leaves_the_file_as_it_was(particle_run, tmp_path, monkeypatch):
+    class Broken:
+        def to_netcdf(self, path, engine):
+            path.write_bytes(b"half")
+            raise OSError("the disk is full")
+
+    path = tmp_path / "one.nc"
+    path.write_bytes(b"old")
+    monkeypatch.setattr(arviz_file, "_xarray", lambda: None)
+    monkeypatch.setattr(arviz_file, "_tree", lambda *_: Broken())
+    with pytest.raises(OSError, match="full"):
+        write_arviz(particle_run, path)
+    assert path.read_bytes() == b"old" and list(tmp_path.iterdir()) == [path]

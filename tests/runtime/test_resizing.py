@@ -270,6 +270,14 @@ def test_frames_are_means_over_areas() -> None:
     assert seen.image.shape == (2, 3, 3) and seen.image[0, 0, 0] == 60 and seen.image[1:].max() == 0
 
 
+def test_values_of_a_field_are_converted_along_its_axis() -> None:
+    resizing, values = Resizing((200, 100), (100, 25)), np.array([0.0, 9.5])
+    places = {"x": [0.5, 19.5], "y": [1.5, 39.5]}
+    lengths = {"w": [0, 19], "vy": [0, 38], "turn": [0, 9.5]}
+    for name, expected in (places | lengths).items():
+        assert resizing.field(name, values) == pytest.approx(np.array(expected)), name
+
+
 def test_every_place_that_an_event_has_is_converted() -> None:
     """A new event with a place or a distance in the image has to be named in `Resizing.event`."""
     resizing = Resizing((200, 100), (100, 50))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.smoothing.backward import Move
+from bayesnet_track.journal.atomic import PART
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import root
 from bayesnet_track.numerics.resampling import systematic
@@ -99,7 +100,12 @@ def write_arviz(run: Run, path: Path, draws: int = 500, seed: int = 0) -> None:
     """
     xarray = _xarray()
     groups = beliefs_as_groups(run, draws, seed)
-    _tree(xarray, run, groups).to_netcdf(path, engine="h5netcdf")
+    part = path.with_name(path.name + PART)
+    try:
+        _tree(xarray, run, groups).to_netcdf(part, engine="h5netcdf")
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def beliefs_as_groups(run: Run, draws: int, seed: int) -> Groups:
