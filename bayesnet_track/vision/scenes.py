@@ -83,6 +83,8 @@ def compare_scenes(before: Scene, after: Scene) -> SceneChange:
 
     across, down = SHIFT
     middle = after.cells[down:-down, across:-across]
-    match = float(cv2.matchTemplate(before.cells, middle, cv2.TM_CCOEFF_NORMED).max())
+    # Of a uniform middle the correlation is said to be 1 wherever it is looked for.
+    is_flat = float(middle.std()) < LEAST_SD / 4
+    match = 0.0 if is_flat else float(cv2.matchTemplate(before.cells, middle, cv2.TM_CCOEFF_NORMED).max())
     shared = float(before.colors @ after.colors)
     return SceneChange(math.sqrt(max(1.0 - shared, 0.0)), min(max(1.0 - match, 0.0), 1.0))

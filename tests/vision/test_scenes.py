@@ -33,6 +33,12 @@ def test_another_scene_is_far_and_the_same_one_near(seed):
     assert distance(image, (image * 0.4).astype(np.uint8)) < 0.1
 
 
+def test_a_uniform_middle_is_no_proof_of_the_same_structure():
+    card = np.full((120, 160, 3), (150, 40, 40), np.uint8)
+    card[:20] = card[-20:] = 10
+    assert distance(blobs(2), card) > 0.3 and distance(card, blobs(2)) > 0.3
+
+
 def test_a_frame_that_shows_nothing_is_no_scene():
     assert describe_scene(np.zeros((48, 64, 3), np.uint8)) is None
     assert describe_scene(np.full((48, 64, 3), 130, np.uint8)) is None
