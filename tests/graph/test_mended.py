@@ -66,8 +66,8 @@ def test_what_a_guess_would_cause_is_not_reported(said):
 
 
 def test_what_is_no_node_is_an_error_and_no_crash(said):
-    agent = "      a: {agent: intensity}"
-    assert "key 'parent' is missing" in {found for _, _, found in said(agent, "      b: true")}
+    found = said("      a: true", "      b: {agent: intensity}")
+    assert [line for line, _, _ in found] == [10, 11] and found[1][2] == "key 'parent' is missing"
 
 
 def test_a_wrong_node_is_not_said_to_be_missing(said):
@@ -79,7 +79,7 @@ def test_a_wrong_node_is_not_said_to_be_missing(said):
 def test_cues_given_by_an_iterator_are_known_in_every_round(tmp_path):
     path = tmp_path / "g.yaml"
     path.write_text(
-        HEAD + "      a: {parent: root, agent: mine, x: 1}\n      b: {parent: root, agent: mine}\n"
+        HEAD + "      a: {parent: root, agent: {mine: {nope: 1}}}\n      b: {parent: root, agent: mine}\n"
     )
     own = replace(installed_cues()["intensity"], name="mine")
     with pytest.raises(GraphError) as raised:
