@@ -67,7 +67,7 @@ class CalibrationData:
 
     @property
     def frames(self) -> int:
-        """Frames that it tells of."""
+        """Number of frames."""
         return len(self.iou)
 
 

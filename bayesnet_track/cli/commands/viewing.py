@@ -97,7 +97,7 @@ def begin_again(
     view.controls.can_switch = recipe.inputs is None
     view.shows(recipe.load_graph(directory), out=str(directory.path), expected=expected)
     last = standing(directory.path).frame
-    if last is not None:  # else it begins anew, and tells all of it
+    if last is not None:  # else it starts again, and sends every event
         events = [one for one in read_events(directory.journal) if not isinstance(one, RunEnded)]
         view.recall(
             [one for one in events if isinstance(one, RunStarted) or one.frame <= last],
