@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesnet_track.belief.contract import BOX_FIELDS
+from bayesnet_track.belief.motion.functions import derivative
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.graph.checked import Conditional
 from bayesnet_track.graph.spec import Given
@@ -95,15 +96,11 @@ def latent_gaussian(
     shape, unshape = axes[:, kept] * np.sqrt(variance[kept]), axes[:, kept] / np.sqrt(variance[kept])
     precision, shift = _match(away @ unshape, prior_log, sampled)
     for message, power in gaussians.values():
-        columns = [BOX_FIELDS.index(name) for name in message.fields if name in BOX_FIELDS]
-        places = [k for k, name in enumerate(message.fields) if name in BOX_FIELDS]
-        if not columns:
-            continue
-        covariance = message.covariance[np.ix_(places, places)] / power
         looks, at = (shape, centre) if matrix is None else (matrix @ shape, matrix @ centre)
-        seen = np.linalg.solve(covariance, looks[columns])
-        precision = precision + looks[columns].T @ seen
-        shift = shift + seen.T @ (message.mean[places] - at[columns])
+        slopes, away, covariance = _linear(message, at)
+        seen = np.linalg.solve(covariance / power, slopes @ looks)
+        precision = precision + (slopes @ looks).T @ seen
+        shift = shift + seen.T @ away
     floor = 0.0
     if sampled is None:  # what remains far from all of them
         floor = float(np.prod([message.floor**power for message, power in gaussians.values()]))
@@ -111,6 +108,28 @@ def latent_gaussian(
     if isinstance(given, Conditional):
         return _by_slopes(given, above.boxes, beta, directions, (precision, shift), floor)
     return _in_fields(given, beta @ above.boxes, directions, precision, shift, floor)
+
+
+def _linear(message: Measurement, box: Floats) -> tuple[Floats, Floats, Floats]:
+    """A measurement of a box near `box` (4,): slopes (K, 4), innovation (K,) there, covariance (K, K).
+
+    Of functions of the state by their derivatives; what has no value there, and what is no field of a box,
+    is left out.
+    """
+    if message.seen is None:
+        kept = [k for k, name in enumerate(message.fields) if name in BOX_FIELDS]
+        slopes = np.eye(4)[[BOX_FIELDS.index(message.fields[k]) for k in kept]].reshape(len(kept), 4)
+        return slopes, message.mean[kept] - slopes @ box, message.covariance[np.ix_(kept, kept)]
+    seen = message.seen
+
+    def of(boxes: Floats) -> Floats:
+        return seen.function(dict(zip(BOX_FIELDS, boxes.T, strict=True)))
+
+    expected = of(box[None])[0]
+    slopes = derivative(lambda boxes: expected + seen.less(of(boxes), expected), box)
+    known = np.flatnonzero(np.isfinite(expected) & np.isfinite(slopes).all(axis=1))
+    innovation = seen.less(message.mean, expected)
+    return slopes[known], innovation[known], message.covariance[np.ix_(known, known)]
 
 
 @dataclass(frozen=True, eq=False)

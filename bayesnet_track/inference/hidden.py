@@ -15,6 +15,7 @@ from bayesnet_track.inference.gaussian_messages import measurement_message
 from bayesnet_track.inference.messages import join_messages
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import Hypotheses, Measurement
+from bayesnet_track.observation.protocols import BOX
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,9 @@ class Sight:
     width: int
     height: int
 
-    def background(self, unseen: Hidden, measured: Measurement | None, temperature: float) -> float:
+    def background(
+        self, unseen: Hidden, measured: Measurement | None, temperature: float, hypotheses: Hypotheses
+    ) -> float:
         """Log-likelihood that an agent gives a hidden target, on the scale of its own messages.
 
         Of one that measured it is the density of a measurement anywhere in the frame, times sqrt|2 pi R|, as
@@ -39,9 +42,27 @@ class Sight:
         """
         if measured is None:
             return float(np.log(unseen.likelihood)) / temperature
-        extents = [self.height if name in ("y", "h") else self.width for name in measured.fields]
         scale = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * measured.covariance)[1])
-        return float(np.log(unseen.mistaken)) + scale - float(np.log(extents).sum())
+        return float(np.log(unseen.mistaken) + scale - np.log(self._extents(measured, hypotheses)).sum())
+
+    def _extents(self, measured: Measurement, hypotheses: Hypotheses) -> Floats:
+        """(K,) how far apart two measurements of a quantity may lie, in its unit.
+
+        Of a field of the state the frame's width or height. Of an angle the circle; of other functions of the
+        state what they span for the hypotheses, and for their mean in the frame's corners, centre and sides.
+        """
+        if measured.seen is None:
+            return np.array(
+                [self.height if name in ("y", "h") else self.width for name in measured.fields], float
+            )
+        states = {**dict(zip(BOX, hypotheses.boxes.T, strict=True)), **hypotheses.fields}
+        across, down = np.meshgrid([0.0, self.width / 2, self.width], [0.0, self.height / 2, self.height])
+        places = {name: np.full(across.size, values.mean()) for name, values in states.items()}
+        places |= {"x": across.ravel(), "y": down.ravel()}
+        seen = np.concatenate([measured.seen.function(one) for one in (states, places)])
+        seen = np.where(np.isfinite(seen), seen, measured.mean)
+        spans = np.where(measured.seen.circular, 2.0 * np.pi, np.ptp(seen, axis=0))
+        return np.asarray(np.maximum(spans, np.sqrt(2.0 * np.pi * np.diag(measured.covariance))))
 
     def message(
         self, seen: Evidence, step: Observe, hypotheses: Hypotheses, modes: NDArray[np.intp]
@@ -52,7 +73,10 @@ class Sight:
             return message
         unseen = self.modes.unseen
         levels = np.array(
-            [0.0 if one is None else self.background(one, measured, step.temperature) for one in unseen]
+            [
+                0.0 if one is None else self.background(one, measured, step.temperature, hypotheses)
+                for one in unseen
+            ]
         )
         if measured is not None:
             missed = self.modes.missed * np.exp(levels[list(self.modes.hidden)].max())

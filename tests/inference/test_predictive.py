@@ -12,6 +12,7 @@ from bayesnet_track.inference.gaussian_messages import measurement_message
 from bayesnet_track.inference.predictive import p_values
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.cue import Measurement
+from bayesnet_track.observation.protocols import Seen
 
 GRAPH = """\
 bayesnet: 1
@@ -32,7 +33,29 @@ BOX = np.array([500.0, 400.0, 30.0, 30.0])
 ERROR = np.array([[9.0, 2.0], [2.0, 4.0]])
 
 
-def p_values_of(belief, frames, scale=1.0, modes=""):
+RADAR = BOX[:2] + [-60.0, 25.0]
+POLAR_ERROR = np.diag([3.0, 0.05]) ** 2
+
+
+def polar(states):
+    away = np.stack([states["x"] - RADAR[0], states["y"] - RADAR[1]])
+    return np.stack([np.hypot(*away), np.arctan2(away[1], away[0])], axis=1)
+
+
+def read(state, scale, rng):
+    """Range and bearing, from a place left of the target."""
+    z = polar({"x": state[:1, 0], "y": state[:1, 1]})[0]
+    z = z + scale * rng.multivariate_normal(np.zeros(2), POLAR_ERROR)
+    return Measurement(("range", "bearing"), z, POLAR_ERROR, seen=Seen(polar, np.array([False, True])))
+
+
+def find(state, scale, rng):
+    """The place itself."""
+    at = state[0, :2] + scale * rng.multivariate_normal(np.zeros(2), ERROR)
+    return Measurement(("x", "y"), at, ERROR)
+
+
+def p_values_of(belief, frames, scale=1.0, modes="", measure=find):
     text = GRAPH.replace("BELIEF", belief).replace("MODES", modes)
     plate = check(*read_graph(text, "g.yaml")).targets["ball"]
     root, streams, rng = plate.inference("ball"), Streams(0), np.random.default_rng(5)
@@ -41,8 +64,7 @@ def p_values_of(belief, frames, scale=1.0, modes=""):
     state, found = motion.start(BOX, 1, rng), []
     for frame in range(1, frames + 1):
         state = motion.propagate(state, 1.0, rng)
-        at = state[0, :2] + scale * rng.multivariate_normal(np.zeros(2), ERROR)
-        one = Measurement(("x", "y"), at, ERROR)
+        one = measure(state, scale, rng)
 
         def evaluate(hypotheses, beta, one=one):
             message = measurement_message(one, hypotheses)
@@ -71,9 +93,18 @@ def test_they_are_uniform_under_the_model(belief, modes):
     assert stats.kstest(p_values_of(belief, 100, modes=modes), "uniform").pvalue > 1e-3
 
 
+@pytest.mark.parametrize("modes", ["", MODES])
+@pytest.mark.parametrize(
+    "belief", ["{gaussian: {filter: unscented, gate: 0.999999}}", "{particles: {size: 800}}"]
+)
+def test_those_of_functions_of_the_state_are_uniform_too(belief, modes):
+    assert stats.kstest(p_values_of(belief, 100, modes=modes, measure=read), "uniform").pvalue > 1e-3
+
+
+@pytest.mark.parametrize("measure", [find, read])
 @pytest.mark.parametrize("scale", [0.3, 3.0])
-def test_errors_of_another_size_show(scale):
-    found = p_values_of("{gaussian: {filter: kalman, gate: 0.999999}}", 100, scale)
+def test_errors_of_another_size_show(scale, measure):
+    found = p_values_of("{gaussian: {filter: extended, gate: 0.999999}}", 100, scale, measure=measure)
     assert stats.kstest(found, "uniform").pvalue < 1e-3
     assert bool(np.median(found) > 0.5) is (scale < 1)
 

@@ -8,6 +8,7 @@ from scipy.linalg import cholesky
 
 from bayesnet_track.belief.gaussian.measured import log_message
 from bayesnet_track.belief.gaussian.update import take, update_seen
+from bayesnet_track.belief.modes import mode_probabilities
 from bayesnet_track.engine.compiled import make_engine
 from bayesnet_track.graph.checked import MeasuredAs
 from bayesnet_track.graph.expressions.parse import parse
@@ -20,6 +21,7 @@ MEAN = np.array([70.0, 45.0, 20.0, 20.0, 2.0, -1.0])
 AT = np.array([20.0, 90.0])
 """Where the radar stands."""
 NOISE = np.diag([3.0, 0.05]) ** 2
+MEASURES = {"range": "hypot(x - 20, y - 90)", "bearing": "atan2(y - 90, x - 20)"}
 FUNCTIONS = MeasuredAs(
     {"range": parse("hypot(x - at_x, y - 90)"), "bearing": parse("atan2(y - 90, x - at_x)")}, {"at_x": 20.0}
 )
@@ -111,13 +113,27 @@ def test_a_quantity_without_a_value_is_not_used(fakes):
     assert measurement_message(one, hypotheses)[0] < -1e100
 
 
-def radar(fakes, measuring, z, root, agent):
-    """The engine of a net with one agent, which measures range and bearing."""
+def radar(fakes, measuring, z, root, above=None):
+    """The engine of a net with one agent, which measures range and bearing; of a latent node `above` it."""
     cue = measuring.Measurer(
         lambda hypotheses, weights: Measurement(("range", "bearing"), np.array(z), NOISE)
     )
     declarations = {"a": fakes.declare(cue)}
-    return make_engine(fakes.graph({"s": root, "a": agent}, declarations), 0, declarations)
+    agent = {"parent": "n" if above else "s", "agent": "a", "measures": MEASURES}
+    nodes = {"s": root, **({"n": {"parent": "s", **above}} if above else {}), "a": agent}
+    return make_engine(fakes.graph(nodes, declarations), 0, declarations)
+
+
+def places(sd):
+    """Places (N, 2) 0.5 px apart around (50, 40), and the weight (N,) of each: N((50, 40), sd^2)."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-20, 120, 0.5), np.arange(-20, 88, 0.5)))
+    weights = np.exp(-0.5 * ((x - 50) ** 2 + (y - 40) ** 2) / sd**2)
+    return np.column_stack([x, y]), weights / weights.sum()
+
+
+def read(at, z):
+    """(N,) exp(-d^2 / 2) of a reading."""
+    return np.exp(-0.5 * (((polar(at) - z) / [3.0, 0.05]) ** 2).sum(axis=1))
 
 
 @pytest.mark.parametrize(
@@ -133,15 +149,61 @@ def radar(fakes, measuring, z, root, agent):
 def test_every_belief_has_the_posterior_by_enumeration(fakes, measuring, belief, error):
     """Prediction N((50, 40), 8^2) times the density of the reading, summed over places 0.5 px apart."""
     z = [62.0, -1.15]
-    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 100, 0.5), np.arange(0, 90, 0.5)))
-    away = (polar(np.column_stack([x, y])) - z) / [3.0, 0.05]
-    weights = np.exp(-0.5 * (((x - 50) ** 2 + (y - 40) ** 2) / 64 + (away**2).sum(axis=1)))
-    exact = np.array([x, y]) @ weights / weights.sum()
-    agent = {
-        "parent": "s",
-        "agent": "a",
-        "measures": {"range": "hypot(x - 20, y - 90)", "bearing": "atan2(y - 90, x - 20)"},
-    }
-    engine = radar(fakes, measuring, z, {"belief": belief}, agent)
+    at, weights = places(8.0)
+    weights = weights * read(at, z)
+    engine = radar(fakes, measuring, z, {"belief": belief})
+    found = fakes.play(engine, 1)[-1].state.targets["1"].belief.mean[:2]
+    np.testing.assert_allclose(found, at.T @ weights / weights.sum(), atol=error)
+
+
+@pytest.mark.parametrize(
+    ("form", "belief", "error"),
+    [
+        ({}, {"particles": {"size": 4000}}, 0.4),
+        ({"draw": "one"}, {"particles": {"size": 4000}}, 0.8),
+        ({"draw": "kernel"}, {"particles": {"size": 1000}}, 0.8),
+        ({"belief": "gaussian"}, {"particles": {"size": 4000}}, 0.8),
+        ({"belief": "gaussian"}, {"gaussian": {"filter": "kalman"}}, 0.8),
+        ({"given": "expressions"}, {"particles": {"size": 4000}}, 0.8),
+        ({"given": "expressions", "belief": "gaussian"}, {"gaussian": {"filter": "kalman"}}, 0.8),
+    ],
+    ids=str,
+)
+def test_of_a_node_below_the_root_it_is_read_as_well(fakes, measuring, form, belief, error):
+    """The node's own place is N(root's, 5^2); of the root's E[h | z] = E[E[h | c] | z], c summed over."""
+    z = [62.0, -1.15]
+    at, weights = places(np.sqrt(89.0))
+    weights = weights * read(at, z)
+    middle = np.array([50.0, 40.0])
+    exact = middle + 64 / 89 * (at.T @ weights / weights.sum() - middle)
+    given = {"sd_px": {"x": 5.0, "y": 5.0}}
+    if form.get("given"):
+        given = {"x": "normal(parent.x, 5)", "y": "normal(parent.y, 5)"}
+    latent = {"given": given, **{key: form[key] for key in ("draw",) if key in form}}
+    above = {"fuse": {"latent": latent}, **{key: form[key] for key in ("belief",) if key in form}}
+    engine = radar(fakes, measuring, z, {"belief": belief}, above)
     found = fakes.play(engine, 1)[-1].state.targets["1"].belief.mean[:2]
     np.testing.assert_allclose(found, exact, atol=error)
+
+
+@pytest.mark.parametrize("z", [[62.0, -1.15], [86.0, -0.6], [62.0, np.pi - 0.3]], ids=str)
+@pytest.mark.parametrize(
+    "belief",
+    [{"particles": {"size": 8000}}, {"gaussian": {"filter": "unscented"}}],
+    ids=["particles", "unscented"],
+)
+def test_a_reading_weighs_seen_against_hidden(fakes, measuring, belief, z):
+    """P(hidden) by enumeration: a reading of what is hidden has any range in the frame, and any bearing."""
+    modes = {
+        "seen": {"next": {"seen": 0.6, "behind": 0.4}},
+        "behind": {"next": {"seen": 0.5, "behind": 0.5}, "hidden": {"mistaken": 0.5, "missed": 0.2}},
+    }
+    at, weights = places(8.0)
+    corners = np.array([[column, row] for column in (0, 60, 120) for row in (0, 50, 100)])
+    density = 0.5 / (np.ptp(polar(corners)[:, 0]) * 2 * np.pi)
+    near = float(weights @ read(at, z)) / (2 * np.pi * 3.0 * 0.05)
+    seen, hidden = 0.6 * (0.8 * near + 0.2 * density), 0.4 * density
+    engine = radar(fakes, measuring, z, {"belief": {**belief}, "modes": modes})
+    belief_after = fakes.play(engine, 1)[-1].state.targets["1"].belief
+    found = mode_probabilities(belief_after, 2)[1]
+    assert found == pytest.approx(hidden / (seen + hidden), abs=0.03)

@@ -13,6 +13,7 @@ from bayesnet_track.graph.checks.factors import latent_above, names_at
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.graph.expressions.terms import ExpressionError, names_in
+from bayesnet_track.graph.expressions.vocabulary import PARENT
 from bayesnet_track.graph.spec import AgentNode
 from bayesnet_track.graph.text.messages import GraphMessage, nearest
 
@@ -22,7 +23,7 @@ def measures_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
     for name, node in plate.agents.items():
         for quantity, text in node.measures.items():
             try:
-                parse(text, names_at(plate, node.parent))
+                parse(text, _names(plate, node))
             except ExpressionError as error:
                 key = ("measures", quantity)
                 message = plate.message(name, error.found, error.allowed, key=key)
@@ -48,7 +49,7 @@ def measures_are_measured(plate: Plate) -> Iterator[GraphMessage]:
             given = declaration.gives(cue_parameters(node.agent, declaration))
         except ValidationError:
             continue  # said where parameters are checked
-        state = names_at(plate, node.parent)
+        state = _names(plate, node)
         for quantity in given:
             if quantity not in node.measures and quantity not in state:
                 found = f"{quantity!r} is measured, and nothing says what it would be of a state"
@@ -62,22 +63,19 @@ def measures_are_measured(plate: Plate) -> Iterator[GraphMessage]:
 
 
 def measures_fit_the_belief(plate: Plate) -> Iterator[GraphMessage]:
-    """They stand at the root's state, and are not linear."""
+    """They are not linear, as the root's filter may have to have them."""
+    belief = plate.inference[plate.roots[0]].belief
+    if belief is None or belief.gaussian is None or belief.gaussian.filter != "kalman":
+        return
     for name, node in plate.agents.items():
-        if not node.measures:
-            continue
-        root = plate.inference[plate.roots[0]]
-        gaussian = None if root.belief is None else root.belief.gaussian
-        found = allowed = ""
-        if latent_above(plate, node.parent) is not None:
-            found, allowed = "measures below a node with a state of its own", "below the root's state"
-        elif gaussian is not None and gaussian.filter == "kalman":
+        if node.measures and latent_above(plate, node.parent) is None:
             found = "measures beside filter: kalman, which is of linear measurements"
-            allowed = "filter: extended or unscented"
-        elif any(mode.hidden is not None for mode in (root.modes or {}).values()):
-            found, allowed = "measures beside a hidden mode", "modes without hidden, or no measures"
-        if found:
-            yield plate.message(name, found, allowed, key=("measures",), on_key=True)
+            yield plate.message(name, found, "filter: extended or unscented", key=("measures",), on_key=True)
+
+
+def _names(plate: Plate, node: AgentNode) -> tuple[str, ...]:
+    """The names of the agent's expressions: of the state whose hypotheses it is asked about."""
+    return tuple(name for name in names_at(plate, node.parent) if not name.startswith(PARENT))
 
 
 def read_measures(plate: Plate) -> dict[str, MeasuredAs]:
