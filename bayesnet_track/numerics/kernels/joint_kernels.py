@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.numerics.kernels.copy_kernels import copy_row, copy_rows
 
 Indices = NDArray[np.intp]
 Hypotheses = tuple[Floats, Floats, Floats]
@@ -144,7 +145,7 @@ def pick_in_strata_of_each(orders: Indices, bounds: Floats, shifts: Floats) -> I
     """(K, R) `pick_in_strata` of each of K: orders and bounds (K, M), shifts (K, R)."""
     chosen = np.empty(shifts.shape, np.intp)
     for k in range(shifts.shape[0]):
-        chosen[k] = pick_in_strata(orders[k], bounds[k], shifts[k])
+        copy_row(pick_in_strata(orders[k], bounds[k], shifts[k]), chosen[k])
     return chosen
 
 
@@ -172,7 +173,7 @@ def pair_sums_of_each(
     found = np.empty((partners.shape[0], 4, partners.shape[2]))
     for k in range(found.shape[0]):
         own, other = hidden[k], other_hidden[k]
-        found[k] = pair_sums(
+        sums = pair_sums(
             hearers[0][k],
             hearers[1][k],
             hearers[2][k],
@@ -188,4 +189,5 @@ def pair_sums_of_each(
             edges[k, 0],
             edges[k, 1],
         )
+        copy_rows(sums, found[k])
     return found

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.numerics.kernels.copy_kernels import copy_row
 
 Ancestors = NDArray[np.int64]
 
@@ -82,5 +83,5 @@ def look_up_even_of_each(weights: Floats, shifts: Floats, count: int) -> Ancesto
     """(T, count) `look_up_even` of the weights (T, N) of each of T targets with its own shift."""
     found = np.empty((weights.shape[0], count), np.int64)
     for t in range(weights.shape[0]):
-        found[t] = look_up_even(weights[t], shifts[t], count)
+        copy_row(look_up_even(weights[t], shifts[t], count), found[t])
     return found

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.numerics.arrays import Ints, Singles
 from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.numerics.kernels.copy_kernels import copy_row
 
 Steps = NDArray[np.int8]
 
@@ -31,7 +32,7 @@ def best_path(costs: Singles, penalty: float, back: Steps, path: Ints) -> float:
     """
     length, count = costs.shape
     total, following = np.full(count + 2, np.inf, np.float32), np.full(count + 2, np.inf, np.float32)
-    total[1:-1] = costs[0]
+    copy_row(costs[0], total[1:-1])
     weight = np.float32(penalty)
     for i in range(1, length):
         row, step = costs[i], back[i]

@@ -6,6 +6,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Bools, Floats
 from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.numerics.kernels.copy_kernels import copy_row
 
 
 @compiled
@@ -44,5 +45,5 @@ def consensus(source: Floats, target: Floats, tolerance: float, apart: float, mo
                     squares += error
             if count > best or (count == best and squares < least):
                 best, least = count, squares
-                chosen[:] = trial
+                copy_row(trial, chosen)
     return chosen

@@ -13,6 +13,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.compiled import compiled
+from bayesnet_track.numerics.kernels.copy_kernels import copy_rows
 
 POINTS = 64
 """Points of a snake."""
@@ -170,7 +171,7 @@ def run_snakes(
                     points[0, m] = min(max(moved[0, m], x - 0.5 * BOUND * w), x + 0.5 * BOUND * w)
                     points[1, m] = min(max(moved[1, m], y - 0.5 * BOUND * h), y + 0.5 * BOUND * h)
             _even(points, moved)
-            points[:] = moved
+            copy_rows(moved, points)
         near, limit = 0, max(tolerance * side, 1.5)
         for m in range(count):
             snakes[c, m, 0], snakes[c, m, 1] = points[0, m], points[1, m]

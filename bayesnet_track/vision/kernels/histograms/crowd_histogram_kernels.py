@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.compiled import compiled
 from bayesnet_track.numerics.kernels.box_kernels import find_distinct, pixels_of_boxes
+from bayesnet_track.numerics.kernels.copy_kernels import copy_row, copy_rows
 from bayesnet_track.vision.kernels.histograms.histogram_kernels import (
     INTEGRAL_SHARE,
     cumulative_differences,
@@ -49,7 +50,7 @@ def distinct_of_each(boxes: Floats, starts: Ints, regions: Ints) -> tuple[Ints, 
         for k in range(kind.shape[0]):
             places[starts[t] + k] = kept + kind[k]
         for k in range(first.shape[0]):
-            corners[kept + k] = own[first[k]]
+            copy_row(own[first[k]], corners[kept + k])
             visible[kept + k], nominal[kept + k] = seen[first[k]], whole[first[k]]
         kept += first.shape[0]
         firsts[t + 1] = kept
@@ -92,12 +93,12 @@ def count_of_each(
                     at = begin + y * columns
                     for x in range(own[n, 0], own[n, 2]):
                         row[binned[at + x]] += 1
-                counts[firsts[t] + n] = row[:bins]
+                copy_row(row, counts[firsts[t] + n])
         else:
             crop = np.empty((y1 - y0, x1 - x0), np.uint8)
             for y in range(y1 - y0):
                 at = begin + (y0 + y) * columns + x0
-                crop[y] = binned[at : at + x1 - x0]
+                copy_row(binned[at:], crop[y])
             integral = np.empty((y1 - y0 + 1, x1 - x0 + 1, bins), np.uint16)
             integrate(crop, one_hot, integral)
             moved = np.empty(own.shape, np.int64)
@@ -114,7 +115,9 @@ def _differences(counts: Counts, firsts: Ints, cumulative: Floats) -> tuple[Floa
     found, totals = np.empty(counts.shape), np.empty(counts.shape[0])
     for t in range(cumulative.shape[0]):
         first, last = firsts[t], firsts[t + 1]
-        found[first:last], totals[first:last] = cumulative_differences(counts[first:last], cumulative[t])
+        own, pixels = cumulative_differences(counts[first:last], cumulative[t])
+        copy_rows(own, found[first:last])
+        copy_row(pixels, totals[first:last])
     return found, totals
 
 
@@ -127,7 +130,7 @@ def _prices(
     for t in range(shares.shape[0]):
         first, last = firsts[t], firsts[t + 1]
         hue, gray, achromatic = shares[t, 0], shares[t, 1], shares[t, 2]
-        distances[first:last], outside[first:last] = price(
+        own, out = price(
             circular[first:last],
             colored[first:last],
             visible[first:last],
@@ -136,6 +139,8 @@ def _prices(
             gray,
             achromatic,
         )
+        copy_row(own, distances[first:last])
+        copy_row(out, outside[first:last])
     return distances, outside
 
 
