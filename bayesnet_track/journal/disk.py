@@ -17,6 +17,20 @@ CANNOT = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)
 """What devices answer to a sync and, for a folder, some file systems (of a network, of a container)."""
 
 
+def is_there(path: Path) -> bool:
+    """Whether something has that name.
+
+    Raises:
+        OSError: nothing can have it, for example because it is too long. `Path.exists` raises this only
+            before Python 3.14.
+    """
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    return True
+
+
 def open_raw(path: Path, mode: str) -> FileIO:
     """Open `path` without a buffer: ``wb`` or ``w+b`` for a new file, ``r+b`` to continue one."""
     return FileIO(str(path), mode)

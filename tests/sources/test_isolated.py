@@ -143,7 +143,7 @@ def test_time_on_the_processor_is_limited_where_nobody_waits():
 
 
 def test_nothing_can_be_written(tmp_path):
-    with hostile(f"open({str(tmp_path / 'new')!r}, 'w').write('x' * 100000)") as source:
+    with hostile(f"open({str(tmp_path / 'new')!r}, 'wb', 0).write(b'x' * 100000)") as source:
         assert "File too large" in list(source)[-1].reason
 
 

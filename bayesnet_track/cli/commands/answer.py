@@ -42,10 +42,11 @@ def writing(path: Path) -> Iterator[None]:
 
 def check_free(path: Path, overwrite: bool) -> None:
     """Refuse to write over another file unless that is asked for; raises OutputError."""
+    from bayesnet_track.journal.disk import is_there
     from bayesnet_track.journal.writer import OutputError
 
     with writing(path):
-        if path.exists() and not overwrite:
+        if is_there(path) and not overwrite:
             raise OutputError(f"{path}: it is there already; --overwrite replaces it")
 
 

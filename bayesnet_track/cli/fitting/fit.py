@@ -15,6 +15,7 @@ from bayesnet_track.cli.fitting.tracking import check_text, fit_policy, fit_sds
 from bayesnet_track.cli.fitting.videos import Video, find_videos, frames_of
 from bayesnet_track.cli.options.arguments import whole_number
 from bayesnet_track.cli.options.plugins import add_plugins
+from bayesnet_track.journal.disk import is_there
 from bayesnet_track.journal.text.wording import plural
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def fit(options: argparse.Namespace) -> int:
     out = None if options.out is None else Path(options.out)
     if out is not None:
         with writing(out):
-            if out.exists() and not options.overwrite:
+            if is_there(out) and not options.overwrite:
                 raise UsageError(f"{out} exists; --overwrite replaces it")
     if options.leave_one_out and not set(what).isdisjoint(BEFORE):
         raise UsageError(

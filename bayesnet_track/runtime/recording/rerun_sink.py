@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.journal.codec import event_name
+from bayesnet_track.journal.disk import is_there
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.runs import RunEnded
 from bayesnet_track.journal.metrics import FrameMetrics
@@ -39,10 +40,10 @@ def rerun_sinks(file: str | None, name: str, overwrite: bool = False) -> Iterato
         yield []
         return
     try:
-        is_there = bool(file) and Path(file).exists()
+        taken = bool(file) and is_there(Path(file))
     except OSError as error:  # a name that is too long
         raise RerunError(f"--rerun: cannot open {file}: {error.strerror}") from error
-    if is_there and not overwrite:
+    if taken and not overwrite:
         raise RerunError(f"{file}: it is there already; --overwrite replaces it")
     sink = RerunSink(Path(file) if file else None, name)
     try:

@@ -110,8 +110,9 @@ class RunDirectory:
                     f"{run.path}: a new run is replacing the one that was here; if it was broken off, "
                     f"`bayesnet-track resume {run.path}` goes on with it"
                 )
+            is_there = disk.is_there(run.path)
             if not run.journal.is_file():
-                what = "no such folder" if not run.path.exists() else f"no {FILES['journal']} in it"
+                what = f"no {FILES['journal']} in it" if is_there else "no such folder"
                 raise RunDirectoryError(f"{run.path}: not a run directory: {what}")
         except OSError as error:  # a name that is too long
             if isinstance(error, RunDirectoryError):
