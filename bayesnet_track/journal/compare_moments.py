@@ -48,13 +48,14 @@ def find_moments(
 ) -> tuple[int, tuple[Moment, ...]]:
     """How many decisions both runs took in the same frame, and the moments in which they part."""
     agreed, moments = 0, []
+    named = max(len(_types(one)) for one in (first, second)) > 1
     mine = _by_place(first, {a: (a, b) for a, b in pairs}, lambda target: (target, ""))
     theirs = _by_place(second, {b: (a, b) for a, b in pairs}, lambda target: ("", target))
     for place in dict.fromkeys([*mine, *theirs]):
         a, b = mine.get(place, []), theirs.get(place, [])
-        same, rest_a, rest_b = _match(a, b, 0)
+        same, rest_a, rest_b = _match(a, b, 0, named)
         agreed += len(same)
-        shifted, rest_a, rest_b = _match(rest_a, rest_b, SHIFT)
+        shifted, rest_a, rest_b = _match(rest_a, rest_b, SHIFT, named)
         moments += [Moment(min(x.frame, y.frame), *place, (x,), (y,)) for x, y in shifted]
         for frame in sorted({event.frame for event in (*rest_a, *rest_b)}):
             only_a = tuple(event for event in rest_a if event.frame == frame)
@@ -78,14 +79,14 @@ def _by_place(
 
 
 def _match(
-    a: Sequence[Decision], b: Sequence[Decision], within: int
+    a: Sequence[Decision], b: Sequence[Decision], within: int, named: bool
 ) -> tuple[list[tuple[Decision, Decision]], list[Decision], list[Decision]]:
     """Decisions of the same effect at most `within` frames apart, the nearest first; and what is left."""
     near = [
         (abs(x.frame - y.frame), i, j)
         for i, x in enumerate(a)
         for j, y in enumerate(b)
-        if abs(x.frame - y.frame) <= within and _effect(x) == _effect(y)
+        if abs(x.frame - y.frame) <= within and _effect(x, named) == _effect(y, named)
     ]
     used: dict[int, int] = {}
     taken: set[int] = set()
@@ -100,10 +101,17 @@ def _match(
     )
 
 
-def _effect(event: Decision) -> tuple[object, ...]:
-    """What a decision changes, whatever its numbers."""
+def _types(decisions: Iterable[Decision]) -> set[str]:
+    return {event.template for event in decisions if isinstance(event, TargetStarted | Returned)}
+
+
+def _effect(event: Decision, named: bool) -> tuple[object, ...]:
+    """What a decision changes, whatever its numbers.
+
+    The name of a type (`named`) tells targets apart only where a run has several types.
+    """
     if isinstance(event, StatusChanged):
         return type(event), event.status
     if isinstance(event, TargetStarted | Returned):
-        return type(event), event.template
+        return type(event), event.template if named else None
     return type(event), getattr(event, "on", None)

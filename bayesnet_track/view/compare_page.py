@@ -7,12 +7,15 @@ import hashlib
 from collections.abc import Sequence
 
 from bayesnet_track.journal.compare import Comparison, RunRecord, Total
+from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.text.compare_text import (
     change,
+    cut_short,
     estimate_lines,
     figure,
     parting_lines,
     place,
+    shortened,
     sides,
     whose_text,
 )
@@ -23,35 +26,48 @@ from bayesnet_track.view.svg import element, text_of
 OPEN_CHARTS = 3
 
 STYLE = """
-:root { color-scheme: light dark; --paper: #fff; --ink: #1f2933; --soft: #5f6b78; --grid: #e4e7eb;
-  --ground: #f2f4f7; --a: #2457a7; --b: #b4541a; --apart: #8a5fbf; --mark: #c43d2f; --card: #f7f8fa; }
-@media (prefers-color-scheme: dark) { :root { --paper: #14181d; --ink: #e6eaef; --soft: #9aa6b2;
-  --grid: #2c343d; --ground: #1d232a; --a: #7aa7f0; --b: #f0a060; --apart: #b79ae6; --mark: #ff8f80;
-  --card: #1b2027; } }
+:root { color-scheme: light dark; --paper: #fff; --ink: #17202b; --soft: #66727f; --grid: #e2e6eb;
+  --page: #f4f5f7; --ground: #f1f3f6; --a: #1f4e9c; --b: #c2410c; --apart: #7c4fb0; --mark: #c0304a;
+  --card: #eef3fb; --doubt: #7a5500; --dash: #e0a100; --focus: #1d5fd1; }
+@media screen and (prefers-color-scheme: dark) { :root { --paper: #171c22; --ink: #e8edf2; --soft: #8f9ba8;
+  --grid: #2a323b; --page: #0e1216; --ground: #1e252c; --a: #7fb2ff; --b: #ff9457; --apart: #b695e6;
+  --mark: #e8607a; --card: #1d2937; --doubt: #f1c65c; --dash: #e3ab2a; --focus: #79aefc; } }
 * { box-sizing: border-box; }
-body { margin: 0 auto; padding: 1.2rem 1rem 3rem; max-width: 66rem;
-  background: var(--paper); color: var(--ink);
-  font: 16px/1.5 system-ui, -apple-system, "Segoe UI", "DejaVu Sans", sans-serif;
-  overflow-wrap: anywhere; }
-h1 { font-size: 1.5rem; margin: 0 0 .6rem; line-height: 1.25; }
-h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; }
+body { margin: 0 auto; padding: 20px 24px 32px; max-width: 1480px; background: var(--page); color: var(--ink);
+  font: 14px/1.45 system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", "DejaVu Sans", sans-serif;
+  font-variant-numeric: tabular-nums; overflow-wrap: anywhere; }
+h1 { font-size: 26px; margin: 0; line-height: 1.15; letter-spacing: -.015em; font-weight: 680; }
+h2 { font-size: 13px; margin: 0 0 8px; font-weight: 650; }
+header { margin-bottom: 16px; } header p { margin: 3px 0 8px; }
+section { background: var(--paper); border: 1px solid var(--grid); border-radius: 10px; padding: 14px 16px;
+  margin-bottom: 16px; min-width: 0; }
+.columns { display: grid; grid-template-columns: 3fr 2fr; gap: 0 16px; align-items: start; }
+@media (max-width: 60rem) { .columns { grid-template-columns: minmax(0, 1fr); } }
+@media (max-width: 34rem) { body { padding: 14px 10px 24px; } section { padding: 12px 10px; } }
 a { color: inherit; } .a { color: var(--a); } .b { color: var(--b); }
+:focus-visible { outline: 2.5px solid var(--focus); outline-offset: 2px; border-radius: 4px; }
 .soft { color: var(--soft); } b.side { font-weight: 700; margin-right: .5em; }
 dl { display: grid; grid-template-columns: auto 1fr; gap: .1rem .7rem; margin: 0; } dt { font-weight: 700; }
 dd { margin: 0; }
-.first { border-left: 4px solid var(--mark); background: var(--card); padding: .6rem .9rem; margin: .6rem 0; }
+.partial { font-size: 12.5px; font-weight: 620; color: var(--doubt); border: 1.5px dashed var(--dash);
+  border-radius: 99px; padding: 1px 9px; margin-left: .4em; display: inline-block; }
+.first { border-left: 4px solid var(--mark); background: var(--card); padding: 8px 12px;
+  margin-bottom: 12px; }
 .first p, .moment p { margin: .15rem 0; }
-.moment { border-top: 1px solid var(--grid); padding: .5rem 0; } .moment h3 { font-size: 1rem; margin: 0; }
+.moment { border-top: 1px solid var(--grid); padding: .5rem 0; }
+.moment h3 { font-size: 14px; font-weight: 650; margin: 0; }
+.moment h3 a { text-decoration-color: var(--soft); text-underline-offset: .2em; }
 .moment:target { background: var(--card); outline: 2px solid var(--mark); outline-offset: 4px; }
 .wide { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 th, td { text-align: right; padding: .2rem .7rem; border-bottom: 1px solid var(--grid); white-space: nowrap; }
 th:first-child { text-align: left; font-weight: 400; white-space: normal; overflow-wrap: normal; }
 thead th, .better { font-weight: 700; }
-@media (max-width: 34rem) { table { font-size: .85rem; } th, td { padding: .2rem .25rem; } }
+@media (max-width: 34rem) { th, td { padding: .2rem .25rem; } }
 ul { margin: .3rem 0; padding-left: 1.2rem; }
-summary { cursor: pointer; margin: .8rem 0 .3rem; font-weight: 600; }
-.chart { display: block; width: 100%; min-width: 44rem; height: auto; }
-.chart text { font: 11px system-ui, "DejaVu Sans", sans-serif; fill: var(--ink); }
+summary { cursor: pointer; margin: .3rem 0; } .charts summary { font-weight: 600; }
+.chart { display: block; width: 100%; min-width: 52rem; max-width: 72rem;
+  height: auto; margin: 0 auto; }
+.chart text { font: 12px system-ui, "DejaVu Sans", sans-serif; fill: var(--ink); }
 .chart .soft { fill: var(--soft); } .chart .mark { fill: var(--mark); font-weight: 600; }
 .chart .grid { stroke: var(--grid); } .chart .ground { fill: var(--ground); }
 .chart .curve { fill: none; stroke-width: 1.6; stroke-linejoin: round; }
@@ -100,31 +116,55 @@ def compare_page(
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             f"<title>{text_of(heading)}</title>",
             f"<style>{STYLE}</style></head><body><main>",
-            f"<h1>{text_of(heading)}</h1>",
-            *_runs(first, second, settings),
+            f"<header><h1>{text_of(heading)}</h1>",
+            *_runs(first, second),
+            '</header><div class="columns"><section>',
             *_first_parting(first, second, compared),
             *(['<div class="pictures">', *pictures, "</div>"] if pictures else []),
-            "<h2>What each cost</h2>",
+            "</section><section><h2>What each cost</h2>",
             _table(compared.totals),
             '<p class="soft">Bold is better. Measured times are a clock’s: equal runs differ, too.</p>',
             *(f'<p class="soft">{text_of(line)}</p>' for line in estimate_lines(compared)[:12]),
+            '</section></div><section class="charts">',
             *_charts(first, second, compared),
+            "</section>",
             *_moments(first, second, compared),
+            *_settings(settings),
             "</main></body></html>",
             "",
         ]
     )
 
 
-def _runs(first: RunRecord, second: RunRecord, settings: Sequence[str]) -> list[str]:
-    rows = [
-        f'<dt class="{letter.lower()}">{letter}</dt><dd>{text_of(run.name)}</dd>'
-        for letter, run in (("A", first), ("B", second))
-    ]
+def _runs(first: RunRecord, second: RunRecord) -> list[str]:
+    """What was run on what, and which run is only a part."""
+    rows = []
+    for letter, run in (("A", first), ("B", second)):
+        started = next((one for one in run.events if isinstance(one, RunStarted)), None)
+        said = "" if started is None else f" · {started.graph} · seed {started.seed}"
+        badge = (
+            f'<span class="partial">partial run: {text_of(cut_short(run))}</span>' if cut_short(run) else ""
+        )
+        rows.append(
+            f'<dt class="{letter.lower()}">{letter}</dt>'
+            f'<dd>{text_of(run.name)}<span class="soft">{text_of(said)}</span>{badge}</dd>'
+        )
+    on = next((one for one in first.events if isinstance(one, RunStarted)), None)
+    size = "" if on is None else f'<p class="soft">on {text_of(on.source)} · {on.width} × {on.height} px</p>'
+    return [size, "<dl>", *rows, "</dl>"]
+
+
+def _settings(settings: Sequence[str]) -> list[str]:
+    """What differs in graph and versions; long ones folded."""
     if not settings:
-        return ["<dl>", *rows, "</dl>", "<p>The same graph and settings.</p>"]
-    said = [f"<li>{text_of(one)}</li>" for one in settings]
-    return ["<dl>", *rows, "</dl>", "<p>They differ in</p><ul>", *said, "</ul>"]
+        return ["<section><h2>They differ in</h2><p>The same graph and settings.</p></section>"]
+    said = [
+        f"<li>{text_of(one)}</li>"
+        if shortened(one) == one
+        else f"<li><details><summary>{text_of(shortened(one))}</summary>{text_of(one)}</details></li>"
+        for one in settings
+    ]
+    return ["<section><h2>They differ in</h2><ul>", *said, "</ul></section>"]
 
 
 def _first_parting(first: RunRecord, second: RunRecord, compared: Comparison) -> list[str]:
@@ -205,11 +245,11 @@ def _charts(first: RunRecord, second: RunRecord, compared: Comparison) -> list[s
 def _moments(first: RunRecord, second: RunRecord, compared: Comparison) -> list[str]:
     if not compared.moments:
         return []
-    parts = [f"<h2>{_capital(plural(len(compared.moments), 'parting'))}</h2>"]
+    parts = [f"<section><h2>{_capital(plural(len(compared.moments), 'parting'))}</h2>"]
     for number, moment in enumerate(compared.moments[:MOST_MOMENTS]):
-        head = f"<h3>{text_of(_capital(place(moment, compared)))}</h3>"
+        head = f'<h3><a href="#moment-{number}">{text_of(_capital(place(moment, compared)))}</a></h3>'
         body = "".join(_mark_sides(line) for line in sides(first, second, moment))
         parts.append(f'<div class="moment" id="moment-{number}">{head}{body}</div>')
     if len(compared.moments) > MOST_MOMENTS:
         parts.append(f"<p>… and {len(compared.moments) - MOST_MOMENTS} more.</p>")
-    return parts
+    return [*parts, "</section>"]

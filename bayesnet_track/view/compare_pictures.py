@@ -17,6 +17,8 @@ from bayesnet_track.view.svg import element, text_of
 WIDEST = 640
 """Pixels; wider images are scaled down."""
 QUALITY = 70
+ROOM = 4.0
+"""How much larger than the two boxes a part of the frame is; larger boxes show the whole frame."""
 LEVELS = {0.9: "they begin to diverge", 0.5: "they overlap by less than a half"}
 """Overlap (IoU) of the two boxes -> what the first frame below it shows."""
 
@@ -37,7 +39,7 @@ class TellingFrame:
 
 
 def telling_frames(compared: Comparison) -> tuple[TellingFrame, ...]:
-    """At most three frames of the pair that is farthest apart, in order; none where no estimate differs."""
+    """At most four frames of the pair that is farthest apart, in order; none where no estimate differs."""
     lines = {pair: line for pair, line in compared.distances.items() if any(one.px > 0 for one in line)}
     if not lines:
         return ()
@@ -47,6 +49,10 @@ def telling_frames(compared: Comparison) -> tuple[TellingFrame, ...]:
     for level, what in LEVELS.items():
         first = next((one.frame for one in line if one.iou < level), far.frame)
         found.setdefault(first, what)
+    decided = next((moment.frame for moment in compared.moments if moment.pair == pair), None)
+    if decided is not None and any(one.frame == decided for one in line):
+        also = f"; {found[decided]}" if decided in found else ""
+        found[decided] = f"their decisions first diverge{also}"
     return tuple(TellingFrame(frame, pair, found[frame]) for frame in sorted(found))
 
 
@@ -75,16 +81,31 @@ def _lines_of(run: RunRecord, telling: Sequence[TellingFrame], side: int) -> Map
 def _figure(
     image: NDArray[np.uint8], one: TellingFrame, first: FrameMetrics | None, second: FrameMetrics | None
 ) -> str:
-    rows, columns = image.shape[:2]
+    sides = [(letter, line) for letter, line in (("a", first), ("b", second)) if line is not None]
+    left, top, columns, rows = _window(image, [line for _, line in sides])
+    part = image[top : top + rows, left : left + columns]
     drawn = [
-        element("image", href=_data(image), width=columns, height=rows),
-        *(_box(line, letter, columns) for letter, line in (("a", first), ("b", second)) if line is not None),
+        element("image", href=_data(part), x=left, y=top, width=columns, height=rows),
+        *(_box(line, letter, columns) for letter, line in sides),
     ]
-    said = f"Frame {one.frame}, {whose_text(one.pair)}: {one.what}"
-    svg = element(
-        "svg", "".join(drawn), viewBox=f"0 0 {columns} {rows}", role="img", aria_label=said, class_="picture"
-    )
+    closer = "" if columns == image.shape[1] else f" (a part of the frame, {columns} × {rows} px)"
+    said = f"Frame {one.frame}, {whose_text(one.pair)}: {one.what}{closer}"
+    view = f"{left} {top} {columns} {rows}"
+    svg = element("svg", "".join(drawn), viewBox=view, role="img", aria_label=said, class_="picture")
     return f"<figure>{svg}<figcaption>{text_of(said)}</figcaption></figure>"
+
+
+def _window(image: NDArray[np.uint8], lines: Sequence[FrameMetrics]) -> tuple[int, int, int, int]:
+    """Left, top, width and height (px) of what is shown: all of it, or the part around two small boxes."""
+    rows, columns = image.shape[:2]
+    boxes = np.array([line.centre_box for line in lines]).reshape(-1, 4)
+    low, high = (boxes[:, :2] - boxes[:, 2:] / 2).min(0), (boxes[:, :2] + boxes[:, 2:] / 2).max(0)
+    share = float(((high - low) / (columns, rows)).max()) * ROOM
+    if not 0 < share < 0.5:
+        return 0, 0, columns, rows
+    w, h = round(share * columns), round(share * rows)
+    x, y = (low + high) / 2 - (w / 2, h / 2)
+    return round(min(max(x, 0), columns - w)), round(min(max(y, 0), rows - h)), w, h
 
 
 def _box(line: FrameMetrics, letter: str, columns: int) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bayesnet_track.journal.compare_moments import SHIFT, Moment, find_moments
+from bayesnet_track.journal.events.births import TargetStarted
 from bayesnet_track.journal.events.endings import TargetDied
 
 
@@ -26,3 +27,12 @@ def test_equal_ones_agree_late_ones_are_one_moment_and_later_ones_two():
 def test_a_target_that_one_run_does_not_have_stands_alone():
     agreed, moments = find_moments([died(5, "1")], [], [])
     assert agreed == 0 and [(one.pair, one.target) for one in moments] == [(("1", ""), "1")]
+
+
+def test_the_name_of_a_type_parts_two_runs_only_where_one_has_several_types():
+    box = (9.0, 9.0, 4.0, 4.0)
+    car, target = (TargetStarted(0, "1", name, box, ("color",)) for name in ("car", "target"))
+    assert find_moments([car], [target], [("1", "1")]) == (1, ())
+    other = TargetStarted(0, "2", "person", box, ("color",))
+    agreed, moments = find_moments([car, other], [target, other], [("1", "1"), ("2", "2")])
+    assert agreed == 1 and [one.pair for one in moments] == [("1", "1")]

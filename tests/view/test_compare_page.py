@@ -9,8 +9,10 @@ import pytest
 
 from bayesnet_track.journal.compare import compare
 from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.events.switches import Activated
 from bayesnet_track.journal.net.causes import Cause
+from bayesnet_track.journal.text.compare_text import compare_text
 from bayesnet_track.view.compare_page import compare_page
 
 HOSTILE = '"><script>alert(1)</script><img src=x onerror=alert(2)>'
@@ -69,7 +71,8 @@ def test_it_tells_the_parting_and_draws_it(few_metrics):
     assert "UD 210 px² &gt; 200" in page
     checked = Checked(page)
     assert checked.active == []
-    assert checked.links == ["#moment-0"] and "moment-0" in checked.ids
+    # The line of the chart, and the heading, so that its address can be copied.
+    assert checked.links == ["#moment-0", "#moment-0"] and "moment-0" in checked.ids
     assert page.count('class="parting first"') == 1
     # The lines are links, with a name and room for a finger; an image would hide them from a screen reader.
     assert re.search(
@@ -100,4 +103,39 @@ def test_a_page_tells_of_so_many_partings_and_links_no_others(few_metrics, monke
     compared = compare(first, second)
     assert len(compared.moments) == 2
     checked = Checked(compare_page(first, second, compared, []))
-    assert checked.links == ["#moment-0"] and "moment-0" in checked.ids
+    assert set(checked.links) == {"#moment-0"} and "moment-0" in checked.ids
+
+
+def test_a_partial_run_says_so_beside_its_name(few_metrics):
+    first, _, _ = runs(few_metrics)
+    started = RunStarted(2, "general", "0" * 64, 7, "video.mp4", 320, 240, True, 40, 0.04)
+    whole = SimpleNamespace(
+        **{**vars(first), "events": [started, *first.events, RunEnded(40, 40, True, "end_of_source")]}
+    )
+    cut = SimpleNamespace(
+        **{
+            **vars(first),
+            "name": "runs/cut",
+            "events": [started, *first.events, RunEnded(20, 40, False, "interrupted")],
+        }
+    )
+    killed = SimpleNamespace(**{**vars(cut), "events": [started, *first.events]})
+    page = compare_page(whole, cut, compare(whole, cut), [])
+    assert page.count("partial run") == 1
+    assert (
+        'runs/cut<span class="soft"> · general · seed 7</span><span class="partial">partial run: interrupted'
+        in page
+    )
+    assert "on video.mp4 · 320 × 240 px" in page
+    assert "B  runs/cut (partial run: interrupted)" in compare_text(whole, cut, compare(whole, cut), [])
+    assert "partial run: not ended" in compare_page(whole, killed, compare(whole, killed), [])
+
+
+def test_a_whole_target_among_the_differences_is_folded(few_metrics):
+    first, second, compared = runs(few_metrics)
+    whole = "targets.car: not written → {" + "motion: random_walk, " * 20 + "}"
+    page = compare_page(first, second, compared, ["seed: 0 → 1", whole])
+    assert page.index("They first diverge") < page.index("<li>seed: 0 → 1</li>")
+    assert f"…</summary>{whole}</details>" in page
+    assert whole not in compare_text(first, second, compared, [whole])
+    assert whole in compare_text(first, second, compared, [whole], shown=2**62)

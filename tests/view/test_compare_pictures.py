@@ -11,6 +11,8 @@ import pytest
 
 from bayesnet_track.journal.compare import compare
 from bayesnet_track.journal.events.births import TargetStarted
+from bayesnet_track.journal.events.switches import Activated
+from bayesnet_track.journal.net.causes import Cause
 from bayesnet_track.view.compare_page import compare_page
 from bayesnet_track.view.compare_pictures import WIDEST, draw_pictures, telling_frames
 
@@ -66,3 +68,22 @@ def test_the_page_may_load_them_and_nothing_else(two_runs):
     page = compare_page(*two_runs, compared, [], pictures=figures)
     assert "img-src data:" in page and page.count("<figure>") == 3
     assert "img-src" not in compare_page(*two_runs, compared, [])
+
+
+def test_two_small_boxes_are_shown_from_near(two_runs):
+    wide = ((frame, np.full((600, 800, 3), 10 * frame, dtype=np.uint8)) for frame in range(20))
+    (figure, *_) = draw_pictures(wide, telling_frames(compare(*two_runs)), *two_runs)
+    # In frame 3 the boxes span 23 of 800 px: four times that, at the frame's left edge.
+    assert 'viewBox="0 0 92 69"' in figure and "a part of the frame, 92 × 69 px" in figure
+    data = base64.b64decode(re.search('base64,([^"]*)', figure)[1])
+    assert cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR).shape == (69, 92, 3)
+
+
+def test_the_frame_in_which_their_decisions_diverge_is_shown(two_runs):
+    first, second = two_runs
+    on = Activated(12, "1", "a", "root", Cause("ud_px2", 200.0, 210.0, 1, 210.0, 210.0, 1.0))
+    second.events = [*second.events, on]
+    telling = telling_frames(compare(first, second))
+    assert [(one.frame, one.what) for one in telling if one.frame == 12] == [
+        (12, "their decisions first diverge")
+    ]

@@ -9,12 +9,14 @@ from itertools import islice, takewhile
 
 from bayesnet_track.journal.compare import Comparison, RunRecord, Total
 from bayesnet_track.journal.compare_moments import Moment
-from bayesnet_track.journal.events.runs import RunStarted
+from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.journal.text.explain import explain
 from bayesnet_track.journal.text.wording import plural
 
 SHOWN_MOMENTS = 5
+LONGEST_SETTING = 160
+"""Characters of a difference of settings; a longer one is cut, unless everything is asked for."""
 
 
 def settings_apart(first: RunStarted, second: RunStarted) -> list[str]:
@@ -47,8 +49,9 @@ def compare_text(
     shown: int = SHOWN_MOMENTS,
 ) -> str:
     """The whole comparison as plain text."""
-    lines = [f"A  {first.name}", f"B  {second.name}", ""]
-    lines += ["differ in", *(f"  {one}" for one in settings)] if settings else ["the same graph and settings"]
+    lines = [" ".join([letter, "", *run_parts(run)]) for letter, run in (("A", first), ("B", second))] + [""]
+    said = settings if shown > SHOWN_MOMENTS else [shortened(one) for one in settings]
+    lines += ["differ in", *(f"  {one}" for one in said)] if settings else ["the same graph and settings"]
     # What came of it before how: the moments are many.
     lines += ["", *totals_lines(comparison.totals), "", *estimate_lines(comparison)]
     lines += ["", *parting_lines(first, second, comparison)]
@@ -63,6 +66,26 @@ def compare_text(
         if len(rest) > shown:
             lines.append(f"  ... and {len(rest) - shown} more; --all lists them all, --html draws them")
     return "\n".join(lines)
+
+
+def run_parts(run: RunRecord) -> list[str]:
+    """What to call a run, and in brackets why it is only a part of its source, where it is."""
+    why = cut_short(run)
+    return [run.name, f"(partial run: {why})"] if why else [run.name]
+
+
+def cut_short(run: RunRecord) -> str:
+    """Why a run does not reach the end of its source; empty where it does, or its journal tells nothing."""
+    started = next((one for one in run.events if isinstance(one, RunStarted)), None)
+    ended = next((one for one in reversed(run.events) if isinstance(one, RunEnded)), None)
+    if started is None or (ended is not None and ended.complete):
+        return ""
+    return "not ended" if ended is None else ended.reason.replace("_", " ")
+
+
+def shortened(setting: str) -> str:
+    """A difference of settings in one line: a whole target is only named."""
+    return setting if len(setting) <= LONGEST_SETTING else setting[: LONGEST_SETTING - 1] + "…"
 
 
 def parting_lines(first: RunRecord, second: RunRecord, comparison: Comparison) -> list[str]:
@@ -166,9 +189,8 @@ def figure(value: float | None) -> str:
     """Three or four significant digits, whole numbers whole."""
     if value is None or math.isnan(value):
         return "-"
-    if abs(value) < 1e9 and value == int(value):
-        return f"{value:.0f}"
-    return f"{value:.4g}" if abs(value) < 1000 else f"{value:.0f}"
+    whole = abs(value) >= 1000 or value == int(value)
+    return (f"{value:.0f}" if whole else f"{value:.4g}").replace("-", "−")
 
 
 def change(total: Total) -> str:
