@@ -21,7 +21,7 @@ from measuring import Image, environment, on_one_thread
 from sequences import find_sequences
 
 from bayesnet_track.cli.fitting.fit import calibration_table
-from bayesnet_track.evaluate.calibration import OFF_TARGET, longest_run
+from bayesnet_track.evaluate.calibration import HEAVY_TAIL, OFF_TARGET, longest_run
 from bayesnet_track.evaluate.calibration_data import CalibrationData, calibration_data, with_features
 from bayesnet_track.evaluate.fitting import USUAL_FEATURES, Fitted, fit, leave_one_out
 from bayesnet_track.graph.checked import CheckedGraph
@@ -51,7 +51,7 @@ def with_fitted(graph: CheckedGraph, fitted: Fitted) -> CheckedGraph:
         levels = fitted.levels
         root |= {
             "score": {"logistic": {**kept, **fitted.logistic}},
-            "localization_error": {"sd_box": sd, "lost_sd_box": lost_sd},
+            "localization_error": {"sd_box": sd, "lost_sd_box": lost_sd, "heavy_tail": HEAVY_TAIL},
             "lost": {"score_below": levels.score_below, "uncertain_below": max(levels.uncertain_below, 0.51)},
         }
     return check_graph(written)

@@ -28,7 +28,12 @@ from sequences import find_sequences
 
 from bayesnet_track.engine.scoring.assurance import e_value, next_rise
 from bayesnet_track.evaluate.calibration import OFF_TARGET
-from bayesnet_track.evaluate.calibration_data import CalibrationData, by_video, calibration_data, with_features
+from bayesnet_track.evaluate.calibration_data import (
+    CalibrationData,
+    by_video,
+    calibration_data,
+    with_features,
+)
 from bayesnet_track.evaluate.fitting import fit, score_of
 from bayesnet_track.evaluate.guarantees import (
     control_risk,

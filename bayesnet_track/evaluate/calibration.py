@@ -17,6 +17,8 @@ NEWTON_STEPS = 50
 SLACKS = np.geomspace(0.002, 0.5, 34)
 LOST_SLACKS = np.geomspace(0.05, 20.0, 37)
 """Sds in box sides among which the localization error is chosen: 18 % apart."""
+HEAVY_TAIL: Mapping[str, float] = {"weight": 0.2, "factor": 5.0}
+"""Of the localization error: errors of different videos, each of an sd of its own, have such a tail."""
 
 
 def auroc(scores: ArrayLike, positive: ArrayLike) -> float | None:
@@ -144,6 +146,7 @@ def fit_localization_error(
 ) -> tuple[float, float]:
     """The localization error (sd_box, lost_sd_box) with which regions hold as many true centres as they say.
 
+    On target it has the heavy tail `HEAVY_TAIL`, so that both regions can be right where videos differ.
     The pair, on a logarithmic grid, whose coverage of the central 50 % and 90 % regions, averaged over
     videos, is nearest to 50 % and 90 % (sum of squared differences).
 
@@ -152,8 +155,8 @@ def fit_localization_error(
         scores: of each video (n,) probabilities of being on target.
         shares: of the two regions.
     """
-    near = [_below(np.asarray(video, dtype=np.float64), SLACKS) for video in offsets]
-    far = [_below(np.asarray(video, dtype=np.float64), LOST_SLACKS) for video in offsets]
+    near = [below_on_target(np.asarray(video, dtype=np.float64), SLACKS) for video in offsets]
+    far = [blurred_below(np.asarray(video, dtype=np.float64), LOST_SLACKS) for video in offsets]
     held = [np.asarray(p, dtype=np.float64)[:, None] for p in scores]
     best, chosen = np.inf, (float(SLACKS[0]), float(LOST_SLACKS[-1]))
     for a, sd in enumerate(SLACKS):
@@ -172,7 +175,13 @@ def fit_localization_error(
     return chosen
 
 
-def _below(offsets: Floats, sds: Floats) -> Floats:
+def below_on_target(offsets: Floats, sds: Floats) -> Floats:
+    """(S, n, 2) mass below the true centre, of the (n, M, 2) points blurred by each sd and its heavy tail."""
+    weight, factor = HEAVY_TAIL["weight"], HEAVY_TAIL["factor"]
+    return (1.0 - weight) * blurred_below(offsets, sds) + weight * blurred_below(offsets, factor * sds)
+
+
+def blurred_below(offsets: Floats, sds: Floats) -> Floats:
     """(S, n, 2) mass below the true centre, of the (n, M, 2) points blurred by each sd."""
     from scipy.special import ndtr  # here, because it takes long to import
 

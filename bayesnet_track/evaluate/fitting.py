@@ -13,6 +13,8 @@ from bayesnet_track.evaluate.calibration import (
     Bin,
     Levels,
     auroc,
+    below_on_target,
+    blurred_below,
     brier,
     fit_levels,
     fit_localization_error,
@@ -41,7 +43,7 @@ class Fitted:
 
     Attributes:
         logistic: bias and coefficients of the score.
-        localization_error: sd_box and lost_sd_box.
+        localization_error: sd_box and lost_sd_box, beside `HEAVY_TAIL`.
         levels: of the statuses.
         ud_box: levels of UD, relative to the box: activate, deactivate, learn.
         temperatures: agent -> factor on its temperature.
@@ -154,10 +156,9 @@ def leave_one_out(
 
 def mass_below(fitted: Fitted, one: CalibrationData) -> Floats:
     """(n, 2) mass of the widened belief below the true centre, in x and y."""
-    from scipy.special import ndtr  # here, because it takes long to import
-
     p = score_of(fitted.logistic, one)[:, None]
-    near, far = (ndtr(one.offsets / sd).mean(axis=1) for sd in fitted.localization_error)
+    sd, lost_sd = (np.array([value]) for value in fitted.localization_error)
+    near, far = below_on_target(one.offsets, sd)[0], blurred_below(one.offsets, lost_sd)[0]
     return np.asarray(p * near + (1.0 - p) * far)
 
 

@@ -8,7 +8,7 @@ import pytest
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.particles.belief import ParticleSet
 from bayesnet_track.engine.scoring.score import FEATURES, blur_regions, probability
-from bayesnet_track.graph.spec import Localization, Logistic
+from bayesnet_track.graph.spec import HeavyTail, Localization, Logistic
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.statuses import StatusChanged
 from bayesnet_track.numerics.log_weights import LogWeights
@@ -119,15 +119,17 @@ def test_slack_touches_only_what_is_told(fakes):
         assert b.region90[0] < a.region90[0] and b.region90[3] > a.region90[3]
 
 
+@pytest.mark.parametrize("tail", [None, HeavyTail(weight=0.3, factor=6)])
 @pytest.mark.parametrize("score", [0.2, 0.7, 1.0])
-def test_a_widened_region_holds_what_it_says(score):
+def test_a_widened_region_holds_what_it_says(score, tail):
     """True centres drawn from the mixture of localization_error lie in the regions as often as they say."""
     rng = np.random.default_rng(4)
     boxes = np.column_stack([rng.normal(100, 3, 400), rng.normal(50, 2, 400), np.full((400, 2), 20.0)])
     belief = ParticleSet(boxes, BOX_FIELDS, LogWeights.uniform(400))
-    found = blur_regions(belief, Localization(sd_box=0.1, lost_sd_box=4.0), score, 20.0)
+    found = blur_regions(belief, Localization(sd_box=0.1, lost_sd_box=4.0, heavy_tail=tail), score, 20.0)
     n = 20_000
-    noise = np.where(rng.random(n) < score, 2.0, 80.0)[:, None] * rng.normal(size=(n, 2))
+    near = 2.0 if tail is None else np.where(rng.random(n) < tail.weight, tail.factor * 2.0, 2.0)
+    noise = np.where(rng.random(n) < score, near, 80.0)[:, None] * rng.normal(size=(n, 2))
     truth = boxes[rng.integers(400, size=n), :2] + noise
     for region, share in ((found.region50, 0.5), (found.region90, 0.9)):
         for axis in (0, 1):

@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 
 from bayesnet_track.engine.scoring.score import FEATURES
 from bayesnet_track.evaluate.calibration import (
+    HEAVY_TAIL,
     auroc,
+    below_on_target,
     brier,
     coverage,
     fit_levels,
@@ -71,11 +73,12 @@ def test_separable_data_give_finite_coefficients():
 
 
 def drawn(n, sd, lost_sd, rng, draws=24, spread=0.02):
-    """Offsets of (n,) frames whose truth is drawn from a mixture with scores p."""
+    """Offsets of (n,) frames whose truth is drawn from a mixture with scores p and a heavy tail."""
     p = rng.uniform(0.2, 1.0, n)
     points = spread * rng.normal(size=(n, draws, 2))
     chosen = points[np.arange(n), rng.integers(draws, size=n)]
-    noise = np.where(rng.random(n) < p, sd, lost_sd)[:, None] * rng.normal(size=(n, 2))
+    sds = np.where(rng.random(n) < HEAVY_TAIL["weight"], HEAVY_TAIL["factor"] * sd, sd)
+    noise = np.where(rng.random(n) < p, sds, lost_sd)[:, None] * rng.normal(size=(n, 2))
     return (chosen + noise)[:, None, :] - points, p
 
 
@@ -85,6 +88,19 @@ def test_slack_is_found_from_data_drawn_with_it():
     # Coverage of 3,000 axes has an sd below 0.01, which the grid's 18 % exceeds; two of its steps.
     assert 0.05 / 1.4 < sd < 0.05 * 1.4
     assert 2.0 / 1.4 < lost_sd < 2.0 * 1.4
+
+
+def test_both_regions_are_right_where_each_video_is_off_by_an_sd_of_its_own():
+    """Eight videos on target, some held closely and some loosely: one Gaussian is too wide and too narrow."""
+    rng = np.random.default_rng(5)
+    sds = (0.01, 0.02, 0.02, 0.03, 0.03, 0.05, 0.1, 0.15)
+    points = 0.01 * rng.normal(size=(len(sds), 400, 16, 2))
+    videos = [sd * rng.normal(size=(400, 1, 2)) - own for sd, own in zip(sds, points, strict=True)]
+    scores = [np.ones(400)] * len(sds)
+    sd, _ = fit_localization_error(videos, scores)
+    off = np.array([np.abs(below_on_target(one, np.array([sd]))[0] - 0.5) for one in videos])
+    assert np.mean(off <= 0.25) == pytest.approx(0.5, abs=0.06)
+    assert np.mean(off <= 0.45) == pytest.approx(0.9, abs=0.045)
 
 
 def calibration_data(video, seed, n=400):

@@ -242,7 +242,9 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
             "score": _choice(
                 [], logistic=_mapping({"bias": aside}, {"evidence": aside, "memory_frames": share})
             ),
-            "localization_error": _mapping({}, {"sd_box": sd, "lost_sd_box": positive}),
+            "localization_error": _mapping(
+                {}, {"sd_box": sd, "lost_sd_box": positive, "heavy_tail": noise["heavy_tail"]}
+            ),
             "distractors": _mapping({}, {"within_nats": positive, "hold": frames}),
             "guarantee": _mapping({"above": share}, {"frames": frames}),
             "alarm": _mapping({"total": positive, "videos": frames}, {}),
@@ -379,7 +381,7 @@ def everything() -> dict[str, Any]:
             "learn": {"below": {"ud_baseline": 2}, "guard": {}},
             "lost": {"frames": 9, "score_below": 0.25, "uncertain_below": 0.6},
             "score": {"logistic": {"bias": -1.5, "log_ud_box": -0.5}},
-            "localization_error": {"lost_sd_box": 3.5},
+            "localization_error": {"lost_sd_box": 3.5, "heavy_tail": {"weight": 0.25, "factor": 5}},
             "distractors": {"hold": 100},
             "guarantee": {"above": 0.75, "frames": 5},
             "alarm": {"total": 30.5, "videos": 24},

@@ -141,10 +141,12 @@ def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[
         values = {name: _short(value) for name, value in fitted.logistic.items() if value or name == "bias"}
         put(("score",), {"logistic": {**values, **others}}, f"probability of IoU > 0.5; {from_what}")
     if "localization_error" in what:
+        from bayesnet_track.evaluate.calibration import HEAVY_TAIL
+
         sd, lost_sd = (_short(value) for value in fitted.localization_error)
         put(
             ("localization_error",),
-            {"sd_box": sd, "lost_sd_box": lost_sd},
+            {"sd_box": sd, "lost_sd_box": lost_sd, "heavy_tail": dict(HEAVY_TAIL)},
             f"regions hold 50 % and 90 %; {from_what}",
         )
     if "lost" in what and "score" in what:

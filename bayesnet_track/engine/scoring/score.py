@@ -135,16 +135,20 @@ def blur_regions(posterior: Posterior, rule: Localization, score: float, side_px
     """The posterior's regions, its centre blurred by the localization error.
 
     p(c) = sum_h w_h [p N(c; h, sd_box^2 s^2 I) + (1 - p) N(c; h, lost_sd_box^2 s^2 I)], p = `score` and
-    s = `side_px`: a mixture of being on target and off it. Without `lost_sd_box`, p = 1.
+    s = `side_px`: a mixture of being on target and off it. Without `lost_sd_box`, p = 1. With a heavy tail,
+    the first sd is `factor` times as large in the share `weight`.
     """
     near = max(rule.sd_box * side_px, 1e-6)
     far = near if rule.lost_sd_box is None else rule.lost_sd_box * side_px
     held = 1.0 if rule.lost_sd_box is None else score
+    tail, factor = (0.0, 1.0) if rule.heavy_tail is None else (rule.heavy_tail.weight, rule.heavy_tail.factor)
+    sds, shares = (near, factor * near, far), (held * (1.0 - tail), held * tail, 1.0 - held)
     levels = (0.05, 0.25, 0.75, 0.95)
     (x5, x25, x75, x95), (y5, y25, y75, y95) = mixture_quantiles(
-        marginal_points(posterior), (near, far), (held, 1.0 - held), levels
+        marginal_points(posterior), sds, shares, levels
     ).tolist()
-    return BlurredRegions((x25, x75, y25, y75), (x5, x95, y5, y95), held * near**2 + (1.0 - held) * far**2)
+    variance = sum(share * sd**2 for share, sd in zip(shares, sds, strict=True))
+    return BlurredRegions((x25, x75, y25, y75), (x5, x95, y5, y95), variance)
 
 
 def marginal_points(posterior: Posterior) -> Floats:

@@ -44,9 +44,9 @@ class LogSd(Model):
 
 
 class HeavyTail(Model):
-    """A share of the hypotheses moves with a larger sd: heavy tails for sudden motion."""
+    """A share of the noise of the position has a larger sd: heavy tails, as of sudden motion."""
 
-    weight: Annotated[Number, Field(gt=0, lt=1)] = Field(description="share of the hypotheses")
+    weight: Annotated[Number, Field(gt=0, lt=1)] = Field(description="share of the noise")
     factor: Annotated[Number, Field(gt=1)] = Field(description="factor on the sd of the position")
 
 

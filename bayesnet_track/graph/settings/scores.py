@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from bayesnet_track.graph.settings.base import Choice, FrameCount, Model, NotNegative, Number, Positive
+from bayesnet_track.graph.settings.motion import HeavyTail
 
 
 class Logistic(Model):
@@ -54,7 +55,9 @@ class Localization(Model):
     """The localization error that is added to the belief in the reported regions and sds.
 
     The true centre is taken to be a hypothesis' centre plus Gaussian noise: of sd `sd_box` with probability
-    p, of sd `lost_sd_box` with probability 1 - p, where p is the score. The belief itself is not changed.
+    p, of sd `lost_sd_box` with probability 1 - p, where p is the score. With a heavy tail, the first sd is
+    larger in a share of the cases: how far off a tracker is differs between videos more than within them. The
+    belief itself is not changed.
     """
 
     sd_box: NotNegative = Field(default=0.05, description="sd on each axis while on target, sqrt(w h)")
@@ -62,6 +65,7 @@ class Localization(Model):
         default=None,
         description="sd on each axis while off target, sqrt(w h); needs `score`; default: as on target",
     )
+    heavy_tail: HeavyTail | None = Field(default=None, description="heavy tails while on target")
 
 
 class Distractors(Model):

@@ -14,13 +14,11 @@ HALVINGS = 18
 
 
 @compiled
-def quantiles(
-    points: Floats, near: float, far: float, near_share: float, far_share: float, levels: Floats
-) -> Floats:
-    """(K, L) quantiles of K mixtures of (K, M) points, blurred by `near` and `far` in their shares."""
+def quantiles(points: Floats, sds: Floats, shares: Floats, levels: Floats) -> Floats:
+    """(K, L) quantiles of K mixtures of (K, M) points, blurred by each of (S,) `sds` in its share above 0."""
     count, size = points.shape
     found = np.empty((count, len(levels)))
-    reach = 9.0 * max(near if near_share > 0.0 else 0.0, far if far_share > 0.0 else 0.0)
+    reach = 9.0 * sds.max()
     for k in range(count):
         least, most = points[k].min() - reach, points[k].max() + reach
         for n in range(len(levels)):
@@ -30,10 +28,8 @@ def quantiles(
                 below = 0.0
                 for m in range(size):
                     away = (middle - points[k, m]) / math.sqrt(2.0)
-                    if near_share > 0.0:
-                        below += near_share * 0.5 * math.erfc(-away / near)
-                    if far_share > 0.0:
-                        below += far_share * 0.5 * math.erfc(-away / far)
+                    for s in range(len(sds)):
+                        below += shares[s] * 0.5 * math.erfc(-away / sds[s])
                 if below < levels[n] * size:
                     low = middle
                 else:
