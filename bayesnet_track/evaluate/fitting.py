@@ -60,8 +60,12 @@ class Fitted:
     temperatures: Mapping[str, float] = field(default_factory=dict)
 
 
-def fit(data: Sequence[CalibrationData], features: Sequence[str] = USUAL_FEATURES) -> Fitted:
+def fit(
+    data: Sequence[CalibrationData], features: Sequence[str] = USUAL_FEATURES, keep_score: bool = False
+) -> Fitted:
     """Estimate from runs over videos; each video counts the same, however long it is.
+
+    Regions and statuses are fitted to the score that is, or with `keep_score` to the graph's own.
 
     Raises:
         ValueError: no frame is on target, or every frame is.
@@ -75,7 +79,7 @@ def fit(data: Sequence[CalibrationData], features: Sequence[str] = USUAL_FEATURE
     weights = _weights(data, videos)
     table = {name: np.concatenate([one.features[name] for one in data]) for name in features}
     logistic = fit_logistic(table, hits, weights, SIGNS)
-    scores = [score_of(logistic, one) for one in data]
+    scores = [one.scores if keep_score else score_of(logistic, one) for one in data]
     localization_error = fit_localization_error([one.offsets for one in data], scores)
     iou = np.concatenate([one.iou for one in data])
     ud = np.concatenate([one.ud_box for one in data])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -113,6 +115,13 @@ def calibration_data(video, seed, n=400):
     )
     features = {name: np.zeros(n) for name in FEATURES} | {"log_ud_box": ud}
     return CalibrationData(video, iou, features, np.exp(ud), offsets, np.zeros(n), ("tracking",) * n)
+
+
+def test_regions_are_fitted_to_the_score_that_stays():
+    data = [replace(calibration_data(name, k), scores=np.ones(400)) for k, name in enumerate("ab")]
+    (sd, _), kept = fit(data).localization_error, fit(data, keep_score=True).localization_error
+    # A score that is always 1 leaves the frames off target to the first sd.
+    assert kept[0] > 1.5 * sd
 
 
 def test_left_out_videos_are_calibrated_where_videos_are_alike():

@@ -82,7 +82,7 @@ def fit(options: argparse.Namespace) -> int:
             rows, everyone = leave_one_out(data, features)
             say(calibration_table(rows, everyone))
             return OK
-        fitted = estimate(data, features)
+        fitted = estimate(data, features, keep_score="score" not in what)
     written = write_fitted(text, graph, fitted, what)
     check_text(written, str(out or options.graph))
     return _put(out, written, f"fitted to {fitted.frames} frames of {plural(fitted.videos, 'video')}")
