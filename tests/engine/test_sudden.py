@@ -8,6 +8,7 @@ import pytest
 from bayesnet_track.engine.moving.sudden import CELL_BOX
 from bayesnet_track.engine.step import step
 from bayesnet_track.journal.events.jumps import Reappeared
+from bayesnet_track.observation.planes import Frame
 
 BOX = (40.0, 50.0, 10.0, 10.0)
 SUDDEN = {"below_fit": 0.2, "reach_box": 3.0}
@@ -26,11 +27,18 @@ def nodes_of(sudden, **settings):
     }
 
 
+def scene(index, pan=0):
+    """A frame of a textured picture, rolled by `pan` px."""
+    cells = np.random.default_rng(2).integers(0, 256, (25, 30, 1), dtype=np.uint8)
+    image = np.roll(np.kron(cells, np.ones((4, 4, 3), np.uint8)), pan, axis=1)
+    return Frame(index, float(index), np.ascontiguousarray(image))
+
+
 @pytest.fixture
 def leap(fakes):
     """Track 8 frames at rest, then at where a target with this fit leaps to: the estimates and events."""
 
-    def run(sudden, way, fit=1.0, **settings):
+    def run(sudden, way, fit=1.0, pan=0, **settings):
         place = {"x": BOX[0], "fit": 1.0}
 
         def see(planes, hypotheses, reference):
@@ -38,11 +46,11 @@ def leap(fakes):
             return np.logaddexp(np.log(place["fit"]) - 0.5 * np.sum(away**2, axis=1), np.log(1e-4))
 
         engine = fakes.engine(nodes_of(sudden, **settings), {"eye": see})[0]
-        outcomes = fakes.play(engine, 8, {"1": BOX})
+        outcomes = fakes.play(engine, [scene(index) for index in range(9)], {"1": BOX})
         place["x"], place["fit"] = BOX[0] + way, fit
         start = len(outcomes)
         for index in range(start, start + 2):
-            outcomes.append(step(engine, outcomes[-1].state, fakes.frame(index)))
+            outcomes.append(step(engine, outcomes[-1].state, scene(index, pan)))
         after = outcomes[start:]
         told = [event for one in after for event in one.events if isinstance(event, Reappeared)]
         return [one.metrics[0].centre_box[0] for one in after], told
@@ -67,6 +75,14 @@ def test_else_the_frame_is_as_without_the_search(leap, sudden, way, fit):
     places, told = leap(sudden, way, fit)
     assert told == []
     assert places == leap(None, way, fit)[0]
+
+
+def test_it_is_searched_only_where_the_picture_pans_if_so_asked(leap):
+    pans = {**SUDDEN, "pan_box": 0.5}
+    assert leap(pans, 22.0, pan=8)[1] != []
+    for pan in (0, 3):
+        places, told = leap(pans, 22.0, pan=pan)
+        assert told == [] and places == leap(None, 22.0)[0]
 
 
 def test_nothing_is_searched_while_something_fits(leap):

@@ -409,7 +409,7 @@ def everything() -> dict[str, Any]:
                     "relocalize": {
                         "by": {"agents": {"max_boxes": 200}},
                         "usual": 0.01,
-                        "sudden": {"reach_box": 3},
+                        "sudden": {"reach_box": 3, "pan_box": 0.25},
                     },
                 }
             },

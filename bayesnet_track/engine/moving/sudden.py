@@ -22,6 +22,7 @@ from bayesnet_track.graph.settings.jumps import Sudden
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.measure import fit_of
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.observation.planes import Region
 
 CELL_BOX = 1.0 / 6.0
 """Side of a cell of the lattice, in box sides: a correlation filter answers within about so much."""
@@ -50,9 +51,10 @@ def search_around(
     if rule is None or usual is None or work.net.targets[target].status != "tracking":
         return moves, first
     share = _fit(before.plan, first) / usual
-    if share >= rule.below_fit or min(work.frame.width, work.frame.height) < 3:
+    box = before.belief.mean[:4]
+    if share >= rule.below_fit or min(work.frame.width, work.frame.height) < 3 or not _pans(rule, box, work):
         return moves, first
-    found = again(_widened(rule, share, before.belief.mean[:4], moves.motion, work))
+    found = again(_widened(rule, share, box, moves.motion, work))
     full_fit = 0.0 if score is None else score.settings.full_fit
     if not found.reports or _fit(before.plan, found) < max(rule.below_fit * usual, full_fit):
         return moves, first
@@ -69,6 +71,17 @@ def _fit(plan: Plan, step: Step[Posterior]) -> float:
     silent = {agent for agent, own in evidence.measured.items() if own is None}
     seeing = [one.agent for one in plan.observations if one.agent not in silent]
     return fit_of([evidence.messages[agent] for agent in seeing if agent in evidence.messages])
+
+
+def _pans(rule: Sudden, box: Floats, work: FrameWork) -> bool:
+    """Whether the whole picture moved far enough for a target in the centre box (4,) to be searched for."""
+    if rule.pan_box == 0.0:
+        return True
+    from bayesnet_track.vision.planes.pan_plane import PanPlane
+
+    plane, frame = PanPlane(), work.frame
+    shift = work.cache.planes([plane], Region(0, 0, frame.width, frame.height))[plane]
+    return bool(np.hypot(*shift) >= rule.pan_box * np.sqrt(box[2] * box[3]))
 
 
 def _widened(rule: Sudden, share: float, box: Floats, motion: MotionModel, work: FrameWork) -> Jumping:

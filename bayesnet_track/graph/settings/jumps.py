@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from bayesnet_track.graph.settings.adapt import Level
-from bayesnet_track.graph.settings.base import Choice, Empty, Model, Number, Positive, Whole
+from bayesnet_track.graph.settings.base import Choice, Empty, Model, NotNegative, Number, Positive, Whole
 from bayesnet_track.graph.settings.lifecycle import DetectorChoice
 
 
@@ -44,6 +44,11 @@ class Sudden(Model):
     )
     reach_box: Annotated[Number, Field(gt=0, le=10)] = Field(
         default=2.5, description="half the side of the square, in sqrt(w h)"
+    )
+    pan_box: NotNegative = Field(
+        default=0.0,
+        description="only where the whole picture moved at least so far since the last frame, sqrt(w h): a "
+        "fast camera makes targets fast, and what is merely covered is not searched for; 0: always",
     )
     share: Annotated[Number, Field(gt=0, lt=1)] = Field(
         default=0.5,

@@ -267,7 +267,8 @@ def _motion(motion: Motion | None) -> str:
         when = "unsure" if jump.grow_box is None else f"lost, {jump.grow_box:g} sides farther each frame"
         further.append(f"anywhere with probability {jump.share:g} while {when}")
         if jump.sudden is not None:
-            further.append(f"up to {jump.sudden.reach_box:g} sides away where nothing fits")
+            pans = " and the picture pans" if jump.sudden.pan_box > 0 else ""
+            further.append(f"up to {jump.sudden.reach_box:g} sides away where nothing fits{pans}")
     return ", ".join(filter(None, (motion.kind.replace("_", " "), noise(settings), *further)))
 
 

@@ -139,8 +139,8 @@ class CameraPlane:
         interval = interval_of(frames)
         if frames.previous is None or not interval > 0:
             return np.zeros((2, 3))
-        current, scale = _smaller(frames.current)
-        previous, _ = _smaller(frames.previous)
+        current, scale = smaller_gray(frames.current)
+        previous, _ = smaller_gray(frames.previous)
         size = np.array([current.width, current.height])
         vectors = CAMERA_FLOW.compute(FramePair(current, previous), (), Region(0, 0, *size.tolist()))
         moved = vectors * np.array([1.0, 1.0, interval, interval])  # pixels of the smaller picture
@@ -194,7 +194,7 @@ def _explains(matrix: Array, now: Array, then: Array) -> bool:
     return bool(ahead >= LEAST_CELLS and ahead >= 3 * behind)
 
 
-def _smaller(frame: Frame) -> tuple[Frame, int]:
+def smaller_gray(frame: Frame) -> tuple[Frame, int]:
     """The frame in gray, halved until no side exceeds LONGEST_PX, and how many of its pixels one is wide."""
     import cv2
 
