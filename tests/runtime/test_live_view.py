@@ -84,6 +84,12 @@ def watched(tmp_path_factory):
     return out, lines, status, phases
 
 
+def test_the_page_is_told_of_targets_by_their_type(watched):
+    _, lines, _, _ = watched
+    rows = [line["event"] for line in lines if "event" in line]
+    assert rows[0]["what"].startswith("square 1 starts, centre ")
+
+
 def test_a_paused_run_waits_and_takes_one_frame_at_a_time(watched):
     _, _, _, phases = watched
     assert [waited for _, waited in phases[:6]] == [False, False, True, True, False, False]

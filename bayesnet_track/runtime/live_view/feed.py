@@ -15,6 +15,7 @@ from bayesnet_track.journal.codec import to_json
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.text.naming import kinds_of
 from bayesnet_track.runtime.live_view.event_buffer import EventBuffer
 from bayesnet_track.runtime.live_view.thumbnails import Thumbnails
 from bayesnet_track.runtime.results import Result
@@ -47,6 +48,7 @@ class Feed:
         self._news, self._thumbnails = news, thumbnails
         self._newest: Result | None = None
         self._has_event = False
+        self._kinds: dict[str, str] = {}
         self._moments: deque[float] = deque(maxlen=200)
 
     @property
@@ -64,7 +66,8 @@ class Feed:
             self.show_newest()
             self._add({"ended": {"complete": event.complete, "reason": event.reason}})
         else:
-            row = event_row(event)
+            self._kinds |= kinds_of([event])
+            row = event_row(event, self._kinds)
             self._has_event |= row["sort"] != "note"
             self._add({"event": row})
 

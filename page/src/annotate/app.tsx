@@ -3,7 +3,7 @@
 import { useSignal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 import { Icon } from "../view/transport";
-import type { Desk, Target } from "./desk";
+import { counted, type Desk, type Target } from "./desk";
 import { edit, KEYS } from "./keys";
 import { Picture } from "./picture";
 import { Timelines } from "./timelines";
@@ -46,8 +46,7 @@ export function AnnotateApp({ desk }: { desk: Desk }) {
 }
 
 function Headline({ desk }: { desk: Desk }) {
-  const all = desk.targets.value.map((one) => one.how).join("");
-  const count = (how: string) => all.split(how).length - 1;
+  const count = counted(desk.targets.value, desk.about.value!.frames);
   const figures: [string, number][] = [
     ["answers", desk.standing.value!.answers],
     ["tracked", count("t")],

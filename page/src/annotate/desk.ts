@@ -19,6 +19,12 @@ export interface Question {
   reason: string;
 }
 
+/** How many frames there are of a kind of `how`, over all targets; before the first one, every frame is not known yet. */
+export function counted(targets: Target[], frames: number): (how: string) => number {
+  const all = targets.length === 0 ? ".".repeat(frames) : targets.map((one) => one.how).join("");
+  return (how) => all.split(how).length - 1;
+}
+
 interface Standing {
   version: number;
   marks: number;

@@ -47,12 +47,24 @@ export function Timelines({ desk }: { desk: Desk }) {
         />
       </div>
       <p class="legend hint">
-        <i class="lane-given" /> given <i class="lane-sure" /> tracked, sure <i class="lane-doubtful" /> doubtful{" "}
-        <i class="lane-line" /> interpolated <i class="lane-gone" /> gone <i class="lane-question" /> question
+        {LEGEND.map(([kind, word]) => (
+          <span key={kind}>
+            <i class={`lane-${kind}`} /> {word}
+          </span>
+        ))}
       </p>
     </section>
   );
 }
+
+const LEGEND = [
+  ["given", "given"],
+  ["sure", "tracked, sure"],
+  ["doubtful", "doubtful"],
+  ["line", "interpolated"],
+  ["gone", "gone"],
+  ["question", "question"],
+];
 
 const KINDS: Record<string, string> = { g: "given", i: "line", x: "gone", ".": "unknown" };
 

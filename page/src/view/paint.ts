@@ -2,7 +2,7 @@
 
 import type { RunData, Track } from "../data/run";
 import type { Layer } from "../state";
-import { short } from "./words";
+import { nameOf, short } from "./words";
 
 export const INK = { tracking: "#4ade9b", uncertain: "#ffc933", lost: "#ff7a59", cloud: "#6fd3ff", truth: "#ffffff" };
 const DASH: Record<string, number[]> = { tracking: [], uncertain: [8, 4], lost: [2, 4] };
@@ -50,7 +50,7 @@ export class Painter {
     this.box(track.values("box", row), ink, 2.5, DASH[status] ?? [], track.value("angle", row));
     const box = track.values("box", row);
     g.font = "600 13px system-ui, sans-serif";
-    const word = `${track.id} ${status} · UD ${short(track.value("ud_px2", row))} px²`;
+    const word = `${nameOf(track)} ${status} · UD ${short(track.value("ud_px2", row))} px²`;
     this.label(word, box, ink);
   }
 
