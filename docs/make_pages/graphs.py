@@ -17,7 +17,7 @@ from bayesnet_track.observation.detector import GIVEN
 
 MEASURED: Mapping[str, str] = MappingProxyType(
     {
-        "general": "[success AUC .685 on 25 real sequences](benchmarks.md)",
+        "general": "[success AUC .694 on 25 real sequences](benchmarks.md)",
         "two_squares_velocity": "[47 of 50 random crossings](benchmarks.md#example-1)",
         "two_squares": "[50 of 50 crossings as stated, 39 of 50 random ones](benchmarks.md)",
         "kalman_detections": "[MOTA .845 on noisy detections](benchmarks.md#many-people-in-a-real-sequence)",
