@@ -40,7 +40,7 @@ from bayesnet_track.graph.text.excerpt import describe_error
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.numerics.compile_watch import WATCH
 
-COMPILING = "compiling kernels that no earlier command has needed, about 20 s"
+COMPILING = "compiling kernels that no earlier command has needed: seconds, up to a minute"
 TRACKING = ("demo", "run", "resume", "batch", "what-if")
 LOOKS_BACK = ("log", "score", "report", "compare", "diagnose", "export")
 SILENT = ("quiet", "log_json", "json")

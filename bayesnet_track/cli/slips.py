@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, NoReturn
 
 from bayesnet_track.cli.overview import describe_commands
@@ -73,7 +74,18 @@ def suggest(parser: argparse.ArgumentParser, message: str) -> str:
     unknown = [_no_option(parser, word) for word in unknown_options(parser)]
     if unknown and "required" in message:
         return "; ".join([*unknown, message])
+    if "required" in message and "--source" in message:
+        media = next((word for word in loose_words(parser) if Path(word).exists()), None)
+        return message if media is None else f"{message}; write --source {media}"
     return message
+
+
+def loose_words(parser: argparse.ArgumentParser) -> Iterator[str]:
+    """Words that stand behind no option."""
+    given = getattr(parser, "given", ())
+    for before, word in zip(("", *given), given, strict=False):
+        if not word.startswith("-") and not before.startswith("-"):
+            yield word
 
 
 def unknown_options(parser: argparse.ArgumentParser) -> Iterator[str]:
@@ -110,6 +122,8 @@ def boxes_in_words(given: Sequence[str]) -> Iterator[str]:
 def _no_option(parser: argparse.ArgumentParser, word: str) -> str:
     option = word.partition("=")[0]
     names = [name for name in parser._option_string_actions if name.startswith("--")]
+    if option == "--truth":
+        return "no option --truth; `score RUN --truth FILE` compares a run with ground truth"
     return f"no option {option}{nearest(option, names)}"
 
 

@@ -17,6 +17,7 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.journal.metrics import FrameMetrics
+from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.numerics.boxes import centre_from_xyxy, overlap
 from bayesnet_track.observation.detector import GIVEN, NOTHING, Detections, DetectorState
 from bayesnet_track.observation.planes import Frame, FramePair
@@ -77,6 +78,12 @@ class DetectionsTracker:
         self._index = 0
         self.targets: tuple[FrameMetrics, ...] = ()
 
+    def __repr__(self) -> str:
+        """The graph, the frames so far, and the targets."""
+        live = "; ".join(map(repr, self.targets[:3])) + ("; …" if len(self.targets) > 3 else "")
+        frames = f"{plural(self._index, 'frame')}, {plural(len(self.targets), 'target')}"
+        return f"<DetectionsTracker {self._graph.spec.name!r}, {frames}{': ' + live if live else ''}>"
+
     def update(self, detections: Any, frame: NDArray[np.uint8] | None = None) -> Any:
         """A copy of the detections with `tracker_id`, (n,) int64; `targets` has all that was measured.
 
@@ -85,6 +92,7 @@ class DetectionsTracker:
             frame: the BGR frame, for graphs that look at it.
 
         Raises:
+            TypeError: detections without `xyxy`, such as an array.
             ValueError: boxes that are not (n, 4) finite numbers with an area.
         """
         boxes = _boxes(detections)
@@ -117,6 +125,11 @@ def owners(boxes: NDArray[np.float64], targets: list[FrameMetrics]) -> NDArray[n
 
 
 def _boxes(detections: Any) -> NDArray[np.float64]:
+    if not hasattr(detections, "xyxy"):
+        raise TypeError(
+            "detections have xyxy (n, 4) and confidence (n,), as supervision.Detections has; "
+            f"{type(detections).__name__} has no xyxy: types.SimpleNamespace(xyxy=…, confidence=…) will do"
+        )
     corners = np.asarray(detections.xyxy, dtype=np.float64).reshape(-1, 4)
     if not np.isfinite(corners).all() or (corners[:, 2:] <= corners[:, :2]).any():
         raise ValueError("detections: xyxy needs finite boxes left, top, right, bottom, with an area")

@@ -23,11 +23,13 @@ import pytest
 import yaml
 
 from bayesnet_track.cli import dispatch as commands
+from bayesnet_track.cli.commands.what_if import adapts
 from bayesnet_track.cli.main import main
 from bayesnet_track.cli.overview import EXAMPLES, GROUPS
 from bayesnet_track.cli.parser import EXIT_CODES, make_parser
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.engine.step import step
+from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graphs import find_graph, graph_names
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.reader import read_events, read_metrics
@@ -1010,3 +1012,16 @@ def test_it_works_from_another_thread(images, tmp_path):
     thread.start()
     thread.join()
     assert codes == [0]
+
+
+def test_truth_of_another_length_is_asked_about(demo_run, tmp_path, capsys):
+    few = tmp_path / "few.txt"
+    few.write_text("1,2,3,4\n" * 7)
+    main(["score", str(demo_run), "--truth", str(few)])
+    assert f"{few} has 7 rows, the run 60 frames: is it of this video?" in capsys.readouterr().err
+    main(["score", str(demo_run)])
+    assert "is it of this video" not in capsys.readouterr().err
+
+
+def test_what_does_not_adapt_cannot_stop_adapting():
+    assert not adapts(load_graph("general").spec) and adapts(load_graph("two_squares").spec)

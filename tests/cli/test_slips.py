@@ -5,7 +5,7 @@ import argparse
 import pytest
 
 from bayesnet_track.cli.options.video import add_video_option
-from bayesnet_track.cli.slips import boxes_in_words, nearest
+from bayesnet_track.cli.slips import Parser, boxes_in_words, nearest
 
 
 @pytest.mark.parametrize(
@@ -46,3 +46,34 @@ def test_the_video_takes_a_format_and_no_name(given, said):
     ]
     with pytest.raises(argparse.ArgumentError, match=said):
         parser.parse_args(given)
+
+
+class Refused(Exception):
+    """What a parser says instead of exiting."""
+
+
+def refused(given, *options):
+    class Strict(Parser):
+        def exit(self, status=0, message=None):
+            raise Refused(message)
+
+    parser = Strict(prog="x")
+    parser.add_argument("graph")
+    for option in options:
+        parser.add_argument(option, required=option == "--source")
+    with pytest.raises(Refused) as said:
+        parser.refuse(parser.parse_known_args(given)[1])
+    return str(said.value)
+
+
+def test_a_video_without_its_option_is_shown_with_it(tmp_path):
+    video = tmp_path / "car.mp4"
+    video.touch()
+    said = refused(["general", str(video), "--out", "runs/x"], "--source", "--out")
+    assert f"write --source {video}\n" in said
+    # What stands behind another option is no source.
+    assert "write" not in refused(["general", "--out", str(video)], "--source", "--out")
+
+
+def test_truth_belongs_to_score():
+    assert "`score RUN --truth FILE`" in refused(["general", "--truth", "a.txt"], "--target")

@@ -46,6 +46,8 @@ def test_without_adaptation_every_agent_is_on_and_nothing_switches_it():
     ("change", "said"),
     [
         ("sqare.adapt=1", "nothing is called sqare; .* nearest: square"),
+        ("coherent_px=2", "nothing is called coherent_px; .* nearest: motion.agent.motion.coherent_px"),
+        ("xyz=1", "a path begins with one of them, as in NODE.belief.particles.size=1000"),
         ("square", "PATH=VALUE is needed"),
         ("square.about={", "is no value"),
     ],

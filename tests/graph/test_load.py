@@ -53,3 +53,9 @@ def test_a_graph_is_shown_by_name_and_size():
     graph = load_graph("general")
     assert repr(graph) == "CheckedGraph(general: 3 nodes, 2 of them agents)"
     assert repr(graph.targets) == "{'target': CheckedTarget(target: 3 nodes, 2 of them agents)}"
+
+
+def test_a_graph_file_that_is_not_there_is_named_beside_the_nearest_one(tmp_path):
+    (tmp_path / "own.yaml").write_text("bayesnet: 1")
+    with pytest.raises(GraphError, match=r"cannot be read: No such file or directory; nearest: .*own\.yaml"):
+        load_graph(tmp_path / "own.yml")

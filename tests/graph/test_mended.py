@@ -100,3 +100,29 @@ def test_no_more_than_ten_are_shown(said, tmp_path):
     shown = describe_error(raised.value)
     assert shown.count("unknown cue") == MOST_SHOWN
     assert shown.endswith(f"g.yaml: and {len(found) - MOST_SHOWN} more")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "hint"),
+    [
+        (("fuse: product", "fuse product"), "in line 8, a key is followed by a colon and a space"),
+        (("motion: {random_walk: {", "motion: random_walk: {sd: {"), "one key and one colon a line"),
+        (("      a:", "      - a:"), "nodes and keys are no list: leave out the - at the beginning"),
+    ],
+)
+def test_the_hint_points_at_the_line_that_is_wrong(wrong, hint, tmp_path):
+    text = """bayesnet: 1
+name: x
+targets:
+  t:
+    nodes:
+      t:
+        motion: {random_walk: {sd_px: {x: 6, y: 6}}}
+        fuse: product
+        estimate: map
+      a: {parent: t, agent: intensity}
+"""
+    (tmp_path / "x.yaml").write_text(text.replace(*wrong))
+    with pytest.raises(GraphError) as error:
+        load_graph(tmp_path / "x.yaml")
+    assert hint in describe_error(error.value)

@@ -47,3 +47,13 @@ def test_frames_without_detections_and_without_confidence():
 def test_boxes_without_area_are_refused(box):
     with pytest.raises(ValueError, match="xyxy needs finite boxes left, top, right, bottom, with an area"):
         DetectionsTracker(size=(64, 48)).update(SimpleNamespace(xyxy=[box]))
+
+
+def test_it_says_what_it_holds_and_what_it_takes():
+    tracker = DetectionsTracker(size=(320, 240))
+    assert repr(tracker) == "<DetectionsTracker 'kalman_detections', 0 frames, 0 targets>"
+    with pytest.raises(TypeError, match=r"ndarray has no xyxy: types\.SimpleNamespace"):
+        tracker.update(np.array([[1, 2, 30, 40]]))
+    for _ in range(4):
+        tracker.update(SimpleNamespace(xyxy=[[20, 100, 60, 200]], confidence=[0.9]))
+    assert ", 4 frames, 1 target: <target 1 in frame 3" in repr(tracker)

@@ -114,3 +114,11 @@ def test_opening_wants_a_journal(tmp_path):
         RunDirectory.open(tmp_path)
     (tmp_path / "journal.jsonl").write_text("")
     assert RunDirectory.open(str(tmp_path)).path == tmp_path
+
+
+def test_a_folder_of_runs_names_them(tmp_path):
+    for name in ("car", "girl"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "journal.jsonl").touch()
+    with pytest.raises(RunDirectoryError, match=r"no journal.jsonl in it; runs in it: car, girl$"):
+        RunDirectory.open(tmp_path)

@@ -156,7 +156,7 @@ def _show(options: argparse.Namespace, session: Session, store: FrameStore, runs
 
 
 def _progress(count: int) -> None:
-    if count % 25 == 0:
+    if count % 25 == 0 and sys.stderr.isatty():
         run_silently(lambda: sys.stderr.write(f"\rreading frames: {count}"))
 
 

@@ -49,7 +49,12 @@ def report(options: argparse.Namespace) -> int:
     if out.resolve() == directory.report.resolve():
         _list(directory)
     say(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
-    if options.open:
+    if not options.open:
+        complain(
+            "next: open it in a browser (--open does); "
+            f"`bayesnet-track diagnose {options.run}` names keys to try"
+        )
+    else:
         import webbrowser
 
         webbrowser.open(out.absolute().as_uri())

@@ -104,8 +104,21 @@ def score(options: argparse.Namespace) -> int:
             option = "--trajectories" if options.cutoff is None else "--cutoff"
             raise UsageError(f"{option}: {truth} is the ground truth of one target, not MOT; leave it out")
         result = score_run(directory.path, truth, options.target)
+        _warn_of_rows(directory, truth)
     say(result.json() if options.json else result.text(explained=True))
     return OK
+
+
+def _warn_of_rows(directory: RunDirectory, truth: Path) -> None:
+    """Say that the ground truth has another number of rows than a whole run has frames."""
+    from bayesnet_track.evaluate.truth import read_truth
+    from bayesnet_track.journal.events.runs import RunEnded
+    from bayesnet_track.journal.reader import read_events
+
+    ended = [one for one in read_events(directory.journal) if isinstance(one, RunEnded)]
+    rows = len(read_truth(truth))
+    if ended and ended[-1].complete and rows != ended[-1].frames and _frames_read(directory) is None:
+        complain(f"{truth} has {rows} rows, the run {ended[-1].frames} frames: is it of this video?")
 
 
 def _frames_read(directory: RunDirectory) -> set[int] | None:

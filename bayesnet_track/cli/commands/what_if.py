@@ -16,6 +16,7 @@ from bayesnet_track.cli.options.plugins import add_plugins
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
+    from bayesnet_track.graph.spec import GraphSpec
     from bayesnet_track.runtime.checkpoints.recipe import Recipe
     from bayesnet_track.runtime.recording.run_reader import Run
 
@@ -49,6 +50,11 @@ def what_if(options: argparse.Namespace) -> int:
     if not options.force:
         check_cues(recipe, ())
         check_files(recipe)
+    if options.no_adaptation and not adapts(first.spec):
+        raise UsageError(
+            f"--no-adaptation: no node of {first.spec.name} has `adapt`, `active` or `self_check`: "
+            "all its agents are always on"
+        )
     masks = recipe.read_masks()
     graph = set_values(first.graph_text, options.set, not options.no_adaptation, masks)
     out = Path(options.out or f"{str(options.run).rstrip('/')}-what-if")
@@ -93,6 +99,14 @@ def _track_again(
                 summary=summary,
             )
         return follow(options, results, summary, source.expected_frames, out)
+
+
+def adapts(spec: GraphSpec) -> bool:
+    """Whether anything in the graph switches agents, or begins with one off."""
+    nodes = [node for target in spec.targets.values() for node in target.nodes.values()]
+    return any(getattr(node, "adapt", None) or getattr(node, "self_check", None) for node in nodes) or any(
+        getattr(node, "active", True) is not True for node in nodes
+    )
 
 
 def as_what_if(arguments: Sequence[str]) -> list[str]:

@@ -77,10 +77,11 @@ def resolve(data: Mapping[str, Any], path: Keys) -> Keys:
     known = [place for place in places if depth[place] > 0]
     if not known:
         names = list(dict.fromkeys(key for before in _prefixes(data) for key in _at(data, before)))
-        near = nearest(path[0], names)
+        near = next(_deeper(data, path[0]), ()) or (nearest(path[0], names),)
+        example = "; a path begins with one of them, as in NODE.belief.particles.size=1000"
         raise ChangeError(
             f"{'.'.join(path)}: nothing is called {shown_name(path[0])}; there are {listed(names)}"
-            + (f"; nearest: {near}" if near else "")
+            + (f"; nearest: {'.'.join((*near, *path[1:]))}" if near[0] else example)
         )
     best = max(depth[place] for place in known)
     deepest = [place for place in known if depth[place] == best]
@@ -113,6 +114,21 @@ def _at(data: Any, keys: Keys) -> Mapping[str, Any]:
     for key in keys:
         data = data[key]
     return data if isinstance(data, Mapping) else {}
+
+
+def _deeper(data: Mapping[str, Any], name: str) -> Iterator[Keys]:
+    """Paths from a node to a key of this name, wherever it stands; shallow ones first."""
+    waiting: list[tuple[Keys, Any]] = [
+        ((node,), content)
+        for target in data.get("targets", {}).values()
+        for node, content in target.get("nodes", {}).items()
+    ]
+    while waiting:
+        path, here = waiting.pop(0)
+        if isinstance(here, Mapping):
+            if name in here:
+                yield (*path, name)
+            waiting += [((*path, str(key)), inside) for key, inside in here.items()]
 
 
 def _depth(data: Any, keys: Keys) -> int:

@@ -53,6 +53,11 @@ def _opened(what: str, or_else: str = "") -> Callable[[re.Match[str], GraphMessa
     return say
 
 
+def _colon(found: re.Match[str], message: GraphMessage) -> str:
+    line = found["line"] or message.line
+    return f"in line {line}, a key is followed by a colon and a space, as in bayesnet: 1"
+
+
 def _always(text: str) -> Callable[[re.Match[str], GraphMessage], str]:
     return lambda found, message: text
 
@@ -74,7 +79,15 @@ RULES: Sequence[Rule] = (
         _always("the keys of one mapping begin in the same column; this one does not"),
     ),
     (r"expected '<document start>'", _always("a key is followed by a colon and a space, as in bayesnet: 1")),
-    (r"could not find expected ':'", _always("a key is followed by a colon and a space, as in bayesnet: 1")),
+    (r"(?:from line (?P<line>\d+) )?could not find expected ':'", _colon),
+    (
+        r"mapping values are not allowed here",
+        _always("one key and one colon a line, or braces; or the line above lacks its colon"),
+    ),
+    (
+        r"expected <block end>, but found '-'",
+        _always("nodes and keys are no list: leave out the - at the beginning"),
+    ),
     (
         r"^(?P<key>\w+):(?P<value>[\d.]+) is empty",
         lambda found, _: f"a space follows the colon: {found['key']}: {found['value']}",

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.document import MAX_BYTES, Document, read_document
 from bayesnet_track.graph.text.explain import explain
-from bayesnet_track.graph.text.messages import GraphError, GraphMessage, Path, Positions, shown_name
+from bayesnet_track.graph.text.messages import GraphError, GraphMessage, Path, Positions, nearest, shown_name
 
 
 def read_graph(
@@ -55,8 +55,17 @@ def bytes_of(source: PathLike[str] | Traversable, file: str) -> bytes:
             content: bytes = stream.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise GraphError([GraphMessage(file, 1, 1, (), "graph", f"cannot be read: {reason}")]) from None
+        found = f"cannot be read: {reason}"
+        raise GraphError([GraphMessage(file, 1, 1, (), "graph", found, nearest=_beside(path))]) from None
     return content
+
+
+def _beside(path: FilePath | Traversable) -> str:
+    """The graph file in the same folder whose name is nearest; empty where there is none."""
+    if not isinstance(path, FilePath) or not path.parent.is_dir():
+        return ""
+    near = nearest(path.name, [one.name for one in path.parent.glob("*.y*ml")])
+    return str(path.parent / near) if near else ""
 
 
 def _only_in_python(document: Document) -> Iterator[GraphMessage]:

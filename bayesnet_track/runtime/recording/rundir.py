@@ -112,7 +112,7 @@ class RunDirectory:
                 )
             is_there = disk.is_there(run.path)
             if not run.journal.is_file():
-                what = f"no {FILES['journal']} in it" if is_there else "no such folder"
+                what = f"no {FILES['journal']} in it{_runs_in(run.path)}" if is_there else "no such folder"
                 raise RunDirectoryError(f"{run.path}: not a run directory: {what}")
         except OSError as error:  # a name that is too long
             if isinstance(error, RunDirectoryError):
@@ -193,3 +193,10 @@ FILES = {key: file.name for key, file in vars(RunDirectory).items() if isinstanc
 """Key of each file of a run -> its name."""
 MARKS = (FILES["recipe"], FILES["journal"], REPLACING)
 """A folder that holds one of them is a run."""
+
+
+def _runs_in(folder: Path) -> str:
+    """What runs a folder holds, for a message."""
+    found = sorted(one.parent.name for one in folder.glob(f"*/{FILES['journal']}"))
+    more = f" and {len(found) - 5} more" if len(found) > 5 else ""
+    return f"; runs in it: {', '.join(found[:5])}{more}" if found else ""

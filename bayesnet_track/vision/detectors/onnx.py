@@ -153,7 +153,9 @@ def _make(parameters: OnnxParameters) -> Detector:
 
     path = Path(parameters.model)
     if not path.is_file():
-        raise DetectorError(f"{path}: no such model file; the path of an ONNX file is needed")
+        raise DetectorError(
+            f"{path}: no such model file; the key model of the detector onnx takes the path of an ONNX file"
+        )
     try:
         network = cv2.dnn.readNetFromONNX(str(path))
     except cv2.error as error:
