@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from typing import Protocol
 
 from bayesnet_track.adapt.conditions import scale_of
-from bayesnet_track.adapt.measures import Measures
-from bayesnet_track.adapt.memory import NO_STREAK, Memory, Quiet
+from bayesnet_track.adapt.memory import NO_QUIET, NO_STREAK, Memory, find_medians
 from bayesnet_track.adapt.situation import active_below, quiet_level
 from bayesnet_track.adapt.status import USUAL
 from bayesnet_track.graph.checked import CheckedTarget
@@ -27,27 +28,60 @@ def has_plain_rules(plate: CheckedTarget) -> bool:
     )
 
 
-def remember_plainly(
-    plate: CheckedTarget, net: TargetNet, measures: Measures, memory: Memory, hidden: float
-) -> Memory | None:
-    """What the rules of such a plate remember after a frame; None where something may be decided.
+class Seen(Protocol):
+    """What was measured of T targets: of each the root's UD and area, px^2, fit, and agent -> nats."""
 
-    `hidden` is the share of the target that another one hides.
+    @property
+    def uds(self) -> Sequence[float]: ...
+
+    @property
+    def areas(self) -> Sequence[float]: ...
+
+    @property
+    def fits(self) -> Sequence[float]: ...
+
+    @property
+    def contributions(self) -> Sequence[Mapping[str, float]]: ...
+
+
+def remember_plainly(
+    plate: CheckedTarget,
+    nets: Sequence[TargetNet],
+    seen: Seen,
+    memories: Sequence[Memory],
+    hidden: Sequence[float],
+) -> list[Memory | None]:
+    """What the rules of such a plate remember of targets after a frame; None where something may be decided.
+
+    `hidden` are the shares of the targets that others hide.
     """
-    if not net.active or net.quarantined or memory.missed or memory.self_check or memory.worth:
-        return None
-    root, rule, ud = plate.root, plate.inference(plate.root).lost or USUAL, measures.ud_px2[plate.root]
-    quiet = memory.quiet
-    if net.status == "tracking":
-        active = active_below(plate, net, root)
-        quiet = {**quiet, root: quiet.get(root, Quiet()).seen(active, ud)} if active else quiet
-    after = changed(memory, quiet=quiet, helpful=memory.counting(measures.contribution))
-    baseline = quiet_level(plate, net, after, root) if rule.above.kind == "ud_baseline" else None
-    scale = scale_of(rule.above, measures.area_px2, baseline)
-    value = 0.0 if scale is None else ud / scale
-    looks_lost = value > rule.above.settings or not (measures.fit >= rule.fit_below or hidden >= 0.5)
-    if looks_lost or net.status == "lost":
-        return None
-    fields = {"lost": NO_STREAK, "unfit": NO_STREAK, "found": memory.found.then(True, value, rule.frames)}
-    after.__dict__.update(fields)
-    return after
+    root, rule = plate.root, plate.inference(plate.root).lost or USUAL
+    found: list[Memory | None] = []
+    for net, memory, ud, contribution in zip(nets, memories, seen.uds, seen.contributions, strict=True):
+        if (
+            net.status != "tracking"
+            or not net.active
+            or net.quarantined
+            or memory.missed
+            or memory.self_check
+            or memory.worth
+        ):
+            found.append(None)
+        else:
+            active, quiet = active_below(plate, net, root), memory.quiet
+            if active:
+                quiet = {**quiet, root: quiet.get(root, NO_QUIET).seen(active, ud)}
+            found.append(changed(memory, quiet=quiet, helpful=memory.counting(contribution)))
+    find_medians(one.quiet[root] for one in found if one is not None and root in one.quiet)
+    for k, (net, after, ud) in enumerate(zip(nets, found, seen.uds, strict=True)):
+        if after is None:
+            continue
+        baseline = quiet_level(plate, net, after, root) if rule.above.kind == "ud_baseline" else None
+        scale = scale_of(rule.above, seen.areas[k], baseline)
+        value = 0.0 if scale is None else ud / scale
+        if value > rule.above.settings or not (seen.fits[k] >= rule.fit_below or hidden[k] >= 0.5):
+            found[k] = None
+            continue
+        streak = after.found.then(True, value, rule.frames)
+        after.__dict__.update(lost=NO_STREAK, unfit=NO_STREAK, found=streak)
+    return found

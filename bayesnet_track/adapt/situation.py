@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from bayesnet_track.adapt.conditions import Reading, read_level
 from bayesnet_track.adapt.measures import Measures
-from bayesnet_track.adapt.memory import Memory, Quiet
+from bayesnet_track.adapt.memory import NO_QUIET, Memory
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Level
 from bayesnet_track.journal.net.causes import HiddenCause
@@ -50,7 +50,7 @@ class Situation:
 
 def quiet_level(plate: CheckedTarget, net: TargetNet, memory: Memory, node: str) -> float | None:
     """The measured baseline of a node's UD in px^2 with the agents now active; None while unknown."""
-    return memory.quiet.get(node, Quiet()).level_px2(active_below(plate, net, node))
+    return memory.quiet.get(node, NO_QUIET).level_px2(active_below(plate, net, node))
 
 
 def read_ud(now: Situation, memory: Memory, node: str, level: Level) -> Reading | None:
@@ -65,7 +65,7 @@ def read_ud_beside_more(now: Situation, memory: Memory, node: str, level: Level)
     It is the lower one, so that help is called early; for a target that is lost, of which no baseline is
     measured.
     """
-    quiet = memory.quiet.get(node, Quiet()).level_px2(frozenset())
+    quiet = memory.quiet.get(node, NO_QUIET).level_px2(frozenset())
     return read_level(level, now.measures.ud_px2[node], now.measures.area_of(node), quiet)
 
 

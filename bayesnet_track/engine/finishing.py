@@ -13,7 +13,6 @@ from functools import partial
 import numpy as np
 
 from bayesnet_track.adapt.measures import Measures
-from bayesnet_track.adapt.plain_rules import has_plain_rules, remember_plainly
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.adapt.situation import Situation, quiet_level
 from bayesnet_track.belief.estimate import estimate
@@ -24,6 +23,7 @@ from bayesnet_track.engine.frame_metrics import frame_metrics
 from bayesnet_track.engine.frame_work import FrameWork
 from bayesnet_track.engine.learning import learn_all
 from bayesnet_track.engine.modes import with_modes
+from bayesnet_track.engine.rows.plain_rows import Described, finish_rows
 from bayesnet_track.engine.scoring.assurance import judge_alarm, judge_assurance, with_evidence, with_recent
 from bayesnet_track.engine.scoring.distractors import find_distractor
 from bayesnet_track.engine.scoring.reacquisition import Look, follow_fit
@@ -39,7 +39,6 @@ from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed
 from bayesnet_track.journal.events.statuses import FoundAgain
 from bayesnet_track.journal.metrics import FrameMetrics
-from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.divergence import kl
 from bayesnet_track.numerics.records import changed
@@ -59,9 +58,15 @@ def finish_targets(work: FrameWork, filtered: Mapping[str, Filtered]) -> dict[st
     started = work.engine.clock()
     find_maps(one.step for one in filtered.values())
     states = {target: estimate_target(work, one) for target, one in filtered.items()}
-    started = work.charge("belief", started)
+    work.charge("belief", started)
     inside = inside_frame_all(np.array([state[:4] for state in states.values()]).reshape(-1, 4), work.frame)
     boxes = dict(zip(states, inside, strict=True))
+    bare = replace(work, cache=PlaneCache(FramePair(work.frame, None)))  # lines may be asked for much later
+    spreads = find_covariances(filtered)
+    described = Described(bare, spreads, find_summaries(bare, filtered, spreads))
+    results = finish_rows(work, filtered, states, boxes, described)
+    filtered = {target: one for target, one in filtered.items() if target not in results}
+    started = work.engine.clock()
     measures = measure_all(work, filtered, boxes)
     measured = {
         target: measure_target(work, one, states[target], boxes[target], measures[target])
@@ -71,13 +76,9 @@ def finish_targets(work: FrameWork, filtered: Mapping[str, Filtered]) -> dict[st
     started = work.charge("measure", started)
     learnt = learn_all(work, filtered, measured, decided)
     work.charge("learn", started)
-    bare = replace(work, cache=PlaneCache(FramePair(work.frame, None)))  # lines may be asked for much later
-    spreads = find_covariances(filtered)
-    summaries = find_summaries(bare, filtered, spreads)
-    results: dict[str, TargetResult] = {}
     for target, one in filtered.items():
         done = measured[target], decided[target], learnt[target]
-        line = partial(_line, bare, one, done, summaries)
+        line = partial(_line, bare, one, done, described.summaries)
         results[target] = describe_target(work, one, done, line, partial(spreads.__getitem__, target))
     return results
 
@@ -94,7 +95,7 @@ def measure_all(
     """Target -> UD, KL, ... of its belief, its estimate in `boxes` (4,); as arrays where that can be done."""
     alike: dict[Hashable, list[str]] = {}
     found: dict[str, Measures] = {}
-    areas = {target: float(box[2] * box[3]) for target, box in boxes.items()}
+    areas = {target: float(boxes[target][2] * boxes[target][3]) for target in filtered}
     for target, one in filtered.items():
         plate = work.plate_of(target).plate
         if is_flat(plate) and is_plain(one.plan, one.step):
@@ -108,7 +109,7 @@ def measure_all(
             continue
         steps = [filtered[target].step for target in targets]
         rows = measure_rows(plate, first.plan, steps, [areas[target] for target in targets])
-        found.update(zip(targets, rows, strict=True))
+        found.update((target, rows.of(row)) for row, target in enumerate(targets))
     return found
 
 
@@ -169,12 +170,8 @@ def _follow(
 def decide_target(work: FrameWork, filtered: Filtered, measured: Measured) -> Decided:
     """What the rules choose."""
     plate = work.plate_of(filtered.target).plate
-    see, before, memory = partial(_see, work, filtered, measured), filtered.before.memory, None
-    chosen: tuple[Decision, ...] = ()
-    if has_plain_rules(plate) and not filtered.missed and filtered.modes is None:
-        memory = remember_plainly(plate, measured.net, measured.measures, before, filtered.hidden)
-    if memory is None:
-        chosen, memory = decide(see(), before)
+    see = partial(_see, work, filtered, measured)
+    chosen, memory = decide(see(), filtered.before.memory)
     return Decided(chosen, memory, quiet_level(plate, measured.net, memory, plate.root), see)
 
 

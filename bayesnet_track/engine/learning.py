@@ -36,6 +36,7 @@ from bayesnet_track.inference.part_measures import part_rates
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.self_checks import LocallyAdapted
 from bayesnet_track.journal.net.net import Decision
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import changed
 from bayesnet_track.observation.cue import ANGLE, CrowdCue, Reference, context_of
 from bayesnet_track.observation.guests import FAULTS
@@ -57,7 +58,12 @@ def learn_all(
         for target, one in filtered.items()
     }
     together = [target for target, one in filtered.items() if _learns_plainly(work, one, decided[target])]
-    moved = _follow(work, filtered, measured, {target: rates[target][1] for target in together})
+    moved = follow_all(
+        work,
+        {target: filtered[target].before.references for target in together},
+        {target: measured[target].box for target in together},
+        {target: rates[target][1] for target in together},
+    )
     found: dict[str, Learnt] = {}
     for target, one in filtered.items():
         if target in moved:
@@ -93,14 +99,14 @@ def plate_learns(compiled: CompiledPlate) -> bool:
     )
 
 
-def _follow(
+def follow_all(
     work: FrameWork,
-    filtered: Mapping[str, Filtered],
-    measured: Mapping[str, Measured],
+    before: Mapping[str, Mapping[str, Reference]],
+    boxes: Mapping[str, Floats],
     rates: Mapping[str, Mapping[str, float]],
 ) -> dict[str, dict[str, Reference]]:
-    """Target -> its references after learning; without those of plates whose cues fail."""
-    moved = {target: dict(filtered[target].before.references) for target in rates}
+    """Target -> its references after learning in its box (4,); without those of plates whose cues fail."""
+    moved = {target: dict(references) for target, references in before.items()}
     plates = {work.plate_of(target).plate.name: work.plate_of(target) for target in rates}
     for compiled in plates.values():
         for agent, cue in compiled.cues.items():
@@ -112,12 +118,12 @@ def _follow(
             if not own:
                 continue
             follows: Any = cue
-            boxes = np.array([measured[target].box for target in own])
+            at = np.array([boxes[target] for target in own])
             try:
-                planes = planes_of_each(work, cue.needs, boxes, np.arange(len(own) + 1), context_of(cue))
-                before = [shown(moved[target][agent]) for target in own]
+                planes = planes_of_each(work, cue.needs, at, np.arange(len(own) + 1), context_of(cue))
+                known = [shown(moved[target][agent]) for target in own]
                 shares = np.array([rates[target][agent] for target in own])
-                after = check_references(follows.follow_each(planes, boxes.copy(), before, shares))
+                after = check_references(follows.follow_each(planes, at.copy(), known, shares))
             except FAULTS:
                 after = None
             if after is None:

@@ -6,8 +6,9 @@ depends on who else is measured.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,8 @@ from bayesnet_track.inference.messages import join_plain
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.divergence import select
 from bayesnet_track.numerics.tilts import divergences, tilt
+
+Rest = tuple[Sequence[Sequence[float]], Sequence[Sequence[float]], Sequence[Sequence[float]]]
 
 
 @lru_cache(maxsize=64)
@@ -51,45 +54,86 @@ def is_plain(plan: Plan, step: Step[Any]) -> bool:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class RowMeasures:
+    """What is measured of T targets; what no rule of a plain net asks for is found with the first `of`.
+
+    Attributes:
+        target: the flat net.
+        agents: those who said something, A of them.
+        uds: of each target, UD of its belief, px^2.
+        fits: of each, as in `Measures`.
+        areas: of each estimate, px^2.
+        contributions: of each, agent -> nats.
+        find_rest: () -> of each target by agent, KL and strength in nats, UD in px^2.
+    """
+
+    target: CheckedTarget
+    agents: Sequence[str]
+    uds: Sequence[float]
+    fits: Sequence[float]
+    areas: Sequence[float]
+    contributions: Sequence[dict[str, float]]
+    find_rest: Callable[[], Rest]
+
+    def __len__(self) -> int:
+        return len(self.uds)
+
+    @cached_property
+    def _rest(self) -> Rest:
+        return self.find_rest()
+
+    def of(self, row: int) -> Measures:
+        """What is measured of one."""
+        kl, strength, uds = (dict(zip(self.agents, part[row], strict=True)) for part in self._rest)
+        return Measures(
+            ud_px2={self.target.root: self.uds[row]},
+            agent_ud_px2=uds,
+            kl=kl,
+            contribution=self.contributions[row],
+            strength=strength,
+            fit=self.fits[row],
+            area_px2=self.areas[row],
+        )
+
+
 def measure_rows(
     target: CheckedTarget, plan: Plan, steps: Sequence[Step[Any]], areas_px2: Sequence[float]
-) -> list[Measures]:
+) -> RowMeasures:
     """What is measured of plain `steps` of a flat net, with the same number of hypotheses each."""
     agents = [one.agent for one in plan.observations]
-    count = len(agents)
+    columns = _columns(target)
     messages = np.array([[step.evidence.messages[agent] for step in steps] for agent in agents])
     prior = np.array([step.prior.log for step in steps])
     root = np.array([step.support.weights.log for step in steps])
     weights = np.array([step.support.weights.weights for step in steps])
-    boxes = np.array([step.support.states[:, _columns(target)] for step in steps])
-    logs = tilt(prior, np.concatenate([messages, _without_each(plan, agents, messages)]))
-    alone = [root] if count == 1 else logs[:count]
-    nats = divergences(
-        np.concatenate([[root] * (2 * count), logs[:count]]),
-        np.concatenate([alone, logs[count:], [prior] * count]),
+    boxes = np.array([step.support.states[:, columns] for step in steps])
+    without = tilt(prior, _without_each(plan, agents, messages))
+    nats = divergences(np.array([root] * len(agents)), without).T.tolist()
+    fits = np.exp(
+        np.minimum(sum((own / len(agents) for own in messages), np.zeros_like(prior)).max(axis=1), 0.0)
     )
-    best = messages.argmax(axis=2)
-    rows = np.arange(len(steps))
-    agent_uds = [_uds(boxes, np.exp(logs[k]), boxes[rows, best[k]]) for k in range(count)]
-    about = np.array([step.map_state for step in steps])[:, _columns(target)]
-    uds = _uds(boxes, weights, about)
-    fits = np.exp(np.minimum(sum((own / count for own in messages), np.zeros_like(prior)).max(axis=1), 0.0))
-    kl, contribution, strength = (
-        [dict(zip(agents, own, strict=True)) for own in nats[k * count : (k + 1) * count].T.tolist()]
-        for k in range(3)
+    about = np.array([step.map_state for step in steps])[:, columns]
+    return RowMeasures(
+        target,
+        agents,
+        _uds(boxes, weights, about),
+        fits.tolist(),
+        areas_px2,
+        [dict(zip(agents, own, strict=True)) for own in nats],
+        partial(_find_rest, messages, prior, root, boxes),
     )
-    return [
-        Measures(
-            ud_px2={target.root: uds[t]},
-            agent_ud_px2={agent: agent_uds[k][t] for k, agent in enumerate(agents)},
-            kl=kl[t],
-            contribution=contribution[t],
-            strength=strength[t],
-            fit=fit,
-            area_px2=areas_px2[t],
-        )
-        for t, fit in enumerate(fits.tolist())
-    ]
+
+
+def _find_rest(messages: Floats, prior: Floats, root: Floats, boxes: Floats) -> Rest:
+    """KL and strength of each agent (A, T, N), and UD of what it says by itself."""
+    count = len(messages)
+    logs = tilt(prior, messages)
+    alone = root[None] if count == 1 else logs
+    nats = divergences(np.concatenate([[root] * count, logs]), np.concatenate([alone, [prior] * count]))
+    best, rows = messages.argmax(axis=2), np.arange(len(prior))
+    uds = [_uds(boxes, np.exp(own), boxes[rows, at]) for own, at in zip(logs, best, strict=True)]
+    return nats[:count].T.tolist(), nats[count:].T.tolist(), list(zip(*uds, strict=True))
 
 
 def _columns(target: CheckedTarget) -> slice | list[int]:

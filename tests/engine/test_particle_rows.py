@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cues.color_histogram import ColorHistogram
-from bayesnet_track.engine import learning
+from bayesnet_track.engine import finishing, learning
 from bayesnet_track.engine import step as steps
 from bayesnet_track.engine.frame_work import FrameWork
+from bayesnet_track.engine.rows import plain_rows
 from bayesnet_track.engine.rows.particle_rows import filter_rows, plate_fits
 from bayesnet_track.engine.rows.shared_planes import planes_of_each
 from bayesnet_track.graph.text.load import load_graph
@@ -97,8 +98,31 @@ def test_agents_of_all_targets_learn_in_one_call(monkeypatch):
     )
     together = lines(4)
     assert asked and max(asked) > 1
+    monkeypatch.setattr(finishing, "finish_rows", lambda *_: {})
     monkeypatch.setattr(learning, "plate_learns", lambda compiled: False)
     assert lines(4) == together
+
+
+def test_finished_together_and_one_by_one_are_the_same_bytes(monkeypatch):
+    """So is what the rules remember; a target that looks lost is finished by itself."""
+    finished = []
+
+    def finish(*given):
+        found = plain_rows.finish_rows(*given)
+        finished.append(len(found))
+        return found
+
+    def memories():
+        engine, state = started()
+        for index in range(1, 14):
+            state = steps.step(engine, state, frame(index if index < 10 else index + 30)).state
+        return {target: one.memory for target, one in state.targets.items()}
+
+    monkeypatch.setattr(finishing, "finish_rows", finish)
+    together, remembered = lines(8), memories()
+    assert max(finished) == len(PLACES) and min(finished) < len(PLACES)
+    monkeypatch.setattr(finishing, "finish_rows", lambda *_: {})
+    assert lines(8) == together and memories() == remembered
 
 
 def test_only_targets_that_fit_go_together():

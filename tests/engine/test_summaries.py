@@ -86,8 +86,8 @@ def test_targets_measured_together_are_measured_as_alone(motion, agents):
         assert step.__dict__["map_state"].tolist() == find.states[best].tolist()
     plan = found["0"].plan
     together = measure_rows(plate, plan, steps, [1.0, 2.0, 3.0])
-    for one, step, area in zip(together, steps, (1.0, 2.0, 3.0), strict=True):
-        assert_close(vars(one), vars(measure(plate, plan, step, area)))
+    for row, (step, area) in enumerate(zip(steps, (1.0, 2.0, 3.0), strict=True)):
+        assert_close(vars(together.of(row)), vars(measure(plate, plan, step, area)))
     spreads = find_covariances(found)
     for target, one in find_summaries(work, found, spreads).items():
         step = found[target].step
@@ -108,7 +108,9 @@ def test_a_weight_of_zero_counts_nothing_in_any_measure():
     steps = [one.step for one in found.values()]
     steps[1].evidence.messages["gray"][::2] = -np.inf
     together = measure_rows(plate, plan, steps, [1.0] * 3)
-    assert [vars(one) for one in together] == [vars(measure(plate, plan, step, 1.0)) for step in steps]
+    assert [vars(together.of(row)) for row in range(3)] == [
+        vars(measure(plate, plan, step, 1.0)) for step in steps
+    ]
 
 
 def test_lines_are_made_when_the_first_is_asked_for_and_once():
