@@ -32,12 +32,14 @@ class PairMemory:
         overlap: overlap of the reaches in the last frame.
         apart: overlaps of the last consecutive frames in which it was below the level.
         left_out: whether the pair is left out of a ring.
+        flawed: whether its factor had no value for some pairs of hypotheses, or was 0 for all.
     """
 
     first_in_front: float = 0.5
     overlap: float = 0.0
     apart: tuple[float, ...] = ()
     left_out: bool = False
+    flawed: bool = False
 
 
 @dataclass(frozen=True)

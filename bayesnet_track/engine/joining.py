@@ -7,7 +7,7 @@ weights of the joint belief's marginal, so that all that follows sees it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -30,8 +30,9 @@ from bayesnet_track.graph.settings.joins import Join
 from bayesnet_track.inference.factors import log_prior_factor, log_seen
 from bayesnet_track.inference.joint import Marginal, joint_marginals
 from bayesnet_track.inference.joint_members import Edge, Member, Pair
-from bayesnet_track.inference.pair_factors import pair_factor
+from bayesnet_track.inference.pair_factors import PairFlaw, pair_factor
 from bayesnet_track.journal.events.event import Event
+from bayesnet_track.journal.events.flaws import PairFactorChanged
 from bayesnet_track.journal.events.joint_beliefs import RingChanged
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.numerics.arrays import Floats
@@ -64,12 +65,14 @@ class _Tree:
         left_out: pair that would close a ring -> the targets of that ring.
         edges: the tree's.
         closing: those that are left out.
+        flaws: pair with a factor -> what is wrong with it, once the joint belief is computed.
     """
 
     pairs: Mapping[Pair, PairMemory]
     left_out: Mapping[Pair, tuple[str, ...]]
     edges: tuple[Edge, ...]
     closing: tuple[Edge, ...]
+    flaws: Mapping[Pair, PairFlaw] = field(default_factory=dict)
 
 
 def join_targets(work: FrameWork, memory: JoinMemory, filtered: Mapping[str, Filtered]) -> JointBelief:
@@ -112,6 +115,7 @@ def _tree(work: FrameWork, memory: JoinMemory, of: Mapping[str, Filtered]) -> _T
         pairs[pair] = replace(known, first_in_front=_predict_order(known, rules[pair]))
     sharing = {pair: one.overlap for pair, one in pairs.items() if rules[pair].reweights}
     tree, left_out = spanning_tree(sharing)
+    flaws = {pair: PairFlaw() for pair in pairs if rules[pair].factor is not None}
     edges, closing = (
         tuple(
             Edge(
@@ -119,7 +123,7 @@ def _tree(work: FrameWork, memory: JoinMemory, of: Mapping[str, Filtered]) -> _T
                 pairs[pair].first_in_front,
                 rules[pair].nats,
                 rules[pair].pairings,
-                pair_factor(rules[pair], work.engine.constants, work.frame),
+                pair_factor(rules[pair], work.engine.constants, work.frame, flaws.get(pair)),
             )
             for pair in chosen
             if (pairs[pair].overlap > 0 or rules[pair].factor is not None)
@@ -127,7 +131,7 @@ def _tree(work: FrameWork, memory: JoinMemory, of: Mapping[str, Filtered]) -> _T
         )
         for chosen in (tree, left_out)
     )
-    return _Tree(pairs, left_out, edges, closing)
+    return _Tree(pairs, left_out, edges, closing, flaws)
 
 
 def _marginals(
@@ -161,14 +165,18 @@ def _marginals(
 def _update_pairs(
     frame: int, tree: _Tree, orders: Mapping[Pair, float]
 ) -> tuple[dict[Pair, PairMemory], list[Event]]:
-    """What is remembered of each pair, and which are left out of a ring now, or no longer."""
+    """What is remembered of each pair; which are left out of a ring, or have a flawed factor, from now on."""
     pairs: dict[Pair, PairMemory] = {}
     events: list[Event] = []
     for pair, one in tree.pairs.items():
         is_out = pair in tree.left_out
         if one.left_out != is_out:
             events.append(RingChanged(frame, *pair, is_out, one.overlap, tree.left_out.get(pair, pair)))
-        pairs[pair] = replace(one, first_in_front=orders.get(pair, one.first_in_front), left_out=is_out)
+        flaw = tree.flaws.get(pair, PairFlaw())
+        if one.flawed != bool(flaw):
+            events.append(PairFactorChanged(frame, *pair, flaw.undefined, flaw.pairs, flaw.ignored))
+        in_front = orders.get(pair, one.first_in_front)
+        pairs[pair] = replace(one, first_in_front=in_front, left_out=is_out, flawed=bool(flaw))
     return pairs, events
 
 

@@ -167,11 +167,16 @@ def _related(
     partners: NDArray[np.intp],
     weight: Floats,
 ) -> Message:
-    """The mean over partners of their weight times the pair's factor; without it where it is 0 for all."""
+    """The mean over partners of their weight times the pair's factor; without it where it is 0 for all.
+
+    Of a factor that is tiny for all pairs it is the mean but for a constant, which all hypotheses share.
+    """
     own = {name: values[None] for name, values in hearer.items()}
     log = factor(own, {name: values[partners] for name, values in speaker.items()})
-    density = np.exp(np.clip(log, None, -LEAST_LOG))
-    if not density.any():
+    top = float(log.max())
+    if top == -np.inf:
         density = np.ones(partners.shape)
+    else:
+        density = np.exp(np.clip(log if top > LEAST_LOG else log - top, None, -LEAST_LOG))
     nothing = np.zeros(partners.shape[1])
     return Message((weight[partners] * density).mean(axis=0), nothing, nothing, nothing)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -16,8 +17,32 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import Frame
 
 
-def pair_factor(rule: Join, constants: Mapping[str, float], frame: Frame) -> Factor | None:
-    """The factor of a join in a frame; None of one without. Pairs of which it has no value are impossible."""
+@dataclass(eq=False)
+class PairFlaw:
+    """What was wrong with the factor of a pair in one frame; filled in when it is evaluated.
+
+    Attributes:
+        undefined: pairs of hypotheses of which it has no value; they count as impossible.
+        pairs: how many there were.
+        ignored: for the hypotheses of one of the targets no pair was possible: it was left out there.
+    """
+
+    undefined: int = 0
+    pairs: int = 0
+    ignored: bool = False
+
+    def __bool__(self) -> bool:
+        """Whether anything was wrong."""
+        return self.undefined > 0 or self.ignored
+
+
+def pair_factor(
+    rule: Join, constants: Mapping[str, float], frame: Frame, found: PairFlaw | None = None
+) -> Factor | None:
+    """The factor of a join in a frame; None of one without. Pairs of which it has no value are impossible.
+
+    What is wrong with its values is written into `found`.
+    """
     if rule.factor is None:
         return None
     term = _term(rule.factor)
@@ -28,7 +53,13 @@ def pair_factor(rule: Join, constants: Mapping[str, float], frame: Frame) -> Fac
         names |= {f"b.{name}": values for name, values in second.items()}
         log = np.asarray(log_values(term, {**names, **fixed}), dtype=np.float64)
         shape = np.broadcast_shapes(*(values.shape for values in names.values()))
-        return np.broadcast_to(np.where(np.isnan(log), -np.inf, log), shape)
+        undefined = np.broadcast_to(np.isnan(log), shape)
+        known = np.broadcast_to(np.where(undefined, -np.inf, log), shape)
+        if found is not None:
+            found.undefined += int(undefined.sum())
+            found.pairs += int(undefined.size)
+            found.ignored |= not (known > -np.inf).any()
+        return known
 
     return log_density
 

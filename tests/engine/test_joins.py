@@ -11,6 +11,7 @@ from bayesnet_track.graph.checks.run import check, check_graph
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.codec import from_json, to_json
+from bayesnet_track.journal.events.flaws import PairFactorChanged
 from bayesnet_track.journal.events.joins import Joined, Parted
 from bayesnet_track.journal.events.joint_beliefs import AttachmentChanged, OcclusionChanged
 from bayesnet_track.journal.net.net import Decision, replay
@@ -167,7 +168,31 @@ def test_a_factor_that_is_the_same_everywhere_changes_no_joint_belief():
                 assert own.join.hidden == pytest.approx(before.join.hidden, abs=1e-6)
 
 
-@pytest.mark.parametrize(("factor", "pulls"), [("1", False), ("normal(b.x - a.x, -200, 3)", True)])
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [
+        ("where(a.x > 9 * frame_width, 1, 0)", [(1, False, True)]),
+        ("sqrt(b.x - a.x)", [(1, True, True)]),
+        ("where(a.x < 1000, 1, 0)", []),
+    ],
+)
+def test_a_factor_of_two_targets_that_leaves_no_pair_is_an_event(factor, said):
+    scene = orange_and_gray(0, frames=25)
+    plain = as_plain(load_graph("orange_and_gray").spec)
+    join = {"between": ["orange", "gray"], "factor": factor, "when": {"overlap": 0}}
+    outcomes = tracked(scene, check_graph({**plain, "joins": [join]}), 0, 5)
+    events = [one for outcome in outcomes for one in outcome.events if isinstance(one, PairFactorChanged)]
+    assert [(len(events), one.undefined > 0, one.ignored) for one in events] == said
+
+
+@pytest.mark.parametrize(
+    ("factor", "pulls"),
+    [
+        ("1", False),
+        ("normal(b.x - a.x, -200, 3)", True),
+        pytest.param("normal(b.x - a.x, -100, 0.5)", True, id="beyond the smallest number"),
+    ],
+)
 def test_a_factor_of_two_targets_pulls_them_however_far_they_are(factor, pulls):
     """An orange and a gray square, 220 px apart; the spring's length is 200 px."""
     scene = orange_and_gray(0, frames=25)

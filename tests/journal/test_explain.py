@@ -25,7 +25,7 @@ from bayesnet_track.journal.events.distractors import DistractorSeen
 from bayesnet_track.journal.events.endings import DuplicateEnded, TargetDied
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.faults import AgentMissed, Quarantined, Readmitted
-from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed
+from bayesnet_track.journal.events.flaws import FactorFlawed, FlawEnded, MotionFlawed, PairFactorChanged
 from bayesnet_track.journal.events.guarantees import AlarmEnded, AlarmRaised, AssuranceChanged
 from bayesnet_track.journal.events.joins import Joined, Parted
 from bayesnet_track.journal.events.joint_beliefs import AttachmentChanged, OcclusionChanged, RingChanged
@@ -248,6 +248,20 @@ GOLDEN = [
         "such noise",
     ),
     (FlawEnded(19, "1", "road"), "frame 19: road of target 1 has a value for every hypothesis again"),
+    (
+        PairFactorChanged(12, "1", "2", 40, 800, False),
+        "frame 12: the factor of target 1 and target 2 has no value for 40 of 800 pairs of hypotheses "
+        "(such as 0 / 0) → they count as impossible",
+    ),
+    (
+        PairFactorChanged(12, "1", "2", 0, 800, True),
+        "frame 12: the factor of target 1 and target 2 is 0 for all pairs of hypotheses → it is left out "
+        "until it is above 0 for some",
+    ),
+    (
+        PairFactorChanged(14, "1", "2", 0, 800, False),
+        "frame 14: the factor of target 1 and target 2 has a value again, and is above 0 for some pairs",
+    ),
     (
         BeliefReset(33, "1", 0.2834, 1.0, "belief", 3600.0, "reset"),
         "frame 33: γ 0.283 < 1 over the belief's bounding box (3600 px²) → the belief of target 1 starts "

@@ -87,4 +87,38 @@ class FlawEnded:
         return f"{self.what} of target {self.target} has a value for every hypothesis again"
 
 
-Events = FactorFlawed | MotionFlawed | FlawEnded
+@dataclass(frozen=True)
+class PairFactorChanged:
+    """The factor of two joined targets has no value for some pairs, or is zero for all; or no longer.
+
+    Written in the first such frame, and in the first without.
+
+    Attributes:
+        frame: the frame.
+        target: target id.
+        other: the other target's id.
+        undefined: pairs of hypotheses for which the expression has no value; they count as impossible.
+        pairs: pairs that were looked at.
+        ignored: true when all were impossible: the factor was left out of the frame.
+    """
+
+    frame: int
+    target: str
+    other: str
+    undefined: int
+    pairs: int
+    ignored: bool
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        factor = f"the factor of target {self.target} and target {self.other}"
+        out = "it is left out until it is above 0 for some"
+        if self.undefined:
+            of = f"{self.undefined} of {self.pairs} pairs of hypotheses (such as 0 / 0)"
+            return f"{factor} has no value for {of} → {out if self.ignored else 'they count as impossible'}"
+        if self.ignored:
+            return f"{factor} is 0 for all pairs of hypotheses → {out}"
+        return f"{factor} has a value again, and is above 0 for some pairs"
+
+
+Events = FactorFlawed | MotionFlawed | FlawEnded | PairFactorChanged
