@@ -8,7 +8,8 @@ library graph with parts; one net that sees the person's whole box, by both cues
 other, one for the head and one for the torso. Prints the error of the hidden part's centre and of the part
 that is seen meanwhile, and in how many seeds both parts are within half of their own size of the truth in the
 last ten frames. Then parts with a `given` half and twice as wide, and the graph of three levels, whose parts
-remember where they are, beside the same graph with parts drawn anew in each frame.
+remember where they are, beside the same graph with parts drawn anew in each frame; and the graph of two
+targets that a factor relates.
 With `--figure` it draws three frames of seed 0 instead.
 """
 
@@ -170,6 +171,7 @@ def main() -> None:
         "one net, the whole box": alone("person"),
         "one net, colour of the whole box": alone("person", pattern=False, floor=0.02),
         "two independent nets": alone("head", "torso"),
+        "two nets and a factor": load_graph("head_and_torso").spec,
         "parts, `given` half as wide": with_parts(0.5),
         "parts, `given` twice as wide": with_parts(2.0),
         "three levels that move": with_levels(),
