@@ -2,6 +2,7 @@
 
     python benchmarks/fusion.py
     python benchmarks/fusion.py DATA_FOLDER --halves Car1,Crossing Couple,Girl [--max-frames 100] [--seeds 1]
+    python benchmarks/fusion.py DATA_FOLDER --halves Car1,Crossing Couple,Girl --own-boxes
 
 Without a folder: the closed form of the model with a shared latent state (per coordinate, in two
 dimensions: h of sd 20, c = h + e of sd 6 or less, two colour agents c + e of sd 3, an intensity agent h + e
@@ -9,6 +10,8 @@ of sd 6): how often the regions that each fusion reports hold h. With a folder (
 NAME/groundtruth.txt): the graph's learned pools beside equal pools and products. Temperatures of agents and
 correlations are fitted to the first list of sequences and judged on the second, then the other way round.
 Coverage is that of the belief itself, without `localization_error`, over frames on target, mean of x and y.
+With `--own-boxes` the correlation by ground truth, and by the tracker's own boxes in its place: what an
+estimate while tracking would know.
 """
 
 from __future__ import annotations
@@ -21,9 +24,11 @@ from pathlib import Path
 import numpy as np
 from calibration import frames_of
 from measuring import environment, on_one_thread, table
+from numpy.typing import NDArray
 from sequences import Sequence as Video
 from sequences import find_sequences
 
+from bayesnet_track import track
 from bayesnet_track.evaluate.calibration_data import (
     TEMPERATURES,
     CalibrationData,
@@ -37,7 +42,9 @@ from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.graph.settings.nodes import pool_exponents
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.write import as_plain
+from bayesnet_track.sources.sources import open_source
 
+Floats = NDArray[np.float64]
 FUSIONS = ("product", "pool", "learned")
 PRIOR, COLOR, INTENSITY = 20.0, 3.0, 6.0
 SHARED = (6.0, 3.0, 1.5)
@@ -143,6 +150,29 @@ def on_video(graph: CheckedGraph, halves: Sequence[Sequence[Video]], seeds: int)
     return table(head, [[fusion, *judged(data)] for fusion, data in found.items()])
 
 
+def own_boxes(graph: CheckedGraph, halves: Sequence[Sequence[Video]]) -> str:
+    """The table of correlations by ground truth, and by the boxes of a run in its place."""
+    (pool,) = learned_pools(next(iter(graph.targets.values())))
+    rows, found = [], []
+    for video in (video for half in halves for video in half):
+        x, y, w, h = (float(value) for value in video.truth[0])
+        with open_source(str(video.files[0].parent), end=len(video.files)) as source:
+            boxes = np.array([one.targets[0].xywh for one in track(graph, source, (x, y, w, h))])
+        each = [residuals_of(graph, frames_of(video.images()), one)[pool] for one in (video.truth, boxes)]
+        found.append(each)
+        rows.append([video.name, *(_correlation([one]) for one in each)])
+        sys.stderr.write(" ".join(rows[-1]) + "\n")
+    rows.append(["all", *(_correlation(one) for one in zip(*found, strict=True))])
+    return table(["sequence", "by ground truth", "by its own boxes"], rows)
+
+
+def _correlation(videos: Sequence[Floats]) -> str:
+    try:
+        return f"{fit_correlation(videos).value:.2f}"
+    except ValueError:  # too few frames in which both say something
+        return "-"
+
+
 def main() -> None:
     """Print a table."""
     parser = argparse.ArgumentParser(
@@ -153,6 +183,7 @@ def main() -> None:
     parser.add_argument("--halves", nargs=2, metavar="NAMES", help="two lists, comma-separated")
     parser.add_argument("--max-frames", type=int, default=100)
     parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--own-boxes", action="store_true", help="compare two ways to estimate r")
     options = parser.parse_args()
     if options.data is None:
         print(simulated())
@@ -160,6 +191,9 @@ def main() -> None:
     on_one_thread()
     print(environment() + "\n")
     halves = [find_sequences(options.data, names.split(","), options.max_frames) for names in options.halves]
+    if options.own_boxes:
+        print(own_boxes(load_graph(options.graph), halves))
+        return
     print(on_video(load_graph(options.graph), halves, options.seeds))
 
 
