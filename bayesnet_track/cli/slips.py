@@ -11,7 +11,9 @@ from typing import Any, NoReturn
 from bayesnet_track.cli.overview import describe_commands
 
 _CHOICE = re.compile(
-    r"argument (?P<what>.*?): invalid choice: '?(?P<word>.*?)'? \(choose from .*\)", re.DOTALL
+    r"argument (?P<what>.*?): invalid choice: '?(?P<word>.*?)'?"
+    r"(, maybe you meant .*?\?)? \(choose from .*\)",  # argparse suggests a name itself since Python 3.15
+    re.DOTALL,
 )
 _NUMBER = re.compile(r"-?\d+(\.\d*)?,?")
 BOXES = ("--init", "--learn")

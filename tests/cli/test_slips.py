@@ -5,7 +5,7 @@ import argparse
 import pytest
 
 from bayesnet_track.cli.options.video import add_video_option
-from bayesnet_track.cli.slips import Parser, boxes_in_words, nearest
+from bayesnet_track.cli.slips import Parser, boxes_in_words, nearest, suggest
 
 
 @pytest.mark.parametrize(
@@ -22,6 +22,14 @@ from bayesnet_track.cli.slips import Parser, boxes_in_words, nearest
 )
 def test_a_box_in_several_words_is_shown_as_one(given, slips):
     assert list(boxes_in_words(given)) == slips
+
+
+def test_a_suggestion_of_argparse_is_replaced_by_ours():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("command", metavar="COMMAND", choices=["run", "demo"])
+    for own in ("", ", maybe you meant 'run'?"):  # the second is of Python 3.15
+        message = f"argument COMMAND: invalid choice: 'rnu'{own} (choose from run, demo)"
+        assert suggest(parser, message) == "no command 'rnu'; did you mean run?"
 
 
 def test_the_nearest_name_or_nothing():
