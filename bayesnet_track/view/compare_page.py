@@ -10,6 +10,7 @@ from bayesnet_track.journal.compare import Comparison, RunRecord, Total
 from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.text.compare_text import (
     change,
+    common_kinds,
     cut_short,
     estimate_lines,
     figure,
@@ -19,6 +20,7 @@ from bayesnet_track.journal.text.compare_text import (
     sides,
     whose_text,
 )
+from bayesnet_track.journal.text.naming import name_targets
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.view.compare_charts import MOST_MOMENTS, draw_pair
 from bayesnet_track.view.svg import element, text_of
@@ -108,7 +110,9 @@ def compare_page(
     digest = base64.b64encode(hashlib.sha256(STYLE.encode()).digest()).decode()
     policy = f"default-src 'none'; style-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
     policy += "; img-src data:" if pictures else ""
-    return "\n".join(
+    # The words of a body name targets by their type; those of a hostile journal are escaped, as all others.
+    kinds = {target: text_of(kind) for target, kind in common_kinds(first, second, compared).items()}
+    page = "\n".join(
         [
             "<!doctype html>",
             '<html lang="en"><head><meta charset="utf-8">',
@@ -134,6 +138,7 @@ def compare_page(
             "",
         ]
     )
+    return name_targets(page, kinds)
 
 
 def _runs(first: RunRecord, second: RunRecord) -> list[str]:

@@ -139,3 +139,16 @@ def test_a_whole_target_among_the_differences_is_folded(few_metrics):
     assert f"…</summary>{whole}</details>" in page
     assert whole not in compare_text(first, second, compared, [whole])
     assert whole in compare_text(first, second, compared, [whole], shown=2**62)
+
+
+def test_targets_are_named_by_their_type_where_both_runs_agree_on_it(few_metrics):
+    first, second, compared = runs(few_metrics)
+    page = compare_page(first, second, compared, [])
+    assert '<p class="soft">plate 1: estimates 3 px apart' in page and "target 1" not in page
+    assert "plate 1: estimates" in compare_text(first, second, compared, [])
+    first.events = [replace(first.events[0], template="<b>")]
+    second.events = [replace(second.events[0], template="<b>"), *second.events[1:]]
+    hostile = compare_page(first, second, compare(first, second), [])
+    assert "&lt;b&gt; 1: estimates" in hostile and "<b> 1" not in hostile
+    second.events = [replace(second.events[0], template="car"), *second.events[1:]]
+    assert "target 1: estimates" in compare_page(first, second, compare(first, second), [])

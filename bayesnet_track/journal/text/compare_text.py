@@ -12,6 +12,7 @@ from bayesnet_track.journal.compare_moments import Moment
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.net.net import Decision
 from bayesnet_track.journal.text.explain import explain
+from bayesnet_track.journal.text.naming import kinds_of, name_targets
 from bayesnet_track.journal.text.wording import plural
 
 SHOWN_MOMENTS = 5
@@ -65,7 +66,15 @@ def compare_text(
             ]
         if len(rest) > shown:
             lines.append(f"  ... and {len(rest) - shown} more; --all lists them all, --html draws them")
-    return "\n".join(lines)
+    return name_targets("\n".join(lines), common_kinds(first, second, comparison))
+
+
+def common_kinds(first: RunRecord, second: RunRecord, comparison: Comparison) -> dict[str, str]:
+    """Target id -> its type in both runs; empty where an id does not mean the same target in both."""
+    if any(comparison.alone) or any(a != b for a, b in comparison.pairs):
+        return {}
+    theirs = kinds_of(second.events)
+    return {target: kind for target, kind in kinds_of(first.events).items() if theirs.get(target) == kind}
 
 
 def run_parts(run: RunRecord) -> list[str]:
