@@ -244,6 +244,6 @@ def _xarray() -> Any:
         return import_module("xarray")
     except ImportError as error:
         raise ArvizError(
-            f"{error.name} is not installed; pip install 'bayesnet-track[arviz]' (files are written on every "
-            "Python from 3.11 on; ArviZ 1 itself, which reads them, needs 3.12)"
+            f"{error.name} is not installed; pip install 'bayesnet-track[arviz]' (h5py, which writes the "
+            "file, has wheels up to Python 3.14; ArviZ 1, which reads it, needs Python 3.12)"
         ) from error
