@@ -134,7 +134,7 @@ def describe(folder: Path, session: Session) -> str:
     text += f", {missing} not known yet" if missing else ""
     for one in session.annotations.questions:
         text += f"\nopen: {one.target}, frame {one.frame}: {one.reason}"
-    return text
+    return text if session.annotations.questions or missing or not said else f"{text}; nothing to ask"
 
 
 def _show(options: argparse.Namespace, session: Session, store: FrameStore, runs: TrackerRuns) -> None:
