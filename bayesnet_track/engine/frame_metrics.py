@@ -163,13 +163,17 @@ def frame_metrics(
         join=filtered.join,
         existence=filtered.before.existence,
         features=features,
-        parts={
-            name: PartMetrics(_floats(part.box), _floats(part.sd), part.ud_px2, part.status)
-            for name, part in measures.parts.items()
-        },
+        parts=_part_metrics(measures),
         e_value=None if root.alarm is None else e_value(measured.scored.rise, root.alarm),
         p_values=p_values(plate, stepped, () if modes is None else modes.hidden),
     )
+
+
+def _part_metrics(measures: Measures) -> dict[str, PartMetrics]:
+    return {
+        name: PartMetrics(_floats(part.box), _floats(part.sd), part.ud_px2, part.status)
+        for name, part in measures.parts.items()
+    }
 
 
 def first_frame_metrics(

@@ -136,12 +136,7 @@ def join_messages(
         weights = fusion.weights(powers)
         if not weights:
             continue
-        total = np.zeros(len(hypotheses))
-        terms: dict[str, float] = {}
-        for child, weight in weights.items():
-            total = total + weight * messages[child]
-            for source, power in powers[child].items():
-                terms[source] = terms.get(source, 0.0) + weight * power
+        total, terms = _fused(weights, messages, powers, len(hypotheses))
         if fusion.kind == "latent":
             assert fusion.given is not None
             above, own = _above(plan, fusion.node, latent, hypotheses), latent[fusion.node]
@@ -171,6 +166,21 @@ def join_messages(
         source: to_power(own, at_root[source]) for source, own in gaussians.items() if source in at_root
     }
     return Joined(messages, reaching, _rest(at_root, rests, len(hypotheses)) if reaching else None)
+
+
+def _fused(
+    weights: Mapping[str, float],
+    messages: Mapping[str, Floats],
+    powers: Mapping[str, Mapping[str, float]],
+    size: int,
+) -> tuple[Floats, dict[str, float]]:
+    """The weighted sum (N,) of the children's messages, and the exponents of the sources in it."""
+    total, terms = np.zeros(size), dict[str, float]()
+    for child, weight in weights.items():
+        total = total + weight * messages[child]
+        for source, power in powers[child].items():
+            terms[source] = terms.get(source, 0.0) + weight * power
+    return total, terms
 
 
 def join_plain(plan: Plan, said: Mapping[str, Floats], shape: tuple[int, ...]) -> dict[str, Floats]:

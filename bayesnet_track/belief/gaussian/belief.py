@@ -106,7 +106,7 @@ class GaussianFilter:
         """The belief after `dt` frame intervals and the evidence of a frame.
 
         Likelihoods first, then what was measured. The prediction stays where nothing was measured
-        near it and no agent tells hypotheses apart, or where the likelihoods leave none.
+        near it and no agent distinguishes hypotheses, or where the likelihoods leave none.
         """
         # Predict
         mean, covariance = predict(prior.mean, prior.covariance, motion, dt, self.settings)

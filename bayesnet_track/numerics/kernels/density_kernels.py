@@ -1,9 +1,9 @@
 """Compiled search for the point at which a weighted mixture of Gaussians is largest.
 
-A sum over all components in double precision is dear. So a likely winner sets the value to beat; points that
-cannot reach it by an upper bound are given up; sums in single precision, of a known error, over the
-components that are near give up nearly all that are left; the last few are summed exactly. The result is
-that of exact sums everywhere.
+A sum over all components in double precision is expensive. So a likely winner sets the value to beat;
+points that cannot reach it by an upper bound are given up; sums in single precision, of a known error, over
+the components that are near give up nearly all that are left; the last few are summed exactly. The result
+is that of exact sums everywhere.
 """
 
 from __future__ import annotations
