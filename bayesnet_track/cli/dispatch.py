@@ -146,12 +146,13 @@ def _code_of(error: Exception, command: str) -> int | None:
     from bayesnet_track.runtime.checkpoints.checkpoint_file import CheckpointError
     from bayesnet_track.runtime.checkpoints.recipe import RecipeError
     from bayesnet_track.runtime.checkpoints.resume import ResumeError
+    from bayesnet_track.runtime.recording.beliefs import UnkeptBeliefError
     from bayesnet_track.runtime.recording.manifest import ManifestError
     from bayesnet_track.runtime.recording.rundir import RunDirectoryError
     from bayesnet_track.sources.paths import SourceError
     from bayesnet_track.vision.stereo.stereo import CalibrationError
 
-    if isinstance(error, UsageError | CueError):
+    if isinstance(error, UsageError | CueError | UnkeptBeliefError):
         return USAGE
     unreadable = RecipeError | CheckpointError | ResumeError | ManifestError
     if isinstance(error, SourceError | JournalError | CalibrationError | unreadable):

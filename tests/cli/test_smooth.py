@@ -63,3 +63,15 @@ def test_particles_from_elsewhere_have_no_most_probable_trajectory(tmp_path, cap
         assert main(call) == 0
         assert main(["smooth", run, "--out", str(tmp_path / "smoothed"), "--map"]) == 2
         assert "smooth without --map" in capsys.readouterr().err
+
+
+def test_a_belief_that_cannot_be_kept_is_refused_before_the_run(tmp_path, capsys):
+    import cv2
+    import numpy as np
+
+    for n in range(2):
+        cv2.imwrite(str(tmp_path / f"{n}.png"), np.full((56, 72, 3), 90, np.uint8))
+    source = ["--source", str(tmp_path), "--init", "20,14,16,12", "--quiet", "--keep-beliefs"]
+    assert main(["run", "hidden_ball", *source, "--out", str(tmp_path / "run")]) == 2
+    assert "ball.ball is Gaussian in modes, which cannot be smoothed yet" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()

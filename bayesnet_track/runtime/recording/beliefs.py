@@ -57,16 +57,20 @@ class KeptBelief:
     heard: Heard = field(default_factory=Heard)
 
 
+class UnkeptBeliefError(ValueError):
+    """A graph has a belief that cannot be kept."""
+
+
 def check_kept(graph: GraphSpec) -> None:
     """Check that every belief of a graph can be kept.
 
     Raises:
-        ValueError: one is a Gaussian for each mode.
+        UnkeptBeliefError: one is a Gaussian for each mode.
     """
     for kind, plate in graph.targets.items():
         for name, node in plate.nodes.items():
             if isinstance(node, InferenceNode) and node.modes and node.belief and node.belief.gaussian:
-                raise ValueError(
+                raise UnkeptBeliefError(
                     f"--keep-beliefs: {kind}.{name} is Gaussian in modes, which cannot be smoothed yet; "
                     "allowed: belief: particles, or no --keep-beliefs"
                 )
