@@ -16,7 +16,7 @@ def held(cause: Cause, relation: str) -> str:
     span = f"for {plural(cause.frames, 'frame')}"
     if cause.unit == "ud_px2":
         return f"UD {value} px² {relation} {level} {span}"
-    px, level_px = distinct_texts(cause.ud_px2, cause.level * cause.scale_px2)
+    px, level_px = in_px(cause.ud_px2, cause.level * cause.scale_px2)
     unit = UNIT[cause.unit]
     return f"UD {value}{unit} ({px} px²) {relation} {level}{unit} ({level_px} px²) {span}"
 
@@ -40,6 +40,18 @@ def distinct_texts(value: float, level: float) -> tuple[str, str]:
         if first != second or value == level:
             break
     return trim(first), trim(second)
+
+
+def in_px(value: float, level: float) -> tuple[str, str]:
+    """As `distinct_texts`, each with three digits of its own where these tell them apart: for a derived level.
+
+    >>> in_px(4.381, 264.847), in_px(7.768, 7.771)
+    (('4.38', '265'), ('7.768', '7.771'))
+    """
+    first, second = (trim(f"{one:.{decimals(one)}f}") for one in (value, level))
+    if (float(first) < float(second)) == (value < level) and first != second:
+        return first, second
+    return distinct_texts(value, level)
 
 
 def decimals(*values: float) -> int:
